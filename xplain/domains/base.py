@@ -1,0 +1,110 @@
+"""What a domain is: a robot's task with parameters that people may hold wrong (SPEC §1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.mdp import MDP
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A fact about the task.
+
+    Attributes:
+        name: also the name of the message that tells it.
+        accurate: the robot's value.
+        inaccurate: the value of a user who holds it wrong.
+        message: the sentence that tells the robot's value.
+        belief: the sentence that a user who holds it wrong would say (for briefings).
+    """
+
+    name: str
+    accurate: Any
+    inaccurate: Any
+    message: str
+    belief: str = ""
+
+
+@dataclass(frozen=True)
+class Item:
+    """Something on the map: cells (row, column) that share a symbol and a name."""
+
+    name: str
+    symbol: str
+    cells: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A map for people: drawn by reports, by the study's pages, and on terminals.
+
+    Attributes:
+        rows, columns: size of the grid.
+        walls: cells that cannot be entered.
+        items: what lies on the map.
+    """
+
+    rows: int
+    columns: int
+    walls: tuple[tuple[int, int], ...] = ()
+    items: tuple[Item, ...] = field(default_factory=tuple)
+
+
+@runtime_checkable
+class Domain(Protocol):
+    """A task model as a function of its parameters' values.
+
+    Attributes:
+        name: as chosen in config.
+        parameters: in the order of the messages.
+        actions: names of the actions, as many as the model has.
+        state_features: [S, F] float64, what a labeler may know of a state.
+        feature_names: F names.
+        starts: [n] int64, states where traces start, equally likely.
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    actions: tuple[str, ...]
+    state_features: NDArray[np.float64]
+    feature_names: tuple[str, ...]
+    starts: NDArray[np.int64]
+
+    def model(self, values: Mapping[str, Any]) -> MDP:
+        """The task of someone who holds these values: ``{parameter name: value}``, all of them."""
+        ...
+
+    def describe(self, transition: NDArray[np.int64]) -> str:
+        """A transition (s, a, s') as a short phrase for people: "moves right to (2, 3)"."""
+        ...
+
+    def position(self, state: int) -> tuple[int, int] | None:
+        """The cell (row, column) of the robot; None where the domain has no map."""
+        ...
+
+    @property
+    def scene(self) -> Scene | None:
+        """The map; None where the domain has none."""
+        ...
+
+
+def transition_feature_names(domain: Domain) -> tuple[str, ...]:
+    """Names of the columns of :func:`transition_features`."""
+    return (
+        *domain.feature_names,
+        *(f"action={action}" for action in domain.actions),
+        *(f"next_{name}" for name in domain.feature_names),
+    )
+
+
+def transition_features(domain: Domain, transitions: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Features of transitions [T, 3]: state, one-hot action, next state: [T, 2F + A] (SPEC §3)."""
+    s, a, after = transitions.T
+    action = np.eye(len(domain.actions))[a]
+    return np.hstack([domain.state_features[s], action, domain.state_features[after]])

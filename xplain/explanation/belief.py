@@ -1,0 +1,81 @@
+"""Beliefs over user types (SPEC §5, paper's belief update).
+
+A belief is an array [N] that sums to 1. A *belief update* is a function of what the user was
+shown and answered; which labels count as evidence is the choice made here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.problem import Problem
+
+
+class BeliefUpdate(Protocol):
+    """How labels change the belief."""
+
+    def evidence(self, message_set: int, previous: int | None, count: int) -> slice:
+        """Which of the ``count`` labels just given are new evidence.
+
+        Args:
+            message_set: H, all messages given when the labels were asked for.
+            previous: H at the step before; None at the first step.
+            count: k + 1, the transitions shown.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Independent:
+    """The paper: at every step all labels of the prefix are drawn afresh, all are evidence."""
+
+    def evidence(self, message_set: int, previous: int | None, count: int) -> slice:
+        """Every label."""
+        return slice(0, count)
+
+
+@dataclass(frozen=True)
+class Persistent:
+    """A label of (transition, message set) given before is no new evidence: people who learned
+    nothing new repeat themselves. Messages only accumulate, so only the newest transition's
+    label is news unless the message set has changed."""
+
+    def evidence(self, message_set: int, previous: int | None, count: int) -> slice:
+        """Every label after a message, the newest otherwise."""
+        return slice(count - 1, count) if message_set == previous else slice(0, count)
+
+
+def update(
+    problem: Problem,
+    belief: NDArray[np.float64],
+    message_set: int,
+    labels: NDArray[np.uint8],
+    evidence: slice = slice(None),
+) -> NDArray[np.float64]:
+    """b'(t) ∝ b(t) · Π_i P(l_i | τ_i, H, t) over the labels that are evidence.
+
+    Args:
+        problem: of N types.
+        belief: [N].
+        message_set: H, all messages given so far.
+        labels: [k + 1] of 0 and 1, the user's labels of the prefix.
+        evidence: which of them count.
+
+    Returns:
+        [N]. Labels that no type with positive belief can give (only with probabilities of
+        exactly 0 or 1) tell nothing about the type: the belief stays as it was.
+    """
+    p = problem.p_explicable[:, : len(labels), message_set][:, evidence]
+    likelihood = np.where(labels[evidence] == 1, p, 1 - p)
+    with np.errstate(divide="ignore"):
+        log_posterior = np.log(belief) + np.log(likelihood).sum(axis=1)
+    top = log_posterior.max()
+    if top == -np.inf:
+        return belief.copy()
+    posterior = np.exp(log_posterior - top)
+    normalised: NDArray[np.float64] = posterior / posterior.sum()
+    return normalised

@@ -1,0 +1,70 @@
+"""Labels given by observers: who, which transition, given which messages, which label (SPEC §2).
+
+Simulated observers and files of real people's labels make the same table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.message_sets import bits_of
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """P labels by O observers on T distinct transitions.
+
+    Attributes:
+        features: [T, F] float64 of the distinct transitions.
+        feature_names: F names.
+        messages: n names; bit j of a message set is message j.
+        observers: O names.
+        observer: [P] int64 index into ``observers``.
+        transition: [P] int64 index into ``features``.
+        message_set: [P] int64 bitmask (n ≤ 62).
+        label: [P] uint8, 1 = explicable.
+    """
+
+    features: NDArray[np.float64]
+    feature_names: tuple[str, ...]
+    messages: tuple[str, ...]
+    observers: tuple[str, ...]
+    observer: NDArray[np.int64]
+    transition: NDArray[np.int64]
+    message_set: NDArray[np.int64]
+    label: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.label)
+
+    @property
+    def n_messages(self) -> int:
+        """n."""
+        return len(self.messages)
+
+    def of(self, observers: NDArray[np.int64]) -> Dataset:
+        """The labels of some observers (by index); the tables of names stay whole."""
+        return self.take(np.flatnonzero(np.isin(self.observer, observers)))
+
+    def take(self, rows: NDArray[np.int64]) -> Dataset:
+        """Some rows, in this order."""
+        return Dataset(
+            self.features,
+            self.feature_names,
+            self.messages,
+            self.observers,
+            self.observer[rows],
+            self.transition[rows],
+            self.message_set[rows],
+            self.label[rows],
+        )
+
+
+def inputs(
+    features: NDArray[np.float64], message_sets: NDArray[np.int64], n_messages: int
+) -> NDArray[np.float32]:
+    """The classifier's input: features [P, F] and one bit a message: [P, F + n] float32."""
+    return np.hstack([features, bits_of(message_sets, n_messages)]).astype(np.float32)

@@ -1,0 +1,42 @@
+"""Message sets: an integer bitmask inside, a sorted tuple of names at every border.
+
+Bit j of a mask stands for message j (in the order of the domain's parameters).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.errors import InputError
+
+
+def names_of(mask: int, messages: Sequence[str]) -> tuple[str, ...]:
+    """The names in a mask, sorted."""
+    return tuple(sorted(name for j, name in enumerate(messages) if mask >> j & 1))
+
+
+def mask_of(names: Iterable[str], messages: Sequence[str], key: str = "messages") -> int:
+    """The mask of some names.
+
+    Raises:
+        InputError: a name is not among ``messages``.
+    """
+    mask = 0
+    for name in names:
+        if name not in messages:
+            raise InputError(key, name, f"unknown message; known: {', '.join(messages)}")
+        mask |= 1 << messages.index(name)
+    return mask
+
+
+def bits_of(masks: NDArray[np.int64], count: int) -> NDArray[np.uint8]:
+    """Masks [P] as bits [P, count]."""
+    return ((masks[:, None] >> np.arange(count)) & 1).astype(np.uint8)
+
+
+def indices(mask: int) -> list[int]:
+    """The positions of the bits set in a mask, ascending."""
+    return [j for j in range(mask.bit_length()) if mask >> j & 1]

@@ -1,0 +1,64 @@
+"""What a solver and its policy are.
+
+A *solver* plans for one :class:`~xplain.explanation.problem.Problem` and returns a *policy*. A
+policy is a function of (step, given, belief): the same three give the same messages, always, so
+that a decision can be replayed, evaluated exactly, and shown to a person with its reasons.
+Policies that search at random draw from a stream made of the seed and those three.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.problem import Problem
+
+Knowledge = Literal["types", "everyone", "type", "labels"]
+"""What the agent that plans may know of the user (the experiment builds its problem from it):
+
+- ``types``: the learned user types and a prior over them (the paper's setting);
+- ``everyone``: one labeler learned from everybody's labels (the paper's baseline);
+- ``type``: the true type, and the labeler learned for it under perfect clustering (the oracle);
+- ``labels``: the true type and its true labels (the clairvoyant).
+"""
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Which messages to give before the next *explain*."""
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+        """The new messages to give before showing the prefix of ``step + 1`` transitions.
+
+        Args:
+            step: k, transitions shown so far, 0 … m − 1.
+            given: bitmask of the messages given so far.
+            belief: [N] over the problem's types.
+
+        Returns:
+            A bitmask disjoint from ``given``; 0 means *explain* at once.
+        """
+        ...
+
+    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
+        """The values behind the choice: estimated discounted return by the message set
+        given next (bitmask; 0 is *explain* at once). Larger is better. May be empty."""
+        ...
+
+
+@runtime_checkable
+class Solver(Protocol):
+    """Plans for a problem. Configured by its constructor; holds no state of a run."""
+
+    knows: Knowledge
+
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
+        """A policy for the problem.
+
+        Raises:
+            TooLargeError: the tables would not fit; raised before memory is taken.
+        """
+        ...

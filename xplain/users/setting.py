@@ -1,0 +1,172 @@
+"""A setting: a domain and its user types, with the labels that each type would give (SPEC §1).
+
+Many types and message sets share one model of the task; each distinct model is solved once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain import mdp
+from xplain.domains.base import Domain
+from xplain.errors import InputError, TooLargeError
+
+MAX_MODELS = 1 << 14
+
+
+@dataclass(frozen=True)
+class UserType:
+    """What users of a type hold inaccurately: ``{parameter: their value}``."""
+
+    name: str
+    inaccurate: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A domain with N user types, every distinct model of the task solved.
+
+    Attributes:
+        domain, types: as given.
+        models: the distinct models; the first is the robot's.
+        optimal: [B, S, A] optimal actions of each.
+        bits: for each type, the positions of the messages that correct it.
+        table: for each type, [2^len(bits)] index of its model, by which of these were given.
+    """
+
+    domain: Domain
+    types: tuple[UserType, ...]
+    models: tuple[mdp.MDP, ...]
+    optimal: NDArray[np.bool_]
+    bits: tuple[tuple[int, ...], ...]
+    table: tuple[NDArray[np.int64], ...]
+
+    @classmethod
+    def build(cls, domain: Domain, types: tuple[UserType, ...]) -> Setting:
+        """Solves every distinct model.
+
+        Raises:
+            InputError: no types, two of one name, or a type that names an unknown parameter.
+            DomainError: some model's ties are ambiguous.
+            TooLargeError: more than MAX_MODELS distinct models.
+        """
+        names = [parameter.name for parameter in domain.parameters]
+        if not types:
+            raise InputError("users", [], "at least one user type")
+        called = [user_type.name for user_type in types]
+        if len(set(called)) < len(called):
+            raise InputError("users", called, "each user type needs a name of its own")
+        for user_type in types:
+            for name in user_type.inaccurate:
+                if name not in names:
+                    raise InputError(
+                        f"users.{user_type.name}",
+                        name,
+                        f"unknown parameter; {domain.name} has {', '.join(names)}",
+                    )
+        if sum(1 << len(user_type.inaccurate) for user_type in types) > MAX_MODELS:
+            raise TooLargeError(
+                f"users: the types' inaccurate parameters span more than {MAX_MODELS} task models; "
+                "use types with fewer inaccurate parameters"
+            )
+        accurate = {parameter.name: parameter.accurate for parameter in domain.parameters}
+        index: dict[str, int] = {}
+        models: list[mdp.MDP] = []
+        whose: list[str] = []
+
+        def model_of(values: dict[str, Any], who: str) -> int:
+            key = repr([values[name] for name in names])
+            if key not in index:
+                index[key] = len(models)
+                models.append(domain.model(values))
+                whose.append(who)
+            return index[key]
+
+        model_of(accurate, "the robot's model")
+        bits, table = [], []
+        for user_type in types:
+            own = tuple(j for j, name in enumerate(names) if name in user_type.inaccurate)
+            row = np.empty(1 << len(own), dtype=np.int64)
+            for given in range(len(row)):
+                wrong = [names[j] for i, j in enumerate(own) if not given >> i & 1]
+                values = accurate | {name: user_type.inaccurate[name] for name in wrong}
+                row[given] = model_of(values, f"type {user_type.name} wrong on {wrong}")
+            bits.append(own)
+            table.append(row)
+        optimal = mdp.optimal_actions(models, whose)
+        return cls(domain, types, tuple(models), optimal, tuple(bits), tuple(table))
+
+    @property
+    def message_names(self) -> tuple[str, ...]:
+        """Names of the messages: one a parameter, in order."""
+        return tuple(parameter.name for parameter in self.domain.parameters)
+
+    @property
+    def n_messages(self) -> int:
+        """n."""
+        return len(self.domain.parameters)
+
+    def model_index(self, user_type: int, message_sets: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The model that a type holds once given each of these message sets: [P] → [P]."""
+        local = np.zeros_like(message_sets)
+        for i, j in enumerate(self.bits[user_type]):
+            local |= (message_sets >> j & 1) << i
+        return self.table[user_type][local]
+
+    def label_by_model(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """[B, T] labels of transitions [T, 3] under every distinct model."""
+        return mdp.labels(self.models, self.optimal, transitions)
+
+    def labels(
+        self, user_type: int, transitions: NDArray[np.int64], message_sets: NDArray[np.int64]
+    ) -> NDArray[np.uint8]:
+        """The true labels of a type, one a (transition [P, 3], message set [P]): [P]."""
+        by_model = self.label_by_model(transitions)
+        return by_model[self.model_index(user_type, message_sets), np.arange(len(transitions))]
+
+    def label_table(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """The true labels of all types for all message sets: [N, T, 2^n].
+
+        Raises:
+            InputError: more than 2^20 message sets.
+        """
+        if self.n_messages > 20:
+            raise InputError("domain", self.n_messages, "at most 20 messages (2^20 message sets)")
+        by_model = self.label_by_model(transitions)
+        every = np.arange(1 << self.n_messages)
+        return np.stack(
+            [by_model[self.model_index(t, every)].T for t in range(len(self.types))]
+        )
+
+    @cached_property
+    def reachable(self) -> NDArray[np.int64]:
+        """[T, 3] every transition that an optimal policy of the robot can make from a start."""
+        model, optimal = self.models[0], self.optimal[0]
+        seen = np.zeros(model.n_states, dtype=bool)
+        frontier = np.unique(self.domain.starts)
+        found = []
+        while len(frontier):
+            seen[frontier] = True
+            s, a, k = np.nonzero(
+                optimal[frontier][:, :, None] & (model.probability[frontier] > 0)
+            )
+            s = frontier[s]
+            after = model.successor[s, a, k]
+            found.append(np.stack([s, a, after], axis=1))
+            after = np.unique(after)
+            frontier = after[~seen[after] & ~model.terminal[after]]
+        return np.unique(np.concatenate(found), axis=0)
+
+    @cached_property
+    def distinct(self) -> NDArray[np.int64]:
+        """[N] the same number for types that label every reachable (transition, message set)
+        alike: behaviourally they are one type."""
+        table = self.label_table(self.reachable).reshape(len(self.types), -1)
+        first: dict[bytes, int] = {}
+        return np.array([first.setdefault(row.tobytes(), len(first)) for row in table])
