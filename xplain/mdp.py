@@ -124,8 +124,8 @@ def optimal_actions(models: Sequence[MDP], names: Sequence[str] = ()) -> NDArray
             who = names[b] if names else f"model {b}"
             raise DomainError(
                 f"domain: ambiguous tie in {who}, state {s}, action {a}: its value is "
-                f"{gap[b, s, a]:.1e} of the largest possible value below the best; change a reward or "
-                f"the discount so that gaps are 0 or above {CLEAR:g}"
+                f"{gap[b, s, a]:.1e} of the largest possible value below the best; change a reward "
+                f"or the discount so that gaps are 0 or above {CLEAR:g}"
             )
     terminal = np.array([model.terminal for model in models])
     return np.asarray((gap <= TIE) & ~terminal[:, :, None])

@@ -149,7 +149,7 @@ class Problem:
                 raise
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError("problem", str(path), f"not a readable .npz file ({reason})") from None
-        fields = {name for name in cls.__dataclass_fields__}
+        fields = set(cls.__dataclass_fields__)
         missing = {"p_explicable", "message_cost"} - arrays.keys()
         if missing:
             raise InputError("problem", str(path), f"lacks {', '.join(sorted(missing))}")

@@ -140,9 +140,7 @@ class Setting:
             raise InputError("domain", self.n_messages, "at most 20 messages (2^20 message sets)")
         by_model = self.label_by_model(transitions)
         every = np.arange(1 << self.n_messages)
-        return np.stack(
-            [by_model[self.model_index(t, every)].T for t in range(len(self.types))]
-        )
+        return np.stack([by_model[self.model_index(t, every)].T for t in range(len(self.types))])
 
     @cached_property
     def reachable(self) -> NDArray[np.int64]:
@@ -153,9 +151,7 @@ class Setting:
         found = []
         while len(frontier):
             seen[frontier] = True
-            s, a, k = np.nonzero(
-                optimal[frontier][:, :, None] & (model.probability[frontier] > 0)
-            )
+            s, a, k = np.nonzero(optimal[frontier][:, :, None] & (model.probability[frontier] > 0))
             s = frontier[s]
             after = model.successor[s, a, k]
             found.append(np.stack([s, a, after], axis=1))

@@ -25,7 +25,7 @@ def sample_trace(
         max_length: where the trace is cut if no terminal state comes first.
     """
     state = int(rng.choice(starts))
-    steps = []
+    steps: list[tuple[int, int, int]] = []
     while len(steps) < max_length and not model.terminal[state]:
         action = int(rng.choice(np.flatnonzero(optimal[state])))
         slot = rng.choice(model.probability.shape[2], p=model.probability[state, action])
