@@ -31,7 +31,7 @@ class InputError(XplainError):
 
 
 class DomainError(XplainError):
-    """A domain has a property that makes labels meaningless (ambiguous ties, no way to the goal)."""
+    """A domain makes labels meaningless: ambiguous ties, no way to the goal."""
 
 
 class TooLargeError(XplainError):
