@@ -1,0 +1,49 @@
+# make run    sets everything up and runs one experiment
+# make test   sets everything up, then lint, types, layers and tests
+# make study  starts the study's server
+# make bench  the benchmarks, whole
+PYTHON ?= python3
+VENV ?= .venv
+BIN = $(VENV)/bin
+READY = $(VENV)/.ready
+
+.PHONY: run test test-fast browser-test lint bench bench-quick study ui clean
+
+run: $(READY)
+	$(BIN)/python -m xplain solver=pomcp domain=rescue lambda=1.5
+
+test: lint
+	$(BIN)/python -m pytest -q -m "not browser"
+
+test-fast: $(READY)
+	$(BIN)/python -m pytest -q -m "not browser and not slow"
+
+browser-test: $(READY)
+	$(BIN)/python -m pytest -q -m browser
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench-quick: $(READY)
+	for file in benchmarks/[a-z]*.py; do $(BIN)/python $$file --quick || exit 1; done
+
+bench: $(READY)
+	for file in benchmarks/[a-z]*.py; do $(BIN)/python $$file || exit 1; done
+
+study: $(READY)
+	$(BIN)/python -m xplain.study
+
+ui: $(READY)
+	$(BIN)/mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db
+
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "xplain needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[test,gym]"
+	touch $(READY)
+
+clean:
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,111 @@
+"""One interaction: a policy explains a trace, step by step, to a user who answers (SPEC §5, §7)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.belief import BeliefUpdate, update
+from xplain.explanation.problem import Problem
+from xplain.message_sets import indices
+from xplain.solvers.base import Policy
+
+
+class User(Protocol):
+    """Whoever the trace is explained to."""
+
+    def labels(self, count: int, message_set: int) -> NDArray[np.uint8]:
+        """Labels [count] of the first ``count`` transitions, all of ``message_set`` known."""
+        ...
+
+
+@dataclass(frozen=True)
+class SimulatedUser:
+    """Answers by a table of true labels [m, 2^n] of one user type."""
+
+    table: NDArray[np.uint8]
+
+    def labels(self, count: int, message_set: int) -> NDArray[np.uint8]:
+        """The type's true labels of the prefix."""
+        return self.table[:count, message_set]
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What happened while one trace of m transitions was explained.
+
+    Attributes:
+        messages: [m] int64, the new messages (bitmask) before each *explain*.
+        labels: [m, m] int8, row k the labels given at step k; −1 right of the diagonal.
+        beliefs: [m + 1, N], before the first step and after each.
+        seconds: [m], time the policy took to decide.
+        communication: Σ C_e of all messages given (not multiplied by λ).
+        inexplicability: Σ C_inexp over every label 0 at every step.
+        cost: Definition 2, λ · communication + inexplicability, undiscounted.
+    """
+
+    messages: NDArray[np.int64]
+    labels: NDArray[np.int8]
+    beliefs: NDArray[np.float64]
+    seconds: NDArray[np.float64]
+    communication: float
+    inexplicability: float
+    cost: float
+
+    @property
+    def n_messages(self) -> int:
+        """How many messages were given."""
+        return sum(int(mask).bit_count() for mask in self.messages)
+
+    @property
+    def n_inexplicable(self) -> int:
+        """How many labels were 0, over all steps."""
+        return int((self.labels == 0).sum())
+
+
+def explain(problem: Problem, policy: Policy, user: User, belief_update: BeliefUpdate) -> Episode:
+    """Explains the whole trace of ``problem`` to ``user``.
+
+    Args:
+        problem: what the agent believes of users; its costs are those that count.
+        policy: planned for that problem.
+        user: who answers.
+        belief_update: which labels change the belief.
+
+    Raises:
+        ValueError: the policy gives a message again, or one that does not exist.
+    """
+    m, n = problem.n_steps, problem.n_messages
+    belief = problem.prior.copy()
+    given, previous = 0, None
+    messages = np.zeros(m, dtype=np.int64)
+    labels = np.full((m, m), -1, dtype=np.int8)
+    beliefs = np.empty((m + 1, problem.n_types))
+    beliefs[0] = belief
+    seconds = np.empty(m)
+    communication = 0.0
+    for k in range(m):
+        before = time.perf_counter()
+        new = policy.messages(k, given, belief)
+        seconds[k] = time.perf_counter() - before
+        if new & given or new >> n:
+            raise ValueError(
+                f"policy gave message set {new:b} at step {k}, {given:b} already given"
+            )
+        messages[k] = new
+        given |= new
+        communication += float(sum(problem.message_cost[j] for j in indices(new)))
+        answer = user.labels(k + 1, given)
+        labels[k, : k + 1] = answer
+        belief = update(
+            problem, belief, given, answer, belief_update.evidence(given, previous, k + 1)
+        )
+        beliefs[k + 1] = belief
+        previous = given
+    inexplicability = problem.inexplicability_cost * int((labels == 0).sum())
+    cost = problem.trade_off * communication + inexplicability
+    return Episode(messages, labels, beliefs, seconds, communication, inexplicability, cost)

@@ -1,0 +1,101 @@
+"""From episodes to the figures that the paper reports, and the further ones of SPEC §7."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.evaluation.episode import Episode
+from xplain.evaluation.statistics import Estimate, clustered_mean
+
+SURE = 0.9
+"""A type counts as recognised once the belief in it exceeds this."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """An episode, and whose it was.
+
+    Attributes:
+        solver: who explained: "solver", "oracle" or "clairvoyant".
+        trace: index of the trace.
+        user_type: index of the user's true type.
+        right: [N] bool, which of the problem's types stand for the true one.
+        episode: what happened.
+    """
+
+    solver: str
+    trace: int
+    user_type: int
+    right: NDArray[np.bool_]
+    episode: Episode
+
+    @property
+    def right_belief(self) -> NDArray[np.float64]:
+        """[m + 1] belief in the true type, before the first step and after each."""
+        belief: NDArray[np.float64] = self.episode.beliefs[:, self.right].sum(axis=1)
+        return belief
+
+    @property
+    def steps_until_sure(self) -> int:
+        """Steps until the belief in the true type exceeds SURE for the first time; m + 1 when
+        it never does."""
+        sure = np.flatnonzero(self.right_belief > SURE)
+        return int(sure[0]) if len(sure) else len(self.episode.beliefs)
+
+
+def summarise(records: list[Record]) -> dict[str, Estimate]:
+    """The figures of the "solver" records: costs, both regrets, diagnostics.
+
+    Regret is paired: each episode's cost less the oracle's (or the clairvoyant's) on the same
+    trace and user. A regret is left out where its reference did not run.
+    """
+    by_solver: dict[str, dict[tuple[int, int], Record]] = {}
+    for record in records:
+        by_solver.setdefault(record.solver, {})[record.trace, record.user_type] = record
+    own = by_solver["solver"]
+    traces = np.array([trace for trace, _ in own])
+    episodes = [record.episode for record in own.values()]
+    columns: dict[str, list[float]] = {
+        "cost": [episode.cost for episode in episodes],
+        "messages": [episode.n_messages for episode in episodes],
+        "inexplicable_labels": [episode.n_inexplicable for episode in episodes],
+        "steps_until_sure": [record.steps_until_sure for record in own.values()],
+        "final_belief": [float(record.right_belief[-1]) for record in own.values()],
+        "decision_ms": [1e3 * float(episode.seconds.mean()) for episode in episodes],
+    }
+    for reference, name in (("oracle", "regret"), ("clairvoyant", "regret_to_clairvoyant")):
+        if reference in by_solver:
+            other = [by_solver[reference][key].episode.cost for key in own]
+            columns[f"{reference}_cost"] = other
+            columns[name] = [c - o for c, o in zip(columns["cost"], other, strict=True)]
+    return {name: clustered_mean(column, traces) for name, column in columns.items()}
+
+
+def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
+    """Means at each step over the "solver" episodes that last so long: [steps + 1] or [steps].
+
+    ``belief_in_true_type`` starts with the prior; ``messages_given`` and
+    ``inexplicable_labels_shown`` are those of one step.
+    """
+    own = [record for record in records if record.solver == "solver"]
+    series = {
+        "belief_in_true_type": [record.right_belief for record in own],
+        "messages_given": [
+            np.array([int(mask).bit_count() for mask in record.episode.messages]) for record in own
+        ],
+        "inexplicable_labels_shown": [(record.episode.labels == 0).sum(axis=1) for record in own],
+    }
+    return {name: _ragged_mean(rows) for name, rows in series.items()}
+
+
+def _ragged_mean(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    longest = max(len(row) for row in rows)
+    total, count = np.zeros(longest), np.zeros(longest)
+    for row in rows:
+        total[: len(row)] += row
+        count[: len(row)] += 1
+    mean: NDArray[np.float64] = total / count
+    return mean

@@ -1,0 +1,124 @@
+"""What a person sees on the terminal: progress on long work, a summary at the end."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from xplain.report.paper import table1
+
+log = logging.getLogger(__name__)
+
+PATIENCE = 2.0
+"""Seconds before progress is shown: short work needs none."""
+
+TITLES = {
+    "cost": "cost",
+    "oracle_cost": "oracle's cost",
+    "regret": "regret (cost − oracle's)",
+    "clairvoyant_cost": "clairvoyant's cost",
+    "regret_to_clairvoyant": "cost − clairvoyant's",
+    "messages": "messages given",
+    "inexplicable_labels": "inexplicable labels",
+    "steps_until_sure": "steps until belief > 0.9",
+    "final_belief": "final belief in true type",
+    "decision_ms": "decision time (ms a step)",
+}
+
+
+def track(items: Iterable[Any], what: str, count: int) -> Iterator[Any]:
+    """Yields the items; a bar on a terminal, a line every ten seconds elsewhere, and neither
+    for work that is done before a person would ask."""
+    if not sys.stderr.isatty():
+        yield from _track_by_lines(items, what, count)
+        return
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(what, total=count, visible=False)
+        started = time.monotonic()
+        for item in items:
+            yield item
+            progress.update(task, advance=1, visible=time.monotonic() - started > PATIENCE)
+
+
+def _track_by_lines(items: Iterable[Any], what: str, count: int) -> Iterator[Any]:
+    said = time.monotonic()
+    for done, item in enumerate(items, start=1):
+        yield item
+        if time.monotonic() - said > 5 * PATIENCE:
+            said = time.monotonic()
+            log.info("%s: %d of %d", what, done, count)
+
+
+def print_summary(results: dict[str, Any]) -> None:
+    """The run's figures as a table on standard output, the paper's beside them."""
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 100)
+    choices, config = results["choices"], results["config"]
+    console.print(_headline(results))
+    domain, solver = choices["domain"], choices["solver"]
+    published = table1().get((domain, config["lambda"]), {})
+    table = Table(box=None, pad_edge=False)
+    table.add_column("measure")
+    table.add_column("mean", justify="right")
+    table.add_column("95 % interval", justify="right")
+    if published:
+        table.add_column("paper", justify="right")
+    paper = {"oracle_cost": published.get("oracle"), "regret": published.get(solver)}
+    for name, title in TITLES.items():
+        if name not in results["metrics"]:
+            continue
+        estimate = results["metrics"][name]
+        row = [title, f"{estimate['mean']:.3f}", _interval(estimate)]
+        value = paper.get(name)
+        table.add_row(*row, *(["" if value is None else f"{value:.2f}"] if published else []))
+    console.print(table)
+    for line in _bounds(results["bounds"]):
+        console.print(line)
+
+
+def _headline(results: dict[str, Any]) -> str:
+    choices, config, learning = results["choices"], results["config"], results["learning"]
+    types = results["types"]
+    lines = [
+        f"{choices['domain']} · {choices['solver']} · λ = {config['lambda']:g} · "
+        f"{config['traces']} traces × {len(types['true'])} types · seed {config['seed']}",
+        f"user types found: {learning['types_found']:.0f}"
+        + (f" of {learning['true_types']:.0f}" if "true_types" in learning else "")
+        + (
+            f", adjusted Rand index {learning['adjusted_rand_index']:.2f}"
+            if "adjusted_rand_index" in learning
+            else ""
+        )
+        + f" ({results['elbow']['rule']}); labelers {learning['labeler_accuracy']:.1%} right on "
+        "held-out labels",
+    ]
+    return "\n".join(lines)
+
+
+def _interval(estimate: dict[str, float | None]) -> str:
+    if estimate["low"] is None:
+        return "one trace"
+    return f"{estimate['low']:.3f} … {estimate['high']:.3f}"
+
+
+def _bounds(bounds: dict[str, float]) -> list[str]:
+    if "optimal_lower" not in bounds:
+        return []
+    lines = [
+        f"optimal value of the explanation POMDP (mean over traces): between "
+        f"{bounds['optimal_lower']:.4f} and {bounds['optimal_upper']:.4f}"
+    ]
+    if "policy_value" in bounds:
+        lines.append(
+            f"this policy's value: {bounds['policy_value']:.4f}; price of approximation: at most "
+            f"{bounds['price_of_approximation']:.4f}; of not knowing the type: at most "
+            f"{bounds['price_of_not_knowing']:.4f}"
+        )
+    return lines

@@ -1,0 +1,209 @@
+"""Runs in MLflow (SPEC §7): made from a run's folder on disk, so they can be sent later as well.
+
+MLflow is imported when it is used: it takes a second.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import getpass
+import logging
+import os
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xplain.storage import load_results
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+log = logging.getLogger(__name__)
+
+RESULT_TAG = "xplain.result"
+"""Tag that holds a result's identity; a result is in MLflow once, however often it is sent."""
+
+
+@dataclass(frozen=True)
+class Disk:
+    """Tracks nothing: results stay on disk."""
+
+    def log(self, folder: Path, outputs: Path, parent: str | None = None) -> str | None:
+        """Does nothing."""
+        return None
+
+
+@dataclass(frozen=True)
+class MLflow:
+    """Logs each job as one MLflow run.
+
+    Attributes:
+        uri: of the tracking server or database; None is an SQLite file in the outputs folder.
+        experiment: name of the MLflow experiment.
+    """
+
+    uri: str | None = None
+    experiment: str = "xplain"
+
+    def tracking_uri(self, outputs: Path) -> str:
+        """Where runs go."""
+        return self.uri or f"sqlite:///{outputs.resolve() / 'mlflow.db'}"
+
+    def log(self, folder: Path, outputs: Path, parent: str | None = None) -> str | None:
+        """Sends the results in ``folder``; a result that is there already is not sent again.
+
+        A failure costs nothing but a warning: the results are on disk.
+
+        Args:
+            folder: of a finished run.
+            outputs: where the database is.
+            parent: run id of a sweep.
+
+        Returns:
+            The run's id; None when MLflow could not take it.
+        """
+        try:
+            with self.client(outputs) as (client, experiment_id):
+                return log_folder(client, experiment_id, folder, parent)
+        except Exception as error:  # MLflow raises what SQLAlchemy, requests, the OS do
+            reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+            log.warning(
+                "MLflow did not take this run (%s). The results are safe in %s; send them later "
+                "with: python -m xplain.sync %s",
+                reason[:200],
+                folder,
+                folder,
+            )
+            log.debug("MLflow failed", exc_info=True)
+            return None
+
+    @contextlib.contextmanager
+    def client(self, outputs: Path) -> Iterator[tuple[MlflowClient, str]]:
+        """A client, and the id of the experiment (made when missing).
+
+        Raises:
+            OSError, MlflowException: the store cannot be reached.
+        """
+        uri = self.tracking_uri(outputs)
+        _refuse_quietly_unreachable(uri)
+        # A person waits for this; the defaults would retry for minutes.
+        os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
+        os.environ.setdefault("MLFLOW_HTTP_REQUEST_TIMEOUT", "20")
+        logging.getLogger("mlflow").setLevel(logging.ERROR)
+        logging.getLogger("alembic").setLevel(logging.ERROR)
+        from filelock import FileLock
+        from mlflow import MlflowClient
+        from mlflow.exceptions import MlflowException
+
+        outputs.mkdir(parents=True, exist_ok=True)
+        # Two processes that create the database at once break it for good.
+        with FileLock(outputs / "mlflow.lock"):
+            client = MlflowClient(tracking_uri=uri)
+            found = client.get_experiment_by_name(self.experiment)
+            if found is None:
+                artifacts = (outputs.resolve() / "artifacts").as_uri()
+                location = None if uri.startswith("http") else artifacts
+                try:
+                    experiment_id = client.create_experiment(self.experiment, location)
+                except MlflowException:
+                    # Another machine was faster; the lock covers this one only.
+                    found = client.get_experiment_by_name(self.experiment)
+                    if found is None:
+                        raise
+                    experiment_id = found.experiment_id
+            else:
+                experiment_id = found.experiment_id
+        yield client, experiment_id
+
+
+def log_folder(
+    client: MlflowClient, experiment_id: str, folder: Path, parent: str | None = None
+) -> str:
+    """Logs the results in a folder as one finished run; returns its id."""
+    from mlflow.entities import Metric, Param, RunTag
+
+    results = load_results(folder)
+    for run in client.search_runs(
+        [experiment_id], f"tags.`{RESULT_TAG}` = '{results['id']}'", max_results=10
+    ):
+        if run.info.status == "FINISHED":
+            return str(run.info.run_id)
+        client.delete_run(run.info.run_id)  # a sender died half-way
+    start = int(1000 * results["started"])
+    tags = {
+        RESULT_TAG: results["id"],
+        "xplain.code": results["code"],
+        "xplain.folder": str(folder),
+        "mlflow.user": _user(),
+        "mlflow.source.name": "python -m xplain",
+        "mlflow.source.type": "LOCAL",
+    }
+    if results["git"]:
+        tags["mlflow.source.git.commit"] = results["git"]["commit"]
+        tags["git.dirty"] = results["git"]["dirty"]
+    if parent is not None:
+        tags["mlflow.parentRunId"] = parent
+    run = client.create_run(experiment_id, start, tags, results["name"])
+    run_id = str(run.info.run_id)
+    end = start + int(1000 * sum(results["seconds"].values()))
+    metrics = [Metric(name, value, end, 0) for name, value in _scalars(results).items()]
+    for name, series in results["steps"].items():
+        metrics += [Metric(f"step/{name}", value, end, step) for step, value in enumerate(series)]
+    for k, value in enumerate(results["elbow"]["disagreements"], start=1):
+        metrics.append(Metric("disagreements", value, end, k))
+    params = [Param(key, str(value)[:6000]) for key, value in _params(results).items()]
+    client.log_batch(run_id, metrics, params, [RunTag("xplain.rule", results["elbow"]["rule"])])
+    client.log_artifacts(run_id, str(folder))
+    client.set_terminated(run_id, "FINISHED", end)
+    return run_id
+
+
+def _scalars(results: dict[str, Any]) -> dict[str, float]:
+    """Figures that make one number each: means, ends of intervals, learning, bounds, times."""
+    flat: dict[str, float] = {}
+    for name, estimate in results["metrics"].items():
+        flat[name] = estimate["mean"]
+        for end in ("low", "high"):
+            if estimate[end] is not None:
+                flat[f"{name}.{end}"] = estimate[end]
+    flat |= {f"learning/{name}": value for name, value in results["learning"].items()}
+    flat |= {f"bounds/{name}": value for name, value in results["bounds"].items()}
+    flat |= {f"seconds/{name}": value for name, value in results["seconds"].items()}
+    return flat
+
+
+def _params(results: dict[str, Any]) -> dict[str, Any]:
+    """The choices by group (``solver = pomcp``) and every key (``solver.simulations = 2000``)."""
+    return {**results["choices"], **_flatten(results["config"])}
+
+
+def _flatten(node: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in node.items():
+        if isinstance(value, dict):
+            flat |= _flatten(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "unknown"
+
+
+def _refuse_quietly_unreachable(uri: str) -> None:
+    """Raises within seconds where an HTTP server does not answer at all."""
+    if not uri.startswith(("http://", "https://")):
+        return
+    try:
+        urllib.request.urlopen(uri.rstrip("/") + "/health", timeout=5).close()
+    except urllib.error.HTTPError:
+        pass  # it answers; some proxies have no such page
+    except (urllib.error.URLError, TimeoutError) as error:
+        raise OSError(f"{uri} is out of reach: {getattr(error, 'reason', error)}") from error
