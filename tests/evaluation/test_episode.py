@@ -1,0 +1,104 @@
+"""Episodes against Definition 2 of the paper, written out, and against Bayes' rule."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.explanation.belief import Independent, Persistent
+from xplain.explanation.problem import Problem
+
+
+class Scripted:
+    """Gives the messages of a list, whatever happens."""
+
+    def __init__(self, messages: list[int]) -> None:
+        self.script = messages
+
+    def messages(self, step: int, given: int, belief: np.ndarray) -> int:
+        return self.script[step] & ~given
+
+    def values(self, step: int, given: int, belief: np.ndarray) -> dict[int, float]:
+        return {}
+
+
+@st.composite
+def interactions(draw):
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    types, steps, n = rng.integers(1, 4), rng.integers(1, 6), rng.integers(0, 4)
+    problem = Problem(
+        p_explicable=rng.uniform(0.02, 0.98, (types, steps, 1 << n)),
+        message_cost=rng.uniform(0, 2, n),
+        inexplicability_cost=float(rng.uniform(0, 2)),
+        trade_off=float(rng.uniform(0, 3)),
+        prior=rng.dirichlet(np.ones(types)),
+    )
+    table = rng.integers(0, 2, (steps, 1 << n)).astype(np.uint8)
+    script = [int(mask) for mask in rng.integers(0, 1 << n, steps)]
+    return problem, table, script
+
+
+@given(interactions())
+@settings(max_examples=60, deadline=None)
+def test_cost_is_definition_2(interaction):
+    problem, table, script = interaction
+    episode = explain(problem, Scripted(script), SimulatedUser(table), Independent())
+    total = 0.0
+    given_so_far: set[int] = set()
+    for i in range(problem.n_steps):
+        new = {j for j in range(problem.n_messages) if script[i] >> j & 1} - given_so_far
+        given_so_far |= new
+        total += problem.trade_off * sum(problem.message_cost[j] for j in new)
+        mask = sum(1 << j for j in given_so_far)
+        for j in range(i + 1):
+            total += (1 - int(table[j, mask])) * problem.inexplicability_cost
+    assert episode.cost == pytest.approx(total)
+    assert episode.n_messages == len(given_so_far)
+
+
+@given(interactions())
+@settings(max_examples=40, deadline=None)
+def test_beliefs_are_bayes_over_all_labels_given(interaction):
+    problem, table, script = interaction
+    episode = explain(problem, Scripted(script), SimulatedUser(table), Independent())
+    weight = problem.prior.copy()
+    mask = 0
+    for k in range(problem.n_steps):
+        mask |= script[k]
+        for i in range(k + 1):
+            p = problem.p_explicable[:, i, mask]
+            weight = weight * (p if table[i, mask] else 1 - p)
+        np.testing.assert_allclose(episode.beliefs[k + 1], weight / weight.sum(), rtol=1e-9)
+
+
+@given(interactions())
+@settings(max_examples=40, deadline=None)
+def test_persistent_belief_counts_each_label_of_a_message_set_once(interaction):
+    problem, table, script = interaction
+    episode = explain(problem, Scripted(script), SimulatedUser(table), Persistent())
+    weight = problem.prior.copy()
+    seen: set[tuple[int, int]] = set()
+    mask = 0
+    for k in range(problem.n_steps):
+        mask |= script[k]
+        for i in range(k + 1):
+            if (i, mask) not in seen:
+                seen.add((i, mask))
+                p = problem.p_explicable[:, i, mask]
+                weight = weight * (p if table[i, mask] else 1 - p)
+        np.testing.assert_allclose(episode.beliefs[k + 1], weight / weight.sum(), rtol=1e-9)
+
+
+class Careless(Scripted):
+    """Gives its messages again and again."""
+
+    def messages(self, step: int, given: int, belief: np.ndarray) -> int:
+        return self.script[step]
+
+
+@pytest.mark.parametrize("script", [[1, 1], [4, 0]])
+def test_a_policy_that_repeats_or_invents_messages_is_caught(script):
+    problem = Problem(np.full((1, 2, 4), 0.5), np.ones(2))
+    with pytest.raises(ValueError, match="policy gave message set"):
+        explain(problem, Careless(script), SimulatedUser(np.ones((2, 4), np.uint8)), Independent())
