@@ -16,7 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from xplain import __version__, storage, terminal
 from xplain.experiment import Costs, Prepared, Source, evaluate, prepare
 from xplain.solvers.base import Solver
-from xplain.solvers.known import Clairvoyant, Oracle
+from xplain.solvers.known_type import KnownType
 
 log = logging.getLogger(__name__)
 
@@ -44,9 +44,9 @@ def run_job(cfg: DictConfig) -> float | None:
     clock = Clock()
     prepared = prepare(source, terminal.track)
     clock.lap("prepare")
-    solvers: dict[str, Solver] = {"solver": solver, "clairvoyant": Clairvoyant()}
+    solvers: dict[str, Solver] = {"solver": solver, "clairvoyant": KnownType("labels")}
     if all(case.perfect is not None for case in prepared.cases):
-        solvers["oracle"] = Oracle()
+        solvers["oracle"] = KnownType("type")
     records = evaluate(prepared, costs, solvers, belief, cfg.seed, terminal.track)
     clock.lap("explain")
     bounds: dict[str, float] = {}

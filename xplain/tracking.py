@@ -9,6 +9,7 @@ import contextlib
 import getpass
 import logging
 import os
+import sqlite3
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -88,16 +89,17 @@ class MLflow:
             OSError, MlflowException: the store cannot be reached.
         """
         uri = self.tracking_uri(outputs)
-        _refuse_quietly_unreachable(uri)
+        _refuse_unusable(uri)
         # A person waits for this; the defaults would retry for minutes.
         os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
         os.environ.setdefault("MLFLOW_HTTP_REQUEST_TIMEOUT", "20")
-        logging.getLogger("mlflow").setLevel(logging.ERROR)
-        logging.getLogger("alembic").setLevel(logging.ERROR)
         from filelock import FileLock
         from mlflow import MlflowClient
         from mlflow.exceptions import MlflowException
 
+        # After the import, which configures these loggers.
+        logging.getLogger("mlflow").setLevel(logging.CRITICAL)
+        logging.getLogger("alembic").setLevel(logging.ERROR)
         outputs.mkdir(parents=True, exist_ok=True)
         # Two processes that create the database at once break it for good.
         with FileLock(outputs / "mlflow.lock"):
@@ -197,13 +199,21 @@ def _user() -> str:
         return "unknown"
 
 
-def _refuse_quietly_unreachable(uri: str) -> None:
-    """Raises within seconds where an HTTP server does not answer at all."""
-    if not uri.startswith(("http://", "https://")):
-        return
-    try:
-        urllib.request.urlopen(uri.rstrip("/") + "/health", timeout=5).close()
-    except urllib.error.HTTPError:
-        pass  # it answers; some proxies have no such page
-    except (urllib.error.URLError, TimeoutError) as error:
-        raise OSError(f"{uri} is out of reach: {getattr(error, 'reason', error)}") from error
+def _refuse_unusable(uri: str) -> None:
+    """Raises within seconds, where MLflow would retry for long, when a server does not answer or
+    another process holds the database."""
+    if uri.startswith(("http://", "https://")):
+        try:
+            urllib.request.urlopen(uri.rstrip("/") + "/health", timeout=5).close()
+        except urllib.error.HTTPError:
+            pass  # it answers; some proxies have no such page
+        except (urllib.error.URLError, TimeoutError) as error:
+            reason = getattr(error, "reason", error)
+            raise OSError(f"{uri} is out of reach: {reason}") from error
+    elif uri.startswith("sqlite:///") and Path(uri.removeprefix("sqlite:///")).exists():
+        connection = sqlite3.connect(
+            uri.removeprefix("sqlite:///"), timeout=10, isolation_level=None
+        )
+        with contextlib.closing(connection):
+            connection.execute("BEGIN IMMEDIATE")
+            connection.execute("ROLLBACK")
