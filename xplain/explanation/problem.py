@@ -29,6 +29,7 @@ class Problem:
 
     Attributes:
         p_explicable: [N, m, 2^n] float64, P(label of transition i is 1 | type t, message set H).
+            Kept without a copy where it is a float64 array: leave it as it is afterwards.
         message_cost: [n] float64 ≥ 0, C_e of each message (undiscounted, before λ).
         inexplicability_cost: C_inexp ≥ 0 of each label 0.
         trade_off: λ ≥ 0.
@@ -51,7 +52,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         """Checks every field (one clear line each) and makes the arrays read-only."""
-        p = _numbers("p_explicable", self.p_explicable)
+        p = _table(self.p_explicable)
         if p.ndim != 3 or min(p.shape) < 1:
             raise InputError("p_explicable", p.shape, "a table [types, steps, 2**messages]")
         n = int(p.shape[2]).bit_length() - 1
@@ -179,6 +180,15 @@ def _numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
+def _table(value: ArrayLike) -> NDArray[np.float64]:
+    """A view, not a copy: the table may be the largest thing in memory. Its range is checked by
+    the caller, which finds NaN too."""
+    try:
+        return np.ascontiguousarray(value, dtype=np.float64).view()
+    except (TypeError, ValueError):
+        raise InputError("p_explicable", value, "numbers") from None
+
+
 def _number(key: str, value: Any) -> float:
     array = _numbers(key, value)
     if array.ndim != 0:
@@ -187,4 +197,4 @@ def _number(key: str, value: Any) -> float:
 
 
 def _first_outside(p: NDArray[np.float64]) -> float:
-    return float(p[(p < 0) | (p > 1)][0])
+    return float(p[~((p >= 0) & (p <= 1))][0])

@@ -1,0 +1,197 @@
+"""Tables against the plainest recursion, and what the simple solvers promise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.strategies import composite
+
+from tests.explanation.problems import tiny_problems
+from xplain.errors import InputError, TooLargeError
+from xplain.explanation.problem import Problem
+from xplain.solvers.dynamic_programming import (
+    messages_with_effect,
+    messages_worth_giving,
+    optimal_values,
+    restrict,
+)
+from xplain.solvers.known_type import Baseline, Conformant, KnownType
+from xplain.solvers.qhr import QHR
+from xplain.solvers.qmdp import QMDP
+
+
+def plain_optimal_value(problem: Problem, t: int, step: int = 0, given: int = 0) -> float:
+    """The Bellman recursion over single actions, as SPEC §5 states it."""
+    per_message = problem.discount if problem.discount_per == "action" else 1.0
+
+    @cache
+    def value(k: int, shown: int) -> float:
+        if k == problem.n_steps:
+            return 0.0
+        zeros = sum(1 - problem.p_explicable[t, i, shown] for i in range(k + 1))
+        best = -problem.inexplicability_cost * zeros + problem.discount * value(k + 1, shown)
+        for j in range(problem.n_messages):
+            if not shown >> j & 1:
+                price = problem.trade_off * problem.message_cost[j]
+                best = max(best, -price + per_message * value(k, shown | 1 << j))
+        return float(best)
+
+    return value(step, given)
+
+
+@settings(deadline=None, max_examples=60)
+@given(tiny_problems())
+def test_tables_are_the_plain_recursion(problem: Problem) -> None:
+    table = optimal_values(problem)
+    for k in range(problem.n_steps + 1):
+        for shown in range(1 << problem.n_messages):
+            for t in range(problem.n_types):
+                plain = plain_optimal_value(problem, t, k, shown)
+                assert table[k, shown, t] == pytest.approx(plain, abs=1e-9)
+
+
+@settings(deadline=None, max_examples=40)
+@given(tiny_problems())
+def test_messages_left_out_would_not_have_paid(problem: Problem) -> None:
+    kept = messages_worth_giving(problem)
+    small = restrict(problem, kept)
+    assert optimal_values(small)[0, 0] == pytest.approx(optimal_values(problem)[0, 0], abs=1e-9)
+
+
+def idle_problem(**changes: object) -> Problem:
+    """Three messages; the middle one changes nothing."""
+    rng = np.random.default_rng(3)
+    p = rng.random((2, 4, 2, 1, 2)) * np.ones((1, 1, 1, 2, 1))
+    values: dict[str, object] = {"p_explicable": p.reshape(2, 4, 8), "message_cost": np.ones(3)}
+    return Problem(**(values | changes))  # type: ignore[arg-type]
+
+
+def test_a_message_without_effect_is_never_given_at_the_usual_price() -> None:
+    problem = idle_problem()
+    assert messages_with_effect(problem) == (0, 2)
+    assert messages_worth_giving(problem) == (0, 2)
+    for solver in (QMDP(), QHR(), Conformant(), Baseline()):
+        policy = solver.plan(problem)
+        for step in range(4):
+            assert not policy.messages(step, 0, problem.prior) & 0b010
+
+
+def test_a_message_without_effect_is_kept_where_delay_pays() -> None:
+    """Free of charge it puts off later costs, which per-action discounting rewards."""
+    assert 1 in messages_worth_giving(idle_problem(trade_off=0.0))
+    assert 1 not in messages_worth_giving(idle_problem(trade_off=0.0, discount_per="step"))
+    assert 1 not in messages_worth_giving(idle_problem(trade_off=0.0, discount=1.0))
+
+
+@composite
+def situations(draw: st.DrawFn) -> tuple[Problem, int, int]:
+    """A problem with a step and some given messages."""
+    problem = draw(tiny_problems())
+    step = draw(st.integers(0, problem.n_steps - 1))
+    return problem, step, draw(st.integers(0, (1 << problem.n_messages) - 1))
+
+
+@settings(deadline=None, max_examples=60)
+@given(situations())
+def test_qhr_is_the_best_set_of_its_closed_form(situation: tuple[Problem, int, int]) -> None:
+    problem, step, shown = situation
+
+    def closed_form(new: int) -> float:
+        cost = problem.trade_off * sum(
+            problem.message_cost[j] for j in range(problem.n_messages) if new >> j & 1
+        )
+        for t in range(problem.n_types):
+            for j in range(step + 1, problem.n_steps + 1):
+                for i in range(j):
+                    zero = 1 - problem.p_explicable[t, i, shown | new]
+                    cost += problem.prior[t] * problem.inexplicability_cost * zero
+        return -float(cost)
+
+    policy = QHR().plan(problem)
+    chosen = policy.messages(step, shown, problem.prior)
+    assert chosen & shown == 0
+    every = [closed_form(new) for new in range(1 << problem.n_messages) if not new & shown]
+    assert closed_form(chosen) == pytest.approx(max(every), abs=1e-8)
+    for new, value in policy.values(step, shown, problem.prior).items():
+        assert value == pytest.approx(closed_form(new), abs=1e-8)
+
+
+@settings(deadline=None, max_examples=40)
+@given(tiny_problems())
+def test_a_known_type_is_served_optimally(problem: Problem) -> None:
+    """Walking the policy of a sure belief collects the optimal value of the type."""
+    policy = KnownType().plan(problem)
+    per_message = problem.discount if problem.discount_per == "action" else 1.0
+    for t in range(problem.n_types):
+        given_so_far, factor, total = 0, 1.0, 0.0
+        for step in range(problem.n_steps):
+            new = policy.messages(step, given_so_far, np.eye(problem.n_types)[t])
+            prices = sorted(
+                problem.trade_off * problem.message_cost[j]
+                for j in range(problem.n_messages)
+                if new >> j & 1
+            )
+            for price in prices:  # the cheapest first: later ones are discounted more
+                total -= factor * price
+                factor *= per_message
+            given_so_far |= new
+            zeros = (1 - problem.p_explicable[t, : step + 1, given_so_far]).sum()
+            total -= factor * problem.inexplicability_cost * zeros
+            factor *= problem.discount
+        assert total == pytest.approx(plain_optimal_value(problem, t), abs=1e-7)
+
+
+def test_known_type_asks_for_the_type() -> None:
+    problem = idle_problem()
+    with pytest.raises(InputError, match="told the type"):
+        KnownType().plan(problem).messages(0, 0, problem.prior)
+
+
+def test_conformant_pays_for_every_type_undivided() -> None:
+    """N equal types are worth N times the cost to it: a message dearer than one type's zeros, but
+    cheaper than all of theirs, is given; QMDP, which weighs by the belief, keeps silent."""
+    p = np.zeros((3, 1, 2))
+    p[:, :, 1] = 1
+    problem = Problem(p, np.array([2.0]), discount=1.0)
+    assert Conformant().plan(problem).messages(0, 0, problem.prior) == 1
+    assert QMDP().plan(problem).messages(0, 0, problem.prior) == 0
+
+
+def test_baseline_takes_several_types_as_their_mixture() -> None:
+    problem = idle_problem(prior=np.array([0.3, 0.7]))
+    mixture = 0.3 * problem.p_explicable[:1] + 0.7 * problem.p_explicable[1:]
+    single = replace(problem.with_types(mixture, ("one",)))
+    expected = QMDP().plan(single)
+    baseline = Baseline().plan(problem)
+    for step in range(problem.n_steps):
+        chosen = baseline.messages(step, 0, problem.prior)
+        assert chosen == expected.messages(step, 0, np.ones(1))
+
+
+def test_ties_prefer_explain_then_the_first_message() -> None:
+    p = np.zeros((1, 1, 4))
+    p[:, :, 1:] = 1
+    even = Problem(p, np.array([1.0, 1.0]), discount=1.0)
+    assert QMDP().plan(even).messages(0, 0, even.prior) == 0
+    assert QHR().plan(even).messages(0, 0, even.prior) == 0
+    cheap = replace(even, trade_off=0.5)
+    assert QMDP().plan(cheap).messages(0, 0, even.prior) == 0b01
+    assert QHR().plan(cheap).messages(0, 0, even.prior) == 0b01
+
+
+def test_too_large_is_refused_before_memory_is_taken() -> None:
+    rng = np.random.default_rng(0)
+    problem = Problem(rng.random((2, 3, 1 << 10)), np.ones(10))
+    with pytest.raises(TooLargeError, match=r"GiB.*memory_gib.*qhr"):
+        QMDP(memory_gib=1e-5).plan(problem)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
+def test_memory_limit_must_be_positive(value: float) -> None:
+    with pytest.raises(InputError, match="memory_gib"):
+        QMDP(memory_gib=value)

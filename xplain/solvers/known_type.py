@@ -1,0 +1,132 @@
+"""Solvers that plan an MDP, one labeler standing for the user.
+
+- *baseline* (the paper): one labeler learned from everybody's labels;
+- *oracle* (the paper): the true type's labeler; the regret is measured against it;
+- *clairvoyant*: the true labels themselves, the floor of every cost;
+- *conformant* (the paper's user study): pays for the 0-labels of all types at once, so that the
+  explanation suits everybody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.errors import InputError
+from xplain.explanation.problem import Problem
+from xplain.solvers.base import Knowledge, Policy
+from xplain.solvers.dynamic_programming import check_memory_gib, greedy_policy
+
+INSTEAD = "qhr plans without tables"
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """One labeler for everybody. A problem of several types is taken as the mixture of their
+    labelers, weighed by the prior.
+
+    Args:
+        memory_gib: most that the tables [steps, 2^messages] may take.
+    """
+
+    memory_gib: float = 8.0
+    knows: Knowledge = "everyone"
+
+    def __post_init__(self) -> None:
+        """Raises InputError."""
+        check_memory_gib(self.memory_gib)
+
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
+        """See :class:`xplain.solvers.base.Solver`."""
+        mixture = np.tensordot(problem.prior, problem.p_explicable, 1)[None]
+        one = problem.with_types(mixture, ("everyone",))
+        return Unheeding(greedy_policy(one, "baseline", self.memory_gib, INSTEAD))
+
+
+@dataclass(frozen=True)
+class Conformant:
+    """Explain costs C_inexp Σ_t Σ_i (1 − P[t, i, H]): the sum over all types, neither weighed by a
+    belief nor divided by N (the paper's user study; SPEC §5, slip 3).
+
+    Args:
+        memory_gib: most that the tables [steps, 2^messages] may take.
+    """
+
+    memory_gib: float = 8.0
+    knows: Knowledge = "types"
+
+    def __post_init__(self) -> None:
+        """Raises InputError."""
+        check_memory_gib(self.memory_gib)
+
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
+        """See :class:`xplain.solvers.base.Solver`."""
+        # N types' costs are N times the cost of the mean labeler.
+        mean = problem.p_explicable.mean(axis=0, keepdims=True)
+        summed = replace(
+            problem.with_types(mean, ("everyone",)),
+            inexplicability_cost=problem.inexplicability_cost * problem.n_types,
+        )
+        return Unheeding(greedy_policy(summed, "conformant", self.memory_gib, INSTEAD))
+
+
+@dataclass(frozen=True)
+class KnownType:
+    """Knows the type: the oracle, or with true labels the clairvoyant.
+
+    Args:
+        knows: "type" or "labels"; the experiment hands over the problem that goes with it.
+        memory_gib: most that the tables [steps, 2^messages, types] may take.
+    """
+
+    knows: Knowledge = "type"
+    memory_gib: float = 8.0
+
+    def __post_init__(self) -> None:
+        """Raises InputError."""
+        check_memory_gib(self.memory_gib)
+        if self.knows not in ("type", "labels"):
+            raise InputError("solver.knows", self.knows, "type (oracle) or labels (clairvoyant)")
+
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
+        """Its policy of a problem with several types asks for a belief that names one."""
+        return Told(greedy_policy(problem, f"knowing the {self.knows}", self.memory_gib, INSTEAD))
+
+
+@dataclass(frozen=True)
+class Unheeding:
+    """A one-type policy in a world of several: the belief is not looked at."""
+
+    policy: Policy
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+        """See :class:`xplain.solvers.base.Policy`."""
+        return self.policy.messages(step, given, np.ones(1))
+
+    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
+        """See :class:`xplain.solvers.base.Policy`."""
+        return self.policy.values(step, given, np.ones(1))
+
+
+@dataclass(frozen=True)
+class Told:
+    """A policy that must be told the type: a belief of 1 on it. With such a belief QMDP's value
+    is the type's own optimal value."""
+
+    policy: Policy
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+        """Raises InputError: the belief leaves the type open."""
+        return self.policy.messages(step, given, self._sure(belief))
+
+    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
+        """Raises InputError: the belief leaves the type open."""
+        return self.policy.values(step, given, self._sure(belief))
+
+    def _sure(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
+        if belief.max() < 1:
+            raise InputError("belief", belief.tolist(), "this solver is told the type: 1 on one")
+        return belief

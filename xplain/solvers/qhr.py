@@ -1,0 +1,79 @@
+"""QHR: the best set of messages if nothing could be said after the next step.
+
+Q_t(b, a) = −(λ C_e(a) + Σ_{j > k}^{m} Σ_{i ≤ j} C_inexp (1 − P[t, i, H ∪ a])) for every set a of
+messages not yet given, and Q = Σ_t b(t) Q_t (the paper, "Myopic Approximation: QHR", after Fern et
+al. 2014). The sum over j begins with the prefix that the next *explain* shows, k + 1 transitions
+where k were shown so far. As in the paper nothing is discounted, whatever the problem's γ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from xplain.explanation.problem import Problem
+from xplain.solvers.base import Knowledge, Policy
+from xplain.solvers.dynamic_programming import TIE, message_price, subsets
+
+
+@dataclass(frozen=True)
+class QHR:
+    """No options: a closed form, computed when asked. Needs no tables."""
+
+    knows: Knowledge = "types"
+
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
+        """See :class:`xplain.solvers.base.Solver`."""
+        return SilentAfterwards(problem)
+
+
+@dataclass(frozen=True)
+class SilentAfterwards:
+    """Maximises QHR's closed form. Ties: fewest messages first, then message order."""
+
+    problem: Problem
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+        """See :class:`xplain.solvers.base.Policy`."""
+        masks, values = self._all(step, given, belief)
+        best = values.max()
+        tied = masks[values >= best - TIE * (1 + abs(best))]
+        size = np.bitwise_count(tied)
+        return int(tied[size == size.min()][0])
+
+    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
+        """Of *explain* (0), of each message alone, and of the set chosen."""
+        masks, values = self._all(step, given, belief)
+        shown = np.flatnonzero((np.bitwise_count(masks) <= 1) | (values == values.max()))
+        return {int(masks[s]): float(values[s]) for s in shown}
+
+    def _all(
+        self, step: int, given: int, belief: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Every set of messages not given, ascending, and its value."""
+        problem = self.problem
+        m = problem.n_steps
+        # Transition i is in the prefixes of max(k, i) + 1 to m transitions (i counted from 0).
+        times = m - np.maximum(step, np.arange(m))
+        masks = subsets(j for j in range(problem.n_messages) if not given >> j & 1)
+        zeros = _expected_zeros(problem.p_explicable, belief, times, masks, given)
+        price = np.zeros(len(masks))
+        for j, cost in enumerate(message_price(problem)):
+            price += cost * (masks >> j & 1)
+        return masks, -(price + problem.inexplicability_cost * zeros)
+
+
+@njit(cache=True, nogil=True)
+def _expected_zeros(p, belief, times, masks, given):  # type: ignore[no-untyped-def]
+    zeros = np.zeros(len(masks))
+    for t in range(len(belief)):
+        if belief[t] > 0.0:
+            for i in range(len(times)):
+                weight = belief[t] * times[i]
+                for s in range(len(masks)):
+                    zeros[s] += weight * (1.0 - p[t, i, masks[s] | given])
+    return zeros
