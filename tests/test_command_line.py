@@ -116,7 +116,8 @@ def test_an_output_folder_that_cannot_be_written_is_one_line(tmp_path, xplain):
 def choices():
     """(group, choice) of every component's config file that ships."""
     groups = ("domain", "users", "observers", "labeler", "clusterer", "solver", "belief")
-    return [(group, path.stem) for group in groups for path in sorted((CONF / group).glob("*.yaml"))]
+    files = [(group, path) for group in groups for path in sorted((CONF / group).glob("*.yaml"))]
+    return [(group, path.stem) for group, path in files]
 
 
 @pytest.mark.parametrize(("group", "choice"), choices())

@@ -53,7 +53,10 @@ class Policy(Protocol):
 class Solver(Protocol):
     """Plans for a problem. Configured by its constructor; holds no state of a run."""
 
-    knows: Knowledge
+    @property
+    def knows(self) -> Knowledge:
+        """What the agent may know of the user."""
+        ...
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """A policy for the problem.
