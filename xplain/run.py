@@ -5,15 +5,18 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import shutil
 import time
 from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__, storage, terminal
+from xplain.errors import XplainError
 from xplain.experiment import Costs, Prepared, Source, evaluate, prepare
 from xplain.solvers.base import Solver
 from xplain.solvers.known_type import KnownType
@@ -27,9 +30,19 @@ def run_job(cfg: DictConfig) -> float | None:
     """Runs the experiment that ``cfg`` describes; returns the mean regret (for sweepers).
 
     Raises:
-        XplainError: something in the configuration or the data cannot be used.
+        XplainError: something in the configuration or the data cannot be used; the run's folder
+            is gone then.
     """
     folder = Path(HydraConfig.get().runtime.output_dir)
+    try:
+        return _run(cfg, folder)
+    except XplainError:
+        if HydraConfig.get().mode == RunMode.RUN:
+            shutil.rmtree(folder)
+        raise
+
+
+def _run(cfg: DictConfig, folder: Path) -> float | None:
     choices = {group: str(HydraConfig.get().runtime.choices[group]) for group in CHOICES}
     outputs = Path(cfg.outputs).absolute()
     started = time.time()
