@@ -189,7 +189,7 @@ def prepare(source: Source, track: Track[Any] = untracked) -> Prepared:
     Raises:
         XplainError: the configuration or the data cannot be used; the text says what to change.
     """
-    from xplain.learning.clustering import PerfectClusterer
+    from xplain.learning.clustering import Perfect
     from xplain.learning.types import learn_types
 
     domain, seed, trainer = source.domain, source.seed, source.labeler
@@ -204,7 +204,7 @@ def prepare(source: Source, track: Track[Any] = untracked) -> Prepared:
     everyone = trainer.fit(dataset, derived_seed(seed, "everyone"))
     perfect = None
     if truth is not None:
-        best = PerfectClusterer().cluster(dataset, trainer, 0, truth)
+        best = Perfect().cluster(dataset, trainer, 0, truth)
         perfect = learn_types(dataset, best, trainer, derived_seed(seed, "perfect"))
 
     robot, optimal = setting.models[0], setting.optimal[0]
