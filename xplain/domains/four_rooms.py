@@ -1,0 +1,136 @@
+"""Four rooms (Sutton, Precup & Singh 1999; SPEC §1): reach a goal through the doors of four rooms.
+
+Five facts about the task can be held wrong: where the goals and the penalty cells lie, the
+discount, the cost of a step, and the penalty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.domains.base import Item, Scene
+from xplain.domains.grid import MOVES, Cell, Grid, discount_factor, number, parameters_of
+from xplain.errors import InputError
+from xplain.mdp import MDP
+
+PARAMETERS = ("goals", "discount", "step_cost", "penalty_cells", "penalty")
+
+
+class FourRooms:
+    """The four-rooms task. States are cells; entering a goal earns its reward and ends the task.
+
+    Args:
+        map: ASCII map of walls (#), floor (.) and, where marked, floor where traces start (s).
+        parameters: ``{name: {accurate, inaccurate, message, belief}}``, all five:
+            goals, a list of ``{cell: [row, column], reward}``; discount, γ in (0, 1);
+            step_cost, subtracted at every move; penalty_cells, a list of [row, column];
+            penalty, subtracted on entering such a cell.
+        slip: probability that a move slides to a side.
+        name: of the domain.
+
+    Raises:
+        InputError: a value is not allowed, or a start has no path to the goals.
+    """
+
+    feature_names = ("row", "column")
+    actions = tuple(MOVES)
+
+    def __init__(
+        self,
+        map: str,
+        parameters: Mapping[str, Mapping[str, Any]],
+        slip: float = 0.0,
+        name: str = "four_rooms",
+    ) -> None:
+        """Reads the map and checks both values of every parameter."""
+        self.name = name
+        self.grid = Grid.parse(map, {})
+        self.parameters = parameters_of(parameters, PARAMETERS)
+        if missing := set(PARAMETERS) - {parameter.name for parameter in self.parameters}:
+            raise InputError("domain.parameters", sorted(missing)[0], "missing")
+        self._successor, self._probability = self.grid.outcomes(slip)
+        self._moves = self._successor != np.arange(len(self.grid.cells))[:, None, None]
+        accurate = {parameter.name: parameter.accurate for parameter in self.parameters}
+        for parameter in self.parameters:
+            self.model(accurate | {parameter.name: parameter.inaccurate})
+        goals = self._goals(accurate["goals"])
+        starts = self.grid.starts()
+        # Nothing happens after a goal, so no trace starts there.
+        self.starts: NDArray[np.int64] = starts[~np.isin(starts, list(goals))]
+        for start in self.starts:
+            for goal in goals:
+                self.grid.require_path("start", int(start), "goal", goal)
+        self.state_features = self.grid.cells.astype(np.float64)
+
+    def model(self, values: Mapping[str, Any]) -> MDP:
+        """The task of someone who holds these values.
+
+        Raises:
+            InputError: a value is not allowed.
+        """
+        goals = self._goals(values["goals"])
+        discount = discount_factor("domain.parameters.discount", values["discount"])
+        reward = np.full(
+            self._successor.shape, -number("domain.parameters.step_cost", values["step_cost"])
+        )
+        penalised = [
+            self.grid.at(cell, "domain.parameters.penalty_cells")
+            for cell in _list("penalty_cells", values["penalty_cells"])
+        ]
+        entered = self._moves & np.isin(self._successor, penalised)
+        reward[entered] -= number("domain.parameters.penalty", values["penalty"])
+        terminal = np.zeros(len(self.grid.cells), dtype=bool)
+        for cell, value in goals.items():
+            terminal[cell] = True
+            reward[self._moves & (self._successor == cell)] += value
+        return MDP(self._successor, self._probability, reward, discount, terminal)
+
+    def _goals(self, value: Any) -> dict[int, float]:
+        """Rewards by cell number."""
+        key = "domain.parameters.goals"
+        goals = {}
+        for goal in _list("goals", value):
+            if not isinstance(goal, Mapping) or set(goal) != {"cell", "reward"}:
+                raise InputError(key, goal, "{cell: [row, column], reward: a number}")
+            goals[self.grid.at(goal["cell"], key)] = number(f"{key}.reward", goal["reward"])
+        if not goals:
+            raise InputError(key, value, "at least one goal")
+        return goals
+
+    def position(self, state: int) -> Cell:
+        """The robot's cell."""
+        return self.grid.position(state)
+
+    def describe(self, transition: NDArray[np.int64]) -> str:
+        """Such as "moves right to (3, 6)"."""
+        state, action, after = (int(x) for x in transition)
+        move = self.actions[action]
+        if after == state:
+            return f"tries to move {move} and stays at {self.position(after)}"
+        return f"moves {move} to {self.position(after)}"
+
+    @property
+    def scene(self) -> Scene:
+        """The map with the true goals and penalty cells."""
+        accurate = {parameter.name: parameter.accurate for parameter in self.parameters}
+        goals = [
+            Item(f"goal (reward {goal['reward']:g})", "G", (_cell(goal["cell"]),))
+            for goal in accurate["goals"]
+        ]
+        cells = tuple(_cell(cell) for cell in accurate["penalty_cells"])
+        penalty = [Item("penalty", "x", cells)] if cells else []
+        return self.grid.scene([*goals, *penalty])
+
+
+def _list(name: str, value: Any) -> Sequence[Any]:
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise InputError(f"domain.parameters.{name}", value, "a list")
+    return value
+
+
+def _cell(value: Sequence[int]) -> Cell:
+    return int(value[0]), int(value[1])

@@ -1,0 +1,223 @@
+"""Grids from ASCII maps: cells, walls, moves with slip; shared by the grid domains (SPEC §1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.domains.base import Item, Parameter, Scene
+from xplain.errors import InputError
+
+Cell = tuple[int, int]
+
+MOVES: dict[str, Cell] = {"up": (-1, 0), "down": (1, 0), "left": (0, -1), "right": (0, 1)}
+"""The moves, in the order of the actions; (rows, columns) added."""
+SIDEWAYS = np.array([[2, 3], [2, 3], [0, 1], [0, 1]])
+"""The two moves at right angles to each: where a slip leads."""
+WALL, FLOOR, START = "#", ".", "s"
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A map. C cells can be entered; they are numbered row by row.
+
+    Attributes:
+        shape: (rows, columns).
+        cells: [C, 2] int64, (row, column) of each cell that can be entered.
+        number: [rows, columns] int64, the number of each cell; −1 for walls.
+        where: the cells of each symbol on the map.
+    """
+
+    shape: tuple[int, int]
+    cells: NDArray[np.int64]
+    number: NDArray[np.int64]
+    where: Mapping[str, tuple[Cell, ...]]
+
+    @classmethod
+    def parse(cls, text: str, symbols: Mapping[str, str], key: str = "domain.map") -> Grid:
+        """Reads an ASCII map: ``#`` wall, ``.`` floor, ``s`` floor where traces may start.
+
+        Args:
+            text: one line a row; blank lines around it are ignored.
+            symbols: the other symbols that may stand on the map, and what each means.
+            key: of the map in the configuration, for errors.
+
+        Raises:
+            InputError: no text, rows of unequal length, an unknown symbol, or walls only.
+        """
+        if not isinstance(text, str) or not text.strip():
+            raise InputError(key, text, "an ASCII map, one line a row")
+        lines = [line.rstrip() for line in text.strip("\n").splitlines()]
+        known = {WALL: "wall", FLOOR: "floor", START: "floor where traces start", **symbols}
+        where: dict[str, list[Cell]] = {}
+        for r, line in enumerate(lines):
+            if len(line) != len(lines[0]):
+                raise InputError(
+                    key, line, f"row {r} has {len(line)} symbols, row 0 has {len(lines[0])}"
+                )
+            for c, symbol in enumerate(line):
+                if symbol not in known:
+                    legend = ", ".join(f"{s} {meaning}" for s, meaning in known.items())
+                    raise InputError(
+                        key, symbol, f"unknown symbol in row {r}, column {c}; known: {legend}"
+                    )
+                where.setdefault(symbol, []).append((r, c))
+        wall = np.array([[symbol == WALL for symbol in line] for line in lines])
+        if wall.all():
+            raise InputError(key, text, "at least one cell that is no wall")
+        number = np.where(wall, -1, np.cumsum(~wall).reshape(wall.shape) - 1)
+        return cls(wall.shape, np.argwhere(~wall), number, {s: tuple(c) for s, c in where.items()})
+
+    def at(self, cell: Sequence[int], key: str) -> int:
+        """The number of a cell.
+
+        Raises:
+            InputError: it is outside the map, a wall, or no pair of whole numbers.
+        """
+        allowed = f"(row, column) of a cell that is no wall, counted from 0, of {self.shape}"
+        try:
+            r, c = (int(x) for x in cell)
+        except (TypeError, ValueError):
+            raise InputError(key, cell, allowed) from None
+        if not (0 <= r < self.shape[0] and 0 <= c < self.shape[1]) or self.number[r, c] < 0:
+            raise InputError(key, tuple(cell), allowed)
+        return int(self.number[r, c])
+
+    def only(self, symbol: str, name: str, key: str = "domain.map") -> int:
+        """The number of the one cell with this symbol.
+
+        Raises:
+            InputError: there is none, or more than one.
+        """
+        found = self.where.get(symbol, ())
+        if len(found) != 1:
+            raise InputError(key, found, f"exactly one {name} ({symbol}) must be on the map")
+        return self.at(found[0], key)
+
+    @cached_property
+    def neighbour(self) -> NDArray[np.int64]:
+        """[C, 4] the cell that each move leads to; a wall or the border keeps the robot there."""
+        padded = np.pad(self.number, 1, constant_values=-1)
+        r, c = self.cells.T + 1
+        to = np.stack([padded[r + dr, c + dc] for dr, dc in MOVES.values()], axis=1)
+        return np.where(to < 0, np.arange(len(self.cells))[:, None], to)
+
+    def outcomes(self, slip: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """What moves lead to: cells [C, 4, K] and probabilities [C, 4, K].
+
+        Args:
+            slip: probability that the robot slides to one of the two sides (half each) instead.
+
+        Raises:
+            InputError: slip is no number in [0, 1).
+        """
+        if isinstance(slip, bool) or not isinstance(slip, (int, float)) or not 0 <= slip < 1:
+            raise InputError("domain.slip", slip, "a probability in [0, 1)")
+        intended = self.neighbour[:, :, None]
+        if slip == 0:
+            return intended, np.ones(intended.shape)
+        cells = np.concatenate([intended, self.neighbour[:, SIDEWAYS]], axis=2)
+        return cells, np.broadcast_to([1 - slip, slip / 2, slip / 2], cells.shape).copy()
+
+    def connected(self, cell: int) -> NDArray[np.bool_]:
+        """[C] which cells can be reached from this one (and it from them)."""
+        seen = np.zeros(len(self.cells), dtype=bool)
+        frontier = np.array([cell])
+        while len(frontier):
+            seen[frontier] = True
+            after = np.unique(self.neighbour[frontier])
+            frontier = after[~seen[after]]
+        return seen
+
+    def require_path(self, what: str, cell: int, goal_name: str, goal: int) -> None:
+        """A cell has a way to the goal.
+
+        Raises:
+            InputError: it has none.
+        """
+        if not self.connected(goal)[cell]:
+            raise InputError(
+                "domain.map", self.position(cell), f"no path from the {what} to the {goal_name}"
+            )
+
+    def starts(self) -> NDArray[np.int64]:
+        """Cells marked ``s``, or every floor cell where none is marked.
+
+        Raises:
+            InputError: the map has neither.
+        """
+        marked = self.where.get(START) or self.where.get(FLOOR, ())
+        if not marked:
+            raise InputError("domain.map", "no floor", "a floor cell (s or .) to start from")
+        return np.array([self.number[cell] for cell in marked], dtype=np.int64)
+
+    def position(self, cell: int) -> Cell:
+        """(row, column) of a cell's number."""
+        r, c = self.cells[cell]
+        return int(r), int(c)
+
+    def scene(self, items: Sequence[Item]) -> Scene:
+        """The map with these items, for drawing."""
+        walls = self.where.get(WALL, ())
+        return Scene(rows=self.shape[0], columns=self.shape[1], walls=walls, items=tuple(items))
+
+
+def parameters_of(
+    given: Mapping[str, Mapping[str, Any]], known: Sequence[str]
+) -> tuple[Parameter, ...]:
+    """Parameters as written in YAML, ``{name: {accurate, inaccurate, message, belief}}``.
+
+    Raises:
+        InputError: none, an unknown one, a missing or unknown field, an empty message, or an
+            inaccurate value that is the accurate one.
+    """
+    if not isinstance(given, Mapping) or not given:
+        raise InputError("domain.parameters", given, f"at least one of {', '.join(known)}")
+    parameters = []
+    for name, fields in given.items():
+        key = f"domain.parameters.{name}"
+        if name not in known:
+            raise InputError("domain.parameters", name, f"unknown; known: {', '.join(known)}")
+        if not isinstance(fields, Mapping):
+            raise InputError(key, fields, "the fields accurate, inaccurate, message, belief")
+        needed, optional = {"accurate", "inaccurate", "message"}, {"belief"}
+        if missing := needed - fields.keys():
+            raise InputError(key, dict(fields), f"lacks {', '.join(sorted(missing))}")
+        if unknown := fields.keys() - needed - optional:
+            raise InputError(
+                key, min(unknown), f"unknown field; known: {', '.join(sorted(needed | optional))}"
+            )
+        parameter = Parameter(name=name, **fields)
+        if not isinstance(parameter.message, str) or not parameter.message.strip():
+            raise InputError(f"{key}.message", parameter.message, "a sentence")
+        if parameter.accurate == parameter.inaccurate:
+            raise InputError(f"{key}.inaccurate", parameter.inaccurate, "differs from accurate")
+        parameters.append(parameter)
+    return tuple(parameters)
+
+
+def number(key: str, value: object) -> float:
+    """A finite number.
+
+    Raises:
+        InputError: it is none.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+        raise InputError(key, value, "a finite number")
+    return float(value)
+
+
+def discount_factor(key: str, value: object) -> float:
+    """A discount in (0, 1).
+
+    Raises:
+        InputError: it is none.
+    """
+    if not 0 < (gamma := number(key, value)) < 1:
+        raise InputError(key, value, "a number in (0, 1), both ends excluded")
+    return gamma

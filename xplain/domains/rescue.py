@@ -1,0 +1,177 @@
+"""Disaster rescue (paper, "Illustrative example"; SPEC §1): a robot brings a victim to a shelter.
+
+On its way it may pick up first aid, extinguish a fire and refuel, each rewarded once. Rubble,
+puddles and fences cost it nothing, though people may think so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.domains.base import Item, Scene
+from xplain.domains.grid import MOVES, Cell, Grid, discount_factor, number, parameters_of
+from xplain.errors import InputError
+from xplain.mdp import MDP
+
+SHELTER, VICTIM = "S", "V"
+BONUSES = {"first_aid": "A", "fire": "F", "refuel": "U"}
+"""Parameters that are a reward for an action, and the symbol of the item that it needs."""
+OBSTACLES = {"rubble": "r", "puddle": "p", "fence": "f"}
+"""Parameters that are a reward for entering cells, and the symbol of these cells."""
+ITEM_NAMES = {"first_aid": "first aid", "fire": "fire", "refuel": "fuel station"}
+ACTIONS = {"first_aid": "pick_up_first_aid", "fire": "extinguish_fire", "refuel": "refuel"}
+DONE = {
+    "first_aid": "picks up the first aid",
+    "fire": "extinguishes the fire",
+    "refuel": "refuels",
+}
+ENTERS = {"rubble": "over the rubble", "puddle": "through the puddle", "fence": "over the fence"}
+SYMBOLS = {
+    SHELTER: "shelter",
+    VICTIM: "victim",
+    **{symbol: ITEM_NAMES[name] for name, symbol in BONUSES.items()},
+    **{symbol: name for name, symbol in OBSTACLES.items()},
+}
+
+
+class Rescue:
+    """The rescue task. A state is a cell, one flag a bonus (done or not), and "carries the victim".
+
+    Args:
+        map: ASCII map with one S (shelter), one V (victim); A first aid, F fire, U fuel station
+            (one each, where ``parameters`` name them); r rubble, p puddle, f fence; # wall,
+            . floor, s floor where traces start (every floor cell if there is no s).
+        parameters: ``{name: {accurate, inaccurate, message, belief}}``; the values are rewards:
+            of the action for first_aid, fire, refuel; of entering a cell for rubble, puddle, fence.
+        rescue_reward: for bringing the victim into the shelter, which ends the task.
+        slip: probability that a move slides to a side.
+        discount: γ of the task, the robot's and everybody's.
+        name: of the domain.
+
+    Raises:
+        InputError: a value is not allowed; the map contradicts the description above, or has no
+            path from a start, the victim or an item to the shelter.
+    """
+
+    feature_names = ("row", "column")
+
+    def __init__(
+        self,
+        map: str,
+        parameters: Mapping[str, Mapping[str, Any]],
+        rescue_reward: float,
+        discount: float,
+        slip: float = 0.0,
+        name: str = "rescue",
+    ) -> None:
+        """Reads the map and lays out the states: cell · 2^(bonuses + 1) + flags."""
+        self.name = name
+        self.parameters = parameters_of(parameters, [*BONUSES, *OBSTACLES])
+        for parameter in self.parameters:
+            number(f"domain.parameters.{parameter.name}.accurate", parameter.accurate)
+            number(f"domain.parameters.{parameter.name}.inaccurate", parameter.inaccurate)
+        self.rescue_reward = number("domain.rescue_reward", rescue_reward)
+        if self.rescue_reward <= 0:
+            raise InputError("domain.rescue_reward", rescue_reward, "a positive number")
+        self.discount = discount_factor("domain.discount", discount)
+        self.grid = Grid.parse(map, SYMBOLS)
+        named = [parameter.name for parameter in self.parameters]
+        for kind, symbol in {**BONUSES, **OBSTACLES}.items():
+            if (symbol in self.grid.where) != (kind in named):
+                raise InputError(
+                    "domain.map", symbol, f"on the map if and only if {kind} is a parameter"
+                )
+        self.bonuses = {
+            kind: self.grid.only(BONUSES[kind], kind) for kind in BONUSES if kind in named
+        }
+        self.shelter = self.grid.only(SHELTER, "shelter")
+        self.victim = self.grid.only(VICTIM, "victim")
+        cells = self.grid.starts()
+        for what, cell in [
+            ("victim", self.victim),
+            *((ITEM_NAMES[kind], cell) for kind, cell in self.bonuses.items()),
+            *(("start", int(cell)) for cell in cells),
+        ]:
+            self.grid.require_path(what, cell, "shelter", self.shelter)
+        self.actions = (*MOVES, *(ACTIONS[kind] for kind in self.bonuses), "pick_up_victim")
+        self._carrying = 1 << len(self.bonuses)
+        self._flags = 2 * self._carrying
+        self.starts: NDArray[np.int64] = cells * self._flags
+        self.state_features = np.repeat(self.grid.cells, self._flags, axis=0).astype(np.float64)
+        self._lay_out(slip)
+
+    def _lay_out(self, slip: float) -> None:
+        """Successors and probabilities, which no parameter changes."""
+        to, chance = self.grid.outcomes(slip)
+        flags = np.arange(self._flags)
+        n_cells, _, slots = to.shape
+        shape = (n_cells, self._flags, len(self.actions), slots)
+        successor = np.zeros(shape, dtype=np.int64)
+        probability = np.zeros(shape)
+        successor[:, :, :4] = to[:, None] * self._flags + flags[None, :, None, None]
+        probability[:, :, :4] = chance[:, None]
+        items = [*self.bonuses.values(), self.victim]
+        for bit, cell in enumerate(items):
+            todo = flags[flags >> bit & 1 == 0]
+            successor[cell, todo, 4 + bit, 0] = cell * self._flags + (todo | 1 << bit)
+            probability[cell, todo, 4 + bit, 0] = 1.0
+        states = n_cells * self._flags
+        self._successor = successor.reshape(states, len(self.actions), slots)
+        self._probability = probability.reshape(self._successor.shape)
+        self._terminal = np.zeros(states, dtype=bool)
+        carried = flags[flags & self._carrying > 0]
+        self._terminal[self.shelter * self._flags + carried] = True
+        # An outcome enters a cell unless the robot stays where it is.
+        before = np.arange(states)[:, None, None] // self._flags
+        after = self._successor // self._flags
+        entered = np.where((after != before) & (self._probability > 0), after, -1)
+        self._entered = {
+            kind: np.isin(entered, [self.grid.number[cell] for cell in self.grid.where[symbol]])
+            for kind, symbol in OBSTACLES.items()
+            if symbol in self.grid.where
+        }
+        self._delivered = self._terminal[self._successor] & (self._probability > 0)
+
+    def model(self, values: Mapping[str, Any]) -> MDP:
+        """The task of someone who holds these rewards."""
+        reward = np.where(self._delivered, self.rescue_reward, 0.0)
+        for kind, entered in self._entered.items():
+            reward[entered] += float(values[kind])
+        for bit, kind in enumerate(self.bonuses):
+            reward[:, 4 + bit, 0] = float(values[kind])
+        return MDP(self._successor, self._probability, reward, self.discount, self._terminal)
+
+    def position(self, state: int) -> Cell:
+        """The robot's cell."""
+        return self.grid.position(state // self._flags)
+
+    def describe(self, transition: NDArray[np.int64]) -> str:
+        """Such as "moves right into the puddle at (2, 3)" or "extinguishes the fire"."""
+        state, action, after = (int(x) for x in transition)
+        if action >= 4:
+            return [*(DONE[kind] for kind in self.bonuses), "picks up the victim"][action - 4]
+        cell = self.position(after)
+        move = list(MOVES)[action]
+        carrying = after % self._flags & self._carrying > 0
+        verb = f"carries the victim {move}" if carrying else f"moves {move}"
+        if cell == self.position(state):
+            return f"tries to move {move} and stays at {cell}"
+        for kind, symbol in OBSTACLES.items():
+            if cell in self.grid.where.get(symbol, ()):
+                return f"{verb} {ENTERS[kind]} at {cell}"
+        return f"{verb} into the shelter" if self._terminal[after] else f"{verb} to {cell}"
+
+    @property
+    def scene(self) -> Scene:
+        """The map with its items."""
+        return self.grid.scene(
+            [
+                Item(name, symbol, self.grid.where[symbol])
+                for symbol, name in SYMBOLS.items()
+                if symbol in self.grid.where
+            ]
+        )
