@@ -1,0 +1,144 @@
+"""The paper's POMDP, word for word: slow, for tiny problems, the yardstick of the tests.
+
+States ⟨k, L, E_given, E_next, t⟩ with SPEC §5's three corrections: messages already given or
+pending are no actions, label probabilities use E_given ∪ E_next and depend on τ_i, and the label
+that costs is 0. Nothing here knows of the reduction to (k, H, belief); optimal values come from
+the definition, by trying every action and every observation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
+
+from xplain.explanation.problem import Problem
+
+EXPLAIN = -1
+"""The action that is no message."""
+
+
+class State(NamedTuple):
+    """⟨k, L, E_given, E_next, t⟩."""
+
+    step: int
+    labels: tuple[int, ...]
+    given: frozenset[int]
+    pending: frozenset[int]
+    user_type: int
+
+
+Observation = tuple[int, ...] | None
+"""The labels of the prefix; None is l_φ, nothing seen."""
+
+
+@dataclass(frozen=True)
+class LiteralPOMDP:
+    """The components of the paper's tuple, as functions."""
+
+    problem: Problem
+
+    def initial(self) -> dict[State, float]:
+        """The belief before anything was shown."""
+        return {
+            State(0, (), frozenset(), frozenset(), t): float(p)
+            for t, p in enumerate(self.problem.prior)
+            if p > 0
+        }
+
+    def actions(self, state: State) -> list[int]:
+        """*Explain*, and the messages neither given nor pending; none at the end of the trace."""
+        if state.step == self.problem.n_steps:
+            return []
+        used = state.given | state.pending
+        return [EXPLAIN, *(j for j in range(self.problem.n_messages) if j not in used)]
+
+    def outcomes(
+        self, state: State, action: int
+    ) -> Iterator[tuple[float, State, Observation, float]]:
+        """What may follow: (probability, next state, observation, reward)."""
+        problem = self.problem
+        if action != EXPLAIN:
+            reward = -problem.trade_off * float(problem.message_cost[action])
+            yield 1.0, state._replace(pending=state.pending | {action}), None, reward
+            return
+        given = state.given | state.pending
+        mask = sum(1 << j for j in given)
+        for labels in product((0, 1), repeat=state.step + 1):
+            probability = 1.0
+            for i, label in enumerate(labels):
+                p = float(problem.p_explicable[state.user_type, i, mask])
+                probability *= p if label == 1 else 1 - p
+            if probability > 0:
+                after = State(state.step + 1, labels, given, frozenset(), state.user_type)
+                yield probability, after, labels, -problem.inexplicability_cost * labels.count(0)
+
+    def discount(self, action: int) -> float:
+        """γ_E, or 1 for a message where only steps discount."""
+        if action != EXPLAIN and self.problem.discount_per == "step":
+            return 1.0
+        return self.problem.discount
+
+
+def literal_optimal_value(problem: Problem) -> float:
+    """The optimal expected discounted return, by trying every action at every belief over states.
+
+    Exponential in everything; for two or three steps, messages and types.
+    """
+    pomdp = LiteralPOMDP(problem)
+
+    def value(belief: dict[State, float]) -> float:
+        # All but L's cause, the type, is observed: the states of a belief share their actions.
+        actions = pomdp.actions(next(iter(belief)))
+        return max((action_value(belief, action) for action in actions), default=0.0)
+
+    def action_value(belief: dict[State, float], action: int) -> float:
+        expected_reward = 0.0
+        joint: dict[Observation, dict[State, float]] = {}
+        for state, weight in belief.items():
+            for probability, after, observation, reward in pomdp.outcomes(state, action):
+                expected_reward += weight * probability * reward
+                posterior = joint.setdefault(observation, {})
+                posterior[after] = posterior.get(after, 0.0) + weight * probability
+        later = 0.0
+        for posterior in joint.values():
+            total = sum(posterior.values())
+            later += total * value({state: p / total for state, p in posterior.items()})
+        return expected_reward + pomdp.discount(action) * later
+
+    return value(pomdp.initial())
+
+
+def reduced_optimal_value(
+    problem: Problem, step: int = 0, given: int = 0, belief: tuple[float, ...] | None = None
+) -> float:
+    """The same from (k, H, belief), the state that SPEC §5 claims to be sufficient.
+
+    Still by enumeration: every message, every label vector, no merging of observations.
+    """
+    if belief is None:
+        belief = tuple(float(p) for p in problem.prior)
+    if step == problem.n_steps:
+        return 0.0
+    expected_zeros, later = 0.0, 0.0
+    columns = problem.p_explicable[:, : step + 1, given].tolist()
+    for labels in product((0, 1), repeat=step + 1):
+        joint = []
+        for weight, column in zip(belief, columns, strict=True):
+            for p, label in zip(column, labels, strict=True):
+                weight *= p if label == 1 else 1 - p
+            joint.append(weight)
+        total = sum(joint)
+        if total > 0:
+            expected_zeros += total * labels.count(0)
+            posterior = tuple(weight / total for weight in joint)
+            later += total * reduced_optimal_value(problem, step + 1, given, posterior)
+    best = -problem.inexplicability_cost * expected_zeros + problem.discount * later
+    per_message = problem.discount if problem.discount_per == "action" else 1.0
+    for j in range(problem.n_messages):
+        if not given >> j & 1:
+            after = reduced_optimal_value(problem, step, given | 1 << j, belief)
+            price = problem.trade_off * float(problem.message_cost[j])
+            best = max(best, -price + per_message * after)
+    return best
