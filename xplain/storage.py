@@ -91,7 +91,7 @@ def results_of(
             for name, e in estimates.items()
         },
         "bounds": bounds,
-        "learning": prepared.learning,
+        "learning": {k: v for k, v in prepared.learning.items() if math.isfinite(v)},
         "elbow": {"rule": prepared.rule, "disagreements": prepared.curve.tolist()},
         "types": {
             "true": list(prepared.types),

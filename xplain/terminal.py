@@ -96,8 +96,12 @@ def _headline(results: dict[str, Any]) -> str:
             if "adjusted_rand_index" in learning
             else ""
         )
-        + f" ({results['elbow']['rule']}); labelers {learning['labeler_accuracy']:.1%} right on "
-        "held-out labels",
+        + f" ({results['elbow']['rule']})"
+        + (
+            f"; labelers {learning['labeler_accuracy']:.1%} right on held-out labels"
+            if "labeler_accuracy" in learning
+            else ""
+        ),
     ]
     return "\n".join(lines)
 
