@@ -1,0 +1,46 @@
+"""The domains and type sources as the configuration gives them."""
+
+from __future__ import annotations
+
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+from xplain.command_line import CONF
+from xplain.domains.base import Domain
+from xplain.randomness import stream
+from xplain.users.setting import Setting
+
+PRIMARY = {
+    "defaults": ["_self_", {"users": "random_cover"}, {"domain": "???"}],
+    "hydra": {"searchpath": [f"file://{CONF}"]},
+    "seed": 0,
+}
+
+
+def configured(*overrides: str) -> Any:
+    """``configured("domain=rescue").users``: the domain with the types that it chooses."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "primary.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(PRIMARY)))
+        with initialize_config_dir(folder, version_base="1.3"):
+            return compose("primary", list(overrides))
+
+
+@cache
+def domain_of(*overrides: str) -> Domain:
+    """The domain of :func:`configured`."""
+    domain: Domain = instantiate(configured(*overrides).domain)
+    return domain
+
+
+@cache
+def setting_of(*overrides: str, seed: int = 0) -> Setting:
+    """The domain and its types."""
+    types = instantiate(configured(*overrides).users)
+    domain = domain_of(*overrides)
+    return Setting.build(domain, types.types(domain, stream(seed, "users")))

@@ -1,0 +1,158 @@
+"""The four-rooms task: the published map, its five parameters, bad input."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+from tests.domains.configs import configured, domain_of, setting_of
+from xplain import mdp
+from xplain.domains.four_rooms import FourRooms
+from xplain.errors import InputError
+from xplain.randomness import stream
+from xplain.users.traces import sample_trace
+
+FOUR_ROOMS = "domain=four_rooms"
+
+
+def given() -> dict[str, Any]:
+    """The arguments in the configuration."""
+    node: Any = OmegaConf.to_container(configured(FOUR_ROOMS).domain, resolve=True)
+    return {k: v for k, v in node.items() if not k.startswith("_")}
+
+
+def accurate(domain: FourRooms) -> dict[str, Any]:
+    return {p.name: p.accurate for p in domain.parameters}
+
+
+def test_the_map_is_the_published_one() -> None:
+    grid = domain_of(FOUR_ROOMS).grid
+    assert grid.shape == (13, 13)
+    assert len(grid.cells) == 104
+    inner_walls = [(r, 6) for r in range(1, 12)]
+    inner_walls += [(6, c) for c in range(1, 6)] + [(7, c) for c in range(7, 12)]
+    doors = {cell for cell in inner_walls if grid.number[cell] >= 0}
+    assert doors == {(3, 6), (10, 6), (6, 2), (7, 9)}
+
+
+def test_the_model_follows_the_values() -> None:
+    domain = domain_of(FOUR_ROOMS)
+    values = accurate(domain) | {
+        "goals": [{"cell": [1, 3], "reward": 5.0}],
+        "discount": 0.9,
+        "step_cost": 0.25,
+        "penalty_cells": [[1, 2]],
+        "penalty": 2.0,
+    }
+    model = domain.model(values)
+    state = domain.grid.number[1, 1]
+    right = domain.actions.index("right")
+    rewards = []
+    while not model.terminal[state]:
+        rewards.append(model.reward[state, right, 0])
+        state = model.successor[state, right, 0]
+    assert rewards == pytest.approx([-0.25 - 2.0, -0.25 + 5.0])
+    assert model.discount == 0.9
+    # Bumping into a wall beside the goal or in the penalty cell is a step, nothing more.
+    up, at_penalty = domain.actions.index("up"), domain.grid.number[1, 2]
+    assert model.successor[at_penalty, up, 0] == at_penalty
+    assert model.reward[at_penalty, up, 0] == pytest.approx(-0.25)
+    assert model.terminal.sum() == 1
+
+
+def test_each_parameter_held_wrong_alone_matters() -> None:
+    """SPEC §1: at least 2 % of on-policy transitions."""
+    domain = domain_of(FOUR_ROOMS)
+    values = accurate(domain)
+    wrong = [values | {p.name: p.inaccurate} for p in domain.parameters]
+    models = [domain.model(v) for v in (values, *wrong)]
+    optimal = mdp.optimal_actions(models)
+    rng = stream(0, "test", "traces")
+    transitions = np.concatenate(
+        [sample_trace(models[0], optimal[0], domain.starts, rng, 10) for _ in range(200)]
+    )
+    inexplicable = 1 - mdp.labels(models, optimal, transitions).mean(axis=1)
+    assert inexplicable[0] == 0
+    assert (inexplicable[1:] >= 0.02).all()
+
+
+def test_no_tie_is_ambiguous_in_any_of_the_32_models() -> None:
+    domain = domain_of(FOUR_ROOMS)
+    models = [
+        domain.model(
+            {
+                p.name: p.inaccurate if wrong >> j & 1 else p.accurate
+                for j, p in enumerate(domain.parameters)
+            }
+        )
+        for wrong in range(32)
+    ]
+    assert len(mdp.optimal_actions(models)) == 32
+
+
+def test_traces_end_at_a_goal() -> None:
+    setting = setting_of(FOUR_ROOMS)
+    model, optimal = setting.models[0], setting.optimal[0]
+    rng = stream(0, "test", "traces")
+    for _ in range(50):
+        trace = sample_trace(model, optimal, setting.domain.starts, rng, 100)
+        assert model.terminal[trace[-1, 2]]
+
+
+def edited(path: str, value: Any) -> dict[str, Any]:
+    arguments = deepcopy(given())
+    node: Any = arguments
+    *way, last = path.split(".")
+    for part in way:
+        node = node[part]
+    node[last] = value
+    return arguments
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "text"),
+    [
+        ("map", "...\n..", "row 1"),
+        ("map", "..G", "unknown symbol"),
+        ("slip", "often", "probability"),
+        ("parameters.goals.accurate", [], "at least one goal"),
+        ("parameters.goals.accurate", [{"cell": [0, 0], "reward": 1.0}], "no wall"),
+        ("parameters.goals.accurate", [{"cell": [1, 99], "reward": 1.0}], "no wall"),
+        ("parameters.goals.accurate", [{"cell": [1, 1]}], "reward"),
+        ("parameters.goals.inaccurate", [[1, 1]], "cell"),
+        ("parameters.goals.inaccurate", 3, "a list"),
+        ("parameters.discount.inaccurate", 1.0, r"\(0, 1\)"),
+        ("parameters.discount.accurate", None, "finite number"),
+        ("parameters.step_cost.accurate", "high", "finite number"),
+        ("parameters.penalty_cells.inaccurate", [[6, 6]], "no wall"),
+        ("parameters.penalty_cells.inaccurate", "door", "a list"),
+        ("parameters.penalty.inaccurate", float("inf"), "finite number"),
+        ("parameters.penalty.message", " ", "a sentence"),
+        ("parameters.wind", {}, "unknown"),
+        ("parameters", {}, "at least one"),
+    ],
+)
+def test_bad_input_is_one_clear_line(path: str, value: Any, text: str) -> None:
+    with pytest.raises(InputError, match=text) as caught:
+        FourRooms(**edited(path, value))
+    assert caught.value.key.startswith("domain.")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_parameter_is_named() -> None:
+    arguments = given()
+    del arguments["parameters"]["penalty"]
+    with pytest.raises(InputError, match="penalty"):
+        FourRooms(**arguments)
+
+
+def test_a_goal_behind_walls_is_refused() -> None:
+    arguments = edited("map", given()["map"].replace("##.####", "#######"))
+    arguments["map"] = arguments["map"].replace("#...........#", "#.....#.....#")
+    arguments["parameters"]["penalty_cells"] |= {"accurate": [], "inaccurate": [[1, 1]]}
+    with pytest.raises(InputError, match="no path from the start to the goal"):
+        FourRooms(**arguments)

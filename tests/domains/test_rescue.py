@@ -1,0 +1,233 @@
+"""The rescue task against its rules written out by hand, and SPEC §1 "Default map"."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.domains.configs import domain_of, setting_of
+from xplain import mdp
+from xplain.domains.rescue import Rescue
+from xplain.errors import InputError
+from xplain.message_sets import indices
+from xplain.randomness import stream
+from xplain.users.setting import Setting
+from xplain.users.traces import sample_trace
+
+RESCUE = "domain=rescue"
+REWARD = {"A": "first_aid", "F": "fire", "U": "refuel", "r": "rubble", "p": "puddle", "f": "fence"}
+MAP = """
+sApF
+.#.f
+SVrU
+"""
+
+
+def parameters(**inaccurate: float) -> dict[str, dict[str, Any]]:
+    values = {name: 1.0 if symbol.isupper() else 0.0 for symbol, name in REWARD.items()}
+    return {
+        name: {"accurate": value, "inaccurate": inaccurate.get(name, -1.0), "message": name}
+        for name, value in values.items()
+    }
+
+
+def rescue(**changes: Any) -> Rescue:
+    given = {"map": MAP, "parameters": parameters(), "rescue_reward": 5.0, "discount": 0.9}
+    return Rescue(**given | changes)
+
+
+def play(rows: list[str], actions: str, values: dict[str, float], reward: float) -> tuple:
+    """The rules in plain Python: cell, what is done, rewards; ``+`` acts on what lies there."""
+    r, c = next((r, row.index("s")) for r, row in enumerate(rows) if "s" in row)
+    done: set[str] = set()
+    rewards = []
+    for action in actions:
+        gain = 0.0
+        if action == "+":
+            done.add(rows[r][c])
+            gain = values.get(REWARD.get(rows[r][c], ""), 0.0)
+        else:
+            dr, dc = {"u": (-1, 0), "d": (1, 0), "l": (0, -1), "r": (0, 1)}[action]
+            inside = 0 <= r + dr < len(rows) and 0 <= c + dc < len(rows[0])
+            if inside and rows[r + dr][c + dc] != "#":
+                r, c = r + dr, c + dc
+                if rows[r][c] in "rpf":
+                    gain = values[REWARD[rows[r][c]]]
+                if rows[r][c] == "S" and "V" in done:
+                    gain += reward
+        rewards.append(gain)
+    return (r, c), rewards
+
+
+@pytest.mark.parametrize(
+    "actions", ["r+rr+dd+", "ddulldr+rru", "d", "ddr+l", "r+rr+dd+llu", "ddrlrlu", "rrrddll+l"]
+)
+def test_the_model_plays_by_the_rules(actions: str) -> None:
+    domain = rescue()
+    values = {name: 0.25 * (i + 1) for i, name in enumerate(parameters())}
+    model = domain.model(values)
+    rows = MAP.strip().split("\n")
+    state = int(domain.starts[0])
+    rewards = []
+    for letter in actions:
+        r, c = domain.position(state)
+        if letter == "+":
+            wanted = {"A": "pick_up_first_aid", "F": "extinguish_fire", "U": "refuel"}
+            action = domain.actions.index(wanted.get(rows[r][c], "pick_up_victim"))
+        else:
+            action = "udlr".index(letter)
+        assert model.probability[state, action].tolist() == [1.0]
+        rewards.append(model.reward[state, action, 0])
+        state = int(model.successor[state, action, 0])
+    cell, expected = play(rows, actions, values, 5.0)
+    assert domain.position(state) == cell
+    assert rewards == pytest.approx(expected)
+    assert model.terminal[state] == (rows[cell[0]][cell[1]] == "S" and rewards[-1] >= 5.0)
+
+
+def test_items_are_used_once_and_only_where_they_lie() -> None:
+    domain = rescue()
+    model = domain.model(dict.fromkeys(parameters(), 1.0))
+    rows = MAP.strip().split("\n")
+    available = model.probability.sum(axis=2) > 0
+    for action, symbol in enumerate("AFUV", start=4):
+        for s in np.flatnonzero(available[:, action]):
+            r, c = domain.position(s)
+            assert rows[r][c] == symbol
+            assert not available[model.successor[s, action, 0], action]
+    # In each of the 4 cells, half of the 16 combinations of flags leave the item to be used.
+    assert available[:, 4:].sum() == 4 * 8
+
+
+def test_a_slip_goes_sideways() -> None:
+    domain = rescue(slip=0.2)
+    model = domain.model(dict.fromkeys(parameters(), 0.0))
+    start = int(domain.starts[0])
+    right = dict.fromkeys([(0, 1), (0, 0), (1, 0)], 0.0)
+    for k in range(3):
+        right[domain.position(model.successor[start, 3, k])] += model.probability[start, 3, k]
+    assert right == pytest.approx({(0, 1): 0.8, (0, 0): 0.1, (1, 0): 0.1})
+
+
+def test_the_labeler_sees_the_location_only() -> None:
+    domain = rescue()
+    assert domain.feature_names == ("row", "column")
+    for state, features in enumerate(domain.state_features):
+        assert tuple(features) == domain.position(state)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "text"),
+    [
+        ({"map": "ssA\nss"}, "domain.map", "row 1 has 2 symbols"),
+        ({"map": ""}, "domain.map", "one line a row"),
+        ({"map": 7}, "domain.map", "one line a row"),
+        ({"map": "##\n##"}, "domain.map", "no wall"),
+        ({"map": MAP.replace("#", "x")}, "domain.map", "unknown symbol in row 1, column 1"),
+        ({"map": MAP.replace("S", ".")}, "domain.map", "exactly one shelter"),
+        ({"map": MAP.replace(".", "S", 1)}, "domain.map", "exactly one shelter"),
+        ({"map": MAP.replace("V", ".")}, "domain.map", "exactly one victim"),
+        ({"map": MAP.replace("s", "A")}, "domain.map", "exactly one first_aid"),
+        ({"map": MAP.replace("F", ".")}, "domain.map", "if and only if fire"),
+        ({"map": "s#ApF\n##.f.\nSVrU."}, "domain.map", "no path from the start to the shelter"),
+        ({"map": "s.pA#F\n..f##.\nSVrU#."}, "domain.map", "no path from the fire"),
+        ({"map": "S#ApF\n##.fV\n.srU."}, "domain.map", "no path from the victim"),
+        ({"parameters": {}}, "domain.parameters", "at least one"),
+        ({"parameters": {"wind": {}}}, "domain.parameters", "unknown"),
+        ({"parameters": {"fire": {"accurate": 1}}}, "domain.parameters.fire", "lacks inaccurate"),
+        ({"parameters": parameters(fire=float("nan"))}, "domain.parameters.fire", "finite"),
+        ({"parameters": parameters(fire=1.0)}, "domain.parameters.fire", "differs"),
+        ({"parameters": parameters(fire="much")}, "domain.parameters.fire", "finite number"),
+        ({"rescue_reward": 0}, "domain.rescue_reward", "positive"),
+        ({"discount": 1.0}, "domain.discount", r"\(0, 1\)"),
+        ({"discount": 0.0}, "domain.discount", r"\(0, 1\)"),
+        ({"discount": "high"}, "domain.discount", "finite number"),
+        ({"slip": 1.5}, "domain.slip", "probability"),
+        ({"slip": -0.1}, "domain.slip", "probability"),
+    ],
+)
+def test_bad_input_is_one_clear_line(changes: dict, key: str, text: str) -> None:
+    with pytest.raises(InputError, match=text) as caught:
+        rescue(**changes)
+    assert caught.value.key.startswith(key)
+    assert "\n" not in str(caught.value)
+
+
+def traces_of(setting: Setting, count: int, length: int) -> list[np.ndarray]:
+    rng = stream(0, "test", "traces")
+    model, optimal, starts = setting.models[0], setting.optimal[0], setting.domain.starts
+    return [sample_trace(model, optimal, starts, rng, length) for _ in range(count)]
+
+
+def smallest_and_silence(table: np.ndarray) -> tuple[int, int]:
+    """Of label table [m, 2^n]: messages of the smallest set that leaves nothing inexplicable, and
+    the cost of silence by Definition 2 (C_inexp = 1)."""
+    explained = np.flatnonzero(table.all(axis=0))
+    smallest = min(int(h).bit_count() for h in explained)
+    shown = len(table) - np.arange(len(table))
+    return smallest, int(((1 - table[:, 0].astype(int)) * shown).sum())
+
+
+@pytest.mark.parametrize("length", [10, 40])
+def test_most_traces_need_both_facts_and_early(length: int) -> None:
+    """SPEC §1: 200 random starts, both as observers see traces (10 steps) and to their end."""
+    setting = setting_of(RESCUE)
+    sizes, worth = [], []
+    for trace in traces_of(setting, 200, length):
+        for table in setting.label_table(trace):
+            size, silence = smallest_and_silence(table)
+            sizes.append(size)
+            worth.append(all(trade_off * size < silence for trade_off in (0.5, 1, 1.5, 2, 2.5)))
+    assert 1.5 <= np.mean(sizes) <= 2.0
+    assert np.mean(worth) >= 0.95
+
+
+def test_every_fact_matters_alone() -> None:
+    domain = domain_of(RESCUE)
+    values = {p.name: p.accurate for p in domain.parameters}
+    wrong = [values | {p.name: p.inaccurate} for p in domain.parameters]
+    models = [domain.model(v) for v in (values, *wrong)]
+    optimal = mdp.optimal_actions(models)
+    transitions = np.concatenate(traces_of(setting_of(RESCUE), 200, 10))
+    inexplicable = 1 - mdp.labels(models, optimal, transitions).mean(axis=1)
+    assert inexplicable[0] == 0
+    assert (inexplicable[1:] >= 0.02).all()
+
+
+def test_default_types_differ_in_behaviour() -> None:
+    assert len(np.unique(setting_of(RESCUE).distinct)) == 5
+
+
+def test_no_tie_is_ambiguous_in_any_of_the_64_models() -> None:
+    domain = domain_of(RESCUE)
+    models = [
+        domain.model(
+            {
+                p.name: p.inaccurate if j in indices(wrong) else p.accurate
+                for j, p in enumerate(domain.parameters)
+            }
+        )
+        for wrong in range(64)
+    ]
+    assert mdp.optimal_actions(models).any(axis=2).sum() == 64 * (~models[0].terminal).sum()
+
+
+def test_phrases_tell_what_happens() -> None:
+    domain = domain_of(RESCUE)
+    setting = setting_of(RESCUE)
+    phrases = [domain.describe(t) for t in setting.reachable]
+    assert all(phrase and "\n" not in phrase and len(phrase) < 60 for phrase in phrases)
+    text = " ".join(phrases)
+    for words in ("picks up the victim", "into the shelter", "fire", "first aid", "refuels"):
+        assert words in text
+
+
+def test_the_scene_shows_every_item() -> None:
+    scene = domain_of(RESCUE).scene
+    assert scene is not None
+    assert {item.name for item in scene.items} >= {"shelter", "victim", "fire", "rubble"}
+    cells = [cell for item in scene.items for cell in item.cells]
+    assert len(set(cells)) == len(cells)
+    assert all(r < scene.rows and c < scene.columns for r, c in [*cells, *scene.walls])

@@ -1,0 +1,100 @@
+"""Label tables against one model solved at a time, and what counts as one type."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.domains.configs import domain_of, setting_of
+from xplain import mdp
+from xplain.errors import InputError, TooLargeError
+from xplain.users import setting as module
+from xplain.users.setting import Setting, UserType
+
+RESCUE = "domain=rescue"
+
+
+def test_the_label_table_is_what_each_corrected_model_says() -> None:
+    setting = setting_of(RESCUE)
+    domain = setting.domain
+    transitions = setting.reachable[::7]
+    table = setting.label_table(transitions)
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        t, given = int(rng.integers(len(setting.types))), int(rng.integers(64))
+        own = setting.types[t].inaccurate
+        values = {
+            p.name: own[p.name] if p.name in own and not given >> j & 1 else p.accurate
+            for j, p in enumerate(domain.parameters)
+        }
+        model = domain.model(values)
+        expected = mdp.labels([model], mdp.optimal_actions([model]), transitions)[0]
+        assert np.array_equal(table[t, :, given], expected)
+        one_by_one = setting.labels(t, transitions, np.full(len(transitions), given))
+        assert np.array_equal(one_by_one, expected)
+
+
+def test_told_everything_every_type_agrees_with_the_robot() -> None:
+    setting = setting_of(RESCUE)
+    assert setting.label_table(setting.reachable)[:, :, -1].all()
+
+
+def test_messages_about_what_a_type_knows_change_nothing() -> None:
+    setting = setting_of(RESCUE)
+    table = setting.label_table(setting.reachable)
+    for t, bits in enumerate(setting.bits):
+        for j in set(range(6)) - set(bits):
+            given = np.arange(64)
+            assert np.array_equal(table[t][:, given], table[t][:, given | 1 << j])
+
+
+def test_each_distinct_model_is_solved_once() -> None:
+    setting = setting_of(RESCUE)
+    values = {
+        tuple(sorted(set(t.inaccurate) - set(told)))
+        for t in setting.types
+        for told in [(), *((f,) for f in t.inaccurate), tuple(t.inaccurate)]
+    }
+    assert len(setting.models) == len(values)
+
+
+def test_reachable_is_what_every_optimal_policy_can_do() -> None:
+    setting = setting_of(RESCUE)
+    model, optimal = setting.models[0], setting.optimal[0]
+    found, todo = set(), {int(s) for s in setting.domain.starts}
+    seen: set[int] = set()
+    while todo:
+        s = todo.pop()
+        seen.add(s)
+        for a in np.flatnonzero(optimal[s]):
+            for k in np.flatnonzero(model.probability[s, a]):
+                after = int(model.successor[s, a, k])
+                found.add((s, int(a), after))
+                if after not in seen and not model.terminal[after]:
+                    todo.add(after)
+    assert found == {tuple(t) for t in setting.reachable.tolist()}
+
+
+def test_types_that_label_alike_are_one() -> None:
+    domain = domain_of(RESCUE)
+    default = {p.name: p.inaccurate for p in domain.parameters}
+    types = (
+        UserType("one", {"fire": default["fire"]}),
+        UserType("two", {"fire": default["fire"] * 1.01}),
+        UserType("three", {"rubble": default["rubble"]}),
+    )
+    assert Setting.build(domain, types).distinct.tolist() == [0, 0, 1]
+
+
+def test_bad_types_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    domain = domain_of(RESCUE)
+    fire = UserType("A", {"fire": -1.0})
+    with pytest.raises(InputError, match="at least one"):
+        Setting.build(domain, ())
+    with pytest.raises(InputError, match="name of its own"):
+        Setting.build(domain, (fire, fire))
+    with pytest.raises(InputError, match="unknown parameter"):
+        Setting.build(domain, (UserType("A", {"wind": 1.0}),))
+    monkeypatch.setattr(module, "MAX_MODELS", 3)
+    with pytest.raises(TooLargeError, match="more than 3 task models"):
+        Setting.build(domain, (UserType("A", {"fire": -1.0, "fence": -1.0}),))
