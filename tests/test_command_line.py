@@ -7,10 +7,10 @@ import subprocess
 import sys
 
 import pytest
-from conftest import ROOT
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 
+from tests.conftest import ROOT
 from xplain.__main__ import main
 from xplain.command_line import CONF, prepare
 

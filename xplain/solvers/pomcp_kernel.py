@@ -389,7 +389,15 @@ def simulate(simulations, model, options, tree, log_root):  # type: ignore[no-un
                         child = _add(tree, slot, ~base, uint64(more), step, more, base)
                         edges[first + action].child = child
                         tail, counter = _roll(
-                            model, options, tree.beliefs[base], step, more, t, counter, zero, scratch
+                            model,
+                            options,
+                            tree.beliefs[base],
+                            step,
+                            more,
+                            t,
+                            counter,
+                            zero,
+                            scratch,
                         )
                         break
                     edges[first + action].child = child
@@ -405,7 +413,15 @@ def simulate(simulations, model, options, tree, log_root):  # type: ignore[no-un
                     child = _add(tree, slot, node, code, step + 1, given, -1)
                     _bayes(model, step, given, zero, tree.beliefs[base], tree.beliefs[child])
                     tail, counter = _roll(
-                        model, options, tree.beliefs[child], step + 1, given, t, counter, zero, scratch
+                        model,
+                        options,
+                        tree.beliefs[child],
+                        step + 1,
+                        given,
+                        t,
+                        counter,
+                        zero,
+                        scratch,
                     )
                     break
                 node = child
@@ -413,7 +429,9 @@ def simulate(simulations, model, options, tree, log_root):  # type: ignore[no-un
             edge = edges[path[i]]
             tail = edge.reward + edge.discount * tail
             edge.visits += 1
-            edge.value += (tail - edge.value) / edge.visits if edge.visits > 1 else tail - edge.value
+            edge.value += (
+                (tail - edge.value) / edge.visits if edge.visits > 1 else tail - edge.value
+            )
             edge.width = options.exploration / np.sqrt(np.float64(edge.visits))
             nodes[path_node[i]].visits += 1
     tree.counter[0] = counter
