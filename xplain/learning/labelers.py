@@ -1,0 +1,211 @@
+"""Labelers: what people of a type would find explicable, learned from their labels (SPEC §3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.errors import InputError
+from xplain.learning.dataset import Dataset, inputs
+from xplain.learning.trees import cubes
+from xplain.randomness import derived_seed, stream
+
+CHUNK = 1 << 20
+"""Rows of classifier input made at a time (a classifier that is no tree is asked for each)."""
+
+
+def paper_tree() -> Any:
+    """The paper's labeling model: scikit-learn's decision tree, grown until leaves are pure."""
+    from sklearn.tree import DecisionTreeClassifier
+
+    return DecisionTreeClassifier()
+
+
+@dataclass(frozen=True)
+class Labeler:
+    """A fitted labeling model L(τ, H) with its confidence P(label = prediction).
+
+    Attributes:
+        classifier: fitted, scikit-learn's shape, classes among 0 and 1.
+        n_messages: n of the message bits it was fitted with.
+        confidence: (right + 1) / (tested + 2) on points held out of training, in (0, 1).
+        accuracy: right / tested; NaN where nothing was tested.
+        n_train, n_test: labels in either part.
+        calibrated: P(label = 1) comes from the classifier's own probabilities (see
+            :class:`LabelerTrainer`), not from the one confidence.
+    """
+
+    classifier: Any
+    n_messages: int
+    confidence: float
+    accuracy: float
+    n_train: int
+    n_test: int
+    calibrated: bool = False
+
+    def predict(
+        self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
+    ) -> NDArray[np.uint8]:
+        """The label of each (transition [T, F], message set [T]): [T] of 0 and 1."""
+        x = inputs(features, message_sets, self.n_messages)
+        return np.asarray(self.classifier.predict(x), dtype=np.uint8)
+
+    def probability(
+        self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(label = 1) of each (transition [T, F], message set [T]): [T], inside (0, 1)."""
+        return self._probability(inputs(features, message_sets, self.n_messages))
+
+    def table(self, features: NDArray[np.float64], n_messages: int) -> NDArray[np.float64]:
+        """P(label = 1) of every transition [T, F] under every message set: [T, 2^n].
+
+        A tree fills it leaf by leaf (n = 20 takes tenths of a second); any other classifier is
+        asked for each entry.
+        """
+        if n_messages != self.n_messages:
+            raise InputError("messages", n_messages, f"the labeler knows {self.n_messages}")
+        shape = (len(features), 1 << n_messages)
+        if hasattr(self.classifier, "tree_"):
+            tree = self.classifier.tree_
+            return cubes(tree, features, n_messages).table(self._of_leaves(), shape)
+        every = np.arange(1 << n_messages)
+        result = np.empty(shape)
+        for t, row in enumerate(features):
+            for at in range(0, len(every), CHUNK):
+                part = every[at : at + CHUNK]
+                x = inputs(np.broadcast_to(row, (len(part), len(row))), part, n_messages)
+                result[t, at : at + CHUNK] = self._probability(x)
+        return result
+
+    def _probability(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
+        if hasattr(self.classifier, "tree_"):
+            return np.asarray(self._of_leaves()[self.classifier.apply(x)])
+        if not self.calibrated:
+            return self._of_labels(self.classifier.predict(x))
+        return self._shrunk(_share_of_ones(self.classifier, self.classifier.predict_proba(x)))
+
+    def _of_leaves(self) -> NDArray[np.float64]:
+        """[nodes] P(label = 1) in each node of the tree."""
+        share = _share_of_ones(self.classifier, self.classifier.tree_.value[:, 0, :])
+        if not self.calibrated:
+            largest = self.classifier.tree_.value[:, 0, :].argmax(axis=1)
+            return self._of_labels(self.classifier.classes_[largest])
+        return self._shrunk(share, self.classifier.tree_.weighted_n_node_samples)
+
+    def _of_labels(self, label: NDArray[Any]) -> NDArray[np.float64]:
+        return np.where(label == 1, self.confidence, 1 - self.confidence)
+
+    def _shrunk(
+        self, share: NDArray[np.float64], weight: NDArray[np.float64] | float = np.inf
+    ) -> NDArray[np.float64]:
+        """Shares of ones among ``weight`` labels, drawn to the confidence of their majority as by
+        two more labels; never closer to 0 or 1 than the number of tested labels can show."""
+        base = self._of_labels(share >= 0.5)
+        pull = 2 / (np.asarray(weight) + 2)
+        edge = 1 / (self.n_test + 2)
+        return np.clip((1 - pull) * share + pull * base, edge, 1 - edge)
+
+
+@dataclass(frozen=True)
+class LabelerTrainer:
+    """Fits a labeler to the labels of some observers.
+
+    The labels are split by distinct (transition, message set): duplicates on both sides would
+    leak. The confidence is measured on the held-out part by a classifier that saw only the
+    training part. With ``refit`` the labeler returned is then fitted on all labels: it has seen
+    more than the one measured, so the confidence errs, if at all, on the modest side.
+
+    Attributes:
+        classifier: any scikit-learn classifier, unfitted; it is cloned for every fit.
+        holdout: share of the distinct points that is held out, in (0, 1).
+        confidence: ``accuracy`` (the paper: one number a labeler) or ``leaf`` (the classifier's
+            own probabilities, drawn to that number).
+        refit: fit on all labels once the confidence is measured.
+    """
+
+    classifier: Any = field(default_factory=paper_tree)
+    holdout: float = 0.25
+    confidence: Literal["accuracy", "leaf"] = "accuracy"
+    refit: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0 < self.holdout < 1:
+            raise InputError("labeler.holdout", self.holdout, "a share inside (0, 1)")
+        if self.confidence not in ("accuracy", "leaf"):
+            raise InputError("labeler.confidence", self.confidence, "accuracy or leaf")
+        for method in ("fit", "predict"):
+            if not hasattr(self.classifier, method):
+                raise InputError("labeler.classifier", self.classifier, "a scikit-learn classifier")
+        if self.confidence == "leaf" and not hasattr(self.classifier, "predict_proba"):
+            raise InputError("labeler.classifier", self.classifier, "leaf needs predict_proba")
+
+    def fit(self, dataset: Dataset, seed: int) -> Labeler:
+        """Fits one labeler to all labels of a dataset.
+
+        A single distinct point cannot be split: nothing is tested, the confidence is ½.
+
+        Raises:
+            InputError: no labels.
+        """
+        if len(dataset) == 0:
+            raise InputError("data", 0, "a labeler needs at least one label")
+        x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
+        y = dataset.label
+        test = split(dataset, self.holdout, seed)
+        trained = self.fitted(x[~test], y[~test], seed)
+        tested = int(test.sum())
+        right = int((trained.predict(x[test]) == y[test]).sum()) if tested else 0
+        return Labeler(
+            classifier=self.fitted(x, y, seed) if self.refit and tested else trained,
+            n_messages=dataset.n_messages,
+            confidence=(right + 1) / (tested + 2),
+            accuracy=right / tested if tested else float("nan"),
+            n_train=len(y) - tested,
+            n_test=tested,
+            calibrated=self.confidence == "leaf",
+        )
+
+    def fitted(self, x: NDArray[np.float32], y: NDArray[np.uint8], seed: int) -> Any:
+        """A fitted clone of the classifier; a constant one where all labels are equal."""
+        from sklearn.base import clone
+        from sklearn.tree import DecisionTreeClassifier
+
+        # A stump predicts the only label it saw; many classifiers refuse to be fitted to it.
+        model = clone(self.classifier) if y.min() != y.max() else DecisionTreeClassifier()
+        state = derived_seed(seed, "labeler", "classifier") & 0xFFFFFFFF
+        names = [name for name in model.get_params() if name.split("__")[-1] == "random_state"]
+        return model.set_params(**dict.fromkeys(names, state)).fit(x, y)
+
+
+def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:
+    """Which labels are held out, by distinct (transition, message set): [P].
+
+    Both parts get at least one distinct point where there are two.
+    """
+    point = points(dataset)
+    count = int(point.max()) + 1
+    held = round(holdout * count) if count < 2 else min(max(round(holdout * count), 1), count - 1)
+    order = stream(seed, "labeler", "split").permutation(count)
+    out = np.zeros(count, dtype=bool)
+    out[order[: held if count > 1 else 0]] = True
+    return np.asarray(out[point])
+
+
+def points(dataset: Dataset) -> NDArray[np.int64]:
+    """The number of each label's distinct (transition, message set): [P], from 0, ascending."""
+    key = np.stack([dataset.transition, dataset.message_set])
+    order = np.lexsort(key[::-1])
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (key[:, order[1:]] != key[:, order[:-1]]).any(axis=0)
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.cumsum(new) - 1
+    return number
+
+
+def _share_of_ones(classifier: Any, shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The column of class 1 in shares [*, classes]; 0 where no such class was seen."""
+    where = np.flatnonzero(classifier.classes_ == 1)
+    return shares[:, where[0]] if len(where) else np.zeros(len(shares))
