@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+from sklearn.metrics import adjusted_rand_score
+
+from tests.learning.conftest import made
+from xplain.errors import InputError
+from xplain.learning.clustering import (
+    Agglomerative,
+    Clusterer,
+    Clustering,
+    Elbow,
+    KMeans,
+    Partition,
+    Perfect,
+    Single,
+)
+from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.types import learn_types
+
+
+class ClustererSuite:
+    """What every clusterer must hold; inherit it and name yours."""
+
+    clusterer: Clusterer
+    needs_truth = False
+
+    def test_one_cluster_number_an_observer_by_first_appearance(self) -> None:
+        dataset, truth = made(np.random.default_rng(1), [[0, 1], [2]], shared=True)
+        found = self.clusterer.cluster(dataset, LabelerTrainer(), 3, truth)
+        assert found.assignment.shape == (len(dataset.observers),)
+        firsts = list(dict.fromkeys(found.assignment.tolist()))
+        assert firsts == list(range(found.n_types))
+        assert found.method
+        assert found.rule
+
+    def test_same_seed_same_clusters(self) -> None:
+        dataset, truth = made(np.random.default_rng(2), [[0], [1], [2, 3]], noise=0.1)
+        again = [
+            self.clusterer.cluster(dataset, LabelerTrainer(), 4, truth).assignment.tolist()
+            for _ in range(2)
+        ]
+        assert again[0] == again[1]
+
+    def test_the_truth_is_used_by_those_who_say_so_only(self) -> None:
+        dataset, truth = made(np.random.default_rng(3), [[0], [1, 2]], shared=True)
+        if self.needs_truth:
+            with pytest.raises(InputError, match="clusterer"):
+                self.clusterer.cluster(dataset, LabelerTrainer(), 0, None)
+        else:
+            found = [
+                self.clusterer.cluster(dataset, LabelerTrainer(), 0, known).assignment.tolist()
+                for known in (truth, None, truth[::-1])
+            ]
+            assert found[0] == found[1] == found[2]
+
+
+class FindsClearTypes(ClustererSuite):
+    """Those who look at the data also find types that are easy to tell apart."""
+
+    def test_clear_types_are_found(self) -> None:
+        for seed in range(3):
+            rng = np.random.default_rng(seed)
+            dataset, truth = made(rng, [[0, 1], [2], [1, 3]], shared=True, size=300)
+            found = self.clusterer.cluster(dataset, LabelerTrainer(), seed, None)
+            assert adjusted_rand_score(truth, found.assignment) == 1
+
+    def test_people_who_never_disagree_are_one_type(self) -> None:
+        dataset, _ = made(np.random.default_rng(5), [[1]], per_type=5, shared=True)
+        assert self.clusterer.cluster(dataset, LabelerTrainer(), 0, None).n_types == 1
+
+
+class TestKMeans(FindsClearTypes):
+    clusterer = Elbow(KMeans())
+
+
+class TestAgglomerative(FindsClearTypes):
+    clusterer = Elbow(Agglomerative())
+
+
+class TestPerfect(ClustererSuite):
+    clusterer = Perfect()
+    needs_truth = True
+
+
+class TestSingle(ClustererSuite):
+    clusterer = Single()
+
+
+@pytest.mark.parametrize("partition", [KMeans(), Agglomerative(), Agglomerative("single")])
+def test_partitions_keep_equal_vectors_together(partition: Partition) -> None:
+    rng = np.random.default_rng(0)
+    vectors = rng.integers(0, 2, size=(30, 3)).astype(np.uint8)
+    for k in range(1, 12):
+        groups = partition.partition(vectors, k, 0)
+        assert len(set(groups.tolist())) <= k
+        for vector in np.unique(vectors, axis=0):
+            assert len(set(groups[(vectors == vector).all(axis=1)].tolist())) == 1
+    assert len(set(groups.tolist())) == len(np.unique(vectors, axis=0))
+
+
+def test_curve_runs_to_the_number_of_observers(rng: np.random.Generator) -> None:
+    dataset, _ = made(rng, [[0], [1]], shared=True)
+    found = Elbow(KMeans()).cluster(dataset, LabelerTrainer(), 0, None)
+    assert found.curve is not None
+    assert len(found.curve) == len(dataset.observers)
+    assert found.vectors is not None
+    assert len(np.unique(found.vectors)) == 2
+
+
+def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> None:
+    dataset, truth = made(rng, [[0], [1], [2]], per_type=2, size=400)
+    truth = np.array([0, 0, 0, 0, 1, 1])
+    types = learn_types(dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0)
+    assert types.prior == pytest.approx([2 / 3, 1 / 3])
+    assert [labeler.n_train + labeler.n_test for labeler in types.labelers] == [1600, 800]
+    table = types.p_explicable(dataset.features, dataset.n_messages)
+    assert table.shape == (2, len(dataset.features), 16)
+    # The last type needs message 2 at transition 2, whatever else is said.
+    assert (table[1, 2] > 0.5).tolist() == [bool(h & 4) for h in range(16)]
+    uniform = learn_types(
+        dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0, prior="uniform"
+    )
+    assert uniform.prior == pytest.approx([0.5, 0.5])
