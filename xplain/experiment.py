@@ -222,7 +222,9 @@ def prepare(source: Source, track: Track[Any] = untracked) -> Prepared:
                 positions=tuple(cell for cell in cells if cell is not None),
                 learned=_tables(learned.labelers, features, setting.n_messages),
                 everyone=_tables((everyone,), features, setting.n_messages),
-                perfect=perfect and _tables(perfect.labelers, features, setting.n_messages),
+                perfect=None
+                if perfect is None
+                else _tables(perfect.labelers, features, setting.n_messages),
                 labels=setting.label_table(transitions),
             )
         )

@@ -70,7 +70,10 @@ def print_summary(results: dict[str, Any]) -> None:
     table.add_column("95 % interval", justify="right")
     if published:
         table.add_column("paper", justify="right")
-    paper = {"oracle_cost": published.get("oracle"), "regret": published.get(solver)}
+    paper = {
+        "oracle_cost": published.get("oracle"),
+        "regret": None if solver == "oracle" else published.get(solver),
+    }
     for name, title in TITLES.items():
         if name not in results["metrics"]:
             continue
