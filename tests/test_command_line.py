@@ -63,7 +63,7 @@ RAGGED = "domain.map='S..V\n...'"
 BAD = [
     (["solver=nonsense"], ["solver", "nonsense", "qmdp"]),
     (["lamda=2"], ["lamda", "lambda"]),
-    (["solver.simulatons=5", "solver=pomcp"], ["solver.simulatons"]),
+    (["solver.memory=5"], ["solver.memory"]),
     (["lambda=-1"], ["lambda", "-1", "≥ 0"]),
     (["lambda=nan"], ["lambda", "nan"]),
     (["lambda=much"], ["lambda", "much"]),
@@ -95,8 +95,8 @@ def test_bad_input_is_one_line_and_leaves_nothing_behind(xplain, tmp_path, argum
 
 def test_a_type_that_names_an_unknown_parameter_and_no_types(xplain):
     for users, words in [
-        ("users.types=[]", ["types"]),
-        ("users.types=[{name: A, inaccurate: [lava]}]", ["lava", "first_aid"]),
+        ("users.groups={}", ["users", "at least one"]),
+        ("users.groups={A: [lava]}", ["lava", "first_aid"]),
     ]:
         code, _, err = xplain("users=explicit", users)
         assert code == 2
@@ -128,7 +128,7 @@ def test_every_choice_composes_and_instantiates(group, choice):
         pytest.importorskip("gymnasium", reason="pip install 'xplain[gym]'")
     prepare()
     GlobalHydra.instance().clear()
-    fills = {"file": ["observers.path=labels.csv"]}.get(choice, [])
+    filled = {"file": ["observers.path=labels.csv"], "explicit": ["users.groups={A: [fire]}"]}
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose("config", [f"{group}={choice}", *fills])
+        cfg = compose("config", [f"{group}={choice}", *filled.get(choice, [])])
     assert instantiate(cfg[group]) is not None

@@ -68,14 +68,26 @@ def prepare() -> None:
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
 
 
+_handed_over: list[Exception] = []
+
+
+def hand_over(error: Exception) -> None:
+    """Keeps an error for :func:`report_errors`. Hydra prints lines of its own about an exception
+    that leaves a job, so a single job hands its over and returns."""
+    _handed_over.append(error)
+
+
 @contextmanager
 def report_errors() -> Iterator[None]:
     """Turns errors of the user's making into one line on stderr and exit code 2.
 
     With ``XPLAIN_TRACEBACK=1`` the traceback is shown instead.
     """
+    _handed_over.clear()
     try:
         yield
+        if _handed_over:
+            raise _handed_over[0]
     except KeyboardInterrupt:
         print("xplain: interrupted", file=sys.stderr)
         sys.exit(130)

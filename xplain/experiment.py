@@ -29,8 +29,9 @@ from xplain.explanation.problem import DiscountPer, Problem
 from xplain.learning.dataset import Dataset
 from xplain.randomness import derived_seed, stream
 from xplain.solvers.base import Solver
-from xplain.users.setting import Setting, UserType
+from xplain.users.setting import Setting
 from xplain.users.traces import sample_trace
+from xplain.users.types import TypeSource
 
 T = TypeVar("T")
 Track = Callable[[Iterable[T], str, int], Iterable[T]]
@@ -40,14 +41,6 @@ Track = Callable[[Iterable[T], str, int], Iterable[T]]
 def untracked(items: Iterable[Any], what: str, count: int) -> Iterator[Any]:
     """Shows nothing."""
     return iter(items)
-
-
-class TypeSource(Protocol):
-    """Makes the true user types of a setting."""
-
-    def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """At least one type."""
-        ...
 
 
 class Observers(Protocol):
@@ -199,9 +192,11 @@ def prepare(source: Source, track: Track[Any] = untracked) -> Prepared:
     dataset, truth = source.observers.collect(setting, seed)
     _require_same_features(dataset, domain)
 
+    everyone = trainer.fit(dataset, derived_seed(seed, "everyone"))
+    _require_tested([everyone])
     clustering = source.clusterer.cluster(dataset, trainer, derived_seed(seed, "clusterer"), truth)
     learned = learn_types(dataset, clustering, trainer, derived_seed(seed, "labelers"))
-    everyone = trainer.fit(dataset, derived_seed(seed, "everyone"))
+    _require_tested(learned.labelers)
     perfect = None
     if truth is not None:
         best = Perfect().cluster(dataset, trainer, 0, truth)
@@ -323,6 +318,18 @@ def _tables(
 
 def _mean_accuracy(labelers: Iterable[Any]) -> float:
     return float(np.mean([labeler.accuracy for labeler in labelers]))
+
+
+def _require_tested(labelers: Iterable[Any]) -> None:
+    """Raises InputError where no label could be held out to measure a labeler's confidence."""
+    for labeler in labelers:
+        if labeler.n_test == 0:
+            raise InputError(
+                "points",
+                labeler.n_train,
+                "too few: the labels of a type need at least two distinct (transition, message "
+                "set) points, one to train its labeler and one to test it",
+            )
 
 
 def _require_same_features(dataset: Dataset, domain: Domain) -> None:

@@ -16,7 +16,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__, storage, terminal
-from xplain.errors import XplainError
+from xplain.command_line import hand_over, one_line
 from xplain.experiment import Costs, Prepared, Source, evaluate, prepare
 from xplain.solvers.base import Solver
 from xplain.solvers.known_type import KnownType
@@ -29,20 +29,26 @@ CHOICES = ("domain", "users", "observers", "labeler", "clusterer", "solver", "be
 def run_job(cfg: DictConfig) -> float | None:
     """Runs the experiment that ``cfg`` describes; returns the mean regret (for sweepers).
 
-    Raises:
-        XplainError: something in the configuration or the data cannot be used; the run's folder
-            is gone then.
+    Where the configuration or the data of a single run cannot be used, its folder is removed.
     """
     folder = Path(HydraConfig.get().runtime.output_dir)
     try:
         return _run(cfg, folder)
-    except XplainError:
-        if HydraConfig.get().mode == RunMode.RUN:
-            shutil.rmtree(folder)
-        raise
+    except Exception as error:  # whatever it is: it is raised again or handed over
+        if HydraConfig.get().mode != RunMode.RUN:
+            raise
+        if one_line(error) is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+        hand_over(error)
+        return None
 
 
 def _run(cfg: DictConfig, folder: Path) -> float | None:
+    """The experiment.
+
+    Raises:
+        XplainError: something in the configuration or the data cannot be used.
+    """
     choices = {group: str(HydraConfig.get().runtime.choices[group]) for group in CHOICES}
     outputs = Path(cfg.outputs).absolute()
     started = time.time()

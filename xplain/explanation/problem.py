@@ -176,7 +176,7 @@ def _numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
     except (TypeError, ValueError):
         raise InputError(key, value, "numbers") from None
     if not np.isfinite(array).all():
-        raise InputError(key, "NaN or infinite", "finite numbers")
+        raise InputError(key, array[~np.isfinite(array)].flat[0].item(), "finite numbers")
     return array
 
 
