@@ -179,13 +179,15 @@ class KMeans:
     def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
         """Groups [O] of the vectors [O, n]."""
         from sklearn.cluster import KMeans as Lloyd
+        from threadpoolctl import threadpool_limits
 
         # Equal vectors are one point with a weight: the same answer at the size of the distinct.
         distinct, where, weight = np.unique(
             vectors, axis=0, return_inverse=True, return_counts=True
         )
         model = Lloyd(min(k, len(distinct)), n_init=self.starts, random_state=seed & 0xFFFFFFFF)
-        groups = model.fit_predict(distinct.astype(np.float64), sample_weight=weight)
+        with threadpool_limits(1):  # a few points: threads would cost more than the work
+            groups = model.fit_predict(distinct.astype(np.float64), sample_weight=weight)
         return np.asarray(groups[where.ravel()], dtype=np.int64)
 
 
