@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,8 @@ def test_there_are_27_completions_and_the_default_is_one() -> None:
     assert len(source.completions()) == 27
     everyone = set()
     for index in range(27):
-        types = types_of("domain=rescue", "users=rescue_completions", f"users.index={index}")
+        chosen = replace(source, index=index)
+        types = chosen.types(domain_of("domain=rescue"), RNG)
         facts = [frozenset(t.inaccurate) for t in types]
         assert [t.name for t in types] == list("ABCDE")
         assert facts[1] == {"first_aid", "fence"}
