@@ -1,0 +1,111 @@
+"""What Hydra must find by itself: the config group ``sweeps`` and the sweeper that resumes.
+
+Hydra takes sweepers from the namespace package ``hydra_plugins`` alone. This file is read at
+every start, so it imports next to nothing; the work is in :mod:`xplain.sweep`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from hydra._internal.core_plugins.file_config_source import FileConfigSource
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.object_type import ObjectType
+from hydra.plugins.config_source import ConfigLoadError, ConfigResult
+from hydra.plugins.search_path_plugin import SearchPathPlugin
+from hydra.plugins.sweeper import Sweeper
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig, OmegaConf
+
+GROUP = "sweeps"
+
+
+class SweepFiles(FileConfigSource):
+    """The folder of sweep files as a config group, and nothing beside it."""
+
+    @staticmethod
+    def scheme() -> str:
+        """What its search path begins with."""
+        return "xplain-sweeps"
+
+    def load_config(self, config_path: str) -> ConfigResult:
+        """Reads ``sweeps/<name>``."""
+        if not self.is_config(config_path):
+            raise ConfigLoadError(f"Config not found : {config_path}")
+        return super().load_config(self._inside(config_path))
+
+    def available(self) -> bool:
+        """Whether the folder is there."""
+        return Path(self.path).is_dir()
+
+    def is_group(self, config_path: str) -> bool:
+        """Only the folder itself is a group."""
+        return config_path in ("", GROUP) and self.available()
+
+    def is_config(self, config_path: str) -> bool:
+        """Files in the folder are its choices."""
+        group, _, name = config_path.rpartition("/")
+        return group == GROUP and super().is_config(name)
+
+    def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
+        """The group, or its choices."""
+        if config_path == "":
+            return [] if results_filter == ObjectType.CONFIG else [GROUP]
+        if config_path != GROUP or results_filter == ObjectType.GROUP:
+            return []
+        return sorted(path.stem for path in Path(self.path).glob("*.yaml"))
+
+    def _inside(self, config_path: str) -> str:
+        return config_path.removeprefix(f"{GROUP}/")
+
+
+class SweepSearchPath(SearchPathPlugin):
+    """Puts the group on the search path of ``python -m xplain``, and of no other program."""
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        """Called by Hydra once at start."""
+        from xplain.command_line import CONF, SWEEPS
+
+        main = [entry.path for entry in search_path.get_path() if entry.provider == "main"]
+        if any(path and Path(path.removeprefix("file://")) == CONF for path in main):
+            search_path.append("xplain", f"{SweepFiles.scheme()}://{SWEEPS}")
+
+
+class ResumingSweeper(Sweeper):
+    """All combinations of the swept values, without the jobs that are finished already.
+
+    Args:
+        params: ``{key: values}``, as in Hydra's basic sweeper.
+        settings: a list of such mappings, one a setting of the experiment; the sweep is the
+            union over settings, each combined with ``params``. Keys given on the command line
+            win over both.
+    """
+
+    def __init__(
+        self, params: dict[str, Any] | None = None, settings: list[dict[str, Any]] | None = None
+    ) -> None:
+        self.params = params or {}
+        self.settings = settings or [{}]
+
+    def setup(
+        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
+    ) -> None:
+        """Called by Hydra before :meth:`sweep`."""
+        self.hydra_context = hydra_context
+        self.task_function = task_function
+        self.config = config
+
+    def sweep(self, arguments: list[str]) -> Any:
+        """Runs the sweep; ends the process with exit code 1 when jobs failed."""
+        from xplain.sweep.run import run_sweep
+
+        settings = [{**self.params, **plain(setting)} for setting in self.settings]
+        return run_sweep(
+            self.hydra_context, self.task_function, self.config, settings, list(arguments)
+        )
+
+
+def plain(node: Any) -> dict[str, Any]:
+    """A mapping without OmegaConf's types."""
+    return dict(OmegaConf.to_container(node)) if OmegaConf.is_config(node) else dict(node)
