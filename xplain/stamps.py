@@ -19,12 +19,28 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from omegaconf import DictConfig, OmegaConf
+
 from xplain.storage import code_version
 
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "kneed", "numba", "pandas", "pyarrow")
 """Distributions whose version may change a number."""
 
+NOT_IN_NUMBERS = ("hydra", "outputs", "tracking", "sweeps", "resume")
+"""Keys of a configuration that cannot change a number."""
+
 _OWN = {"xplain", "numpy", "scipy", "sklearn", "kneed", "numba", "pandas", "pyarrow"}
+
+
+def configuration(cfg: DictConfig) -> dict[str, Any]:
+    """The resolved configuration, without what cannot change a number."""
+    return {
+        str(key): OmegaConf.to_container(cfg[key], resolve=True)
+        if OmegaConf.is_config(cfg[key])
+        else cfg[key]
+        for key in cfg
+        if key not in NOT_IN_NUMBERS
+    }
 
 
 def stamp(config: dict[str, Any]) -> str:

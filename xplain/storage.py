@@ -12,6 +12,7 @@ import math
 import os
 import subprocess
 import tempfile
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -93,6 +94,8 @@ def results_of(
         "bounds": bounds,
         "learning": {k: v for k, v in prepared.learning.items() if math.isfinite(v)},
         "elbow": {"rule": prepared.rule, "disagreements": prepared.curve.tolist()},
+        "messages": dict(zip(prepared.messages, prepared.sentences, strict=True)),
+        "scene": None if prepared.scene is None else asdict(prepared.scene),
         "types": {
             "true": list(prepared.types),
             "found": list(prepared.found),
@@ -109,6 +112,7 @@ def results_of(
                 "communication": record.episode.communication,
                 "inexplicability": record.episode.inexplicability,
                 "messages": record.episode.n_messages,
+                "inexplicable_labels": record.episode.n_inexplicable,
                 "steps_until_sure": record.steps_until_sure,
             }
             for record in records
@@ -129,12 +133,14 @@ def episode_lines(prepared: Prepared, records: list[Record]) -> str:
             }
             for k in range(len(episode.messages))
         ]
-        phrases = prepared.cases[record.trace].phrases
+        case = prepared.cases[record.trace]
         line = {
             "solver": record.solver,
             "trace": record.trace,
             "type": prepared.types[record.user_type],
-            "transitions": list(phrases),
+            "cost": episode.cost,
+            "transitions": list(case.phrases),
+            "positions": [list(cell) for cell in case.positions],
             "prior": episode.beliefs[0].tolist(),
             "steps": steps,
         }

@@ -9,6 +9,7 @@ import contextlib
 import getpass
 import logging
 import os
+import socket
 import sqlite3
 import urllib.error
 import urllib.request
@@ -22,7 +23,14 @@ from xplain.storage import load_results
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
+    from xplain.sweep.folder import SweepFolder
+    from xplain.sweep.mirror import Mirror, NoMirror
+    from xplain.sweep.plan import Job
+
 log = logging.getLogger(__name__)
+
+PROCESS_TAG = "xplain.process"
+"""Tag that holds the process which keeps a run: host, pid, its start."""
 
 RESULT_TAG = "xplain.result"
 """Tag that holds a result's identity; a result is in MLflow once, however often it is sent."""
@@ -35,6 +43,13 @@ class Disk:
     def log(self, folder: Path, outputs: Path, parent: str | None = None) -> str | None:
         """Does nothing."""
         return None
+
+
+    def mirror(self, outputs: Path, folder: SweepFolder, jobs: tuple[Job, ...]) -> NoMirror:
+        """Shows a sweep nowhere."""
+        from xplain.sweep.mirror import NoMirror
+
+        return NoMirror()
 
 
 @dataclass(frozen=True)
@@ -81,6 +96,12 @@ class MLflow:
             log.debug("MLflow failed", exc_info=True)
             return None
 
+    def mirror(self, outputs: Path, folder: SweepFolder, jobs: tuple[Job, ...]) -> Mirror:
+        """Shows a sweep as a parent run with its children."""
+        from xplain.sweep.mirror import Mirror
+
+        return Mirror(self, outputs, folder, jobs)
+
     @contextlib.contextmanager
     def client(self, outputs: Path) -> Iterator[tuple[MlflowClient, str]]:
         """A client, and the id of the experiment (made when missing).
@@ -125,8 +146,6 @@ def log_folder(
     client: MlflowClient, experiment_id: str, folder: Path, parent: str | None = None
 ) -> str:
     """Logs the results in a folder as one finished run; returns its id."""
-    from mlflow.entities import Metric, Param, RunTag
-
     results = load_results(folder)
     for run in client.search_runs(
         [experiment_id], f"tags.`{RESULT_TAG}` = '{results['id']}'", max_results=10
@@ -134,33 +153,93 @@ def log_folder(
         if run.info.status == "FINISHED":
             return str(run.info.run_id)
         client.delete_run(run.info.run_id)  # a sender died half-way
-    start = int(1000 * results["started"])
-    tags = {
-        RESULT_TAG: results["id"],
-        "xplain.code": results["code"],
-        "xplain.folder": str(folder),
-        "mlflow.user": _user(),
-        "mlflow.source.name": "python -m xplain",
-        "mlflow.source.type": "LOCAL",
-    }
-    if results["git"]:
-        tags["mlflow.source.git.commit"] = results["git"]["commit"]
-        tags["git.dirty"] = results["git"]["dirty"]
+    tags = {RESULT_TAG: results["id"], **source_tags(results["git"]), **process_tag()}
     if parent is not None:
         tags["mlflow.parentRunId"] = parent
-    run = client.create_run(experiment_id, start, tags, results["name"])
-    run_id = str(run.info.run_id)
-    end = start + int(1000 * sum(results["seconds"].values()))
+    start = int(1000 * results["started"])
+    run_id = str(client.create_run(experiment_id, start, tags, results["name"]).info.run_id)
+    fill(client, run_id, folder, results)
+    return run_id
+
+
+def fill(client: MlflowClient, run_id: str, folder: Path, results: dict[str, Any]) -> None:
+    """Logs all of a result into its run and marks it finished; doing it twice changes nothing."""
+    from mlflow.entities import Metric, Param, RunTag
+
+    end = int(1000 * (results["started"] + sum(results["seconds"].values())))
     metrics = [Metric(name, value, end, 0) for name, value in _scalars(results).items()]
     for name, series in results["steps"].items():
         metrics += [Metric(f"step/{name}", value, end, step) for step, value in enumerate(series)]
     for k, value in enumerate(results["elbow"]["disagreements"], start=1):
         metrics.append(Metric("disagreements", value, end, k))
     params = [Param(key, str(value)[:6000]) for key, value in _params(results).items()]
-    client.log_batch(run_id, metrics, params, [RunTag("xplain.rule", results["elbow"]["rule"])])
+    tags = {
+        "xplain.code": results["code"],
+        "xplain.folder": str(folder),
+        "xplain.rule": results["elbow"]["rule"],
+    }
+    client.log_batch(run_id, metrics, params, [RunTag(*tag) for tag in tags.items()])
     client.log_artifacts(run_id, str(folder))
     client.set_terminated(run_id, "FINISHED", end)
-    return run_id
+
+
+def source_tags(git: dict[str, str]) -> dict[str, str]:
+    """Who ran what; the client sets none of these by itself."""
+    tags = {
+        "mlflow.user": _user(),
+        "mlflow.source.name": "python -m xplain",
+        "mlflow.source.type": "LOCAL",
+    }
+    if git:
+        tags |= {"mlflow.source.git.commit": git["commit"], "git.dirty": git["dirty"]}
+    return tags
+
+
+def process_tag() -> dict[str, str]:
+    """Which process keeps a run; :func:`retire` ends the runs of processes that died."""
+    return {PROCESS_TAG: f"{socket.gethostname()} {os.getpid()} {_birth(os.getpid())}"}
+
+
+def retire(client: MlflowClient, experiment_id: str) -> int:
+    """Marks the running runs of this host's dead processes as killed; returns how many."""
+    killed = 0
+    for run in all_runs(client, experiment_id, "attributes.status = 'RUNNING'"):
+        host, pid, birth = [*run.data.tags.get(PROCESS_TAG, "").split(" "), "", "", ""][:3]
+        if host == socket.gethostname() and pid.isdigit() and _birth(int(pid)) != birth:
+            client.set_terminated(run.info.run_id, "KILLED")
+            killed += 1
+    return killed
+
+
+def all_runs(client: MlflowClient, experiment_id: str, condition: str) -> Iterator[Any]:
+    """Every run of a search, page after page."""
+    token = None
+    while True:
+        page = client.search_runs([experiment_id], condition, max_results=500, page_token=token)
+        yield from page
+        token = page.token
+        if not token:
+            return
+
+
+def _birth(pid: int) -> str:
+    """When a process began, so that its number used again is not taken for it; "" if it is
+    gone, "0" where the system does not tell."""
+    try:
+        after_name = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2]
+        state, birth = after_name.split()[0], after_name.split()[19]
+        return "" if state == "Z" else birth
+    except OSError:
+        pass
+    if Path("/proc/self/stat").exists():
+        return ""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return ""
+    except OSError:
+        pass
+    return "0"
 
 
 def _scalars(results: dict[str, Any]) -> dict[str, float]:

@@ -82,9 +82,7 @@ def make_plan(
         InputError: a kind of sweep without a finite list of values, or no job is left.
     """
     given = _parse(arguments)
-    apart = {key for key in given if any(key in s for s in settings) and len(settings) > 1} - {
-        key for key in given if all(key in s and s[key] == settings[0][key] for s in settings)
-    }
+    apart = [key for key in given if len({str(setting.get(key)) for setting in settings}) > 1]
     chosen: dict[tuple[str, ...], dict[str, str]] = {}
     for setting in settings:
         own = _parse([f"{key}={_text(value)}" for key, value in setting.items()])
@@ -94,8 +92,12 @@ def make_plan(
             if all(values.get(key) in given[key] for key in apart):
                 chosen[tuple(f"{key}={value}" for key, value in values.items())] = values
     if not chosen:
-        asked = " ".join(f"{key}={','.join(given[key])}" for key in sorted(apart))
-        raise InputError("sweep", asked, "values of which one of the sweep's settings has all")
+        has = "; ".join(
+            " ".join(f"{key}={_text(setting[key])}" for key in apart if key in setting) or "none"
+            for setting in settings
+        )
+        asked = ",".join(given[apart[0]])
+        raise InputError(apart[0], asked, f"values of one of the sweep's settings: {has}")
     swept = _swept(list(chosen.values()))
     jobs: dict[str, Job] = {}
     names: set[str] = set()

@@ -1,0 +1,255 @@
+"""A sweep's results as one table of episodes, and what the reports say of it.
+
+Nothing here depends on how long something took, on the order in which jobs ended, or on the
+launcher: the same jobs give the same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from xplain.evaluation.statistics import Estimate, clustered_mean
+
+ORDER = ("qmdp", "pomcp", "qhr", "baseline", "conformant")
+"""The paper's columns come first, others after them by name."""
+
+_SOURCE = ("domain", "users", "observers", "labeler", "clusterer", "points", "traces", "max_steps")
+"""What tells settings apart; anything else that is swept tells methods apart."""
+
+SAME = {"cost": "cost", "communication": "communication", "messages": "messages"}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An estimate over the episodes of one domain, λ and measure."""
+
+    domain: str
+    setting: str
+    trade_off: float
+    measure: str
+    estimate: Estimate
+    episodes: int
+
+
+class Summary:
+    """What a sweep's finished jobs say.
+
+    Args:
+        folder: of the sweep.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.about: dict[str, Any] = json.loads((folder / "sweep.json").read_text("utf-8"))
+        self.jobs: list[dict[str, Any]] = self.about["jobs"]
+        self.results: list[tuple[dict[str, Any], dict[str, Any]]] = []
+        for job in self.jobs:
+            path = folder / "jobs" / job["name"] / "results.json"
+            if path.exists():
+                self.results.append((job, json.loads(path.read_text("utf-8"))))
+
+    @property
+    def failures(self) -> list[tuple[str, str]]:
+        """(job, error) of the failed jobs."""
+        found = []
+        for job in self.jobs:
+            folder = self.folder / "jobs" / job["name"]
+            if (folder / "failure.json").exists() and not (folder / "results.json").exists():
+                content = json.loads((folder / "failure.json").read_text("utf-8"))
+                found.append((job["label"], content["error"]))
+        return found
+
+    @property
+    def missing(self) -> int:
+        """How many jobs have no results."""
+        return len(self.jobs) - len(self.results)
+
+    @cached_property
+    def episodes(self) -> pd.DataFrame:
+        """One row an episode of a job's own solver, the references' costs beside its own."""
+        rows = []
+        for job, results in self.results:
+            costs = {
+                (e["solver"], e["trace"], e["type"]): e["cost"] for e in results["episodes"]
+            }
+            domain = results["choices"]["domain"]
+            for episode in results["episodes"]:
+                if episode["solver"] != "solver":
+                    continue
+                key = (episode["trace"], episode["type"])
+                rows.append(
+                    {
+                        "domain": domain,
+                        "setting": setting_of(job["values"]),
+                        "method": method_of(job["values"], results["choices"]["solver"]),
+                        "lambda": float(results["config"]["lambda"]),
+                        "seed": int(results["config"]["seed"]),
+                        "trace": episode["trace"],
+                        "type": episode["type"],
+                        "cost": episode["cost"],
+                        "oracle": costs.get(("oracle", *key), np.nan),
+                        "clairvoyant": costs.get(("clairvoyant", *key), np.nan),
+                        "messages": episode["messages"],
+                        "inexplicable labels": episode["inexplicable_labels"],
+                        "steps until sure": episode["steps_until_sure"],
+                    }
+                )
+        frame = pd.DataFrame(rows)
+        if len(frame):
+            frame["regret"] = frame["cost"] - frame["oracle"]
+        return frame
+
+    @cached_property
+    def methods(self) -> list[str]:
+        """The paper's columns first."""
+        names = set(self.episodes["method"]) if len(self.episodes) else set()
+        return sorted(names, key=lambda name: (_rank(name), name))
+
+    @cached_property
+    def domains(self) -> list[str]:
+        """In the order of the sweep."""
+        return list(dict.fromkeys(self.episodes["domain"])) if len(self.episodes) else []
+
+    def settings(self, domain: str) -> list[str]:
+        """Of a domain, in the order of the sweep."""
+        frame = self.episodes
+        return list(dict.fromkeys(frame.loc[frame["domain"] == domain, "setting"]))
+
+    @cached_property
+    def trade_offs(self) -> list[float]:
+        """Every λ, ascending."""
+        return sorted(set(self.episodes["lambda"])) if len(self.episodes) else []
+
+    @property
+    def seeds(self) -> int:
+        """How many seeds were run."""
+        return int(self.episodes["seed"].nunique()) if len(self.episodes) else 0
+
+    def estimate(
+        self, measure: str, domain: str, trade_off: float, method: str, setting: str | None = None
+    ) -> Cell | None:
+        """Mean with interval of a column over a domain's settings (or one); None without data."""
+        frame = self._cell(domain, trade_off, method, setting)
+        frame = frame[np.isfinite(frame[measure])]
+        if not len(frame):
+            return None
+        estimate = clustered_mean(frame[measure], self._clusters(frame))
+        label = "all" if setting is None else setting
+        return Cell(domain, label, trade_off, method, estimate, len(frame))
+
+    def oracle(self, domain: str, trade_off: float, setting: str | None = None) -> Cell | None:
+        """The oracle's cost: it is the same in every job of a setting, so one method's will do."""
+        for method in self.methods:
+            cell = self.estimate("oracle", domain, trade_off, method, setting)
+            if cell is not None:
+                return Cell(domain, cell.setting, trade_off, "oracle", cell.estimate, cell.episodes)
+        return None
+
+    def differences(self) -> Iterator[tuple[str, float, str, str, Estimate]]:
+        """(domain, λ, method, other, cost of the method less the other's on the same trace and
+        user) for each pair of methods."""
+        key = ["setting", "seed", "trace", "type"]
+        for domain in self.domains:
+            for trade_off in self.trade_offs:
+                for other, method in combinations(self.methods, 2):
+                    left = self._cell(domain, trade_off, method, None).set_index(key)
+                    right = self._cell(domain, trade_off, other, None).set_index(key)
+                    both = left.join(right["cost"], rsuffix="_other", how="inner").reset_index()
+                    if len(both):
+                        paired = both["cost"] - both["cost_other"]
+                        estimate = clustered_mean(paired, self._clusters(both))
+                        yield domain, trade_off, method, other, estimate
+
+    def complete(self, domain: str, trade_off: float, method: str) -> bool:
+        """Whether all jobs of a cell are there."""
+        wanted = got = 0
+        finished = {job["name"] for job, _ in self.results}
+        for job in self.jobs:
+            values = job["values"]
+            if (
+                values.get("domain", domain) == domain
+                and float(values.get("lambda", trade_off)) == trade_off
+                and method_of(values, values.get("solver", method)) == method
+            ):
+                wanted += 1
+                got += job["name"] in finished
+        return wanted == got
+
+    def curves(self) -> list[tuple[str, float, float]]:
+        """(name, λ, mean) of complete cells, for charts."""
+        points = []
+        for domain in self.domains:
+            for trade_off in self.trade_offs:
+                for method in self.methods:
+                    if not self.complete(domain, trade_off, method):
+                        continue
+                    for measure in ("regret", "messages", "inexplicable labels"):
+                        cell = self.estimate(measure, domain, trade_off, method)
+                        if cell is not None:
+                            name = f"{measure.replace(' ', '_')}/{domain}/{method}"
+                            points.append((name, trade_off, cell.estimate.mean))
+                oracle = self.oracle(domain, trade_off)
+                if oracle is not None and self.complete(domain, trade_off, self.methods[0]):
+                    points.append((f"oracle_cost/{domain}", trade_off, oracle.estimate.mean))
+        return points
+
+    def note(self) -> str:
+        """The table as Markdown."""
+        from xplain.report.tables import markdown
+
+        return markdown(self)
+
+    def _cell(
+        self, domain: str, trade_off: float, method: str, setting: str | None
+    ) -> pd.DataFrame:
+        frame = self.episodes
+        chosen = (
+            (frame["domain"] == domain)
+            & (frame["lambda"] == trade_off)
+            & (frame["method"] == method)
+        )
+        if setting is not None:
+            chosen &= frame["setting"] == setting
+        return frame[chosen]
+
+    def _clusters(self, frame: pd.DataFrame) -> pd.Series[int]:
+        """What was sampled: seeds, each with its own data and traces; with one seed, traces.
+        Settings share seeds and traces, so they make no clusters of their own."""
+        return frame["seed"] if self.seeds > 1 else frame["trace"]
+
+
+def setting_of(values: dict[str, str]) -> str:
+    """``count=3``; empty where settings are domains alone."""
+    own = {
+        key: value
+        for key, value in values.items()
+        if key.partition(".")[0] in _SOURCE and key != "domain"
+    }
+    return " ".join(
+        value if "." not in key and key == "users" else f"{key.rpartition('.')[2]}={value}"
+        for key, value in own.items()
+    )
+
+
+def method_of(values: dict[str, str], solver: str) -> str:
+    """``pomcp``, or ``pomcp simulations=500`` where that is swept as well."""
+    own = [
+        f"{key.rpartition('.')[2]}={value}"
+        for key, value in values.items()
+        if key.partition(".")[0] not in _SOURCE and key not in ("solver", "lambda", "seed")
+    ]
+    return " ".join([solver, *own])
+
+
+def _rank(method: str) -> int:
+    name = method.partition(" ")[0]
+    return ORDER.index(name) if name in ORDER else len(ORDER)

@@ -1,0 +1,229 @@
+"""Table 1 and its companions as Markdown, LaTeX and CSV, the paper's values beside ours."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from xplain.evaluation.statistics import Estimate
+from xplain.report.paper import table1
+from xplain.report.sweep import Summary
+
+NAMES = {
+    "oracle": "Oracle's cost",
+    "qmdp": "QMDP",
+    "pomcp": "POMCP",
+    "qhr": "QHR",
+    "baseline": "Baseline",
+    "conformant": "Conformant",
+    "four_rooms": "Four rooms",
+    "rescue": "Disaster rescue",
+}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One number of Table 1."""
+
+    domain: str
+    setting: str
+    trade_off: float
+    column: str
+    estimate: Estimate
+    paper: float | None
+    episodes: int
+
+    @property
+    def difference(self) -> float | None:
+        """Ours less the paper's."""
+        return None if self.paper is None else self.estimate.mean - self.paper
+
+
+def entries(summary: Summary, by_setting: bool = False) -> Iterator[Entry]:
+    """All numbers, row by row: the oracle's cost, then the regret of each method.
+
+    Args:
+        summary: of a sweep.
+        by_setting: one row a setting; else a domain's settings are pooled, as in the paper.
+    """
+    published = table1()
+    for domain in summary.domains:
+        settings = summary.settings(domain) if by_setting else [None]
+        for setting in settings:
+            for trade_off in summary.trade_offs:
+                paper = published.get((domain, trade_off), {})
+                cells = [("oracle", summary.oracle(domain, trade_off, setting))] + [
+                    (method, summary.estimate("regret", domain, trade_off, method, setting))
+                    for method in summary.methods
+                ]
+                for column, cell in cells:
+                    if cell is not None:
+                        yield Entry(
+                            domain,
+                            cell.setting,
+                            trade_off,
+                            column,
+                            cell.estimate,
+                            paper.get(column),
+                            cell.episodes,
+                        )
+
+
+def as_csv(summary: Summary) -> str:
+    """One line a number, pooled and by setting, six decimals."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(
+        [
+            "domain",
+            "setting",
+            "lambda",
+            "column",
+            "mean",
+            "low",
+            "high",
+            "paper",
+            "difference",
+            "episodes",
+        ]
+    )
+    rows = list(entries(summary))
+    if any(len(summary.settings(domain)) > 1 for domain in summary.domains):
+        rows += list(entries(summary, by_setting=True))
+    for e in rows:
+        numbers = [e.estimate.mean, e.estimate.low, e.estimate.high, e.paper, e.difference]
+        writer.writerow(
+            [e.domain, e.setting, f"{e.trade_off:g}", e.column]
+            + [number(x, 6) for x in numbers]
+            + [e.episodes]
+        )
+    return out.getvalue()
+
+
+def differences_csv(summary: Summary) -> str:
+    """Paired differences between methods on the same traces and users."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["domain", "lambda", "method", "less", "mean", "low", "high"])
+    for domain, trade_off, method, other, e in summary.differences():
+        writer.writerow(
+            [domain, f"{trade_off:g}", method, other]
+            + [number(x, 6) for x in (e.mean, e.low, e.high)]
+        )
+    return out.getvalue()
+
+
+def grid(summary: Summary, by_setting: bool = False) -> list[tuple[str, str, float, list[Entry]]]:
+    """(domain, setting, λ, numbers in the order of the columns)."""
+    rows: dict[tuple[str, str, float], list[Entry]] = {}
+    for entry in entries(summary, by_setting):
+        rows.setdefault((entry.domain, entry.setting, entry.trade_off), []).append(entry)
+    return [(*key, numbers) for key, numbers in rows.items()]
+
+
+def columns(summary: Summary) -> list[str]:
+    """Keys of the columns."""
+    return ["oracle", *summary.methods]
+
+
+def markdown(summary: Summary) -> str:
+    """The table in the paper's layout: mean, interval, and the paper's value with the
+    difference."""
+    keys = columns(summary)
+    heads = ["Domain", "λ", *(title(key) for key in keys)]
+    lines = ["| " + " | ".join(heads) + " |", "|---|---|" + "---|" * len(keys)]
+    for domain, _, trade_off, numbers in grid(summary):
+        cells = {entry.column: cell_text(entry) for entry in numbers}
+        words = [title(domain), f"{trade_off:g}", *(cells.get(key, "") for key in keys)]
+        lines.append("| " + " | ".join(words) + " |")
+    return "\n".join([*lines, "", caption(summary), ""])
+
+
+def cell_text(entry: Entry) -> str:
+    """``0.52 [0.31, 0.73] (paper 0.46, +0.06)``."""
+    text = number(entry.estimate.mean)
+    if not math.isnan(entry.estimate.low):
+        text += f" {interval(entry.estimate)}"
+    if entry.paper is not None:
+        text += f" (paper {entry.paper:.2f}, {signed(entry.difference)})"
+    return text
+
+
+def latex(summary: Summary) -> str:
+    """The table for a paper (booktabs): intervals below the means, the paper's values beside."""
+    keys = columns(summary)
+    lines = [
+        r"% \usepackage{booktabs}",
+        r"\begin{tabular}{ll" + "r@{ }l" * len(keys) + "}",
+        r"\toprule",
+        "Domain & $\\lambda$ & "
+        + " & ".join(rf"\multicolumn{{2}}{{c}}{{{_tex(title(key))}}}" for key in keys)
+        + r" \\",
+    ]
+    last = ""
+    for domain, _, trade_off, numbers in grid(summary):
+        lines += [r"\midrule"] if domain != last else []
+        own = {entry.column: entry for entry in numbers}
+        means, intervals = [], []
+        for key in keys:
+            entry = own.get(key)
+            paper = "" if entry is None or entry.paper is None else f"({entry.paper:.2f})"
+            means.append(f"${number(entry.estimate.mean)}$ & {paper}" if entry else " & ")
+            known = entry is not None and not math.isnan(entry.estimate.low)
+            text = rf"\tiny${interval(entry.estimate)}$" if entry is not None and known else ""
+            intervals.append(rf"\multicolumn{{2}}{{c}}{{{text}}}")
+        name = _tex(title(domain)) if domain != last else ""
+        lines.append(f"{name} & {trade_off:g} & " + " & ".join(means) + r" \\")
+        lines.append(" & & " + " & ".join(intervals) + r" \\")
+        last = domain
+    lines += [r"\bottomrule", r"\end{tabular}", f"% {caption(summary)}"]
+    return "\n".join(lines) + "\n"
+
+
+def caption(summary: Summary) -> str:
+    """How to read the table."""
+    pooled = [
+        f"{title(domain)} pools {len(summary.settings(domain))} settings "
+        f"({'; '.join(summary.settings(domain))})"
+        for domain in summary.domains
+        if len(summary.settings(domain)) > 1
+    ]
+    unit = "seeds" if summary.seeds > 1 else "traces"
+    text = (
+        "Oracle's cost, and regret (cost less the oracle's on the same trace and user) of each "
+        f"method; 95 % intervals over {unit} in brackets; in parentheses the paper's value and "
+        "our difference to it."
+    )
+    if summary.missing:
+        text += f" {summary.missing} of {len(summary.jobs)} jobs are missing."
+    return " ".join([text, *(f"{words}." for words in pooled)])
+
+
+def title(key: str) -> str:
+    """A column's or domain's name for people."""
+    name, _, rest = key.partition(" ")
+    return " ".join(filter(None, [NAMES.get(name, name), rest]))
+
+
+def number(value: float | None, decimals: int = 2) -> str:
+    """Fixed decimals, never a negative zero; empty where there is none."""
+    if value is None or math.isnan(value):
+        return ""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+
+
+def signed(value: float | None) -> str:
+    """With its sign."""
+    return "" if value is None else f"{round(value, 2) + 0.0:+.2f}"
+
+
+def interval(estimate: Estimate) -> str:
+    """``[0.31, 0.73]``."""
+    return f"[{number(estimate.low)}, {number(estimate.high)}]"
+
+
+def _tex(text: str) -> str:
+    return text.replace("_", r"\_").replace("%", r"\%").replace("&", r"\&")

@@ -1,0 +1,261 @@
+"""Runs a sweep: what is missing, on the chosen launcher, to a clean end whatever happens."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from hydra.core.plugins import Plugins
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, TaskFunction
+from hydra.utils import instantiate
+from omegaconf import DictConfig, open_dict
+
+from xplain import storage
+from xplain.errors import InputError
+from xplain.stage_cache import source_stamp
+from xplain.stamps import configuration, stamp
+from xplain.sweep.folder import SweepFolder, mark_failed
+from xplain.sweep.plan import Job, Plan, in_launch_order, make_plan
+from xplain.sweep.watch import Watch, duration
+
+log = logging.getLogger(__name__)
+
+ATTEMPTS = 3
+"""A job that takes its worker with it is tried so often before it counts as failed."""
+
+RESUME = ("missing", "failed", "none")
+
+
+def run_sweep(
+    context: HydraContext,
+    task: TaskFunction,
+    config: DictConfig,
+    settings: list[dict[str, Any]],
+    arguments: list[str],
+) -> None:
+    """Plans the sweep, runs the jobs that are missing, reports.
+
+    Args:
+        context, task, config: of Hydra.
+        settings: see :func:`xplain.sweep.plan.make_plan`.
+        arguments: overrides given on the command line.
+
+    Raises:
+        XplainError: the configuration of some job is wrong; nothing was run.
+        SystemExit: 1 when jobs failed.
+    """
+    began = time.time()
+    if config.resume not in RESUME:
+        raise InputError("resume", config.resume, f"one of {', '.join(RESUME)}")
+
+    def compose(overrides: list[str]) -> dict[str, Any]:
+        composed = context.config_loader.load_sweep_config(config, overrides)
+        return configuration(composed)
+
+    def stamps(resolved: dict[str, Any]) -> tuple[str, str]:
+        return stamp(resolved), source_stamp(resolved)
+
+    choices = config.hydra.runtime.choices
+    name = choices.get("sweeps") or "multirun"
+    plan = make_plan(name, settings, arguments, compose, stamps)
+    outputs = Path(config.outputs).absolute()
+    folder = SweepFolder(outputs / "sweeps" / plan.identity)
+    with folder.alone(f"{plan.identity}: another process runs this sweep; waiting for it"):
+        folder.save(
+            plan,
+            {
+                "started": began,
+                "command": " ".join(["python -m xplain", *sys.argv[1:]]),
+                "code": storage.code_version(),
+                "git": storage.git_state(),
+            },
+        )
+        run = Run(plan, folder, instantiate(config.tracking), outputs, config.resume)
+
+        def launch(jobs: list[Job]) -> None:
+            _launch(jobs, folder, context, task, config)
+
+        run.through(launch)
+    run.tell()
+    if run.failed:
+        raise SystemExit(1)
+
+
+class Run:
+    """One start of a sweep: chooses the jobs, launches them, ends in a clean state.
+
+    Args:
+        plan, folder: of the sweep.
+        tracking: where results go besides the disk.
+        outputs: the outputs folder.
+        resume: which jobs to run: ``missing``, ``failed`` or ``none`` (all of them anew).
+    """
+
+    def __init__(
+        self, plan: Plan, folder: SweepFolder, tracking: Any, outputs: Path, resume: str
+    ) -> None:
+        self._plan, self._folder, self._resume = plan, folder, resume
+        self._mirror = tracking.mirror(outputs, folder, plan.jobs)
+        if resume == "none":
+            for job in plan.jobs:
+                folder.clear(job)
+        states = {job: folder.trust(job) for job in plan.jobs}
+        self._todo = [
+            job
+            for job in plan.jobs
+            if (states[job] == "failed" if resume == "failed" else states[job] != "finished")
+        ]
+        for job in self._todo:
+            folder.clear(job)
+        self._done_before = sum(state == "finished" for state in states.values())
+        self._began = time.monotonic()
+        self._links: list[str] = []
+
+    def through(self, launch: Callable[[list[Job]], None]) -> None:
+        """Launches what is to be done and brings MLflow and the report to their final state."""
+        plan, folder = self._plan, self._folder
+        self._announce()
+        status = "KILLED"
+        try:
+            with _terminable(), Watch(folder, self._todo, self._mirror, self._done_before):
+                self._mirror.start(fresh=self._resume == "none")
+                self._attempt(launch)
+            states = [folder.state(job) for job in plan.jobs]
+            if all(state == "finished" for state in states):
+                status = "FINISHED"
+            elif "failed" in states:
+                status = "FAILED"
+        finally:
+            summary = report = None
+            if status != "KILLED":
+                from xplain.report import write_report
+
+                summary, report = write_report(folder.path)
+            self._links = self._mirror.finish(status, summary, report)
+
+    def _announce(self) -> None:
+        if not self._todo:
+            log.info("%s: nothing is missing", self._plan.identity)
+            return
+        before = f", {self._done_before} finished before" if self._done_before else ""
+        log.info("%s: %d jobs to run%s", self._plan.identity, len(self._todo), before)
+        log.info("folder: %s", self._folder.path)
+
+    def _attempt(self, launch: Callable[[list[Job]], None]) -> None:
+        """Launches again what was left when a worker died, as long as that gets further."""
+        waiting = in_launch_order(self._todo)
+        for attempt in range(ATTEMPTS):
+            if not waiting:
+                return
+            error: Exception | None = None
+            try:
+                launch(waiting)
+            except Exception as raised:  # whatever a launcher raises when its workers die
+                error = raised
+            started = [job for job in waiting if self._folder.state(job) != "waiting"]
+            waiting = [
+                job for job in waiting if self._folder.state(job) in ("waiting", "running")
+            ]
+            if error is not None and not started:
+                raise error  # nothing ran: the launcher itself is at fault
+            if waiting and attempt + 1 < ATTEMPTS:
+                log.warning(
+                    "a worker died (%s); %d jobs are launched again", _short(error), len(waiting)
+                )
+        for job in waiting:
+            if self._folder.state(job) == "running":
+                lost = RuntimeError(f"its worker died {ATTEMPTS} times ({_short(error)})")
+                mark_failed(self._folder.of(job), lost)
+
+    @property
+    def failed(self) -> list[Job]:
+        """Jobs that failed."""
+        return [job for job in self._plan.jobs if self._folder.state(job) == "failed"]
+
+    def tell(self) -> None:
+        """The table, what failed, where to look."""
+        from xplain.terminal import print_sweep
+
+        print_sweep(self._folder.path)
+        total = len(self._plan.jobs)
+        finished = sum(self._folder.state(job) == "finished" for job in self._plan.jobs)
+        seconds = time.monotonic() - self._began
+        log.info("%d of %d jobs finished, %s", finished, total, duration(seconds))
+        for job in self.failed:
+            log.info("failed: %s: %s", job.label, self._folder.failure(job)["error"])
+            log.info("  %s", self._folder.of(job))
+        if self.failed:
+            log.info("run them again: the same command with resume=failed")
+        elif finished < total:
+            log.info("run the others: the same command without resume=%s", self._resume)
+        for line in (f"report: {self._folder.path / 'report' / 'index.html'}", *self._links):
+            log.info(line)
+
+
+def _launch(
+    jobs: list[Job],
+    folder: SweepFolder,
+    context: HydraContext,
+    task: TaskFunction,
+    config: DictConfig,
+) -> None:
+    """Has the configured launcher run the jobs; failures end up in the jobs' folders."""
+    with open_dict(config):
+        config.hydra.sweep.dir = str(folder.path)
+    launcher: Launcher = Plugins.instance().instantiate_launcher(
+        hydra_context=context, task_function=task, config=config
+    )
+    overrides = [
+        [
+            *job.overrides,
+            f"hydra.sweep.dir='{folder.path}'",
+            f"hydra.sweep.subdir='jobs/{job.name}'",
+            # On the terminal the sweep speaks as a whole; what a job says is in its folder.
+            "hydra.job_logging.root.handlers=[file]",
+        ]
+        for job in jobs
+    ]
+    returns = launcher.launch(overrides, initial_job_idx=0)
+    for job, returned in zip(jobs, returns, strict=True):
+        _note_failure(folder, job, returned)
+
+
+def _note_failure(folder: SweepFolder, job: Job, returned: JobReturn) -> None:
+    """A job that failed outside of its own code (a worker that cannot import the package)."""
+    if returned.status == JobStatus.FAILED and folder.state(job) != "failed":
+        try:
+            returned.return_value  # noqa: B018  (raises what the job raised)
+        except Exception as error:
+            mark_failed(folder.of(job), error)
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """SIGTERM ends the sweep like Ctrl-C, so that its runs do not stay open."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        before = signal.signal(signal.SIGTERM, interrupt)
+    except ValueError:  # not the main thread: someone embeds this
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _short(error: BaseException | None) -> str:
+    if error is None:
+        return "no word from it"
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
