@@ -54,6 +54,7 @@ def schema() -> DictConfig:
             "message_cost": FloatNode(1.0),
             "inexplicability_cost": FloatNode(1.0),
             "prior": StringNode("uniform"),
+            "resume": StringNode("missing"),
             # Absolute, so that it is the same folder in every worker.
             "outputs": StringNode(str(Path.cwd() / "outputs")),
         }

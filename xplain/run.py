@@ -17,9 +17,12 @@ from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__, storage, terminal
 from xplain.command_line import hand_over, one_line
-from xplain.experiment import Costs, Prepared, Source, evaluate, prepare
+from xplain.experiment import Costs, Prepared, Source, Track, evaluate, prepare, untracked
 from xplain.solvers.base import Solver
 from xplain.solvers.known_type import KnownType
+from xplain.stage_cache import prepared_once, source_stamp
+from xplain.stamps import configuration, stamp
+from xplain.sweep.folder import JobOfSweep, job_of, mark_failed, mark_started
 
 log = logging.getLogger(__name__)
 
@@ -29,11 +32,15 @@ CHOICES = ("domain", "users", "observers", "labeler", "clusterer", "solver", "be
 def run_job(cfg: DictConfig) -> float | None:
     """Runs the experiment that ``cfg`` describes; returns the mean regret (for sweepers).
 
-    Where the configuration or the data of a single run cannot be used, its folder is removed.
+    A job of a sweep never raises: the others go on, and what went wrong is in its folder. Where
+    the configuration or the data of a single run cannot be used, its folder is removed.
     """
     folder = Path(HydraConfig.get().runtime.output_dir)
+    job = job_of(folder)
+    if job is not None:
+        return _run_in_sweep(cfg, folder, job)
     try:
-        return _run(cfg, folder)
+        return _run_alone(cfg, folder)
     except Exception as error:  # whatever it is: it is raised again or handed over
         if HydraConfig.get().mode != RunMode.RUN:
             raise
@@ -43,12 +50,39 @@ def run_job(cfg: DictConfig) -> float | None:
         return None
 
 
-def _run(cfg: DictConfig, folder: Path) -> float | None:
-    """The experiment.
+def _run_alone(cfg: DictConfig, folder: Path) -> float | None:
+    tracking = instantiate(cfg.tracking)
+    results, prepared = run_experiment(cfg, folder, terminal.track)
+    results["id"] = result_id(cfg, folder)
+    _draw(folder, prepared)
+    storage.save_results(folder, results)
+    tracking.log(folder, Path(cfg.outputs).absolute())
+    terminal.print_summary(results)
+    return _mean_regret(results)
 
-    Raises:
-        XplainError: something in the configuration or the data cannot be used.
-    """
+
+def _run_in_sweep(cfg: DictConfig, folder: Path, job: JobOfSweep) -> float | None:
+    mark_started(folder)
+    try:
+        if stamp(configuration(cfg)) != job.stamp:
+            raise RuntimeError(
+                "this worker runs other code, libraries or data than the process that started "
+                "the sweep; install the same versions on every machine"
+            )
+        results, _ = run_experiment(cfg, folder, untracked)
+    except Exception as error:  # any failure of a job is a result of the sweep
+        log.exception("failed")
+        mark_failed(folder, error)
+        return None
+    results |= {"id": job.result, "name": job.label, "stamp": job.stamp}
+    storage.save_results(folder, results)
+    return _mean_regret(results)
+
+
+def run_experiment(
+    cfg: DictConfig, folder: Path, track: Track[Any]
+) -> tuple[dict[str, Any], Prepared]:
+    """The experiment itself: writes its episodes into the folder, returns the results."""
     choices = {group: str(HydraConfig.get().runtime.choices[group]) for group in CHOICES}
     outputs = Path(cfg.outputs).absolute()
     started = time.time()
@@ -58,21 +92,22 @@ def _run(cfg: DictConfig, folder: Path) -> float | None:
     costs = costs_of(cfg)
     solver = instantiate(cfg.solver)
     belief = instantiate(cfg.belief)
-    tracking = instantiate(cfg.tracking)
 
     clock = Clock()
-    prepared = prepare(source, terminal.track)
+    config = configuration(cfg)
+    prepared = prepared_once(
+        outputs / "cache", source_stamp(config), lambda: prepare(source, track)
+    )
     clock.lap("prepare")
     solvers: dict[str, Solver] = {"solver": solver, "clairvoyant": KnownType("labels")}
     if all(case.perfect is not None for case in prepared.cases):
         solvers["oracle"] = KnownType("type")
-    records = evaluate(prepared, costs, solvers, belief, cfg.seed, terminal.track)
+    records = evaluate(prepared, costs, solvers, belief, cfg.seed, track)
     clock.lap("explain")
     bounds: dict[str, float] = {}
     clock.lap("bounds")
 
     about = {
-        "id": result_id(cfg, folder),
         "name": f"{choices['domain']} {choices['solver']} λ={cfg['lambda']:g} seed={cfg.seed}",
         "xplain": __version__,
         "code": storage.code_version(),
@@ -80,15 +115,14 @@ def _run(cfg: DictConfig, folder: Path) -> float | None:
         "started": started,
         "seconds": clock.laps,
         "choices": choices,
-        "config": configuration(cfg),
+        "config": config,
     }
-    results = storage.results_of(prepared, records, about, bounds)
     storage.write_atomically(folder / storage.EPISODES, storage.episode_lines(prepared, records))
     storage.write_atomically(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
-    _draw(folder, prepared, records)
-    storage.save_results(folder, results)
-    tracking.log(folder, outputs)
-    terminal.print_summary(results)
+    return storage.results_of(prepared, records, about, bounds), prepared
+
+
+def _mean_regret(results: dict[str, Any]) -> float | None:
     regret = results["metrics"].get("regret")
     return None if regret is None else float(regret["mean"])
 
@@ -133,22 +167,18 @@ def costs_of(cfg: DictConfig) -> Costs:
     )
 
 
-def configuration(cfg: DictConfig) -> dict[str, Any]:
-    """The resolved configuration, without what cannot change a number."""
-    plain: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
-    return {key: plain[key] for key in plain if key not in ("outputs", "tracking", "sweeps")}
-
-
 def result_id(cfg: DictConfig, folder: Path) -> str:
     """Names this result for ever: what was run, by which code, and in which folder."""
     content = json.dumps([configuration(cfg), storage.code_version(), folder.name], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()[:32]
 
 
-def _draw(folder: Path, prepared: Prepared, records: list[Any]) -> None:
+def _draw(folder: Path, prepared: Prepared) -> None:
     from xplain.report import plots, traces
 
-    own = next(record for record in records if record.solver == "solver")
-    traces.save_trace(folder / "trace.png", prepared, own)
+    scene = traces.scene_of(prepared.scene)
+    story = next(traces.stories(folder, "solver"))
+    traces.save_trace(folder / "trace.png", scene, story)
     if len(prepared.curve):
-        plots.save_disagreements(folder / "disagreements.png", prepared)
+        figure = plots.disagreements(prepared.curve.tolist(), len(prepared.found), prepared.rule)
+        plots.save(figure, folder / "disagreements.png")

@@ -44,7 +44,6 @@ class Disk:
         """Does nothing."""
         return None
 
-
     def mirror(self, outputs: Path, folder: SweepFolder, jobs: tuple[Job, ...]) -> NoMirror:
         """Shows a sweep nowhere."""
         from xplain.sweep.mirror import NoMirror

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-
-from xplain.experiment import Prepared
 
 # Okabe and Ito's palette; each series also has a marker and a line style of its own.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -43,22 +42,21 @@ def series_style(index: int) -> dict[str, Any]:
     }
 
 
-def disagreements(prepared: Prepared) -> Figure:
+def disagreements(curve: Sequence[float], found: int, rule: str) -> Figure:
     """Disagreements against the number of clusters, with the number that was chosen."""
     figure, axes = plt.subplots(figsize=(5, 3.2))
-    k = np.arange(1, len(prepared.curve) + 1)
-    axes.plot(k, prepared.curve, **series_style(0))
-    found = len(prepared.found)
+    k = np.arange(1, len(curve) + 1)
+    axes.plot(k, curve, **series_style(0))
     axes.plot(
         found,
-        prepared.curve[min(found, len(k)) - 1],
+        curve[min(found, len(k)) - 1],
         marker="o",
         markersize=13,
         markerfacecolor="none",
         markeredgecolor=COLOURS[1],
         markeredgewidth=2,
         linestyle="none",
-        label=f"chosen: {found} ({prepared.rule})",
+        label=f"chosen: {found} ({rule})",
     )
     axes.set_xlabel("number of clusters k")
     axes.set_ylabel("disagreements (pairs of labels)")
@@ -66,11 +64,6 @@ def disagreements(prepared: Prepared) -> Figure:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.legend()
     return figure
-
-
-def save_disagreements(path: Path, prepared: Prepared) -> None:
-    """Draws :func:`disagreements` into a file."""
-    save(disagreements(prepared), path)
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -78,9 +78,7 @@ class Summary:
         """One row an episode of a job's own solver, the references' costs beside its own."""
         rows = []
         for job, results in self.results:
-            costs = {
-                (e["solver"], e["trace"], e["type"]): e["cost"] for e in results["episodes"]
-            }
+            costs = {(e["solver"], e["trace"], e["type"]): e["cost"] for e in results["episodes"]}
             domain = results["choices"]["domain"]
             for episode in results["episodes"]:
                 if episode["solver"] != "solver":

@@ -1,49 +1,111 @@
 """The picture of one explanation: the map with the path, and step by step what was said and
-answered."""
+answered. Drawn from a run's files alone."""
 
 from __future__ import annotations
 
 import itertools
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from xplain.domains.base import Scene
-from xplain.evaluation.results import Record
-from xplain.experiment import Case, Prepared
-from xplain.message_sets import names_of
+from xplain.domains.base import Item, Scene
 from xplain.report.plots import COLOURS, save
 
 EXPLICABLE, INEXPLICABLE = "#CFE8F5", "#F5C4A1"
 
 
-def draw_trace(prepared: Prepared, record: Record) -> Figure:
+@dataclass(frozen=True)
+class Story:
+    """One episode, for drawing.
+
+    Attributes:
+        user_type: whom the trace was explained to.
+        cost: of the episode.
+        phrases: the m transitions in words.
+        positions: m + 1 cells, or none.
+        messages: names of the new messages before each step.
+        labels: row k the k + 1 labels given at step k.
+    """
+
+    solver: str
+    trace: int
+    user_type: str
+    cost: float
+    phrases: tuple[str, ...]
+    positions: tuple[tuple[int, int], ...]
+    messages: tuple[tuple[str, ...], ...]
+    labels: tuple[tuple[int, ...], ...]
+
+    @property
+    def n_messages(self) -> int:
+        """How many messages were given."""
+        return sum(map(len, self.messages))
+
+    @property
+    def n_inexplicable(self) -> int:
+        """How many labels were 0, over all steps."""
+        return sum(row.count(0) for row in self.labels)
+
+
+def stories(folder: Path, solver: str) -> Iterator[Story]:
+    """The episodes of a run's folder, of one solver ("solver", "oracle" or "clairvoyant")."""
+    with (folder / "episodes.jsonl").open(encoding="utf-8") as file:
+        for line in file:
+            if f'"solver": "{solver}"' not in line:
+                continue
+            content = json.loads(line)
+            yield Story(
+                solver=content["solver"],
+                trace=content["trace"],
+                user_type=content["type"],
+                cost=content["cost"],
+                phrases=tuple(content["transitions"]),
+                positions=tuple((row, column) for row, column in content["positions"]),
+                messages=tuple(tuple(step["messages"]) for step in content["steps"]),
+                labels=tuple(tuple(step["labels"]) for step in content["steps"]),
+            )
+
+
+def scene_of(content: Scene | dict[str, Any] | None) -> Scene | None:
+    """The map as ``results.json`` keeps it."""
+    if content is None or isinstance(content, Scene):
+        return content
+    items = [
+        Item(item["name"], item["symbol"], tuple((r, c) for r, c in item["cells"]))
+        for item in content["items"]
+    ]
+    walls = tuple((row, column) for row, column in content["walls"])
+    return Scene(content["rows"], content["columns"], walls, tuple(items))
+
+
+def draw_trace(scene: Scene | None, story: Story) -> Figure:
     """Map and path at the left; at the right one row a transition, one column a step."""
-    case = prepared.cases[record.trace]
-    m = len(case.transitions)
-    has_map = prepared.scene is not None and len(case.positions) == m + 1
-    height = max(4.2, 0.32 * m + 2.6)
-    figure, axes = plt.subplots(
-        1,
-        2 if has_map else 1,
-        figsize=((5.2 if has_map else 0) + 3.6 + 0.34 * m, height),
-        width_ratios=[5.2, 3.6 + 0.34 * m] if has_map else [1],
-        squeeze=False,
+    m = len(story.phrases)
+    if scene is None or len(story.positions) != m + 1:
+        figure, axes = plt.subplots(figsize=(4.6 + 0.34 * m, max(3.4, 0.34 * m + 2.6)))
+        _draw_steps(axes, story)
+        return figure
+    width = 3.6 + 0.34 * m
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(5.2 + width, max(4.6, 0.34 * m + 2.6)), width_ratios=[5.2, width]
     )
-    if has_map and prepared.scene is not None:
-        draw_map(axes[0, 0], prepared.scene, case.positions)
-        axes[0, 0].set_title("what the robot did", loc="left")
-    _draw_steps(axes[0, -1], prepared, case, record)
+    draw_map(left, scene, story.positions)
+    left.set_title("What the robot did", loc="left", weight="bold")
+    _draw_steps(right, story)
     figure.tight_layout()
     return figure
 
 
-def save_trace(path: Path, prepared: Prepared, record: Record) -> None:
+def save_trace(path: Path, scene: Scene | None, story: Story) -> None:
     """Draws :func:`draw_trace` into a file."""
-    save(draw_trace(prepared, record), path)
+    save(draw_trace(scene, story), path)
 
 
 def draw_map(axes: Axes, scene: Scene, positions: tuple[tuple[int, int], ...]) -> None:
@@ -90,53 +152,52 @@ def draw_map(axes: Axes, scene: Scene, positions: tuple[tuple[int, int], ...]) -
         )
 
 
-def _draw_steps(axes: Axes, prepared: Prepared, case: Case, record: Record) -> None:
-    episode, m = record.episode, len(case.transitions)
-    for k in range(m):
-        for i in range(k + 1):
-            explicable = episode.labels[k, i] == 1
-            axes.add_patch(
-                Rectangle(
-                    (k + 0.54, i + 0.54),
-                    0.92,
-                    0.92,
-                    color=EXPLICABLE if explicable else INEXPLICABLE,
-                    linewidth=0,
-                )
-            )
-            if not explicable:
+def _draw_steps(axes: Axes, story: Story) -> None:
+    m = len(story.phrases)
+    for k, row in enumerate(story.labels):
+        for i, label in enumerate(row):
+            colour = EXPLICABLE if label else INEXPLICABLE
+            axes.add_patch(Rectangle((k + 0.54, i + 0.54), 0.92, 0.92, color=colour, linewidth=0))
+            if not label:
                 axes.text(k + 1, i + 1, "?", ha="center", va="center", weight="bold")
-        new = names_of(int(episode.messages[k]), prepared.messages)
-        if new:
-            axes.text(
-                k + 1,
-                0.38,
-                "message: " + ", ".join(new).replace("_", " "),
-                rotation=40,
-                ha="left",
-                va="bottom",
-                fontsize=9,
-                color=COLOURS[1],
-                weight="bold",
-            )
-            axes.plot(k + 1, 0.42, "v", color=COLOURS[1], markersize=6, clip_on=False)
+    for k, new in enumerate(story.messages):
+        if not new:
+            continue
+        axes.text(
+            k + 0.9,
+            0.3,
+            " + ".join(new).replace("_", " "),
+            rotation=35,
+            ha="left",
+            va="bottom",
+            fontsize=9,
+            color=COLOURS[1],
+            weight="bold",
+        )
+        axes.plot(k + 1, 0.36, "v", color=COLOURS[1], markersize=7, clip_on=False)
     axes.set_xlim(0.5, m + 0.5)
     axes.set_ylim(m + 0.5, 0.5)
     axes.set_yticks(
-        range(1, m + 1), labels=[f"{i}. {phrase}" for i, phrase in enumerate(case.phrases, 1)]
+        range(1, m + 1), labels=[f"{i}. {phrase}" for i, phrase in enumerate(story.phrases, 1)]
     )
     axes.set_xticks(range(1, m + 1))
-    axes.set_xlabel("step of the explanation (the user labels all transitions shown so far)")
+    axes.set_xlabel("step (at each, the user labels all transitions shown so far)")
     axes.grid(visible=False)
     axes.tick_params(length=0)
-    axes.plot([], [], "s", color=EXPLICABLE, label="explicable")
-    axes.plot([], [], marker="$?$", linestyle="none", color="#222222", label="inexplicable")
-    axes.legend(loc="lower left", fontsize=8)
-    wrong = prepared.types[record.user_type]
+    axes.plot([], [], "s", color=EXPLICABLE, markersize=9, label="explicable")
+    axes.plot([], [], "s", color=INEXPLICABLE, markersize=9, label="inexplicable (?)")
+    axes.plot([], [], "v", color=COLOURS[1], label="message given before the step")
+    axes.legend(loc="upper left", bbox_to_anchor=(0, -0.1 - 0.5 / m), ncols=3, fontsize=8)
+    longest = max((len(" + ".join(new)) for new in story.messages), default=0)
     axes.set_title(
-        f"a user of type {wrong}: cost {episode.cost:g} = λ · {episode.communication:g} + "
-        f"{episode.inexplicability:g}",
+        f"What a user of type {story.user_type} said: "
+        f"{_count(story.n_messages, 'message')}, "
+        f"{_count(story.n_inexplicable, 'inexplicable label')}",
         loc="left",
-        pad=14 + (52 if episode.n_messages else 0),
-        fontsize=10,
+        pad=14 + (18 + 3.2 * longest if story.n_messages else 0),
+        weight="bold",
     )
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number or 'no'} {what}{'' if number == 1 else 's'}"

@@ -7,6 +7,7 @@ it. All three are written whole or not at all, so a kill at any moment leaves on
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -114,6 +115,31 @@ class SweepFolder:
     def clear(self, job: Job) -> None:
         """Forgets all that the job left."""
         shutil.rmtree(self.of(job), ignore_errors=True)
+
+
+@dataclass(frozen=True)
+class JobOfSweep:
+    """What a job's process needs to know of its sweep."""
+
+    label: str
+    stamp: str
+    result: str
+
+
+def job_of(folder: Path) -> JobOfSweep | None:
+    """The job whose folder this is; None for a run on its own."""
+    if folder.parent.name != "jobs" or not (folder.parents[1] / SWEEP).exists():
+        return None
+    sweep = SweepFolder(folder.parents[1])
+    for job in sweep.jobs():
+        if job.name == folder.name:
+            return JobOfSweep(job.label, job.stamp, result_id(sweep.identity, job))
+    return None
+
+
+def result_id(identity: str, job: Job) -> str:
+    """What the job's result is called in MLflow."""
+    return hashlib.sha256(f"{identity} {job.stamp}".encode()).hexdigest()[:32]
 
 
 def mark_started(folder: Path) -> None:

@@ -8,7 +8,6 @@ later.
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import threading
 import time
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xplain.storage import git_state, load_results
-from xplain.sweep.folder import State, SweepFolder
+from xplain.sweep.folder import State, SweepFolder, result_id
 from xplain.sweep.plan import Job
 from xplain.tracking import (
     RESULT_TAG,
@@ -41,11 +40,6 @@ SWEEP_TAG = "xplain.sweep"
 
 COMPARABLE = 100
 """Runs whose comparison still fits into a link."""
-
-
-def result_id(identity: str, job: Job) -> str:
-    """What the job's result is called in MLflow."""
-    return hashlib.sha256(f"{identity} {job.stamp}".encode()).hexdigest()[:32]
 
 
 class NoMirror:

@@ -20,6 +20,7 @@ from omegaconf import DictConfig, open_dict
 
 from xplain import storage
 from xplain.errors import InputError
+from xplain.report.sweep import Summary
 from xplain.stage_cache import source_stamp
 from xplain.stamps import configuration, stamp
 from xplain.sweep.folder import SweepFolder, mark_failed
@@ -107,17 +108,18 @@ class Run:
         if resume == "none":
             for job in plan.jobs:
                 folder.clear(job)
-        states = {job: folder.trust(job) for job in plan.jobs}
+        states = [(job, folder.trust(job)) for job in plan.jobs]
         self._todo = [
             job
-            for job in plan.jobs
-            if (states[job] == "failed" if resume == "failed" else states[job] != "finished")
+            for job, state in states
+            if (state == "failed" if resume == "failed" else state != "finished")
         ]
         for job in self._todo:
             folder.clear(job)
-        self._done_before = sum(state == "finished" for state in states.values())
+        self._done_before = sum(state == "finished" for _, state in states)
         self._began = time.monotonic()
         self._links: list[str] = []
+        self._summary: Summary | None = None
 
     def through(self, launch: Callable[[list[Job]], None]) -> None:
         """Launches what is to be done and brings MLflow and the report to their final state."""
@@ -134,12 +136,13 @@ class Run:
             elif "failed" in states:
                 status = "FAILED"
         finally:
-            summary = report = None
+            summary, report = None, None
             if status != "KILLED":
-                from xplain.report import write_report
+                from xplain.report.write import write_report
 
                 summary, report = write_report(folder.path)
             self._links = self._mirror.finish(status, summary, report)
+            self._summary = summary
 
     def _announce(self) -> None:
         if not self._todo:
@@ -161,9 +164,7 @@ class Run:
             except Exception as raised:  # whatever a launcher raises when its workers die
                 error = raised
             started = [job for job in waiting if self._folder.state(job) != "waiting"]
-            waiting = [
-                job for job in waiting if self._folder.state(job) in ("waiting", "running")
-            ]
+            waiting = [job for job in waiting if self._folder.state(job) in ("waiting", "running")]
             if error is not None and not started:
                 raise error  # nothing ran: the launcher itself is at fault
             if waiting and attempt + 1 < ATTEMPTS:
@@ -184,7 +185,8 @@ class Run:
         """The table, what failed, where to look."""
         from xplain.terminal import print_sweep
 
-        print_sweep(self._folder.path)
+        if self._summary is not None and self._summary.results:
+            print_sweep(self._summary)
         total = len(self._plan.jobs)
         finished = sum(self._folder.state(job) == "finished" for job in self._plan.jobs)
         seconds = time.monotonic() - self._began
