@@ -9,9 +9,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.explanation.belief import BeliefUpdate, update
+from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
 from xplain.message_sets import indices
+from xplain.online.interaction import Interaction
 from xplain.solvers.base import Policy
 
 
@@ -79,33 +80,22 @@ def explain(problem: Problem, policy: Policy, user: User, belief_update: BeliefU
     Raises:
         ValueError: the policy gives a message again, or one that does not exist.
     """
-    m, n = problem.n_steps, problem.n_messages
-    belief = problem.prior.copy()
-    given, previous = 0, None
+    m = problem.n_steps
+    talk = Interaction(problem, policy, belief_update)
     messages = np.zeros(m, dtype=np.int64)
     labels = np.full((m, m), -1, dtype=np.int8)
     beliefs = np.empty((m + 1, problem.n_types))
-    beliefs[0] = belief
+    beliefs[0] = talk.belief
     seconds = np.empty(m)
-    communication = 0.0
     for k in range(m):
         before = time.perf_counter()
-        new = policy.messages(k, given, belief)
+        messages[k] = talk.say()
         seconds[k] = time.perf_counter() - before
-        if new & given or new >> n:
-            raise ValueError(
-                f"policy gave message set {new:b} at step {k}, {given:b} already given"
-            )
-        messages[k] = new
-        given |= new
-        communication += float(sum(problem.message_cost[j] for j in indices(new)))
-        answer = user.labels(k + 1, given)
+        answer = user.labels(k + 1, talk.given)
         labels[k, : k + 1] = answer
-        belief = update(
-            problem, belief, given, answer, belief_update.evidence(given, previous, k + 1)
-        )
-        beliefs[k + 1] = belief
-        previous = given
+        talk.hear(answer)
+        beliefs[k + 1] = talk.belief
+    communication = float(sum(problem.message_cost[j] for j in indices(talk.given)))
     inexplicability = problem.inexplicability_cost * int((labels == 0).sum())
     cost = problem.trade_off * communication + inexplicability
     return Episode(messages, labels, beliefs, seconds, communication, inexplicability, cost)

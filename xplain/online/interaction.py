@@ -1,0 +1,71 @@
+"""One step of an explanation after the other: decide, say, hear, believe (SPEC §5).
+
+The experiments and the sessions that people embed run this same loop.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.belief import BeliefUpdate, update
+from xplain.explanation.problem import Problem
+from xplain.solvers.base import Policy
+
+
+@dataclass
+class Interaction:
+    """One trace being explained (SPEC §5), by masks and arrays.
+
+    Attributes:
+        problem: what the agent believes of users.
+        policy: planned for that problem. Both may be replaced between steps, by those of a trace
+            that begins with the same transitions.
+        belief_update: which labels change the belief.
+        belief: [N], at first the prior.
+        step: k, transitions shown so far.
+        given: bitmask of the messages given so far.
+    """
+
+    problem: Problem
+    policy: Policy
+    belief_update: BeliefUpdate
+    belief: NDArray[np.float64] = field(init=False)
+    step: int = field(default=0, init=False)
+    given: int = field(default=0, init=False)
+    _answered: int | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self.belief = self.problem.prior.copy()
+
+    def say(self) -> int:
+        """Decides which messages come before the next *explain*: a bitmask, given from now on.
+
+        Raises:
+            ValueError: the policy gives a message again, or one that does not exist.
+        """
+        new = self.policy.messages(self.step, self.given, self.belief)
+        self.give(new)
+        return new
+
+    def give(self, new: int) -> None:
+        """These messages are said.
+
+        Raises:
+            ValueError: one was given before, or does not exist.
+        """
+        if new & self.given or new >> self.problem.n_messages:
+            raise ValueError(
+                f"policy gave message set {new:b} at step {self.step}, {self.given:b} already given"
+            )
+        self.given |= new
+
+    def hear(self, labels: NDArray[np.uint8]) -> None:
+        """*Explain* showed the first ``step + 1`` transitions; these are the user's labels."""
+        count = self.step + 1
+        evidence = self.belief_update.evidence(self.given, self._answered, count)
+        self.belief = update(self.problem, self.belief, self.given, labels, evidence)
+        self._answered = self.given
+        self.step = count
