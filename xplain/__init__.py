@@ -1,3 +1,30 @@
-"""Personalized explanations of sequential decisions (Soni, Sreedharan & Kambhampati, 2021)."""
+"""Personalized explanations of sequential decisions (Soni, Sreedharan & Kambhampati, 2021).
+
+For programs: ``from xplain import Explainer, GivenTypes, LearnedTypes`` (see docs/explainer.md).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from xplain.learning.learned import LearnedTypes as LearnedTypes
+    from xplain.online.explainer import Explainer as Explainer
+    from xplain.online.explainer import GivenTypes as GivenTypes
 
 __version__ = "0.1.0"
+
+_WHERE = {
+    "Explainer": "xplain.online.explainer",
+    "GivenTypes": "xplain.online.explainer",
+    "LearnedTypes": "xplain.learning.learned",
+}
+
+
+def __getattr__(name: str) -> Any:
+    # Imported when asked for: `python -m xplain --help` must not wait for numba.
+    if name not in _WHERE:
+        raise AttributeError(f"module 'xplain' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(_WHERE[name]), name)

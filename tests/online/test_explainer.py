@@ -1,0 +1,202 @@
+"""Sessions against the experiments' loop, across restarts, and on traces that grow."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.explanation.problems import random_problem
+from xplain import Explainer, GivenTypes
+from xplain.errors import InputError
+from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.explanation.belief import Independent, Persistent
+from xplain.message_sets import mask_of
+from xplain.solvers.known_type import Conformant, KnownType
+from xplain.solvers.qhr import QHR
+from xplain.solvers.qmdp import QMDP
+
+SOLVERS = [QMDP(), QHR(), Conformant()]
+
+
+def explainer_of(problem, solver, belief_update):
+    types = GivenTypes(
+        problem.p_explicable, problem.message_names, problem.type_names, problem.prior
+    )
+    return Explainer(
+        types,
+        solver,
+        problem.trade_off,
+        problem.message_cost,
+        problem.inexplicability_cost,
+        problem.discount,
+        problem.discount_per,
+        belief_update,
+    )
+
+
+@st.composite
+def situations(draw):
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    problem = random_problem(rng, max_steps=5, max_messages=3)
+    answers = rng.integers(0, 2, problem.p_explicable.shape[1:]).astype(np.uint8)
+    solver = SOLVERS[rng.integers(len(SOLVERS))]
+    update = Independent() if rng.random() < 0.5 else Persistent()
+    return problem, answers, explainer_of(problem, solver, update), rng
+
+
+def play(session, answers, steps=None):
+    """Goes on until the end (or for some steps); returns what was said."""
+    said = []
+    while not session.finished and steps != 0:
+        said.append(session.messages())
+        given = mask_of(session.said, session._talk.problem.message_names)
+        session.observe(answers[: session.shown, given])
+        steps = None if steps is None else steps - 1
+    return said
+
+
+@given(situations())
+@settings(max_examples=60, deadline=None)
+def test_a_session_is_an_episode_of_the_experiments(situation):
+    problem, answers, explainer, _ = situation
+    policy = explainer.solver.plan(problem)
+    episode = explain(problem, policy, SimulatedUser(answers), explainer.belief_update)
+    session = explainer.session(range(problem.n_steps))
+    said = play(session, answers)
+    names = problem.message_names
+    assert [mask_of(step, names) for step in said] == episode.messages.tolist()
+    np.testing.assert_array_equal(list(session.belief.values()), episode.beliefs[-1])
+    assert session.cost == pytest.approx(episode.cost)
+
+
+@given(situations())
+@settings(max_examples=60, deadline=None)
+def test_a_session_goes_on_in_another_process_as_if_nothing_had_happened(situation):
+    problem, answers, explainer, rng = situation
+    there = explainer.session(range(problem.n_steps))
+    play(there, answers, int(rng.integers(problem.n_steps + 1)))
+    if not there.finished and rng.random() < 0.5:
+        there.messages()  # said, and the user's answer not heard yet
+    here = explainer.from_json(there.to_json())
+    assert here.belief == there.belief
+    assert (here.said, here.shown, here.cost) == (there.said, there.shown, there.cost)
+    assert play(here, answers) == play(there, answers)
+    assert here.belief == there.belief
+    assert here.to_json() == there.to_json()
+
+
+@given(situations())
+@settings(max_examples=60, deadline=None)
+def test_a_trace_that_grows_is_planned_for_with_all_that_is_known(situation):
+    """Each decision is the one of a session that knew as much from the start."""
+    problem, answers, explainer, _ = situation
+    session = explainer.session()
+    for k in range(problem.n_steps):
+        session.extend([k])
+        wiser = explainer.session(range(k + 1))
+        for names, labels in zip(session._said, session._answers, strict=True):
+            wiser.tell(session._names(names))
+            wiser.observe(labels)
+        assert wiser.messages() == session.messages()
+        session.observe(answers[: k + 1, mask_of(session.said, problem.message_names)])
+    assert session.finished
+
+
+def test_the_expected_length_makes_an_early_message_worth_its_cost():
+    # One message at cost 3 mends the first transition, which is inexplicable without it.
+    table = np.array([[[0.0, 1.0]]])
+    explainer = Explainer(GivenTypes(table, ("m",), ("t",)), message_cost=3.0, discount=1.0)
+    assert explainer.session([0]).messages() == ()
+    assert explainer.session([0], expected_steps=3).messages() == ()  # a tie: say nothing
+    assert explainer.session([0], expected_steps=4).messages() == ("m",)
+
+
+def test_why_ranks_the_choice_first_and_keeps_the_reasons_of_the_moment():
+    table = np.array([[[0.1, 0.9], [0.1, 0.9]], [[0.9, 0.9], [0.9, 0.9]]])
+    explainer = Explainer(GivenTypes(table, ("fuel",), ("new", "old")), trade_off=0.5)
+    session = explainer.session([0, 1])
+    assert session.messages() == ("fuel",)
+    before = session.why()
+    assert list(before.values)[0] == before.chosen == ("fuel",)
+    assert before.belief == {"new": 0.5, "old": 0.5}
+    session.observe([1])
+    assert session.why() == before
+    assert "fuel" in str(before)
+
+
+def test_types_may_be_a_function_of_whatever_a_transition_is():
+    def table(transitions):
+        hard = np.array([move["hard"] for move in transitions])
+        return np.where(hard[None, :, None], [[[0.2, 0.9]]], 0.9)
+
+    explainer = Explainer(GivenTypes(table, ("why",), ("anyone",)), trade_off=0.1)
+    session = explainer.session([{"hard": False}])
+    assert session.messages() == ()
+    session.observe([1])
+    session.extend([{"hard": True}])
+    assert session.messages() == ("why",)
+    assert explainer.from_json(session.to_json()).messages() == ("why",)
+
+
+TYPES = GivenTypes(np.full((2, 3, 4), 0.5), ("a", "b"), ("x", "y"))
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ({"trade_off": -1}, ["lambda", "-1", "≥ 0"]),
+        ({"discount": 0}, ["discount", "(0, 1]"]),
+        ({"message_cost": [1, 2, 3]}, ["message_cost", "2 costs"]),
+        ({"solver": KnownType()}, ["solver", "KnownType"]),
+        ({"types": GivenTypes(TYPES.table, ("a", "a"), ("x", "y"))}, ["messages", "once"]),
+        ({"types": GivenTypes(TYPES.table, ("a", "b"), ("x", "y"), (0.9, 0.9))}, ["prior"]),
+    ],
+)
+def test_a_bad_setting_is_one_clear_line(setting, words):
+    with pytest.raises(InputError) as error:
+        Explainer(**{"types": TYPES} | setting)
+    assert "\n" not in str(error.value)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_misuse_is_one_clear_line():
+    explainer = Explainer(TYPES)
+    session = explainer.session([0])
+    session.messages()
+    text = session.to_json()
+    state = json.loads(text)
+    broken = [
+        (lambda: explainer.session([7]), "trace"),
+        (lambda: explainer.session([0.5]), "trace"),
+        (lambda: explainer.session([0], -1), "expected_steps"),
+        (lambda: explainer.session([0]).observe([1]), "messages() comes first"),
+        (lambda: explainer.session([0]).why(), "messages() comes first"),
+        (lambda: session.observe([1, 1]), "labels"),
+        (lambda: session.observe([2]), "labels"),
+        (lambda: session.observe(["yes"]), "labels"),
+        (lambda: explainer.session().messages(), "finished"),
+        (lambda: session.tell(["a"]), "before messages()"),
+        (lambda: explainer.session([0]).tell(["c"]), "unknown message"),
+        (lambda: explainer.from_json("{}"), "JSON"),
+        (lambda: explainer.from_json("no"), "JSON"),
+        (lambda: explainer.from_json(json.dumps(state | {"format": 9})), "format"),
+        (lambda: explainer.from_json(json.dumps(state | {"types": ["x"]})), "types"),
+        (lambda: explainer.from_json(json.dumps(state | {"answers": [[1], [1]]})), "said"),
+        (lambda: explainer.from_json(json.dumps(state | {"said": [["z"]]})), "unknown message"),
+    ]
+    for action, words in broken:
+        with pytest.raises(InputError) as error:
+            action()
+        assert "\n" not in str(error.value)
+        assert words in str(error.value)
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    code = "import sys, xplain; print([m for m in ('numpy', 'numba', 'sklearn') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
