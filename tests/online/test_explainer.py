@@ -121,7 +121,7 @@ def test_why_ranks_the_choice_first_and_keeps_the_reasons_of_the_moment():
     session = explainer.session([0, 1])
     assert session.messages() == ("fuel",)
     before = session.why()
-    assert list(before.values)[0] == before.chosen == ("fuel",)
+    assert next(iter(before.values)) == before.chosen == ("fuel",)
     assert before.belief == {"new": 0.5, "old": 0.5}
     session.observe([1])
     assert session.why() == before
@@ -197,6 +197,8 @@ def test_misuse_is_one_clear_line():
 
 
 def test_importing_the_package_imports_nothing_heavy():
-    code = "import sys, xplain; print([m for m in ('numpy', 'numba', 'sklearn') if m in sys.modules])"
+    code = (
+        "import sys, xplain; print([m for m in ('numpy', 'numba', 'sklearn') if m in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

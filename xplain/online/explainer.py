@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError
 from xplain.explanation.belief import BeliefUpdate, Independent
-from xplain.explanation.problem import DiscountPer, Problem
+from xplain.explanation.problem import MAX_MESSAGES, DiscountPer, Problem
 from xplain.online.session import FORMAT, Session
 from xplain.solvers.base import Solver
 from xplain.solvers.qmdp import QMDP
@@ -115,6 +115,8 @@ class Explainer:
             names = getattr(self.types, key)
             if isinstance(names, str) or len(set(names)) < len(names):
                 raise InputError(f"types.{key}", names, "names, each once")
+        if len(self.types.messages) > MAX_MESSAGES:
+            raise InputError("types.messages", len(self.types.messages), f"at most {MAX_MESSAGES}")
         if self.solver.knows in ("type", "labels"):
             raise InputError(
                 "solver", type(self.solver).__name__, "a solver that need not know the user's type"
