@@ -1,0 +1,109 @@
+"""What keeps the server safe: keyed cookies, forgery tokens, headers, limits."""
+
+from __future__ import annotations
+
+import hmac
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from flask import Response
+
+MAX_BODY = 64 * 1024
+"""Bytes of a request; the largest honest one has a few thousand."""
+
+POLICY = (
+    "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; img-src 'self'; "
+    "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+)
+HEADERS = {
+    "Content-Security-Policy": POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), geolocation=(), microphone=(), interest-cohort=()",
+}
+
+
+def secure(response: Response, https: bool, kept: bool) -> Response:
+    """Adds the headers. Pages are never stored: back and reload ask the server again."""
+    for name, value in HEADERS.items():
+        response.headers[name] = value
+    if https:
+        response.headers["Strict-Transport-Security"] = "max-age=31536000"
+    response.headers["Cache-Control"] = "public, max-age=3600" if kept else "no-store"
+    return response
+
+
+@dataclass
+class RateLimit:
+    """A token bucket a key; the least recently seen keys are forgotten first.
+
+    Attributes:
+        per_second: tokens gained.
+        burst: tokens at most.
+        clock: seconds, monotonic.
+        most: keys remembered.
+    """
+
+    per_second: float
+    burst: float
+    clock: Callable[[], float] = time.monotonic
+    most: int = 20_000
+    _buckets: OrderedDict[str, tuple[float, float]] = field(default_factory=OrderedDict)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def allows(self, key: str) -> bool:
+        """Takes a token, if there is one."""
+        now = self.clock()
+        with self._lock:
+            tokens, last = self._buckets.pop(key, (self.burst, now))
+            tokens = min(self.burst, tokens + (now - last) * self.per_second)
+            allowed = tokens >= 1
+            self._buckets[key] = (tokens - allowed, now)
+            if len(self._buckets) > self.most:
+                self._buckets.popitem(last=False)
+        return allowed
+
+
+@dataclass(frozen=True)
+class Keys:
+    """Cookies and form tokens that only this server can make.
+
+    Attributes:
+        keyed: a keyed hash of some texts (the store's).
+    """
+
+    keyed: Callable[..., str]
+
+    def cookie(self, participant: str) -> str:
+        """What the participant's browser holds: unguessable, bound to the id."""
+        return f"{participant}.{self.keyed('participant', participant)}"
+
+    def owner(self, cookie: str) -> str | None:
+        """The participant of a cookie; None if it is forged."""
+        participant, _, proof = cookie.partition(".")
+        return participant if self.same(proof, self.keyed("participant", participant)) else None
+
+    def form(self, who: str) -> str:
+        """The token in every form of a participant, visitor or researcher."""
+        return self.keyed("form", who)
+
+    @property
+    def researcher(self) -> str:
+        """What the researcher types in to see who is where."""
+        return self.keyed("researcher")[:32]
+
+    @property
+    def researcher_session(self) -> str:
+        """The researcher's cookie."""
+        return self.keyed("researcher session")
+
+    @staticmethod
+    def same(a: str, b: str) -> bool:
+        """Whether two texts are equal, in constant time."""
+        return hmac.compare_digest(a.encode(errors="replace"), b.encode(errors="replace"))

@@ -1,0 +1,304 @@
+"""The plan of a study: everything a participant may meet, fixed before the first one comes.
+
+A plan is a value: texts, trace, label probabilities, the participants' types, which solver serves
+which condition. It is stored in the study's database at the first start and read from there ever
+after, so that neither a restart nor a change of code or configuration changes a running study.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.domains.base import Item, Scene
+from xplain.errors import InputError
+from xplain.explanation.belief import BeliefUpdate
+from xplain.explanation.problem import Problem
+from xplain.solvers.base import Policy
+
+VERSION = 1
+"""Of the stored form; a database of another version is refused."""
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A parameter of the domain, as people meet it.
+
+    Attributes:
+        name: of the parameter and of its message.
+        message: the sentence that tells the robot's value.
+        belief: the sentence of someone who holds it wrong.
+    """
+
+    name: str
+    message: str
+    belief: str
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question with its possible answers; ``answer`` is the index of the right one."""
+
+    text: str
+    options: tuple[str, ...]
+    answer: int
+
+
+@dataclass(frozen=True)
+class Statement:
+    """One statement of the quiz, true or not of the robot."""
+
+    fact: str
+    text: str
+    true: bool
+
+
+@dataclass(frozen=True)
+class Role:
+    """What participants of one user type are told and asked.
+
+    Attributes:
+        name: of the user type.
+        wrong: positions of the facts that this type holds wrong.
+        briefing: one sentence a fact, as this type knows it.
+        eligibility: one question a fact, answered as this type knows it.
+        quiz: the statements of the last test, true ones first.
+    """
+
+    name: str
+    wrong: tuple[int, ...]
+    briefing: tuple[str, ...]
+    eligibility: tuple[Question, ...]
+    quiz: tuple[Statement, ...]
+
+
+@dataclass(frozen=True)
+class Training:
+    """The example that shows what a message does: an action added for illustration."""
+
+    belief: str
+    action: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One optional question about the participant, after the quiz.
+
+    Attributes:
+        name: the column in the data.
+        label: what the participant reads.
+        kind: "number", "choice" or "text".
+        choices: of a choice.
+        low, high: bounds of a number.
+        max_length: of a text, in characters.
+    """
+
+    name: str
+    label: str
+    kind: str = "text"
+    choices: tuple[str, ...] = ()
+    low: int = 0
+    high: int = 120
+    max_length: int = 500
+
+    def __post_init__(self) -> None:
+        """Raises InputError: an unknown kind, or a choice without choices."""
+        if self.kind not in ("number", "choice", "text"):
+            raise InputError(f"questions.{self.name}.kind", self.kind, "number, choice or text")
+        if self.kind == "choice" and not self.choices:
+            raise InputError(f"questions.{self.name}.choices", [], "at least one choice")
+
+
+@dataclass(frozen=True)
+class Texts:
+    """The words of the pages, from config; paragraphs as tuples."""
+
+    title: str
+    consent: tuple[str, ...]
+    introduction: tuple[str, ...]
+    task: tuple[str, ...]
+    goodbye: tuple[str, ...]
+    contact: str
+
+    @property
+    def consent_hash(self) -> str:
+        """SHA-256 of the consent text: what exactly was agreed to."""
+        return hashlib.sha256("\n".join(self.consent).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Numbers of the protocol.
+
+    Attributes:
+        per_cell: completed participants wanted for each type under each condition.
+        max_attempts: how often the eligibility test may be taken.
+        timeout_minutes: without a sign of life after which a participant's slot is freed.
+        recall: whether the briefing can be opened again during the evaluation.
+    """
+
+    per_cell: int
+    max_attempts: int
+    timeout_minutes: float
+    recall: bool
+
+    def __post_init__(self) -> None:
+        """Raises InputError: a number that is not positive."""
+        for key in ("per_cell", "max_attempts", "timeout_minutes"):
+            if not getattr(self, key) > 0:
+                raise InputError(f"rules.{key}", getattr(self, key), "a number above 0")
+
+
+@dataclass(frozen=True)
+class StudyPlan:
+    """A study of N types, a trace of m transitions, n facts (and messages).
+
+    Attributes:
+        seed: of assignment and the orders of questions.
+        domain: its name.
+        texts, training, rules, asked: see their types.
+        facts: [n].
+        roles: [N].
+        trace: [m] what the robot does, as phrases.
+        path: [m] (cell before, cell after) on the map, or None without a map.
+        scene: the map, or None.
+        problem: label probabilities and costs behind the policies.
+        true_labels: [N, m, 2^n] uint8, what a faultless participant would answer.
+        conditions: {condition: configuration of its solver}.
+        belief: configuration of the belief update.
+        probes: {condition: decisions for random labels}, to notice changed code.
+        icons: {name of an item on the map: path of its icon in a box of 24}; may lack some.
+        config: the configuration that it was made from, for the record.
+    """
+
+    seed: int
+    domain: str
+    texts: Texts
+    training: Training
+    rules: Rules
+    asked: tuple[Asked, ...]
+    facts: tuple[Fact, ...]
+    roles: tuple[Role, ...]
+    trace: tuple[str, ...]
+    path: tuple[tuple[tuple[int, int], tuple[int, int]], ...] | None
+    scene: Scene | None
+    problem: Problem
+    true_labels: NDArray[np.uint8]
+    conditions: Mapping[str, Mapping[str, Any]]
+    belief: Mapping[str, Any]
+    probes: Mapping[str, tuple[str, ...]]
+    icons: Mapping[str, str]
+    config: Mapping[str, Any]
+
+    @property
+    def n_steps(self) -> int:
+        """m."""
+        return len(self.trace)
+
+    @property
+    def cells(self) -> tuple[tuple[int, str], ...]:
+        """Every (type, condition): what the slots are balanced over."""
+        return tuple((t, c) for t in range(len(self.roles)) for c in self.conditions)
+
+    @cached_property
+    def text(self) -> str:
+        """The plan as canonical JSON; floats survive to the last bit."""
+        value = {f.name: getattr(self, f.name) for f in fields(self)}
+        for key in ("texts", "training", "rules"):
+            value[key] = asdict(value[key])
+        value |= {
+            "version": VERSION,
+            "asked": [asdict(a) for a in self.asked],
+            "facts": [asdict(f) for f in self.facts],
+            "roles": [asdict(r) for r in self.roles],
+            "scene": None if self.scene is None else asdict(self.scene),
+            "true_labels": self.true_labels.tolist(),
+            "problem": {
+                f.name: _plain(getattr(self.problem, f.name)) for f in fields(self.problem)
+            },
+        }
+        return json.dumps(value, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of :attr:`text`."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+    @classmethod
+    def from_text(cls, text: str) -> StudyPlan:
+        """Reads what :attr:`text` wrote.
+
+        Raises:
+            InputError: another version of the stored form.
+        """
+        value = json.loads(text)
+        if value.pop("version", None) != VERSION:
+            raise InputError("database", "its plan", f"made by another version (not {VERSION})")
+        path, scene = value["path"], value["scene"]
+        return cls(
+            **value
+            | {
+                "texts": Texts(**_tuples(value["texts"])),
+                "training": Training(**value["training"]),
+                "rules": Rules(**value["rules"]),
+                "asked": tuple(Asked(**_tuples(a)) for a in value["asked"]),
+                "facts": tuple(Fact(**f) for f in value["facts"]),
+                "roles": tuple(_role(r) for r in value["roles"]),
+                "trace": tuple(value["trace"]),
+                "path": path and tuple((tuple(a), tuple(b)) for a, b in path),
+                "scene": scene and _scene(scene),
+                "true_labels": np.array(value["true_labels"], dtype=np.uint8),
+                "probes": {c: tuple(p) for c, p in value["probes"].items()},
+                "problem": Problem(
+                    **{
+                        key: np.array(v) if key in ("p_explicable", "message_cost", "prior") else v
+                        for key, v in value["problem"].items()
+                    }
+                ),
+            }
+        )
+
+
+@dataclass(frozen=True)
+class Study:
+    """A plan with its policies at work; what the protocol needs to go on.
+
+    Attributes:
+        plan: the value everything follows from.
+        policies: {condition: policy for ``plan.problem``}.
+        belief: which labels are evidence.
+    """
+
+    plan: StudyPlan
+    policies: Mapping[str, Policy]
+    belief: BeliefUpdate
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _tuples(value: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: tuple(v) if isinstance(v, list) else v for key, v in value.items()}
+
+
+def _role(value: dict[str, Any]) -> Role:
+    questions = tuple(Question(**_tuples(q)) for q in value["eligibility"])
+    statements = tuple(Statement(**s) for s in value["quiz"])
+    return Role(**_tuples(value) | {"eligibility": questions, "quiz": statements})
+
+
+def _scene(value: dict[str, Any]) -> Scene:
+    def cells(pairs: list[list[int]]) -> tuple[tuple[int, int], ...]:
+        return tuple((row, column) for row, column in pairs)
+
+    items = tuple(Item(i["name"], i["symbol"], cells(i["cells"])) for i in value["items"])
+    return Scene(value["rows"], value["columns"], cells(value["walls"]), items)

@@ -1,0 +1,213 @@
+"""From configuration to the plan of a study, and from a plan to its policies at work."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.domains.base import Domain, transition_features
+from xplain.errors import InputError, XplainError
+from xplain.experiment import Costs
+from xplain.randomness import derived_seed, stream
+from xplain.study import content, protocol
+from xplain.study.plan import Asked, Rules, Study, StudyPlan, Texts, Training
+from xplain.users.setting import Setting
+from xplain.users.traces import sample_trace
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+PROBES = 16
+"""Walks with random labels, a condition, that a changed code would have to repeat."""
+
+
+def study_plan(cfg: DictConfig) -> StudyPlan:
+    """The plan that a configuration describes.
+
+    The label probabilities are those of the paper's study: labelers under perfect clustering,
+    learned from simulated observers of each type.
+
+    Raises:
+        XplainError: the configuration cannot be used; the text says what to change.
+    """
+    from hydra.utils import instantiate
+    from omegaconf import OmegaConf
+
+    from xplain.learning.clustering import PerfectClusterer
+    from xplain.learning.types import learn_types
+
+    config: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
+    seed = cfg.seed
+    domain: Domain = instantiate(cfg.domain)
+    types = instantiate(cfg.users).types(domain, stream(seed, "users"))
+    setting = Setting.build(domain, types)
+    transitions = choose_trace(setting, config["trace"], config["max_steps"], seed)
+    trainer = instantiate(cfg.labeler)
+    dataset, truth = instantiate(cfg.observers).collect(setting, seed)
+    if truth is None:
+        raise InputError("observers", "a file", "observers whose types are known (simulated)")
+    clustering = PerfectClusterer().cluster(dataset, trainer, 0, truth)
+    learned = learn_types(dataset, clustering, trainer, derived_seed(seed, "perfect"))
+    features = transition_features(domain, transitions)
+    tables = [labeler.table(features, setting.n_messages) for labeler in learned.labelers]
+    return assemble(setting, transitions, np.stack(tables), config)
+
+
+def choose_trace(
+    setting: Setting, trace: Mapping[str, Any], max_steps: int, seed: int
+) -> NDArray[np.int64]:
+    """The one trace that every participant evaluates: [m, 3].
+
+    Of ``candidates`` random ones, the first for which the types need the most facts corrected:
+    a trace that most types understand anyway would measure nothing.
+
+    Args:
+        setting: domain and types.
+        trace: ``start`` (a cell of the map, or None for any) and ``candidates``.
+        max_steps: a trace ends at a terminal state or here.
+        seed: of the stream.
+
+    Raises:
+        InputError: no trace starts at that cell.
+    """
+    domain, starts = setting.domain, setting.domain.starts
+    if trace["start"] is not None:
+        cell = tuple(trace["start"])
+        starts = np.array([s for s in starts if domain.position(int(s)) == cell], dtype=np.int64)
+        if not len(starts):
+            raise InputError("trace.start", list(cell), "a cell where traces start")
+    if trace["candidates"] < 1:
+        raise InputError("trace.candidates", trace["candidates"], "a whole number ≥ 1")
+
+    def draw(index: int) -> NDArray[np.int64]:
+        rng = stream(seed, "trace", index)
+        return sample_trace(setting.models[0], setting.optimal[0], starts, rng, max_steps)
+
+    def facts_needed(transitions: NDArray[np.int64]) -> int:
+        labels = setting.label_table(transitions)
+        return sum(content.needed(of_type).bit_count() for of_type in labels)
+
+    return max((draw(index) for index in range(trace["candidates"])), key=facts_needed)
+
+
+def assemble(
+    setting: Setting,
+    transitions: NDArray[np.int64],
+    p_explicable: NDArray[np.float64],
+    config: Mapping[str, Any],
+) -> StudyPlan:
+    """A plan from its parts.
+
+    Args:
+        setting: domain and types.
+        transitions: [m, 3] the evaluation trace.
+        p_explicable: [N, m, 2^n] of the labelers.
+        config: the study's resolved configuration (the keys of conf/study.yaml).
+
+    Raises:
+        XplainError: a part contradicts another.
+    """
+    domain, types = setting.domain, setting.types
+    labels = setting.label_table(transitions)
+    costs = Costs(
+        trade_off=config["lambda"],
+        **{
+            key: config[key]
+            for key in (
+                "message_cost",
+                "inexplicability_cost",
+                "discount",
+                "discount_per",
+                "prior",
+            )
+        },
+    )
+    names = tuple(user_type.name for user_type in types)
+    uniform = np.full(len(types), 1 / len(types))
+    states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]
+    cells = [domain.position(state) for state in states]
+    wording = config["wording"]
+    plan = StudyPlan(
+        seed=config["seed"],
+        domain=domain.name,
+        texts=Texts(
+            **{key: wording[key] for key in ("title", "contact")},
+            **{
+                key: tuple(wording[key]) for key in ("consent", "introduction", "task", "goodbye")
+            },
+        ),
+        training=Training(**wording["training"]),
+        rules=Rules(**config["rules"]),
+        asked=tuple(
+            Asked(**asked | {"choices": tuple(asked.get("choices", ()))})
+            for asked in config["questions"]
+        ),
+        facts=content.facts_of(domain.parameters),
+        roles=content.roles_of(domain.parameters, types, labels, wording["rewards"]),
+        trace=tuple(domain.describe(transition) for transition in transitions),
+        path=None
+        if domain.scene is None or None in cells
+        else tuple(zip(cells[:-1], cells[1:], strict=True)),  # type: ignore[arg-type]
+        scene=domain.scene,
+        problem=costs.problem(p_explicable, setting.message_names, names, uniform),
+        true_labels=labels,
+        conditions=config["conditions"],
+        belief=config["belief"],
+        probes={},
+        icons=wording["icons"],
+        config=config,
+    )
+    object.__setattr__(plan, "probes", probes(_at_work(plan)))
+    # What is stored is what runs, from the first participant on.
+    return StudyPlan.from_text(plan.text)
+
+
+def study_of(plan: StudyPlan) -> Study:
+    """A plan with its policies at work.
+
+    Raises:
+        XplainError: the installed code decides differently from the code that made the plan.
+    """
+    study = _at_work(plan)
+    if probes(study) != plan.probes:
+        raise XplainError(
+            "database: this version of xplain decides differently from the one that started the "
+            "study; go on with that version, or start a new study in another database"
+        )
+    return study
+
+
+def _at_work(plan: StudyPlan) -> Study:
+    from hydra.utils import instantiate
+
+    seed = derived_seed(plan.seed, "solver")
+    policies = {
+        condition: instantiate(dict(solver)).plan(plan.problem, seed)
+        for condition, solver in plan.conditions.items()
+    }
+    return Study(plan, policies, instantiate(dict(plan.belief)))
+
+
+def probes(study: Study) -> dict[str, tuple[str, ...]]:
+    """What the protocol decides for participants who label at random: by condition, one text a
+    walk, with the messages of every step and the last belief to the last bit."""
+    found: dict[str, tuple[str, ...]] = {}
+    for condition in study.plan.conditions:
+        walks = []
+        for walk in range(PROBES):
+            rng = stream(0, "probes", walk)
+            state = protocol.State(stage="eligibility", user_type=0, condition=condition)
+            right = [question.answer for question in study.plan.roles[0].eligibility]
+            state = protocol.advance(study, state, "eligibility", {"answers": right}).state
+            messages = [state.new]
+            while state.stage == "evaluation":
+                # Mostly 1, so that beliefs stay apart rather than settle at once.
+                labels = (rng.random(state.step + 1) < 0.8).astype(int).tolist()
+                state = protocol.advance(study, state, "labels", {"labels": labels}).state
+                messages.append(state.new)
+            walks.append(f"{messages} {[float(b).hex() for b in state.belief]}")
+        found[condition] = tuple(walks)
+    return found

@@ -1,0 +1,115 @@
+"use strict";
+// Two things: answers go through an outbox that survives a lost network, a reload and a restart of
+// the server, and the page's own events (seen, hidden, clicked) are sent in the background.
+// Without JavaScript the forms work all the same.
+(() => {
+  const body = document.body;
+  if (!("sequence" in body.dataset)) return;
+  const { token, sequence, events: address } = body.dataset;
+  const connection = document.getElementById("connection");
+  const OUTBOX = "study-outbox-" + token.slice(0, 16);
+
+  // Answers ---------------------------------------------------------------------------------
+  let leaving = false;
+  const wait = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
+  const kept = () => { try { return JSON.parse(localStorage.getItem(OUTBOX)); } catch { return null; } };
+  const keep = (item) => {
+    try { item ? localStorage.setItem(OUTBOX, JSON.stringify(item)) : localStorage.removeItem(OUTBOX); } catch { /* private mode: the page itself still retries */ }
+  };
+
+  // Any answer of the server acknowledges: what it refuses once it would refuse again.
+  async function deliver(item) {
+    for (let pause = 500; ; pause = Math.min(pause * 2, 8000)) {
+      try {
+        const reply = await fetch(item.action, {
+          method: "POST", body: new URLSearchParams(item.fields), credentials: "same-origin",
+        });
+        if (reply.status < 500 && reply.status !== 429 || reply.status === 503) return reply;
+      } catch { /* no network; try again */ }
+      connection.textContent = "No connection. Your answer is kept here and will be sent again …";
+      note("retry", String(item.sequence));
+      await wait(pause);
+    }
+  }
+
+  async function send(item) {
+    keep(item);
+    const reply = await deliver(item);
+    keep(null);
+    connection.textContent = "";
+    leaving = true;
+    if (reply.redirected || reply.ok) {
+      location.replace(reply.url);
+    } else {
+      // The page with the sentence that says what is missing.
+      const page = new DOMParser().parseFromString(await reply.text(), "text/html");
+      document.querySelector("main").replaceWith(page.querySelector("main"));
+      document.querySelector("main").focus();
+      for (const button of document.querySelectorAll("button")) button.disabled = false;
+      leaving = false;
+    }
+  }
+
+  document.addEventListener("submit", (event) => {
+    const form = event.target;
+    if (form.method !== "post") return;
+    event.preventDefault();
+    if (leaving) return;
+    leaving = true;
+    for (const button of document.querySelectorAll("button")) button.disabled = true;
+    form.elements.ms.value = performance.now().toFixed(1);
+    flush();
+    const fields = [...new FormData(form)].map(([name, value]) => [name, String(value)]);
+    send({ action: form.action, fields, sequence: Number(sequence) });
+  });
+
+  window.addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
+
+  // Events of the page ------------------------------------------------------------------------
+  const tab = [...crypto.getRandomValues(new Uint8Array(8))].map((b) => b.toString(16).padStart(2, "0")).join("");
+  let number = 0;
+  let queue = [];
+  let busy = false;
+
+  function note(kind, what = "") {
+    const ms = performance.now();
+    queue.push({ n: number++, kind, ms, at: performance.timeOrigin + ms, what });
+  }
+
+  // A beacon outlives the page; a fetch tells whether the server took it.
+  function flush() {
+    if (queue.length) {
+      const text = JSON.stringify({ token, tab, items: queue.slice(-50) });
+      if (navigator.sendBeacon(address, new Blob([text], { type: "application/json" })) && leaving) queue = [];
+    }
+  }
+
+  async function deliverEvents() {
+    if (busy || leaving || !queue.length) return;
+    busy = true;
+    const items = queue.slice(0, 50);
+    try {
+      const reply = await fetch(address, { method: "POST", body: JSON.stringify({ token, tab, items }), credentials: "same-origin" });
+      if (reply.status < 500 && reply.status !== 429) queue = queue.slice(items.length);
+    } catch { /* stays in the queue */ }
+    busy = false;
+  }
+
+  note(document.hidden ? "hidden" : "visible", body.dataset.stage);
+  document.addEventListener("visibilitychange", () => {
+    if (leaving) return;
+    note(document.hidden ? "hidden" : "visible", body.dataset.stage);
+    if (document.hidden) flush();
+  });
+  window.addEventListener("pagehide", () => { if (!leaving) { note("hidden", "closed"); flush(); } });
+  document.addEventListener("change", (event) => {
+    if (event.target.type === "radio" || event.target.type === "checkbox") note("label", (event.target.name + "=" + event.target.value).slice(0, 40));
+  });
+  for (const details of document.querySelectorAll("details.recall")) {
+    details.addEventListener("toggle", () => note("recall", details.open ? "open" : "closed"));
+  }
+  setInterval(deliverEvents, 4000);
+  deliverEvents();
+  const left = kept();
+  if (left) send(left);
+})();
