@@ -13,6 +13,7 @@ from xplain.errors import InputError, XplainError
 from xplain.experiment import Costs
 from xplain.randomness import derived_seed, stream
 from xplain.study import content, protocol
+from xplain.study.command_line import fixed
 from xplain.study.plan import Asked, Rules, Study, StudyPlan, Texts, Training
 from xplain.users.setting import Setting
 from xplain.users.traces import sample_trace
@@ -34,12 +35,10 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
         XplainError: the configuration cannot be used; the text says what to change.
     """
     from hydra.utils import instantiate
-    from omegaconf import OmegaConf
 
-    from xplain.learning.clustering import PerfectClusterer
     from xplain.learning.types import learn_types
 
-    config: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
+    config = fixed(cfg)
     seed = cfg.seed
     domain: Domain = instantiate(cfg.domain)
     types = instantiate(cfg.users).types(domain, stream(seed, "users"))
@@ -47,10 +46,12 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     transitions = choose_trace(setting, config["trace"], config["max_steps"], seed)
     trainer = instantiate(cfg.labeler)
     dataset, truth = instantiate(cfg.observers).collect(setting, seed)
-    if truth is None:
-        raise InputError("observers", "a file", "observers whose types are known (simulated)")
-    clustering = PerfectClusterer().cluster(dataset, trainer, 0, truth)
-    learned = learn_types(dataset, clustering, trainer, derived_seed(seed, "perfect"))
+    clustering = instantiate(cfg.clusterer).cluster(
+        dataset, trainer, derived_seed(seed, "clusterer"), truth
+    )
+    learned = learn_types(dataset, clustering, trainer, derived_seed(seed, "labelers"))
+    if len(learned.labelers) != len(types):
+        raise InputError("clusterer", len(learned.labelers), f"{len(types)} types (use perfect)")
     features = transition_features(domain, transitions)
     tables = [labeler.table(features, setting.n_messages) for labeler in learned.labelers]
     return assemble(setting, transitions, np.stack(tables), config)

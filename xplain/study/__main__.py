@@ -1,0 +1,131 @@
+"""Starts the study's server: ``python -m xplain.study port=8080 database=outputs/study/main.sqlite``.
+
+One worker process with threads: it alone has the database open.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xplain.errors import InputError
+from xplain.study.command_line import composed, one_clear_line
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The command; see ``--help``."""
+    parser = argparse.ArgumentParser(
+        prog="python -m xplain.study",
+        description="Serves the user study. The first start fixes the study in its database; "
+        "later starts go on with it.",
+        epilog="keys and their defaults: conf/study.yaml; how a lab runs a study: docs/study.md",
+    )
+    parser.add_argument("overrides", nargs="*", metavar="key=value", help="over conf/study.yaml")
+    given = parser.parse_args(arguments)
+    with one_clear_line():
+        serve(composed(given.overrides))
+
+
+def serve(cfg: DictConfig) -> None:
+    """Blocks until the server is stopped.
+
+    Raises:
+        XplainError: the configuration or the database cannot be used.
+    """
+    from xplain.study.web import Server
+
+    check_address(cfg)
+    path = Path(cfg.database).absolute()
+    server = {key: value for key, value in cfg.server.items() if key != "_target_"}
+    study, ignored = running_study(cfg, path)
+    if ignored:
+        print(
+            f"study: goes on as it was started; these keys differ now and are ignored: "
+            f"{', '.join(ignored)}",
+            file=sys.stderr,
+        )
+    _run(study, Server(**server), path, cfg)
+
+
+def check_address(cfg: DictConfig) -> None:
+    """Raises InputError: a port or a number of threads that cannot be."""
+    if not isinstance(cfg.port, int) or not 0 < cfg.port < 65536:
+        raise InputError("port", cfg.port, "a whole number from 1 to 65535")
+    if not isinstance(cfg.threads, int) or not 1 <= cfg.threads <= 256:
+        raise InputError("threads", cfg.threads, "a whole number from 1 to 256")
+
+
+def running_study(cfg: DictConfig, path: Path) -> tuple[Any, list[str]]:
+    """The study in the database, or a new one; and the keys of ``cfg`` that it does not follow."""
+    from xplain.study.command_line import fixed
+    from xplain.study.prepare import study_of, study_plan
+    from xplain.study.store import read_plan
+
+    plan = read_plan(path)
+    if plan is None:
+        print("study: preparing a new study …", file=sys.stderr)
+        return study_of(study_plan(cfg)), []
+    now = fixed(cfg)
+    ignored = [key for key in now if now[key] != plan.config.get(key)]
+    return study_of(plan), ignored
+
+
+def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
+    from gunicorn.app.base import BaseApplication
+
+    from xplain.study.store import Store
+    from xplain.study.web import create_app
+
+    class Application(BaseApplication):  # type: ignore[misc]
+        def load_config(self) -> None:
+            for key, value in {
+                "bind": f"{cfg.host}:{cfg.port}",
+                "workers": 1,
+                "worker_class": "gthread",
+                "threads": cfg.threads,
+                "worker_connections": 2000,
+                "backlog": 512,
+                "keepalive": 30,
+                "timeout": 60,
+                "graceful_timeout": 10,
+                "limit_request_line": 4094,
+                "limit_request_fields": 60,
+                "max_requests": 0,
+                "accesslog": None,
+                "loglevel": "warning",
+                "proc_name": "xplain-study",
+                "control_socket_disable": True,
+            }.items():
+                if key in self.cfg.settings:
+                    self.cfg.set(key, value)
+
+        def load(self) -> Any:
+            # In the worker: a connection to SQLite must not be carried over a fork.
+            return create_app(Store(path, study), server)
+
+    # Opened once before the server starts, so that what is wrong with it is one clear line.
+    store = Store(path, study)
+    key = _researcher_key(store)
+    store.close()
+    print(
+        f"study: http://{cfg.host}:{cfg.port}/  ·  researcher's page: /researcher, key {key}\n"
+        f"study: database {path}, plan {study.plan.hash[:16]}",
+        file=sys.stderr,
+        flush=True,
+    )
+    Application().run()
+
+
+def _researcher_key(store: Any) -> str:
+    from xplain.study.guard import Keys
+
+    return Keys(store.keyed).researcher
+
+
+if __name__ == "__main__":
+    main()
