@@ -1,0 +1,88 @@
+"""What every column of the exported tables means."""
+
+CODEBOOK = {
+    "participants": {
+        "participant": "random id; the key of every table",
+        "stream": "person, pilot or bot; decided by the invitation, never changed",
+        "entry": "invitation, prolific or open",
+        "stage": "where they are or how it ended: done, declined, ineligible, withdrawn, timed_out",
+        "type": "user type whose knowledge they were given",
+        "condition": "explanation technique",
+        "eligibility_attempts": "eligibility tests taken",
+        "eligible": "1 if the test was passed",
+        "steps_labelled": "steps of the trace with a label",
+        "messages_given": "messages that the robot gave (of the policy, until the last step)",
+        "inexplicable_transitions": "labels 'unexpected' at the last step, 0 … m; paper: measure 2",
+        "quiz_score": "statements judged correctly, 0 … 4; paper: measure 3",
+        "interaction_time_s": "seconds, server's wall clock, first rendering of step 1 to the "
+        "last accepted label; paper: measure 1",
+        "interaction_time_monotonic_s": "the same by the server's monotonic clock; empty if the "
+        "machine was restarted in between",
+        "hidden_s": "seconds of it in which no page of the study was visible (browser's clock); "
+        "empty without JavaScript",
+        "visible_time_s": "interaction_time_s less hidden_s",
+        "entered": "server's wall clock, seconds since 1970-01-01 UTC",
+        "last_seen": "server's wall clock, seconds since 1970-01-01 UTC",
+        "consent_hash": "SHA-256 of the consent text agreed to (or declined)",
+        "completion_code": "of those who finished",
+        "outside_ids": "ids of the recruiting platform (JSON), only if the config keeps them",
+    },
+    "steps": {
+        "participant": "key",
+        "k": "step of the evaluation, 0 … m − 1",
+        "transition": "what the robot did, as shown",
+        "given_before": "messages on the page before this step, joined by ;",
+        "messages": "messages that were new at this step, joined by ;",
+        "belief_before": "probability of each user type (JSON list), before the step",
+        "belief_after": "the same after the labels of the step",
+        "action_values": "the policy's value of each next message set (JSON, bitmask: value; "
+        "0 = explain at once; larger is better)",
+        "labels": "labels of transitions 0 … k (JSON list), 1 = expected",
+    },
+    "labels": {
+        "participant": "key",
+        "k": "step at which the label was given",
+        "i": "transition that was labelled, 0 … k",
+        "transition": "what the robot did, as shown",
+        "messages_shown": "all messages on the page, joined by ;",
+        "label": "1 = expected, 0 = unexpected",
+    },
+    "eligibility": {
+        "participant": "key",
+        "attempt": "1, 2, …",
+        "fact": "parameter asked about",
+        "question": "as shown",
+        "answer": "as chosen",
+        "correct": "1 if it is what the participant had been told",
+    },
+    "quiz": {
+        "participant": "key",
+        "fact": "parameter that the statement is about",
+        "statement": "as shown",
+        "true": "1 if it is true of the robot",
+        "ticked": "1 if the participant ticked it",
+        "correct": "1 if ticked = true",
+    },
+    "answers": {
+        "participant": "key",
+        "question": "name in the configuration",
+        "answer": "as given; empty if left out",
+    },
+    "events": {
+        "participant": "key",
+        "sequence": "order of arrival at the server, 0, 1, …",
+        "source": "protocol (answers), server, shown (first renderings), tab:… (a page's reports)",
+        "source_sequence": "order at the source",
+        "kind": "of the event",
+        "wall": "server's wall clock, seconds since 1970-01-01 UTC",
+        "monotonic": "server's monotonic clock, seconds; comparable where boot is the same",
+        "boot": "id of the machine's boot",
+        "browser": "the page's performance.now, milliseconds since the page began to load",
+        "payload": "JSON; of a tab: at = browser's wall clock in ms, what = detail",
+    },
+    "codebook": {
+        "table": "name of the file",
+        "column": "name of the column",
+        "meaning": "this text",
+    },
+}
