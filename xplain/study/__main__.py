@@ -1,4 +1,4 @@
-"""Starts the study's server: ``python -m xplain.study port=8080 database=outputs/study/main.sqlite``.
+"""Starts the study's server: ``python -m xplain.study port=8080 rules.per_cell=10``.
 
 One worker process with threads: it alone has the database open.
 """
@@ -63,8 +63,8 @@ def check_address(cfg: DictConfig) -> None:
 def running_study(cfg: DictConfig, path: Path) -> tuple[Any, list[str]]:
     """The study in the database, or a new one; and the keys of ``cfg`` that it does not follow."""
     from xplain.study.command_line import fixed
+    from xplain.study.database import read_plan
     from xplain.study.prepare import study_of, study_plan
-    from xplain.study.store import read_plan
 
     plan = read_plan(path)
     if plan is None:
@@ -76,7 +76,7 @@ def running_study(cfg: DictConfig, path: Path) -> tuple[Any, list[str]]:
 
 
 def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
-    from gunicorn.app.base import BaseApplication
+    from gunicorn.app.base import BaseApplication  # type: ignore[import-untyped]
 
     from xplain.study.store import Store
     from xplain.study.web import create_app

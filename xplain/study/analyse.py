@@ -80,11 +80,10 @@ def _cells(row: Row) -> list[str]:
         published = f"{paper['conformant']:g}, {paper['personalized']:g}, p = {paper['p_value']:g}"
     return [
         row.title,
-        f"{c.mean_a:.2f} ({c.sd_a:.2f}), {c.n_a}",
-        f"{c.mean_b:.2f} ({c.sd_b:.2f}), {c.n_b}",
-        _p(c.student_p),
+        *(f"{group.mean:.2f} ({group.sd:.2f}), {group.n}" for group in (c.a, c.b)),
+        _p(c.student.p),
         _p(row.holm_p),
-        _p(c.welch_p),
+        _p(c.welch.p),
         _p(c.permutation_p),
         "–" if math.isnan(c.g) else f"{c.g:.2f} [{c.g_low:.2f}, {c.g_high:.2f}]",
         published,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from xplain.errors import InputError
 from xplain.randomness import derived_seed
+from xplain.study.protocol import ENDS
 from xplain.study.statistics import Comparison, compare, holm
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ def analyse(
             "data", counts, f"at least 2 completed participants (stream {stream}) a condition"
         )
     primary = [_compare(kept, m, title, seed) for m, title in MEASURES.items()]
-    adjusted = holm([c.student_p for _, _, c in primary])
+    adjusted = holm([c.student.p for _, _, c in primary])
     rows = [
         Row(m, title, c, p, paper_table()[m])
         for (m, title, c), p in zip(primary, adjusted, strict=True)
@@ -159,9 +160,8 @@ def _flow(own: pd.DataFrame) -> tuple[tuple[str, Mapping[str, int]], ...]:
         "completed": own["stage"] == "done",
     }
     rows = [(stage, _by_condition(own, reached[stage])) for stage in STAGES]
-    for end in ("declined", "ineligible", "withdrawn", "timed_out"):
-        rows.append((end.replace("_", " "), _by_condition(own, own["stage"] == end)))
-    running = ~own["stage"].isin(["done", "declined", "ineligible", "withdrawn", "timed_out"])
+    rows += [(end.replace("_", " "), _by_condition(own, own["stage"] == end)) for end in ENDS]
+    running = ~own["stage"].isin(["done", *ENDS])
     rows.append(("still on their way", _by_condition(own, running)))
     return tuple(rows)
 
@@ -175,12 +175,19 @@ def table(rows: Sequence[Row]) -> list[dict[str, float | str]]:
     """The rows as flat records, for CSV."""
     records: list[dict[str, float | str]] = []
     for row in rows:
-        ours = {
-            key.replace("_a", "_conformant").replace("_b", "_personalized")
-            if key[:2] in ("n_", "me", "sd")
-            else key: value
-            for key, value in vars(row.ours).items()
-        }
-        paper = {f"paper_{key}": value for key, value in (row.paper or {}).items()}
-        records.append({"measure": row.measure, **ours, "student_p_holm": row.holm_p, **paper})
+        parts = (("conformant", row.ours.a), ("personalized", row.ours.b))
+        tests = (("student", row.ours.student), ("welch", row.ours.welch))
+        records.append(
+            {
+                "measure": row.measure,
+                **{f"{key}_{name}": v for name, group in parts for key, v in vars(group).items()},
+                **{f"{name}_{key}": v for name, test in tests for key, v in vars(test).items()},
+                "student_p_holm": row.holm_p,
+                "hedges_g": row.ours.g,
+                "g_low": row.ours.g_low,
+                "g_high": row.ours.g_high,
+                "permutation_p": row.ours.permutation_p,
+                **{f"paper_{key}": value for key, value in (row.paper or {}).items()},
+            }
+        )
     return records

@@ -95,9 +95,7 @@ def _role(
             questions.append(
                 Question("Which of these were you told?", tuple(pair), pair.index(known[j]))
             )
-    return Role(
-        user_type.name, wrong, known, tuple(questions), _quiz(facts, wrong, needed(labels))
-    )
+    return Role(user_type.name, wrong, known, tuple(questions), _quiz(facts, wrong, needed(labels)))
 
 
 def _quiz(facts: Sequence[Fact], wrong: tuple[int, ...], need: int) -> tuple[Statement, ...]:

@@ -44,9 +44,7 @@ def milliseconds(value: object) -> float | None:
     return number if 0 <= number < 1e10 else None
 
 
-def payload_of(
-    kind: str, form: MultiDict[str, str], study: Study, state: State
-) -> dict[str, Any]:
+def payload_of(kind: str, form: MultiDict[str, str], study: Study, state: State) -> dict[str, Any]:
     """The payload of an event of this kind; what is missing or malformed becomes None, which the
     protocol refuses with a sentence for the participant."""
     plan = study.plan

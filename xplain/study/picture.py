@@ -32,7 +32,10 @@ def picture(plan: StudyPlan, steps: int) -> str:
         f'aria-label="{escape(where)}; the list of steps says the same in words">',
         f'<rect width="{width}" height="{height}" rx="6" fill="{FLOOR}"/>',
         *_grid(scene),
-        *(_cell(cell, f'<rect width="{CELL}" height="{CELL}" fill="{WALL}"/>') for cell in scene.walls),
+        *(
+            _cell(cell, f'<rect width="{CELL}" height="{CELL}" fill="{WALL}"/>')
+            for cell in scene.walls
+        ),
     ]
     for index, item in enumerate(scene.items):
         parts += [_cell(cell, icon(plan, item, index)) for cell in item.cells]
@@ -76,9 +79,9 @@ def icon(plan: StudyPlan, item: Item, index: int) -> str:
 
 
 def _grid(scene: Scene) -> list[str]:
-    lines = [
-        f'<path d="M{c * CELL} 0V{scene.rows * CELL}"/>' for c in range(1, scene.columns)
-    ] + [f'<path d="M0 {r * CELL}H{scene.columns * CELL}"/>' for r in range(1, scene.rows)]
+    lines = [f'<path d="M{c * CELL} 0V{scene.rows * CELL}"/>' for c in range(1, scene.columns)] + [
+        f'<path d="M0 {r * CELL}H{scene.columns * CELL}"/>' for r in range(1, scene.rows)
+    ]
     return [f'<g stroke="#D9DCE1" stroke-width="1">{"".join(lines)}</g>']
 
 

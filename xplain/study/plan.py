@@ -257,12 +257,7 @@ class StudyPlan:
                 "scene": scene and _scene(scene),
                 "true_labels": np.array(value["true_labels"], dtype=np.uint8),
                 "probes": {c: tuple(p) for c, p in value["probes"].items()},
-                "problem": Problem(
-                    **{
-                        key: np.array(v) if key in ("p_explicable", "message_cost", "prior") else v
-                        for key, v in value["problem"].items()
-                    }
-                ),
+                "problem": Problem(**value["problem"]),
             }
         )
 

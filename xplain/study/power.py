@@ -58,7 +58,9 @@ class Pool:
         a, b = (self.values[c].reshape(-1, len(MEASURES)) for c in CONDITIONS)
         spread = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 2)
         difference = a.mean(axis=0) - b.mean(axis=0)
-        return np.divide(difference, spread, out=np.zeros(len(MEASURES)), where=spread > 0)
+        found: NDArray[np.float64] = np.zeros(len(MEASURES))
+        np.divide(difference, spread, out=found, where=spread > 0)
+        return found
 
 
 def simulate(study: Study, habits: Habits, a_cell: int, seed: int) -> Pool:
@@ -242,9 +244,7 @@ def main(arguments: list[str] | None = None) -> None:
         study = study_of(study_plan(composed(given.overrides)))
         seed, habits = study.plan.seed, Habits()
         rows = curves(simulate(study, habits, given.people, seed), SIZES, given.studies, seed)
-        swept = sensitivity(
-            study, habits, max(2, given.people // 2), given.n, given.studies, seed
-        )
+        swept = sensitivity(study, habits, max(2, given.people // 2), given.n, given.studies, seed)
         given.out.mkdir(parents=True, exist_ok=True)
         _write(rows, given.out / "power.csv")
         _write(swept, given.out / "sensitivity.csv")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -135,10 +136,12 @@ def assemble(
         seed=config["seed"],
         domain=domain.name,
         texts=Texts(
-            **{key: wording[key] for key in ("title", "contact")},
-            **{
-                key: tuple(wording[key]) for key in ("consent", "introduction", "task", "goodbye")
-            },
+            title=wording["title"],
+            consent=tuple(wording["consent"]),
+            introduction=tuple(wording["introduction"]),
+            task=tuple(wording["task"]),
+            goodbye=tuple(wording["goodbye"]),
+            contact=wording["contact"],
         ),
         training=Training(**wording["training"]),
         rules=Rules(**config["rules"]),
@@ -151,7 +154,7 @@ def assemble(
         trace=tuple(domain.describe(transition) for transition in transitions),
         path=None
         if domain.scene is None or None in cells
-        else tuple(zip(cells[:-1], cells[1:], strict=True)),  # type: ignore[arg-type]
+        else tuple(pairwise(cell for cell in cells if cell is not None)),
         scene=domain.scene,
         problem=costs.problem(p_explicable, setting.message_names, names, uniform),
         true_labels=labels,

@@ -12,30 +12,50 @@ from scipy import optimize, special, stats
 PERMUTATIONS = 10_000
 
 
+NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class Group:
+    """Size, mean and sample standard deviation."""
+
+    n: int
+    mean: float
+    sd: float
+
+    @classmethod
+    def of(cls, values: NDArray[np.float64]) -> Group:
+        """NaN where the group is too small."""
+        n = len(values)
+        mean = float(values.mean()) if n else NAN
+        return cls(n, mean, float(values.std(ddof=1)) if n > 1 else NAN)
+
+
+@dataclass(frozen=True)
+class TTest:
+    """A two-sided t test."""
+
+    t: float = NAN
+    df: float = NAN
+    p: float = NAN
+
+
 @dataclass(frozen=True)
 class Comparison:
-    """Group a against group b.
+    """Group a against group b; NaN where the groups are too small or without any spread.
 
     Attributes:
-        n_a, n_b, mean_a, mean_b, sd_a, sd_b: of the groups (sample standard deviations).
-        student_t, student_df, student_p: two-sided, equal variances (the paper's test).
-        welch_t, welch_df, welch_p: two-sided, unequal variances.
+        a, b: the groups.
+        student: equal variances (the paper's test).
+        welch: unequal variances.
         g, g_low, g_high: Hedges' g of a − b with its 95 % interval.
         permutation_p: two-sided, labels shuffled within strata.
     """
 
-    n_a: int
-    n_b: int
-    mean_a: float
-    mean_b: float
-    sd_a: float
-    sd_b: float
-    student_t: float
-    student_df: float
-    student_p: float
-    welch_t: float
-    welch_df: float
-    welch_p: float
+    a: Group
+    b: Group
+    student: TTest
+    welch: TTest
     g: float
     g_low: float
     g_high: float
@@ -45,7 +65,7 @@ class Comparison:
 def compare(
     a: ArrayLike, b: ArrayLike, strata_a: Sequence[str], strata_b: Sequence[str], seed: int
 ) -> Comparison:
-    """All figures of one measure; NaN where the groups are too small or without any spread.
+    """All figures of one measure.
 
     Args:
         a, b: values of the groups.
@@ -53,28 +73,15 @@ def compare(
         seed: of the permutations.
     """
     x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
-    sizes = {"n_a": len(x), "n_b": len(y)}
-    nan = float("nan")
-    means = {"mean_a": float(x.mean()) if len(x) else nan, "mean_b": y.mean() if len(y) else nan}
-    sds = {
-        "sd_a": float(x.std(ddof=1)) if len(x) > 1 else nan,
-        "sd_b": float(y.std(ddof=1)) if len(y) > 1 else nan,
-    }
-    names = [
-        f"{test}_{part}" for test in ("student", "welch") for part in ("t", "df", "p")
-    ] + ["g", "g_low", "g_high"]
-    figures = dict.fromkeys(names, nan)
-    if len(x) > 1 and len(y) > 1 and (sds["sd_a"] > 0 or sds["sd_b"] > 0):
-        for test, equal in (("student", True), ("welch", False)):
-            result = stats.ttest_ind(x, y, equal_var=equal)
-            figures[f"{test}_t"] = float(result.statistic)
-            figures[f"{test}_df"] = float(result.df)
-            figures[f"{test}_p"] = float(result.pvalue)
-        figures["g"], figures["g_low"], figures["g_high"] = hedges(
-            figures["student_t"], len(x), len(y)
+    student, welch, g = TTest(), TTest(), (NAN, NAN, NAN)
+    if len(x) > 1 and len(y) > 1 and (np.ptp(x) > 0 or np.ptp(y) > 0):
+        student, welch = (
+            TTest(float(found.statistic), float(found.df), float(found.pvalue))
+            for found in (stats.ttest_ind(x, y, equal_var=equal) for equal in (True, False))
         )
+        g = hedges(student.t, len(x), len(y))
     p = stratified_permutation(x, y, np.array(strata_a), np.array(strata_b), seed)
-    return Comparison(**sizes, **means, **sds, **figures, permutation_p=p)
+    return Comparison(Group.of(x), Group.of(y), student, welch, *g, permutation_p=p)
 
 
 def hedges(t: float, n_a: int, n_b: int, level: float = 0.95) -> tuple[float, float, float]:
@@ -86,14 +93,21 @@ def hedges(t: float, n_a: int, n_b: int, level: float = 0.95) -> tuple[float, fl
     correction = np.exp(special.gammaln(df / 2) - special.gammaln((df - 1) / 2)) / np.sqrt(df / 2)
     tail = (1 - level) / 2
 
+    # Of t, nearly normal; wide enough for any level in use.
+    reach = 8 * np.sqrt(1 + t**2 / (2 * df))
+
     def noncentrality(probability: float) -> float:
         def excess(nc: float) -> float:
-            return float(stats.nct.cdf(t, df, nc)) - probability
+            value = float(stats.nct.cdf(abs(t), df, nc))
+            # Far out in the tails the library gives up; there the answer is plain.
+            return (float(nc < abs(t)) if np.isnan(value) else value) - probability
 
-        return float(optimize.brentq(excess, t - 10 - abs(t), t + 10 + abs(t)))
+        return float(optimize.brentq(excess, abs(t) - reach, abs(t) + reach))
 
+    # Computed for |t|, where the distribution function is accurate, and mirrored.
     to_g = float(correction * scale)
-    return t * to_g, noncentrality(1 - tail) * to_g, noncentrality(tail) * to_g
+    low, high = noncentrality(1 - tail) * to_g, noncentrality(tail) * to_g
+    return (t * to_g, low, high) if t >= 0 else (t * to_g, -high, -low)
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -146,7 +160,7 @@ def stratified_permutation(
 
 def d_from_p(p: float, n: int) -> float:
     """The standardized difference behind a two-sided Student's p of two groups of n."""
-    return float(stats.t.isf(p / 2, 2 * n - 2)) * np.sqrt(2 / n)
+    return float(stats.t.isf(p / 2, 2 * n - 2) * np.sqrt(2 / n))
 
 
 def t_power(d: float, n: int, alpha: float = 0.05) -> float:

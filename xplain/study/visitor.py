@@ -122,8 +122,7 @@ def fill(person: Person, page: Page) -> tuple[list[tuple[str, str]], float]:
         names = sorted(groups, key=lambda name: int(name[1:]))
         answers = person.checked([[c.text for c in groups[name]] for name in names])
         return [
-            (name, groups[name][answer].value)
-            for name, answer in zip(names, answers, strict=True)
+            (name, groups[name][answer].value) for name, answer in zip(names, answers, strict=True)
         ], 0.0
     elif page.stage == "evaluation":
         labels, seconds = person.labels(len(groups), page.messages)
@@ -166,9 +165,7 @@ class Browser:
             return self._follow("GET", headers["location"], None)
         return status, text
 
-    def _retried(
-        self, method: str, path: str, body: str | None
-    ) -> tuple[int, dict[str, str], str]:
+    def _retried(self, method: str, path: str, body: str | None) -> tuple[int, dict[str, str], str]:
         until = time.monotonic() + self.patience
         while True:
             try:

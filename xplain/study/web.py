@@ -28,7 +28,8 @@ from xplain.errors import InputError
 from xplain.study import forms, guard, picture, protocol
 from xplain.study.plan import Study
 from xplain.study.protocol import Refused
-from xplain.study.store import Full, Participant, Store, Unknown
+from xplain.study.slots import Full
+from xplain.study.store import Participant, Store, Unknown
 
 log = logging.getLogger(__name__)
 
