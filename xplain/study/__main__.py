@@ -6,6 +6,7 @@ One worker process with threads: it alone has the database open.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,6 +42,9 @@ def serve(cfg: DictConfig) -> None:
 
     check_address(cfg)
     path = Path(cfg.database).absolute()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(path.parent, os.W_OK):
+        raise InputError("database", str(path), "a file in a folder that can be written to")
     server = {key: value for key, value in cfg.server.items() if key != "_target_"}
     study, ignored = running_study(cfg, path)
     if ignored:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -23,6 +25,7 @@ def composed(overrides: Sequence[str]) -> DictConfig:
         InputError, HydraException, OmegaConfBaseException: something in them is wrong.
     """
     from hydra import compose, initialize_config_dir
+    from hydra.errors import ConfigCompositionException
 
     from xplain.command_line import CONF, prepare
 
@@ -31,7 +34,18 @@ def composed(overrides: Sequence[str]) -> DictConfig:
             raise InputError("argument", override, "key=value, such as port=8080")
     prepare()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("study", list(overrides))
+        try:
+            return compose("study", list(overrides))
+        except ConfigCompositionException as error:
+            if unknown := re.search(r"Could not override '([^']+)'", str(error)):
+                raise _unknown_key(unknown.group(1), list(compose("study"))) from None
+            raise
+
+
+def _unknown_key(key: str, known: list[Any]) -> InputError:
+    near = difflib.get_close_matches(key, known, 1)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    return InputError("argument", key, f"no such key{hint} known: {', '.join(known)}")
 
 
 def fixed(cfg: DictConfig) -> dict[str, Any]:

@@ -63,8 +63,8 @@ def choose_trace(
 ) -> NDArray[np.int64]:
     """The one trace that every participant evaluates: [m, 3].
 
-    Of ``candidates`` random ones, the first for which the types need the most facts corrected:
-    a trace that most types understand anyway would measure nothing.
+    Of ``candidates`` random ones, the shortest of those for which the types need the most facts
+    corrected: a trace that most types understand anyway would measure nothing.
 
     Args:
         setting: domain and types.
@@ -88,11 +88,12 @@ def choose_trace(
         rng = stream(seed, "trace", index)
         return sample_trace(setting.models[0], setting.optimal[0], starts, rng, max_steps)
 
-    def facts_needed(transitions: NDArray[np.int64]) -> int:
+    def worth(transitions: NDArray[np.int64]) -> tuple[int, int]:
         labels = setting.label_table(transitions)
-        return sum(content.needed(of_type).bit_count() for of_type in labels)
+        facts = sum(content.needed(of_type).bit_count() for of_type in labels)
+        return facts, -len(transitions)
 
-    return max((draw(index) for index in range(trace["candidates"])), key=facts_needed)
+    return max((draw(index) for index in range(trace["candidates"])), key=worth)
 
 
 def assemble(

@@ -23,6 +23,7 @@
       try {
         const reply = await fetch(item.action, {
           method: "POST", body: new URLSearchParams(item.fields), credentials: "same-origin",
+          redirect: "manual", // the redirect acknowledges; this window follows it, once
         });
         if (reply.status < 500 && reply.status !== 429 || reply.status === 503) return reply;
       } catch { /* no network; try again */ }
@@ -38,8 +39,8 @@
     keep(null);
     connection.textContent = "";
     leaving = true;
-    if (reply.redirected || reply.ok) {
-      location.replace(reply.url);
+    if (reply.type === "opaqueredirect") {
+      location.replace(item.action);
     } else {
       // The page with the sentence that says what is missing.
       const page = new DOMParser().parseFromString(await reply.text(), "text/html");
