@@ -76,6 +76,10 @@ BAD = [
     (["message_cost=-1"], ["message_cost", "-1"]),
     (["inexplicability_cost=-2"], ["inexplicability_cost", "-2"]),
     ([RAGGED], ["domain.map"]),
+    (["domain.map='SVSAFUrpfs'"], ["domain.map", "shelter"]),
+    (["domain.map='SV?'"], ["domain.map", "?"]),
+    (["domain.map='SVAFUrpf#s'"], ["domain.map", "path"]),
+    (["domain.discount=1"], ["domain.discount", "1"]),
     (["observers.points=1"], ["points", "1"]),
     (["observers=file", "observers.path=absent.csv"], ["absent.csv"]),
 ]
@@ -90,7 +94,41 @@ def test_bad_input_is_one_line_and_leaves_nothing_behind(xplain, tmp_path, argum
     assert len(lines) == 1, err
     for word in words:
         assert word in lines[0]
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert_nothing_written(tmp_path)
+
+
+def assert_nothing_written(folder):
+    """No file, but for locks: they hold nothing, and to remove one would race."""
+    assert not [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock"]
+
+
+HEAD = "observer,messages,label,row,column"
+TABLES = {
+    "missing column": ("observer,label,row\na,1,0\nb,0,0\n", ["messages"]),
+    "unknown message": (f"{HEAD}\na,lava,1,0,0\nb,,0,0,0\n", ["lava"]),
+    "label 2": (f"{HEAD}\na,,2,0,0\nb,,0,0,0\n", ["label", "2"]),
+    "one observer": (f"{HEAD}\na,,1,0,0\na,fire,0,0,0\n", ["observer"]),
+    "labels all equal": (f"{HEAD}\na,,1,0,0\nb,fire,1,0,0\n", ["label"]),
+    "no rows": (f"{HEAD}\n", ["labels.csv"]),
+    "not a table": ("\x00\x01", ["labels.csv"]),
+    "other features": (
+        f"{HEAD}\na,,1,0,0\na,,1,0,1\nb,fire,0,0,0\nb,fire,0,0,1\n",
+        ["row,column", "next_row"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_bad_file_of_labels_is_one_line(xplain, tmp_path, name):
+    text, words = TABLES[name]
+    (tmp_path / "labels.csv").write_text(text)
+    code, _, err = xplain("observers=file", "observers.path=labels.csv")
+    assert code == 2
+    assert len(err.strip().splitlines()) == 1, err
+    for word in words:
+        assert word in err
+    (tmp_path / "labels.csv").unlink()
+    assert_nothing_written(tmp_path)
 
 
 def test_a_type_that_names_an_unknown_parameter_and_no_types(xplain):
