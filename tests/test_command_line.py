@@ -113,7 +113,7 @@ TABLES = {
     "not a table": ("\x00\x01", ["labels.csv"]),
     "other features": (
         f"{HEAD}\na,,1,0,0\na,,1,0,1\nb,fire,0,0,0\nb,fire,0,0,1\n",
-        ["row,column", "next_row"],
+        ["action=up", "missing"],
     ),
 }
 
