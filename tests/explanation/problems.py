@@ -1,4 +1,4 @@
-"""Random problems small enough for brute force, of every kind that has broken a solver."""
+"""Random problems for hypothesis, which reports the seed of a failure."""
 
 from __future__ import annotations
 
@@ -7,51 +7,14 @@ from hypothesis import strategies as st
 from hypothesis.strategies import composite
 
 from xplain.explanation.problem import Problem
-
-
-def random_problem(
-    rng: np.random.Generator, max_types: int = 3, max_steps: int = 3, max_messages: int = 2
-) -> Problem:
-    """Unequal costs (some nought), any discount in (0, 1], sharp and soft probabilities, prior
-    entries of zero, repeated transitions, messages without effect."""
-    types = int(rng.integers(1, max_types + 1))
-    steps = int(rng.integers(1, max_steps + 1))
-    n = int(rng.integers(0, max_messages + 1))
-    kind = rng.integers(4)
-    p = rng.random((types, steps, 1 << n))
-    if kind == 1:  # labels that are certain
-        p = np.round(p)
-    elif kind == 2:  # one confidence a type, as a labeler with held-out accuracy gives
-        confidence = 0.5 + 0.5 * rng.random((types, 1, 1))
-        p = np.where(p < 0.5, 1 - confidence, confidence)
-    elif kind == 3:  # certain and soft ones together
-        p = np.where(rng.random(p.shape) < 0.4, np.round(p), p)
-    if rng.random() < 0.3:
-        p[:, -1] = p[:, 0]
-    if n and rng.random() < 0.2:
-        p = p.reshape(types, steps, -1, 2)
-        p[..., 1] = p[..., 0]
-        p = p.reshape(types, steps, -1)
-    prior = rng.dirichlet(np.ones(types))
-    if types > 1 and rng.random() < 0.3:
-        prior[rng.integers(types)] = 0
-        prior /= prior.sum()
-    return Problem(
-        p_explicable=p,
-        message_cost=np.where(rng.random(n) < 0.15, 0, rng.random(n) * 2),
-        inexplicability_cost=float(rng.choice([0.0, 0.5, 1.0, 2.0], p=[0.05, 0.25, 0.45, 0.25])),
-        trade_off=float(rng.choice([0.0, 0.3, 1.0, 2.5])),
-        discount=float(rng.choice([1.0, 0.95, rng.uniform(0.01, 1.0)])),
-        prior=prior,
-        discount_per="action" if rng.random() < 0.7 else "step",
-    )
+from xplain.testing.problems import random_problem as random_problem
 
 
 @composite
 def tiny_problems(
     draw: st.DrawFn, max_types: int = 3, max_steps: int = 3, max_messages: int = 2
 ) -> Problem:
-    """The same for hypothesis, which reports the seed of a failure."""
+    """Problems of up to so many types, steps and messages."""
     seed = draw(st.integers(0, 2**32 - 1))
     rng = np.random.default_rng(seed)
     return random_problem(rng, max_types, max_steps, max_messages)

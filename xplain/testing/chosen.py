@@ -1,0 +1,51 @@
+"""Components as the command line makes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from xplain.command_line import CONF, prepare
+
+
+class Chosen:
+    """``group=choice`` of a configuration, instantiated when first looked at.
+
+    Args:
+        group, choice: as on the command line.
+        overrides: further keys, ``"solver.simulations=50"``.
+        conf: a folder of configs of your own, looked in besides xplain's.
+    """
+
+    def __init__(
+        self, group: str, choice: str, *overrides: str, conf: str | Path | None = None
+    ) -> None:
+        self.group = group
+        self.overrides = [f"{group}={choice}", *overrides]
+        if conf is not None:
+            self.overrides.append(f"hydra.searchpath=[file://{Path(conf).absolute()}]")
+        self._made: Any = None
+
+    def __get__(self, instance: object, owner: type) -> Any:
+        if instance is None:
+            return self
+        if self._made is None:
+            self._made = self.make()
+        return self._made
+
+    def make(self) -> Any:
+        """The component.
+
+        Raises:
+            HydraException: no such choice.
+            XplainError: its values are not allowed.
+        """
+        from hydra import compose, initialize_config_dir
+        from hydra.core.global_hydra import GlobalHydra
+        from hydra.utils import instantiate
+
+        prepare()
+        GlobalHydra.instance().clear()
+        with initialize_config_dir(str(CONF), version_base="1.3"):
+            cfg = compose("config", self.overrides)
+        return instantiate(cfg[self.group])

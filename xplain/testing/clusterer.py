@@ -1,0 +1,130 @@
+"""What every clusterer and every partition keeps to (see :mod:`xplain.learning.clustering`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.learning.clustering import Clustering, by_first_appearance
+from xplain.learning.dataset import Dataset
+from xplain.learning.labelers import LabelerTrainer
+from xplain.testing.data import rule_data
+
+
+class ClustererConformance:
+    """Attributes:
+    component: the clusterer.
+    finds_types: it must tell types apart that answer the same questions differently.
+    needs_truth: it works with the true types (perfect clustering).
+    """
+
+    component: Any
+    finds_types = True
+    needs_truth = False
+
+    def test_every_observer_gets_a_type(self) -> None:
+        """Numbered from 0 in the order of the observers."""
+        data, truth = self._data()
+        found = self._cluster(data, truth).assignment
+        assert found.shape == (len(data.observers),), "one type an observer"
+        assert np.array_equal(found, by_first_appearance(found)), "not numbered by appearance"
+
+    def test_says_how_it_chose(self) -> None:
+        """For the report: a method, a rule, and a curve where there is one."""
+        data, truth = self._data()
+        clustering = self._cluster(data, truth)
+        assert isinstance(clustering, Clustering)
+        assert clustering.method.strip(), "no word for the method"
+        assert clustering.rule.strip(), "no word for what chose the number of types"
+
+    def test_the_same_seed_gives_the_same_types(self) -> None:
+        """Randomness comes from the seed alone."""
+        data, truth = self._data()
+        once, again = (self._cluster(data, truth).assignment for _ in range(2))
+        assert np.array_equal(once, again), "two clusterings with one seed differ"
+
+    def test_does_not_look_at_the_truth(self) -> None:
+        """Simulated observers' true types are for scoring."""
+        if self.needs_truth:
+            return
+        data, truth = self._data()
+        blind = self.component.cluster(data, LabelerTrainer(), 3, None).assignment
+        seen = self.component.cluster(data, LabelerTrainer(), 3, truth).assignment
+        assert np.array_equal(blind, seen), "the clustering depends on the truth"
+
+    def test_finds_plain_types(self) -> None:
+        """Three types that need different messages, three observers each, the same questions."""
+        if not self.finds_types:
+            return
+        data, truth = self._data()
+        found = self._cluster(data, truth).assignment
+        assert np.array_equal(found, truth), f"found {found.tolist()}, true {truth.tolist()}"
+
+    def test_observers_who_answer_alike_are_of_one_type(self) -> None:
+        """The same answers to the same questions."""
+        data, truth = rule_data(np.random.default_rng(5), [[1]], per_type=6)
+        found = self._cluster(data, truth).assignment
+        assert (found == 0).all(), f"{found.tolist()}"
+
+    def test_a_single_observer_is_a_type(self) -> None:
+        """Nothing to divide."""
+        data, truth = rule_data(np.random.default_rng(5), [[1]], per_type=1)
+        assert self._cluster(data, truth).assignment.tolist() == [0]
+
+    def _cluster(self, data: Dataset, truth: NDArray[np.int64]) -> Clustering:
+        given = truth if self.needs_truth else None
+        clustering: Clustering = self.component.cluster(data, LabelerTrainer(), 3, given)
+        return clustering
+
+    @staticmethod
+    def _data() -> tuple[Dataset, NDArray[np.int64]]:
+        return rule_data(np.random.default_rng(0), [[0], [1, 2], [3]])
+
+
+class PartitionConformance:
+    """Attributes:
+    component: groups vectors, ``partition(vectors, k, seed)``; the plug-in of ``Elbow``.
+    """
+
+    component: Any
+
+    def test_makes_at_most_k_groups(self) -> None:
+        """One group for k = 1; each distinct vector its own where k allows."""
+        vectors = self._vectors()
+        distinct = len(np.unique(vectors, axis=0))
+        for k in range(1, distinct + 3):
+            groups = len(np.unique(self.component.partition(vectors, k, 0)))
+            assert 1 <= groups <= k, f"{groups} groups for k = {k}"
+            if k >= distinct:
+                assert groups == distinct, f"{distinct} distinct vectors made {groups} groups"
+
+    def test_equal_vectors_stay_together(self) -> None:
+        """Observers who need the same messages cannot be told apart."""
+        vectors = self._vectors()
+        for k in range(1, 6):
+            groups = self.component.partition(vectors, k, 0)
+            assert groups.shape == (len(vectors),), "one group a vector"
+            for row in np.unique(vectors, axis=0):
+                same = groups[(vectors == row).all(axis=1)]
+                assert (same == same[0]).all(), f"equal vectors are torn for k = {k}"
+
+    def test_the_same_seed_gives_the_same_groups(self) -> None:
+        """Randomness comes from the seed alone."""
+        vectors = self._vectors()
+        once, again = (self.component.partition(vectors, 3, 11) for _ in range(2))
+        assert np.array_equal(once, again), "two partitions with one seed differ"
+
+    def test_leaves_the_vectors_as_they_were(self) -> None:
+        """They belong to the caller."""
+        vectors = self._vectors()
+        self.component.partition(vectors, 3, 0)
+        assert np.array_equal(vectors, self._vectors()), "the vectors were changed"
+
+    @staticmethod
+    def _vectors() -> NDArray[np.uint8]:
+        rng = np.random.default_rng(2)
+        kinds = np.array([[0, 0, 0, 0], [1, 1, 0, 0], [0, 0, 1, 1], [1, 1, 1, 0], [0, 0, 0, 1]])
+        order = rng.permutation(np.repeat(np.arange(5), 4))
+        return np.asarray(kinds[order], dtype=np.uint8)
