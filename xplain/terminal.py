@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
-from xplain.report.paper import table1
+from xplain.report.paper import table1, title
 
 if TYPE_CHECKING:
     from xplain.report.sweep import Summary
@@ -146,13 +146,13 @@ def print_sweep(summary: Summary) -> None:
     table.add_column("")
     table.add_column("λ", justify="right")
     for key in keys:
-        table.add_column(tables.title(key), justify="right")
+        table.add_column(title(key), justify="right")
     last = ""
     for domain, _, trade_off, numbers in tables.grid(summary):
         if domain != last and last:
             table.add_section()
         own = {entry.column: entry for entry in numbers}
-        name = tables.title(domain) if domain != last else ""
+        name = title(domain) if domain != last else ""
         cells = [_sweep_cell(own[key]) if key in own else "" for key in keys]
         table.add_row(name, f"{trade_off:g}", *cells)
         last = domain

@@ -78,7 +78,8 @@ def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
     """Means at each step over the "solver" episodes that last so long: [steps + 1] or [steps].
 
     ``belief_in_true_type`` starts with the prior; ``messages_given`` and
-    ``inexplicable_labels_shown`` are those of one step.
+    ``inexplicable_labels_shown`` are those of one step. ``episodes`` counts those that have
+    come through so many steps.
     """
     own = [record for record in records if record.solver == "solver"]
     series = {
@@ -88,7 +89,12 @@ def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
         ],
         "inexplicable_labels_shown": [(record.episode.labels == 0).sum(axis=1) for record in own],
     }
-    return {name: _ragged_mean(rows) for name, rows in series.items()}
+    lengths = np.array([len(record.episode.messages) for record in own])
+    steps = np.arange(lengths.max() + 1)
+    return {
+        **{name: _ragged_mean(rows) for name, rows in series.items()},
+        "episodes": (lengths[:, None] >= steps).sum(axis=0).astype(float),
+    }
 
 
 def _ragged_mean(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:

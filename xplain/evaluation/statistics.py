@@ -16,6 +16,10 @@ class Estimate:
     low: float
     high: float
 
+    def negated(self) -> Estimate:
+        """Of the negative."""
+        return Estimate(-self.mean, -self.high, -self.low)
+
 
 def clustered_mean(values: ArrayLike, clusters: ArrayLike, level: float = 0.95) -> Estimate:
     """Mean of values with a t interval over cluster means' spread.

@@ -1,10 +1,22 @@
-"""The paper's published numbers (Table 1; values cut to two decimals there)."""
+"""The paper's published numbers (Table 1; values cut to two decimals there) and its names."""
 
 from __future__ import annotations
 
 import csv
 from functools import cache
 from importlib.resources import files
+
+NAMES = {
+    "oracle": "Oracle's cost",
+    "qmdp": "QMDP",
+    "pomcp": "POMCP",
+    "qhr": "QHR",
+    "baseline": "Baseline",
+    "conformant": "Conformant",
+    "four_rooms": "Four rooms",
+    "rescue": "Disaster rescue",
+}
+"""What people call columns and domains."""
 
 
 @cache
@@ -18,3 +30,9 @@ def table1() -> dict[tuple[str, float], dict[str, float]]:
         }
         for row in rows
     }
+
+
+def title(key: str) -> str:
+    """A column's or domain's name for people."""
+    name, _, rest = key.partition(" ")
+    return " ".join(filter(None, [NAMES.get(name, name), rest]))

@@ -7,6 +7,8 @@ launcher: the same jobs give the same bytes.
 from __future__ import annotations
 
 import json
+import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from xplain.evaluation.statistics import Estimate, clustered_mean
 
@@ -24,8 +27,6 @@ ORDER = ("qmdp", "pomcp", "qhr", "baseline", "conformant")
 
 _SOURCE = ("domain", "users", "observers", "labeler", "clusterer", "points", "traces", "max_steps")
 """What tells settings apart; anything else that is swept tells methods apart."""
-
-SAME = {"cost": "cost", "communication": "communication", "messages": "messages"}
 
 
 @dataclass(frozen=True)
@@ -167,6 +168,23 @@ class Summary:
                         estimate = clustered_mean(paired, self._clusters(both))
                         yield domain, trade_off, method, other, estimate
 
+    def job(self, domain: str, trade_off: float, method: str) -> tuple[Path, dict[str, Any]] | None:
+        """Folder and results of the first finished job of a cell."""
+        for job, results in self.results:
+            own = method_of(job["values"], results["choices"]["solver"])
+            place = (results["choices"]["domain"], results["config"]["lambda"], own)
+            if place == (domain, trade_off, method):
+                return self.folder / "jobs" / job["name"], results
+        return None
+
+    def messages(self, domain: str) -> dict[str, str]:
+        """``{message: sentence}``."""
+        for _, results in self.results:
+            if results["choices"]["domain"] == domain:
+                found: dict[str, str] = results["messages"]
+                return found
+        return {}
+
     def complete(self, domain: str, trade_off: float, method: str) -> bool:
         """Whether all jobs of a cell are there."""
         wanted = got = 0
@@ -182,6 +200,57 @@ class Summary:
                 got += job["name"] in finished
         return wanted == got
 
+    def by_step(self, name: str, domain: str, trade_off: float, method: str) -> NDArray[np.float64]:
+        """Mean at each step over all episodes that last so long."""
+        total: NDArray[np.float64] = np.zeros(0)
+        count: NDArray[np.float64] = np.zeros(0)
+        for job, results in self.results:
+            own = method_of(job["values"], results["choices"]["solver"])
+            same_place = results["choices"]["domain"] == domain and own == method
+            if not same_place or results["config"]["lambda"] != trade_off:
+                continue
+            series = np.array(results["steps"][name])
+            weight = np.array(results["steps"]["episodes"])[: len(series)]
+            longest = max(len(total), len(series))
+            total = np.pad(total, (0, longest - len(total)))
+            count = np.pad(count, (0, longest - len(count)))
+            total[: len(series)] += series * weight
+            count[: len(series)] += weight
+        mean: NDArray[np.float64] = total / count
+        return mean
+
+    def elbows(self, domain: str) -> dict[str, tuple[NDArray[np.float64], Counter[int]]]:
+        """``{setting: (mean curve over seeds, how often each k was chosen)}``."""
+        curves: dict[str, dict[int, NDArray[np.float64]]] = {}
+        chosen: dict[str, dict[int, int]] = {}
+        for job, results in self.results:
+            curve = results["elbow"]["disagreements"]
+            if results["choices"]["domain"] == domain and curve:
+                name, seed = setting_of(job["values"]), results["config"]["seed"]
+                curves.setdefault(name, {})[seed] = np.array(curve, dtype=float)
+                chosen.setdefault(name, {})[seed] = len(results["types"]["found"])
+        means = {}
+        for name, by_seed in curves.items():
+            shortest = min(map(len, by_seed.values()))
+            mean = np.mean([curve[:shortest] for curve in by_seed.values()], axis=0)
+            means[name] = (mean, Counter(chosen[name].values()))
+        return means
+
+    def learning(self) -> dict[tuple[str, str], dict[str, float]]:
+        """``{(domain, setting): figure: mean over seeds}`` of the learning stage."""
+        found: dict[tuple[str, str], dict[int, dict[str, float]]] = {}
+        for job, results in self.results:
+            place = (results["choices"]["domain"], setting_of(job["values"]))
+            found.setdefault(place, {})[results["config"]["seed"]] = results["learning"]
+        return {
+            place: {
+                name: float(np.mean([figures[name] for figures in by_seed.values()]))
+                for name in next(iter(by_seed.values()))
+                if all(name in figures for figures in by_seed.values())
+            }
+            for place, by_seed in found.items()
+        }
+
     def curves(self) -> list[tuple[str, float, float]]:
         """(name, λ, mean) of complete cells, for charts."""
         points = []
@@ -193,11 +262,13 @@ class Summary:
                     for measure in ("regret", "messages", "inexplicable labels"):
                         cell = self.estimate(measure, domain, trade_off, method)
                         if cell is not None:
-                            name = f"{measure.replace(' ', '_')}/{domain}/{method}"
+                            name = _metric(f"{measure}/{domain}/{method}")
                             points.append((name, trade_off, cell.estimate.mean))
                 oracle = self.oracle(domain, trade_off)
                 if oracle is not None and self.complete(domain, trade_off, self.methods[0]):
-                    points.append((f"oracle_cost/{domain}", trade_off, oracle.estimate.mean))
+                    points.append(
+                        (_metric(f"oracle cost/{domain}"), trade_off, oracle.estimate.mean)
+                    )
         return points
 
     def note(self) -> str:
@@ -246,6 +317,11 @@ def method_of(values: dict[str, str], solver: str) -> str:
         if key.partition(".")[0] not in _SOURCE and key not in ("solver", "lambda", "seed")
     ]
     return " ".join([solver, *own])
+
+
+def _metric(name: str) -> str:
+    """Without what MLflow refuses in names."""
+    return re.sub(r"[^\w./ -]", " ", name).replace(" ", "_")
 
 
 def _rank(method: str) -> int:

@@ -9,19 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from xplain.evaluation.statistics import Estimate
-from xplain.report.paper import table1
+from xplain.report.paper import table1, title
 from xplain.report.sweep import Summary
-
-NAMES = {
-    "oracle": "Oracle's cost",
-    "qmdp": "QMDP",
-    "pomcp": "POMCP",
-    "qhr": "QHR",
-    "baseline": "Baseline",
-    "conformant": "Conformant",
-    "four_rooms": "Four rooms",
-    "rescue": "Disaster rescue",
-}
 
 
 @dataclass(frozen=True)
@@ -200,12 +189,6 @@ def caption(summary: Summary) -> str:
     if summary.missing:
         text += f" {summary.missing} of {len(summary.jobs)} jobs are missing."
     return " ".join([text, *(f"{words}." for words in pooled)])
-
-
-def title(key: str) -> str:
-    """A column's or domain's name for people."""
-    name, _, rest = key.partition(" ")
-    return " ".join(filter(None, [NAMES.get(name, name), rest]))
 
 
 def number(value: float | None, decimals: int = 2) -> str:

@@ -73,6 +73,24 @@ def stories(folder: Path, solver: str) -> Iterator[Story]:
             )
 
 
+def telling(found: list[Story]) -> list[Story]:
+    """Of the trace to which users' needs differ most: who got most messages, who got fewest."""
+    by_trace: dict[int, list[Story]] = {}
+    for story in found:
+        by_trace.setdefault(story.trace, []).append(story)
+
+    def spread(own: list[Story]) -> tuple[int, int]:
+        said = [{name for new in story.messages for name in new} for story in own]
+        return len({frozenset(names) for names in said}), max(map(len, said))
+
+    best = max(by_trace.values(), key=spread, default=[])
+    if len(best) < 2:
+        return best
+    most = max(best, key=lambda story: story.n_messages)
+    fewest = min(best, key=lambda story: story.n_messages)
+    return [most, fewest] if fewest is not most else [most]
+
+
 def scene_of(content: Scene | dict[str, Any] | None) -> Scene | None:
     """The map as ``results.json`` keeps it."""
     if content is None or isinstance(content, Scene):

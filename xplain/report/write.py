@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from xplain.report import tables
+from xplain.report.page import Picture, Pictures, page
+from xplain.report.paper import title
 from xplain.report.sweep import Summary
 from xplain.storage import write_atomically
 
@@ -25,4 +28,83 @@ def write_report(folder: Path) -> tuple[Summary, Path]:
         write_atomically(report / "table1.tex", tables.latex(summary))
         write_atomically(report / "table1.csv", tables.as_csv(summary))
         write_atomically(report / "differences.csv", tables.differences_csv(summary))
+        write_atomically(report / "index.html", page(summary, draw(summary, report)))
     return summary, report
+
+
+def draw(summary: Summary, report: Path) -> Pictures:
+    """Draws every plot and picture into the folder."""
+    from xplain.report import plots
+
+    pictures = Pictures()
+    many = len(summary.trade_offs) > 1
+    drawn = [
+        (
+            pictures.regret if many else [],
+            "regret",
+            lambda: plots.against_trade_off(summary, "regret", "regret (cost less the oracle’s)"),
+            "Regret against λ, with 95 % intervals; open markers are the paper’s values. "
+            "The axis is scaled by the square root, so that small and large regrets both show.",
+        ),
+        (
+            pictures.diagnostics,
+            "messages",
+            lambda: plots.against_trade_off(summary, "messages", "messages an episode"),
+            "Messages given in an episode, mean over traces and users.",
+        ),
+        (
+            pictures.diagnostics,
+            "inexplicable",
+            lambda: plots.against_trade_off(
+                summary, "inexplicable labels", "inexplicable labels an episode"
+            ),
+            "Labels “inexplicable” in an episode, summed over its steps, mean over traces and "
+            "users.",
+        ),
+        (
+            pictures.types,
+            "disagreements",
+            lambda: plots.elbows(summary),
+            "Disagreements of labels within clusters against the number of clusters; rings mark "
+            "the numbers of user types that the elbow chose.",
+        ),
+        (
+            pictures.types,
+            "belief",
+            lambda: plots.belief_over_steps(summary),
+            "Belief in the user’s true type after each step, mean over the traces that last so "
+            "long.",
+        ),
+    ]
+    for section, name, make, caption in drawn:
+        figure = make()
+        if figure is not None:
+            plots.save(figure, report / f"{name}.png", report / f"{name}.svg")
+            section.append(Picture(report / f"{name}.svg", caption))
+    for domain, path, caption in _trace_pictures(summary, report):
+        pictures.traces.setdefault(domain, []).append(Picture(path, caption))
+    return pictures
+
+
+def _trace_pictures(summary: Summary, report: Path) -> Iterator[tuple[str, Path, str]]:
+    """(domain, picture, caption): one trace a domain, explained to two types of users, one who
+    needs many messages and one who needs few."""
+    from xplain.report import plots, traces
+
+    for domain in summary.domains:
+        trade_off = plots.middle(summary.trade_offs)
+        found = summary.job(domain, trade_off, summary.methods[0])
+        if found is None:
+            continue
+        folder, results = found
+        scene = traces.scene_of(results["scene"])
+        for story in traces.telling(list(traces.stories(folder, "solver"))):
+            path = report / f"trace_{domain}_{story.user_type}.png"
+            traces.save_trace(path, scene, story)
+            yield (
+                domain,
+                path,
+                f"{title(domain)}, {title(summary.methods[0])}, λ = {trade_off:g}: "
+                f"trace {story.trace + 1} explained to a user of type {story.user_type}; cost "
+                f"{story.cost:g}.",
+            )

@@ -1,0 +1,236 @@
+"""One self-contained HTML page of a sweep: tables, plots and pictures, nothing loaded from
+elsewhere."""
+
+from __future__ import annotations
+
+import base64
+import statistics
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from xplain.report import tables
+from xplain.report.paper import title
+from xplain.report.sweep import Summary
+from xplain.report.tables import Entry, interval, number, signed
+
+CLAIMS = (
+    ("pomcp", "qmdp", "POMCP less QMDP: about the same", 0),
+    ("qhr", "qmdp", "QHR less QMDP: costs more", 1),
+    ("qhr", "pomcp", "QHR less POMCP: costs more", 1),
+    ("baseline", "qmdp", "Baseline less QMDP: costs far more", 1),
+    ("baseline", "pomcp", "Baseline less POMCP: costs far more", 1),
+    ("baseline", "qhr", "Baseline less QHR: costs far more", 1),
+)
+"""(method, less this one, what the paper says, the sign that it says)."""
+
+LEARNING = {
+    "true_types": "types",
+    "types_found": "found",
+    "adjusted_rand_index": "adjusted Rand index",
+    "labeler_accuracy": "labelers right",
+    "everyone_accuracy": "one labeler for all right",
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image file with its caption."""
+
+    path: Path
+    caption: str
+
+
+@dataclass
+class Pictures:
+    """Those of the page, by section."""
+
+    regret: list[Picture] = field(default_factory=list)
+    diagnostics: list[Picture] = field(default_factory=list)
+    types: list[Picture] = field(default_factory=list)
+    traces: dict[str, list[Picture]] = field(default_factory=dict)
+
+
+def page(summary: Summary, pictures: Pictures) -> str:
+    """The page's HTML."""
+    from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup, escape
+
+    def show(picture: Picture) -> Markup:
+        kind = {".svg": "image/svg+xml", ".png": "image/png"}[picture.path.suffix]
+        data = base64.b64encode(picture.path.read_bytes()).decode()
+        return Markup(
+            '<figure><img alt="{0}" src="data:{1};base64,{2}"><figcaption>{0}</figcaption></figure>'
+        ).format(escape(picture.caption), kind, data)
+
+    source = files("xplain.report").joinpath("page.html").read_text(encoding="utf-8")
+    environment = Environment(autoescape=True, undefined=StrictUndefined)
+    environment.globals["show"] = show
+    about = summary.about
+    commit = about["git"].get("commit", "")[:12] or "no commit"
+    dirty = " with changes" if about["git"].get("dirty") == "true" else ""
+    keys = tables.columns(summary)
+    return environment.from_string(source).render(
+        name=summary.folder.name,
+        heading="Personalized explanations: costs and regrets",
+        command=about["command"],
+        code=f"{about['code']} (commit {commit}{dirty})",
+        size=_size(summary),
+        jobs=len(summary.jobs),
+        missing=summary.missing,
+        failures=summary.failures,
+        columns=[title(key) for key in keys],
+        table=list(_table(summary, keys)),
+        caption=tables.caption(summary),
+        claims=list(_claims(summary)),
+        ranges=list(_ranges(summary, keys)),
+        figures=pictures,
+        learning=_learning(summary),
+        messages=[
+            {
+                "domain": title(domain),
+                "sentences": sorted(
+                    (name.replace("_", " "), text)
+                    for name, text in summary.messages(domain).items()
+                ),
+                "figures": found,
+            }
+            for domain, found in pictures.traces.items()
+        ],
+    )
+
+
+def _size(summary: Summary) -> str:
+    episodes = len(summary.episodes)
+    return (
+        f"{len(summary.results)} of {len(summary.jobs)} jobs, {episodes:,} episodes, "
+        f"{summary.seeds} seed{'s' if summary.seeds != 1 else ''}"
+    )
+
+
+def _table(summary: Summary, keys: list[str]) -> Iterator[dict[str, Any]]:
+    last = ""
+    for domain, _, trade_off, numbers in tables.grid(summary):
+        own = {entry.column: entry for entry in numbers}
+        yield {
+            "domain": title(domain) if domain != last else "",
+            "trade_off": f"{trade_off:g}",
+            "cells": [_cell(own.get(key)) for key in keys],
+        }
+        last = domain
+
+
+def _cell(entry: Entry | None) -> dict[str, str] | None:
+    if entry is None:
+        return None
+    known = number(entry.estimate.low)
+    return {
+        "mean": number(entry.estimate.mean),
+        "interval": interval(entry.estimate) if known else "",
+        "paper": "" if entry.paper is None else f"{entry.paper:.2f}",
+        "difference": signed(entry.difference),
+    }
+
+
+def _claims(summary: Summary) -> Iterator[dict[str, Any]]:
+    differences = {
+        (domain, trade_off, method, other): estimate
+        for domain, trade_off, method, other, estimate in summary.differences()
+    }
+    for domain in summary.domains:
+        rows = []
+        for method, other, words, sign in CLAIMS:
+            cells = []
+            for trade_off in summary.trade_offs:
+                estimate = differences.get((domain, trade_off, method, other))
+                if estimate is None:
+                    estimate = differences.get((domain, trade_off, other, method))
+                    if estimate is None:
+                        break
+                    estimate = estimate.negated()
+                sure = 1 if estimate.low > 0 else -1 if estimate.high < 0 else 0
+                look = "yes" if sign and sure == sign else "no" if sure else ""
+                cells.append(
+                    {
+                        "mean": signed(estimate.mean),
+                        "interval": interval(estimate) if number(estimate.low) else "",
+                        "look": look,
+                        "star": " *" if _apart(summary, domain, trade_off, method, other) else "",
+                    }
+                )
+            if len(cells) == len(summary.trade_offs):
+                rows.append({"words": words, "cells": cells})
+        if rows:
+            trade_offs = [f"{trade_off:g}" for trade_off in summary.trade_offs]
+            yield {"domain": title(domain), "trade_offs": trade_offs, "rows": rows}
+
+
+def _apart(summary: Summary, domain: str, trade_off: float, method: str, other: str) -> bool:
+    """Whether the intervals of two regrets do not overlap."""
+    one = summary.estimate("regret", domain, trade_off, method)
+    two = summary.estimate("regret", domain, trade_off, other)
+    if one is None or two is None:
+        return False
+    return one.estimate.low > two.estimate.high or two.estimate.low > one.estimate.high
+
+
+def _ranges(summary: Summary, keys: list[str]) -> Iterator[dict[str, Any]]:
+    """Least, median and greatest over a domain's settings, where it has several."""
+    entries = list(tables.entries(summary, by_setting=True))
+    for domain in summary.domains:
+        settings = summary.settings(domain)
+        if len(settings) < 2:
+            continue
+        rows = []
+        for trade_off in summary.trade_offs:
+            cells = []
+            for key in keys:
+                own = [
+                    e
+                    for e in entries
+                    if (e.domain, e.trade_off, e.column) == (domain, trade_off, key)
+                ]
+                means = [e.estimate.mean for e in own] or [float("nan")]
+                low, high = min(means), max(means)
+                paper = own[0].paper if own else None
+                cells.append(
+                    {
+                        "words": f"{number(low)} … {number(statistics.median(means))} … "
+                        f"{number(high)}",
+                        "paper": "" if paper is None else f"{paper:.2f}",
+                        "where": "" if paper is None else _where(paper, low, high),
+                    }
+                )
+            rows.append({"trade_off": f"{trade_off:g}", "cells": cells})
+        yield {
+            "domain": title(domain),
+            "count": len(settings),
+            "settings": "; ".join(settings) if len(settings) <= 6 else "",
+            "rows": rows,
+        }
+
+
+def _where(paper: float, low: float, high: float) -> str:
+    if paper < low:
+        return ", below"
+    return ", above" if paper > high else ", inside"
+
+
+def _learning(summary: Summary) -> dict[str, Any] | None:
+    figures = summary.learning()
+    heads = [key for key in LEARNING if any(key in own for own in figures.values())]
+    rows = []
+    for (domain, setting), own in figures.items():
+        name = " ".join(filter(None, [title(domain), setting]))
+        rows.append({"name": name, "cells": [_figure(key, own.get(key)) for key in heads]})
+    return {"heads": [LEARNING[key] for key in heads], "rows": rows[:12]} if rows else None
+
+
+def _figure(key: str, value: float | None) -> str:
+    if value is None:
+        return ""
+    if key.endswith("accuracy"):
+        return f"{value:.1%}"
+    return f"{value:g}" if float(value).is_integer() else f"{value:.2f}"
