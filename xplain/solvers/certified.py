@@ -1,0 +1,246 @@
+"""Certified: searches until the optimum is known to within a gap, and acts on what it found.
+
+The bounds are of the optimal expected *discounted* return under the model. The policy takes, where
+the search has been, the set of messages with the best certified lower bound; elsewhere (answers so
+unlikely that the search left them coarse, users unlike the model) it searches afresh from there,
+briefly. Its own exact value is :func:`xplain.solvers.policy_value.evaluate`'s to tell.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.errors import InputError
+from xplain.explanation.problem import Problem
+from xplain.solvers.base import Knowledge, Policy
+from xplain.solvers.bound_tables import Tables, make_tables, table_bytes
+from xplain.solvers.dynamic_programming import (
+    GIB,
+    TIE,
+    Restricted,
+    check_memory,
+    check_memory_gib,
+    messages_worth_giving,
+    restrict,
+)
+from xplain.solvers.gap_search import (
+    DONE,
+    FULL,
+    NODES,
+    Store,
+    add_node,
+    grown,
+    make_store,
+    search,
+    store_bytes,
+)
+
+log = logging.getLogger(__name__)
+
+CHUNK = 100_000
+"""Work between two looks at the clock and at Ctrl-C: some hundredths of a second."""
+SAME = 1e-9
+"""Beliefs that differ by less in every entry are the same belief."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """When a search may stop.
+
+    Attributes:
+        gap: once upper − lower is at most this.
+        nodes: once so many beliefs were opened (the same on every machine).
+        seconds: once so much time has passed (not the same on every machine).
+        memory_gib: rather than take more.
+    """
+
+    gap: float = 1e-3
+    nodes: int = 1_000_000
+    seconds: float = math.inf
+    memory_gib: float = 8.0
+
+    def __post_init__(self) -> None:
+        """Raises InputError."""
+        if not self.gap >= 1e-9:
+            raise InputError("solver.gap", self.gap, "a number ≥ 1e-9")
+        if not self.nodes >= 1:
+            raise InputError("solver.nodes", self.nodes, "a number ≥ 1")
+        if not self.seconds > 0:
+            raise InputError("solver.seconds", self.seconds, "a number > 0")
+        check_memory_gib(self.memory_gib)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found: its nodes, and the bounds at its root."""
+
+    store: Store
+    root: int
+
+    @property
+    def lower(self) -> float:
+        """Of the root's optimal value."""
+        return float(self.store.lower[self.root])
+
+    @property
+    def upper(self) -> float:
+        """Of the root's optimal value."""
+        return float(self.store.upper[self.root])
+
+    def values(self, node: int) -> dict[int, float]:
+        """Certified lower bounds of the sets of messages not ruled out at an opened node."""
+        first = self.store.first[node]
+        actions = slice(first, first + self.store.n_actions[node])
+        sets, lower = self.store.action_set[actions], self.store.action_lower[actions]
+        return dict(zip(sets.tolist(), lower.tolist(), strict=True))
+
+
+def explore(
+    tables: Tables, step: int, given: int, belief: NDArray[np.float64], effort: Effort
+) -> Found:
+    """Searches from a belief at (k, H), within the effort. Ctrl-C is heard throughout."""
+    began = time.perf_counter()
+    types = tables.p.shape[0]
+    store = make_store(tables)
+    root = add_node(tables, store, step, given, belief, np.zeros(types, dtype=np.int64))
+    room = 256
+    while True:
+        buffers = np.empty((room, types)), np.empty((room, types), dtype=np.int64)
+        status = search(tables, store, root, effort.gap, effort.nodes, CHUNK, *buffers)
+        if status == FULL:
+            room *= 2
+            if 2 * store_bytes(store) > effort.memory_gib * GIB:
+                log.warning("the search stops at solver.memory_gib=%g", effort.memory_gib)
+                break
+            store = grown(store)
+        elif status == DONE or time.perf_counter() - began > effort.seconds:
+            break
+    return Found(store, root)
+
+
+def best_set(values: Mapping[int, float]) -> int:
+    """The set with the largest value; ties: fewest messages, then message order."""
+    best = max(values.values())
+    tied = (chosen for chosen, value in values.items() if value >= best - TIE * (1 + abs(best)))
+    return min(tied, key=lambda chosen: (chosen.bit_count(), chosen))
+
+
+@dataclass(frozen=True)
+class Certified:
+    """Args:
+    gap: stop once the optimum is known this well.
+    nodes: most beliefs to open before the first step.
+    seconds: most time for it; results then depend on the machine.
+    decision_nodes: most beliefs to open for a decision where the search has not been.
+    memory_gib: most memory; tables beyond it are refused, the search stops before it.
+    """
+
+    gap: float = 1e-3
+    nodes: int = 1_000_000
+    seconds: float = math.inf
+    decision_nodes: int = 50
+    memory_gib: float = 8.0
+    knows: Knowledge = "types"
+
+    def __post_init__(self) -> None:
+        """Raises InputError."""
+        if not self.decision_nodes >= 1:
+            raise InputError("solver.decision_nodes", self.decision_nodes, "a number ≥ 1")
+        _ = self._effort
+
+    @property
+    def _effort(self) -> Effort:
+        return Effort(self.gap, self.nodes, self.seconds, self.memory_gib)
+
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
+        """See :class:`xplain.solvers.base.Solver`."""
+        kept = messages_worth_giving(problem)
+        small = restrict(problem, kept)
+        tables = tables_within(small, self.memory_gib)
+        found = explore(tables, 0, 0, small.prior, self._effort)
+        brief = Effort(self.gap, self.decision_nodes, math.inf, self.memory_gib)
+        return CertifiedPolicy(Searched(tables, found, brief), kept)
+
+
+def tables_within(problem: Problem, memory_gib: float) -> Tables:
+    """The bounds' tables.
+
+    Raises:
+        TooLargeError: they take more.
+    """
+    instead = "solver=lookahead needs less, and solver=qhr no tables"
+    check_memory("certified", table_bytes(problem), memory_gib, instead)
+    return make_tables(problem)
+
+
+@dataclass(frozen=True)
+class CertifiedPolicy(Restricted):
+    """A restricted policy that also tells the bounds at the root.
+
+    Attributes:
+        policy: the policy over the kept messages.
+    """
+
+    policy: Searched
+
+    @property
+    def lower(self) -> float:
+        """Of the optimal value."""
+        return self.policy.found.lower
+
+    @property
+    def upper(self) -> float:
+        """Of the optimal value."""
+        return self.policy.found.upper
+
+
+@dataclass(frozen=True)
+class Searched:
+    """Acts on certified lower bounds.
+
+    Attributes:
+        tables: of the problem.
+        found: by the search from the prior.
+        brief: the effort for a belief not found there.
+    """
+
+    tables: Tables
+    found: Found
+    brief: Effort
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+        """See :class:`xplain.solvers.base.Policy`."""
+        return best_set(self.values(step, given, belief))
+
+    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
+        """Certified lower bounds by set of messages, of those not ruled out."""
+        nodes = self._opened.get((step, given), np.empty(0, dtype=np.int64))
+        if len(nodes):
+            distance = np.abs(self.found.store.belief[nodes] - belief).max(axis=1)
+            nearest = int(distance.argmin())
+            if distance[nearest] < SAME:
+                return self.found.values(int(nodes[nearest]))
+        here = explore(self.tables, step, given, belief, self.brief)
+        return here.values(here.root)
+
+    @cached_property
+    def _opened(self) -> dict[tuple[int, int], NDArray[np.int64]]:
+        """The opened nodes at each (k, H)."""
+        store = self.found.store
+        opened = np.flatnonzero(store.first[: store.used[NODES]] >= 0)
+        place = store.step[opened] << 32 | store.given[opened]
+        order = np.argsort(place, kind="stable")
+        keys, starts = np.unique(place[order], return_index=True)
+        groups = np.split(opened[order], starts[1:])
+        return {
+            (int(key) >> 32, int(key) & 0xFFFFFFFF): group
+            for key, group in zip(keys, groups, strict=True)
+        }
