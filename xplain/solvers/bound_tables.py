@@ -60,12 +60,21 @@ def make_tables(problem: Problem) -> Tables:
     costs = problem.inexplicability_cost, problem.discount, per_message
     for k in reversed(range(steps)):
         _plan_step(p, k, values, prices, *costs, explain, plans)
-    price, factor = np.zeros(sets), np.ones(sets)
-    for j in np.argsort(prices, kind="stable"):  # the cheapest first: later is discounted more
-        has = np.arange(sets) >> j & 1 == 1
+    price, factor = set_prices(problem)
+    return Tables(p, values, explain, plans, price, factor, prices, problem.discount, per_message)
+
+
+def set_prices(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """For every set of messages [2^n], given the cheapest first, as is best where giving them
+    discounts: its discounted price, and what discounts the *explain* after it."""
+    prices, per_message = message_price(problem), message_discount(problem)
+    sets = np.arange(1 << problem.n_messages)
+    price, factor = np.zeros(len(sets)), np.ones(len(sets))
+    for j in np.argsort(prices, kind="stable"):
+        has = sets >> j & 1 == 1
         price[has] += factor[has] * prices[j]
         factor[has] *= per_message
-    return Tables(p, values, explain, plans, price, factor, prices, problem.discount, per_message)
+    return price, factor
 
 
 @njit(cache=True, nogil=True)

@@ -24,8 +24,8 @@ from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.bound_tables import Tables, make_tables, table_bytes
 from xplain.solvers.dynamic_programming import (
     GIB,
-    TIE,
     Restricted,
+    best_set,
     check_memory,
     check_memory_gib,
     messages_worth_giving,
@@ -124,13 +124,6 @@ def explore(
         elif status == DONE or time.perf_counter() - began > effort.seconds:
             break
     return Found(store, root)
-
-
-def best_set(values: Mapping[int, float]) -> int:
-    """The set with the largest value; ties: fewest messages, then message order."""
-    best = max(values.values())
-    tied = (chosen for chosen, value in values.items() if value >= best - TIE * (1 + abs(best)))
-    return min(tied, key=lambda chosen: (chosen.bit_count(), chosen))
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,13 @@ def message_price(problem: Problem) -> NDArray[np.float64]:
     return problem.trade_off * problem.message_cost
 
 
+def best_set(values: Mapping[int, float]) -> int:
+    """The set with the largest value; ties: fewest messages, then message order."""
+    best = max(values.values())
+    tied = (chosen for chosen, value in values.items() if value >= best - TIE * (1 + abs(best)))
+    return min(tied, key=lambda chosen: (chosen.bit_count(), chosen))
+
+
 def check_memory_gib(value: float) -> None:
     """Raises InputError unless the limit of a solver is a positive number."""
     if not value > 0:

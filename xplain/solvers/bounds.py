@@ -1,0 +1,77 @@
+"""How good can a policy be, and how good is this one: what every run reports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from xplain.errors import TooLargeError
+from xplain.explanation.problem import Problem
+from xplain.solvers.certified import Effort, explore, tables_within
+from xplain.solvers.dynamic_programming import (
+    check_memory,
+    messages_worth_giving,
+    optimal_values,
+    restrict,
+    table_bytes,
+)
+from xplain.solvers.lookahead import Lookahead
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """All are expected discounted returns under the model, from the start of the trace.
+
+    Attributes:
+        lower, upper: the optimal value lies between them.
+        known_type: Σ_t prior(t) V*_t, the value if the type were told at the start.
+    """
+
+    lower: float
+    upper: float
+    known_type: float
+
+    @property
+    def price_of_not_knowing(self) -> tuple[float, float]:
+        """``known_type`` minus the optimum: at least, at most."""
+        return max(self.known_type - self.upper, 0.0), max(self.known_type - self.lower, 0.0)
+
+    def price_of_approximation(self, value: float) -> tuple[float, float]:
+        """The optimum minus a policy's value: at least, at most. The value itself is a lower
+        bound where it is exact."""
+        return max(self.lower - value, 0.0), max(self.upper - value, 0.0)
+
+
+DEFAULT = Effort(gap=1e-3, nodes=2_000, memory_gib=2.0)
+"""Some tenths of a second at most for a trace."""
+
+
+def bounds(problem: Problem, effort: Effort = DEFAULT) -> Bounds:
+    """Certified bounds of the optimal value: by gap search, or where its tables would take more
+    than the effort's memory by one step of lookahead.
+
+    Raises:
+        TooLargeError: not even the tables of known types fit.
+    """
+    small = restrict(problem, messages_worth_giving(problem))
+    try:
+        tables = tables_within(small, effort.memory_gib)
+    except TooLargeError:
+        looking = Lookahead(memory_gib=effort.memory_gib).plan(small)
+        known = float(small.prior @ looking.policy.table[0, 0])
+        return Bounds(looking.lower, looking.upper, known)
+    found = explore(tables, 0, 0, small.prior, effort)
+    known = float(small.prior @ tables.values[0, 0])
+    return Bounds(found.lower, found.upper, known)
+
+
+def known_type_value(problem: Problem, memory_gib: float = 8.0) -> float:
+    """Σ_t prior(t) V*_t: the value of whoever is told the type at the start.
+
+    Raises:
+        TooLargeError: the tables take more than ``memory_gib``.
+    """
+    small = restrict(problem, messages_worth_giving(problem))
+    check_memory("knowing the type", table_bytes(small), memory_gib, "no other solver can")
+    return float(np.dot(small.prior, optimal_values(small)[0, 0]))
