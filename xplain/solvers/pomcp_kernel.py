@@ -1,98 +1,21 @@
-"""The compiled search of :mod:`xplain.solvers.pomcp`: one tree in flat arrays.
+"""The compiled search of :mod:`xplain.solvers.pomcp`.
 
-A node is a history that ends in a belief: k transitions shown, messages H given, exact belief b.
-Its records sit in ``Tree``; children are found in one open-addressing table by (node, labels) and
-by (node at which the step began, H): orders of the same messages lead to one node. What every
-type answers alike is no news and is not drawn; labels with the same P[:, i, H] are exchangeable,
-so an observation is known by Σ_i [l_i = 0] · w_i with one 64-bit hash w per distinct column
-(different counts collide with probability 2^-64). Rewards of *explain* are exact expectations
-under the node's belief, not the drawn labels: the same mean, less noise.
+All that ``simulate`` is made of stands in this one file: numba's cache looks at no other. The
+arrays (``Model``, ``Tree``, ``Options``) are described in :mod:`xplain.solvers.pomcp_tables`.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit, uint64
-from numpy.typing import NDArray
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 LANE = np.uint64((1 << 21) - 1)
-SCALE = 2.0**-21
-"""Three label draws share one 64-bit word: 21 bits each, a bias of at most 2^-22 a label."""
+SCALE = 2.0**-21  # three labels share one random word: 21 bits and a bias below 2^-21 a label
 
 MAX_OF_MEAN, MEAN_OF_MAX = 0, 1
 RANDOM, QMDP, SILENT = 0, 1, 2
-
-NODE = np.dtype(
-    [
-        ("code", np.uint64),  # the labels that led here, or H after a message
-        ("leaf", np.float64),  # QMDP's value at the belief, NaN until asked for
-        ("parent", np.int32),  # node before *explain*; ~(node where the step began) after a message
-        ("step", np.int32),  # k
-        ("given", np.int32),  # H
-        ("base", np.int32),  # node where the step began; it holds the belief
-        ("edges", np.int32),  # its first edge; 0 until visited a second time
-        ("untried", np.int32),  # bitmask of actions
-        ("visits", np.int32),
-        ("n_available", np.int32),
-    ]
-)
-EDGE = np.dtype(
-    [
-        ("value", np.float64),  # mean return
-        ("reward", np.float64),
-        ("width", np.float32),  # c / sqrt(visits)
-        ("visits", np.int32),
-        ("child", np.int32),  # after a message; 0 until known
-        ("discount", np.float32),
-    ]
-)
-
-
-class Model(NamedTuple):
-    """A problem's tables, laid out for the search.
-
-    Attributes:
-        optimal: [m + 1, 2^n, N] V*_t(k, H).
-        explain_cost: [2^n, m, N] C_inexp Σ_{i ≤ k} (1 − P[t, i, H]).
-        informative: [2^n, m] labels among the first k + 1 that types answer differently.
-        p: [2^n, N, m] P of the informative labels, in order.
-        weight: [2^n, m] their w.
-        price: [n] λ C_e.
-        discount, message_discount: γ of *explain* and of a message.
-    """
-
-    optimal: NDArray[np.float64]
-    explain_cost: NDArray[np.float64]
-    informative: NDArray[np.int32]
-    p: NDArray[np.float64]
-    weight: NDArray[np.uint64]
-    price: NDArray[np.float64]
-    discount: float
-    message_discount: float
-
-
-class Tree(NamedTuple):
-    """Room for a search of S simulations: each adds at most one node and opens at most one."""
-
-    nodes: NDArray[np.void]
-    edges: NDArray[np.void]
-    beliefs: NDArray[np.float64]
-    table: NDArray[np.int32]
-    used: NDArray[np.int64]  # nodes, edges
-    counter: NDArray[np.uint64]  # of the random stream
-
-
-class Options(NamedTuple):
-    """How to search; the names are those of :class:`xplain.solvers.pomcp.POMCP`."""
-
-    depth: int
-    count_messages: int
-    exploration: float
-    leaf: int
-    rollout: int
+MEAN, MAX = 0, 1
 
 
 @njit(inline="always")
@@ -104,13 +27,13 @@ def mix(x):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def below(word, count):  # type: ignore[no-untyped-def]
+def _below(word, count):  # type: ignore[no-untyped-def]
     """A number in 0 … count − 1 from a random word."""
     return np.int64(((word >> uint64(32)) * uint64(count)) >> uint64(32))
 
 
 @njit(inline="always")
-def nth_bit(mask, r):  # type: ignore[no-untyped-def]
+def _nth_bit(mask, r):  # type: ignore[no-untyped-def]
     """The position of the r-th bit set in a mask, from 0."""
     for _ in range(r):
         mask &= mask - 1
@@ -120,61 +43,60 @@ def nth_bit(mask, r):  # type: ignore[no-untyped-def]
     return j
 
 
-@njit(cache=True, nogil=True)
-def lay_out(p, bits, inexplicability, explain_cost, informative, p_out, weight):  # type: ignore[no-untyped-def]
-    """Fills the tables of ``Model`` from p [N, m, 2^n] and the same numbers as ``bits``."""
-    types, steps, sets = p.shape
-    for given in range(sets):
-        found = 0
-        for i in range(steps):
-            differs = False
-            code = GOLDEN
-            for t in range(types):
-                before = explain_cost[given, i - 1, t] if i > 0 else 0.0
-                explain_cost[given, i, t] = before + inexplicability * (1.0 - p[t, i, given])
-                differs |= p[t, i, given] != p[0, i, given]
-                code = mix((code + GOLDEN) ^ bits[t, i, given])
-            if differs:
-                for t in range(types):
-                    p_out[given, t, found] = p[t, i, given]
-                weight[given, found] = code
-                found += 1
-            informative[given, i] = found
+@njit(inline="always")
+def _count_bits(mask, n):  # type: ignore[no-untyped-def]
+    count = 0
+    for j in range(n):
+        count += mask >> j & 1
+    return count
 
 
-@njit
-def _draw(model, step, given, t, counter, zero):  # type: ignore[no-untyped-def]
-    """Draws the informative labels that a user of type t gives: their code, the counter."""
+@njit(forceinline=True)
+def _draw_type(belief, counter):  # type: ignore[no-untyped-def]
+    """A type with positive belief, and the counter."""
+    counter += GOLDEN
+    u = np.float64(mix(counter) >> uint64(11)) * 2.0**-53
+    drawn, total = 0, 0.0
+    for t in range(len(belief)):
+        # The last type with positive belief takes what rounding leaves of the sum.
+        if belief[t] > 0 and (total == 0 or u >= total):
+            drawn = t
+        total += belief[t]
+    return drawn, counter
+
+
+@njit(forceinline=True)
+def _draw_labels(model, step, given, t, counter, zero):  # type: ignore[no-untyped-def]
+    """Draws the informative labels that a user of type t gives: their code, and the counter."""
     code = uint64(0)
     word = uint64(0)
-    p, weight = model.p[given, t], model.weight[given]
+    p, weight = model.p[given], model.weight[given]
     for i in range(model.informative[given, step]):
         if i % 3 == 0:
             counter += GOLDEN
             word = mix(counter)
-        is_zero = (np.float64(word & LANE) + 0.5) * SCALE > p[i]
+        zero[i] = (np.float64(word & LANE) + 0.5) * SCALE > p[i, t]
         word >>= uint64(21)
-        zero[i] = is_zero
-        code += weight[i] if is_zero else uint64(0)
+        code += weight[i] if zero[i] else uint64(0)
     return code, counter
 
 
-@njit
-def _bayes(model, step, given, zero, belief, posterior):  # type: ignore[no-untyped-def]
-    """posterior ∝ belief × likelihood of the drawn labels."""
+@njit(forceinline=True)
+def _update(model, step, given, zero, belief, posterior):  # type: ignore[no-untyped-def]
+    """posterior ∝ belief × likelihood of the drawn labels. The two may be one array."""
+    p = model.p[given]
+    posterior[:] = belief
+    for i in range(model.informative[given, step]):
+        for t in range(len(belief)):
+            posterior[t] *= 1.0 - p[i, t] if zero[i] else p[i, t]
     total = 0.0
     for t in range(len(belief)):
-        likelihood = belief[t]
-        p = model.p[given, t]
-        for i in range(model.informative[given, step]):
-            likelihood *= 1.0 - p[i] if zero[i] else p[i]
-        posterior[t] = likelihood
-        total += likelihood
+        total += posterior[t]
     for t in range(len(belief)):
-        posterior[t] = posterior[t] / total if total > 0 else belief[t]
+        posterior[t] /= total
 
 
-@njit
+@njit(forceinline=True)
 def _qmdp(model, step, given, belief):  # type: ignore[no-untyped-def]
     """max_a Σ_t b(t) Q_t(k, H, a), and the action (n is *explain*)."""
     n = len(model.price)
@@ -194,7 +116,7 @@ def _qmdp(model, step, given, belief):  # type: ignore[no-untyped-def]
     return best, action
 
 
-@njit
+@njit(forceinline=True)
 def _leaf(model, reading, step, given, belief):  # type: ignore[no-untyped-def]
     if reading == MAX_OF_MEAN:
         return _qmdp(model, step, given, belief)[0]
@@ -204,26 +126,24 @@ def _leaf(model, reading, step, given, belief):  # type: ignore[no-untyped-def]
     return value
 
 
-@njit
+@njit(forceinline=True)
 def _roll_random(model, step, given, t, counter):  # type: ignore[no-untyped-def]
     """The return of uniformly random actions, for a user of type t."""
     n, steps = len(model.price), model.explain_cost.shape[1]
     free = ((1 << n) - 1) & ~given
-    count = 0
-    for j in range(n):
-        count += free >> j & 1
+    count = _count_bits(free, n)
     value, scale = 0.0, 1.0
     while step < steps:
         choice = 0
         if count > 0:
             counter += GOLDEN
-            choice = below(mix(counter), count + 1)
+            choice = _below(mix(counter), count + 1)
         if choice == count:
             value -= scale * model.explain_cost[given, step, t]
             scale *= model.discount
             step += 1
         else:
-            j = nth_bit(free, choice)
+            j = _nth_bit(free, choice)
             value -= scale * model.price[j]
             scale *= model.message_discount
             free ^= 1 << j
@@ -232,9 +152,9 @@ def _roll_random(model, step, given, t, counter):  # type: ignore[no-untyped-def
     return value, counter
 
 
-@njit
+@njit(forceinline=True)
 def _roll_silent(model, step, given, belief):  # type: ignore[no-untyped-def]
-    """The exact return of saying nothing more."""
+    """The expected return of saying nothing more."""
     value, scale = 0.0, 1.0
     for k in range(step, model.explain_cost.shape[1]):
         for t in range(len(belief)):
@@ -243,14 +163,14 @@ def _roll_silent(model, step, given, belief):  # type: ignore[no-untyped-def]
     return value
 
 
-@njit
-def _roll_qmdp(model, step, given, t, belief, counter, zero, scratch):  # type: ignore[no-untyped-def]
-    """The return of following QMDP with exact beliefs, for a user of type t."""
+@njit(forceinline=True)
+def _roll_qmdp(model, step, given, t, belief, counter, zero, now):  # type: ignore[no-untyped-def]
+    """The return of following QMDP with exact beliefs (kept in ``now``), for a user of type t."""
     n, steps = len(model.price), model.explain_cost.shape[1]
-    scratch[:] = belief
+    now[:] = belief
     value, scale = 0.0, 1.0
     while step < steps:
-        _, action = _qmdp(model, step, given, scratch)
+        _, action = _qmdp(model, step, given, now)
         if action < n:
             value -= scale * model.price[action]
             scale *= model.message_discount
@@ -259,43 +179,22 @@ def _roll_qmdp(model, step, given, t, belief, counter, zero, scratch):  # type: 
             value -= scale * model.explain_cost[given, step, t]
             scale *= model.discount
             if step + 1 < steps:
-                _, counter = _draw(model, step, given, t, counter, zero)
-                _bayes(model, step, given, zero, scratch, scratch)
+                _, counter = _draw_labels(model, step, given, t, counter, zero)
+                _update(model, step, given, zero, now, now)
             step += 1
     return value, counter
 
 
-@njit
-def _open(model, tree, node):  # type: ignore[no-untyped-def]
-    """Gives a node its edges: one a message, the last for *explain*."""
-    n = len(model.price)
-    record = tree.nodes[node]
-    first = tree.used[1]
-    tree.used[1] += n + 1
-    record.edges = first
-    given, step = record.given, record.step
-    belief = tree.beliefs[record.base]
-    for a in range(n + 1):
-        edge = tree.edges[first + a]
-        edge.visits = 0
-        edge.child = 0
-        edge.width = 0.0
-        if a < n and given >> a & 1:
-            edge.value = -np.inf
-        elif a < n:
-            edge.reward = -model.price[a]
-            edge.discount = model.message_discount
-        else:
-            cost = model.explain_cost[given, step]
-            reward = 0.0
-            for t in range(len(belief)):
-                reward -= belief[t] * cost[t]
-            edge.reward = reward
-            edge.discount = model.discount
-    record.untried = ((1 << (n + 1)) - 1) & ~given
+@njit(forceinline=True)
+def _roll(model, rollout, step, given, t, belief, counter, zero, now):  # type: ignore[no-untyped-def]
+    if rollout == RANDOM:
+        return _roll_random(model, step, given, t, counter)
+    if rollout == SILENT:
+        return _roll_silent(model, step, given, belief), counter
+    return _roll_qmdp(model, step, given, t, belief, counter, zero, now)
 
 
-@njit
+@njit(forceinline=True)
 def _find(tree, parent, code):  # type: ignore[no-untyped-def]
     """Where the table holds this child, or has room for it."""
     mask = len(tree.table) - 1
@@ -307,8 +206,9 @@ def _find(tree, parent, code):  # type: ignore[no-untyped-def]
         slot = (slot + 1) & mask
 
 
-@njit
+@njit(forceinline=True)
 def _add(tree, slot, parent, code, step, given, base):  # type: ignore[no-untyped-def]
+    """A node of its own; ``base`` < 0 means that it begins a step. The belief is left to set."""
     node = tree.used[0]
     tree.used[0] += 1
     tree.table[slot] = node
@@ -320,37 +220,107 @@ def _add(tree, slot, parent, code, step, given, base):  # type: ignore[no-untype
     record.base = base if base >= 0 else node
     record.edges = 0
     record.visits = 0
+    record.value = 0.0
     record.leaf = np.nan
     return node
+
+
+@njit(forceinline=True)
+def _open(model, tree, node):  # type: ignore[no-untyped-def]
+    """Gives a node its edges: one a message, the last for *explain*."""
+    n = len(model.price)
+    record = tree.nodes[node]
+    record.edges = tree.used[1]
+    tree.used[1] += n + 1
+    record.untried = ((1 << (n + 1)) - 1) & ~record.given
+    record.reward = 0.0
+    belief, cost = tree.beliefs[record.base], model.explain_cost[record.given, record.step]
+    for t in range(len(belief)):
+        record.reward -= belief[t] * cost[t]
+    for a in range(n + 1):
+        edge = tree.edges[record.edges + a]
+        edge.value = -np.inf
+        edge.width = 0.0
+        edge.visits = 0
+        edge.child = 0
+
+
+@njit(forceinline=True)
+def _select(tree, record, n, log_root, counter):  # type: ignore[no-untyped-def]
+    """UCB1; actions not yet tried come first, in random order."""
+    untried = np.int64(record.untried)
+    if untried != 0:
+        counter += GOLDEN
+        action = _nth_bit(untried, _below(mix(counter), _count_bits(untried, n + 1)))
+        record.untried = untried & ~(1 << action)
+        return action, counter
+    first, bonus = record.edges, log_root[record.visits]
+    best, action = -np.inf, 0
+    for a in range(n + 1):
+        edge = tree.edges[first + a]
+        score = edge.value + bonus * edge.width
+        if score > best:
+            best, action = score, a
+    return action, counter
+
+
+@njit(forceinline=True)
+def _back_up(tree, model, options, node, tail, path_node, path_action, length):  # type: ignore[no-untyped-def]
+    """Tells the nodes on the path of a return ``tail`` from ``node`` on (−1: the end).
+
+    With MAX backups a node is worth its best action, and *explain* the mean of what its
+    observations are worth now: ``moved`` corrects what earlier arrivals were counted with.
+    """
+    n = len(model.price)
+    moved = 0.0
+    if node >= 0:
+        record = tree.nodes[node]
+        moved = record.visits * (tail - record.value)
+        record.value = tail
+        record.visits += 1
+    for i in range(length - 1, -1, -1):
+        record, action = tree.nodes[path_node[i]], path_action[i]
+        edge = tree.edges[record.edges + action]
+        edge.visits += 1
+        before = edge.value
+        if action < n:
+            tail = model.message_discount * tail - model.price[action]
+        else:
+            tail = record.reward + model.discount * tail
+        if edge.visits == 1 or (options.backup == MAX and action < n):
+            edge.value = tail
+        elif options.backup == MAX:
+            edge.value += (tail - before + model.discount * moved) / edge.visits
+        else:
+            edge.value += (tail - before) / edge.visits
+        edge.width = options.exploration / np.sqrt(np.float64(edge.visits))
+        if options.backup == MAX:
+            # A node visited once so far holds a rollout's return, not its best action's.
+            if record.visits > 1 and before < record.value:
+                tail = max(record.value, edge.value)
+            else:
+                tail = edge.value
+                for a in range(n + 1):
+                    tail = max(tail, tree.edges[record.edges + a].value)
+            moved = record.visits * (tail - record.value)
+            record.value = tail
+        record.visits += 1
 
 
 @njit(cache=True, nogil=True)
 def simulate(simulations, model, options, tree, log_root):  # type: ignore[no-untyped-def]
     """Runs simulations from node 0, whose belief is set. ``log_root[v]`` is sqrt(log v)."""
     n, steps = len(model.price), model.explain_cost.shape[1]
-    types = tree.beliefs.shape[1]
-    nodes, edges = tree.nodes, tree.edges
     counter = tree.counter[0]
     zero = np.zeros(steps, np.bool_)
-    scratch = np.empty(types)
-    path = np.empty(n + steps + 1, np.int64)
+    now = np.empty(tree.beliefs.shape[1])
     path_node = np.empty(n + steps + 1, np.int64)
-    root = tree.beliefs[0]
+    path_action = np.empty(n + steps + 1, np.int64)
     for _ in range(simulations):
-        counter += GOLDEN
-        u = np.float64(mix(counter) >> uint64(11)) * 2.0**-53
-        t, last = 0, 0
-        for s in range(types):
-            if root[s] > 0:
-                last = s
-        t = 0
-        while t < last and u >= root[t]:
-            u -= root[t]
-            t += 1
-        node, depth, length = 0, 0, 0
-        tail = 0.0
+        t, counter = _draw_type(tree.beliefs[0], counter)
+        node, depth, length, tail = 0, 0, 0, 0.0
         while True:
-            record = nodes[node]
+            record = tree.nodes[node]
             step, given, base = np.int64(record.step), np.int64(record.given), record.base
             if depth >= options.depth:
                 if np.isnan(record.leaf):
@@ -359,88 +329,38 @@ def simulate(simulations, model, options, tree, log_root):  # type: ignore[no-un
                 break
             if record.edges == 0:
                 _open(model, tree, node)
-            first = np.int64(record.edges)
-            untried = np.int64(record.untried)
-            if untried != 0:
-                count = 0
-                for j in range(n + 1):
-                    count += untried >> j & 1
-                counter += GOLDEN
-                action = nth_bit(untried, below(mix(counter), count))
-                record.untried = untried & ~(1 << action)
-            else:
-                bonus = log_root[record.visits]
-                best, action = -np.inf, 0
-                for a in range(n + 1):
-                    score = edges[first + a].value + bonus * edges[first + a].width
-                    if score > best:
-                        best, action = score, a
-            path[length] = first + action
-            path_node[length] = node
+            action, counter = _select(tree, record, n, log_root, counter)
+            path_node[length], path_action[length] = node, action
             length += 1
             if action < n:
-                depth += options.count_messages
-                more = given | 1 << action
-                child = np.int64(edges[first + action].child)
-                if child == 0:
-                    slot = _find(tree, ~base, uint64(more))
-                    child = np.int64(tree.table[slot])
-                    if child == 0:
-                        child = _add(tree, slot, ~base, uint64(more), step, more, base)
-                        edges[first + action].child = child
-                        tail, counter = _roll(
-                            model,
-                            options,
-                            tree.beliefs[base],
-                            step,
-                            more,
-                            t,
-                            counter,
-                            zero,
-                            scratch,
-                        )
-                        break
-                    edges[first + action].child = child
-                node = child
+                given |= 1 << action
+                depth += options.message_depth
+                edge = tree.edges[record.edges + action]
+                if edge.child == 0:
+                    slot = _find(tree, ~base, uint64(given))
+                    edge.child = tree.table[slot]
+                is_new = edge.child == 0
+                if is_new:
+                    edge.child = _add(tree, slot, ~base, uint64(given), step, given, base)
+                node = np.int64(edge.child)
+            elif step + 1 == steps:
+                node = -1
+                break
             else:
-                if step + 1 == steps:
-                    break
                 depth += 1
-                code, counter = _draw(model, step, given, t, counter, zero)
+                code, counter = _draw_labels(model, step, given, t, counter, zero)
                 slot = _find(tree, node, code)
                 child = np.int64(tree.table[slot])
-                if child == 0:
+                is_new = child == 0
+                if is_new:
                     child = _add(tree, slot, node, code, step + 1, given, -1)
-                    _bayes(model, step, given, zero, tree.beliefs[base], tree.beliefs[child])
-                    tail, counter = _roll(
-                        model,
-                        options,
-                        tree.beliefs[child],
-                        step + 1,
-                        given,
-                        t,
-                        counter,
-                        zero,
-                        scratch,
-                    )
-                    break
-                node = child
-        for i in range(length - 1, -1, -1):
-            edge = edges[path[i]]
-            tail = edge.reward + edge.discount * tail
-            edge.visits += 1
-            edge.value += (
-                (tail - edge.value) / edge.visits if edge.visits > 1 else tail - edge.value
-            )
-            edge.width = options.exploration / np.sqrt(np.float64(edge.visits))
-            nodes[path_node[i]].visits += 1
+                    _update(model, step, given, zero, tree.beliefs[base], tree.beliefs[child])
+                node, base, step = child, child, step + 1
+            if is_new:
+                belief = tree.beliefs[base]
+                tail, counter = _roll(
+                    model, options.rollout, step, given, t, belief, counter, zero, now
+                )
+                break
+        _back_up(tree, model, options, node, tail, path_node, path_action, length)
     tree.counter[0] = counter
-
-
-@njit
-def _roll(model, options, belief, step, given, t, counter, zero, scratch):  # type: ignore[no-untyped-def]
-    if options.rollout == RANDOM:
-        return _roll_random(model, step, given, t, counter)
-    if options.rollout == SILENT:
-        return _roll_silent(model, step, given, belief), counter
-    return _roll_qmdp(model, step, given, t, belief, counter, zero, scratch)
