@@ -75,7 +75,7 @@ SOLVERS = [
     ("leaves_problem", Spoilt(change_belief)),
     ("says_nothing", Spoilt(lambda p, x, k, g, b: (1 << x.n_messages) - 1 & ~g)),
     ("says_at_once", Spoilt(lambda p, x, k, g, b: 0)),
-    ("whole_trace", Spoilt(lambda p, x, k, g, b: (1 << x.n_messages) - 1 & ~g)),
+    ("explains_a_whole", Spoilt(lambda p, x, k, g, b: (1 << x.n_messages) - 1 & ~g)),
 ]
 
 rescue = Chosen("domain", "rescue").make()

@@ -1,0 +1,47 @@
+"""Observers who give the same answers to the same questions are of one type."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from xplain.errors import InputError
+from xplain.learning.clustering import Clustering
+from xplain.learning.dataset import Dataset
+from xplain.learning.labelers import LabelerTrainer, points
+
+
+@dataclass(frozen=True)
+class SameAnswers:
+    """Attributes:
+    tolerance: share of the common questions that two observers of one type may answer
+        differently, in [0, 1).
+    common: questions that they must have in common, at least.
+    """
+
+    tolerance: float = 0.0
+    common: int = 20
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.tolerance < 1:
+            raise InputError("clusterer.tolerance", self.tolerance, "a share in [0, 1)")
+
+    def cluster(
+        self,
+        dataset: Dataset,
+        trainer: LabelerTrainer,
+        seed: int,
+        truth: NDArray[np.int64] | None,
+    ) -> Clustering:
+        """Who agrees with whom makes a graph; a type is a connected part of it."""
+        question = points(dataset)
+        answers = np.zeros((2, len(dataset.observers), question.max() + 1))  # answers 0, answers 1
+        answers[dataset.label, dataset.observer, question] = 1
+        asked = answers.max(axis=0)
+        common = asked @ asked.T
+        same = answers[0] @ answers[0].T + answers[1] @ answers[1].T
+        alike = (common >= self.common) & (same >= (1 - self.tolerance) * common)
+        count, found = connected_components(alike)
+        rule = f"{count} groups that differ in at most {self.tolerance:.0%} of their answers"
+        return Clustering(found.astype(np.int64), "same answers", rule)

@@ -1,0 +1,5 @@
+from xplain.testing import Chosen, DomainConformance
+
+
+class TestGreenhouse(DomainConformance):
+    component = Chosen("domain", "greenhouse", conf="conf")

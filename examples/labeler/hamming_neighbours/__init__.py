@@ -1,0 +1,41 @@
+"""The examples most similar to a question vote; similar is what differs in few columns.
+
+Any classifier of scikit-learn's shape can be a labeler. This one is written out in full.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.base import BaseEstimator, ClassifierMixin
+
+from xplain.errors import InputError
+
+
+class HammingNeighbours(ClassifierMixin, BaseEstimator):
+    """Args:
+    neighbours: how many examples vote; those as near as the last one vote too.
+    """
+
+    def __init__(self, neighbours: int = 3) -> None:
+        self.neighbours = neighbours
+
+    def fit(self, x: NDArray[np.float32], y: NDArray[np.uint8]) -> "HammingNeighbours":
+        """Remembers the examples [P, columns] and their labels [P]."""
+        if self.neighbours < 1:
+            raise InputError("labeler.classifier.neighbours", self.neighbours, "a number ≥ 1")
+        self.classes_, self.label_ = np.unique(y, return_inverse=True)
+        self.x_ = np.asarray(x)
+        return self
+
+    def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Shares of the votes, [Q, classes]; an example d columns away has 4^−d of a vote."""
+        shares = np.empty((len(x), len(self.classes_)))
+        for q, row in enumerate(np.asarray(x)):
+            differs = (self.x_ != row).sum(axis=1)
+            limit = np.sort(differs)[min(self.neighbours, len(differs)) - 1]
+            votes = np.where(differs <= limit, 0.25**differs, 0.0)
+            shares[q] = np.bincount(self.label_, weights=votes, minlength=len(self.classes_))
+        return shares / shares.sum(axis=1, keepdims=True)
+
+    def predict(self, x: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """The label with most votes, [Q]."""
+        return self.classes_[self.predict_proba(x).argmax(axis=1)]

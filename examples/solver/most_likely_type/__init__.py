@@ -1,0 +1,49 @@
+"""Plans for the type that is most likely now, as if it were known (Nourbakhsh et al. 1995 for
+robots that know not where they are: "most likely state")."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.problem import Problem
+from xplain.solvers.base import Knowledge, Policy
+from xplain.solvers.dynamic_programming import check_memory_gib, greedy_policy
+
+
+@dataclass(frozen=True)
+class MostLikelyType:
+    """Args:
+    memory_gib: most that the tables [steps, 2^messages, types] may take.
+    """
+
+    memory_gib: float = 8.0
+    knows: Knowledge = "types"
+
+    def __post_init__(self) -> None:
+        check_memory_gib(self.memory_gib)
+
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
+        """Each type's optimal values; nothing here is random."""
+        return AsIfKnown(
+            greedy_policy(problem, "most_likely_type", self.memory_gib, "qhr plans without tables")
+        )
+
+
+@dataclass(frozen=True)
+class AsIfKnown:
+    """The greedy policy at a belief of 1 on the most likely type (the first of equals)."""
+
+    policy: Policy
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+        """The messages that this type needs now."""
+        return self.policy.messages(step, given, self._sure(belief))
+
+    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
+        """This type's values."""
+        return self.policy.values(step, given, self._sure(belief))
+
+    def _sure(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.eye(len(belief))[belief.argmax()]
