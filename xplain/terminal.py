@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import logging
-import math
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from xplain.report.paper import table1, title
-
-if TYPE_CHECKING:
-    from xplain.report.sweep import Summary
-    from xplain.report.tables import Entry
+from xplain.report.paper import table1
 
 log = logging.getLogger(__name__)
 
@@ -134,38 +129,3 @@ def _bounds(bounds: dict[str, float]) -> list[str]:
             f"{bounds['price_of_not_knowing']:.4f}"
         )
     return lines
-
-
-def print_sweep(summary: Summary) -> None:
-    """Table 1 of a sweep on standard output, the paper's values beneath ours."""
-    from xplain.report import tables
-
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
-    keys = tables.columns(summary)
-    table = Table(box=None, pad_edge=False, show_lines=False)
-    table.add_column("")
-    table.add_column("λ", justify="right")
-    for key in keys:
-        table.add_column(title(key), justify="right")
-    last = ""
-    for domain, _, trade_off, numbers in tables.grid(summary):
-        if domain != last and last:
-            table.add_section()
-        own = {entry.column: entry for entry in numbers}
-        name = title(domain) if domain != last else ""
-        cells = [_sweep_cell(own[key]) if key in own else "" for key in keys]
-        table.add_row(name, f"{trade_off:g}", *cells)
-        last = domain
-    console.print(table)
-    console.print(tables.caption(summary))
-
-
-def _sweep_cell(entry: Entry) -> str:
-    from xplain.report.tables import interval, number
-
-    lines = [number(entry.estimate.mean)]
-    if entry.paper is not None:
-        lines[0] += f" ({entry.paper:.2f})"
-    if not math.isnan(entry.estimate.low):
-        lines.append(interval(entry.estimate))
-    return "\n".join(lines)

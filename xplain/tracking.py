@@ -23,10 +23,6 @@ from xplain.storage import load_results
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
-    from xplain.sweep.folder import SweepFolder
-    from xplain.sweep.mirror import Mirror, NoMirror
-    from xplain.sweep.plan import Job
-
 log = logging.getLogger(__name__)
 
 PROCESS_TAG = "xplain.process"
@@ -43,12 +39,6 @@ class Disk:
     def log(self, folder: Path, outputs: Path, parent: str | None = None) -> str | None:
         """Does nothing."""
         return None
-
-    def mirror(self, outputs: Path, folder: SweepFolder, jobs: tuple[Job, ...]) -> NoMirror:
-        """Shows a sweep nowhere."""
-        from xplain.sweep.mirror import NoMirror
-
-        return NoMirror()
 
 
 @dataclass(frozen=True)
@@ -94,12 +84,6 @@ class MLflow:
             )
             log.debug("MLflow failed", exc_info=True)
             return None
-
-    def mirror(self, outputs: Path, folder: SweepFolder, jobs: tuple[Job, ...]) -> Mirror:
-        """Shows a sweep as a parent run with its children."""
-        from xplain.sweep.mirror import Mirror
-
-        return Mirror(self, outputs, folder, jobs)
 
     @contextlib.contextmanager
     def client(self, outputs: Path) -> Iterator[tuple[MlflowClient, str]]:

@@ -16,8 +16,8 @@ def main() -> None:
     """The command line."""
     with report_errors():
         folder = _folder(sys.argv[1:])
+        from xplain.report.console import print_sweep
         from xplain.report.write import write_report
-        from xplain.terminal import print_sweep
 
         summary, report = write_report(folder)
         if not summary.results:

@@ -265,7 +265,7 @@ class Summary:
                             name = _metric(f"{measure}/{domain}/{method}")
                             points.append((name, trade_off, cell.estimate.mean))
                 oracle = self.oracle(domain, trade_off)
-                if oracle is not None and self.complete(domain, trade_off, self.methods[0]):
+                if oracle and self.complete(domain, trade_off, self.methods[0]):
                     points.append(
                         (_metric(f"oracle cost/{domain}"), trade_off, oracle.estimate.mean)
                     )

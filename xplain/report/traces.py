@@ -18,6 +18,7 @@ from matplotlib.patches import Rectangle
 from xplain.domains.base import Item, Scene
 from xplain.report.plots import COLOURS, save
 
+ITEM_COLOURS = (*COLOURS[:6], "#F0E442", "#777777")
 EXPLICABLE, INEXPLICABLE = "#CFE8F5", "#F5C4A1"
 
 
@@ -115,9 +116,10 @@ def draw_trace(scene: Scene | None, story: Story) -> Figure:
         1, 2, figsize=(5.2 + width, max(4.6, 0.34 * m + 2.6)), width_ratios=[5.2, width]
     )
     draw_map(left, scene, story.positions)
-    left.set_title("What the robot did", loc="left", weight="bold")
+    left.set_title("What the robot did, step by step", loc="left", weight="bold")
     _draw_steps(right, story)
     figure.tight_layout()
+    left.set_anchor("N")
     return figure
 
 
@@ -131,7 +133,7 @@ def draw_map(axes: Axes, scene: Scene, positions: tuple[tuple[int, int], ...]) -
     for row, column in scene.walls:
         axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, color="#555555", linewidth=0))
     for index, item in enumerate(scene.items):
-        colour = COLOURS[index % (len(COLOURS) - 1)]
+        colour = ITEM_COLOURS[index % len(ITEM_COLOURS)]
         for row, column in item.cells:
             axes.add_patch(
                 Rectangle((column - 0.5, row - 0.5), 1, 1, color=colour, alpha=0.25, linewidth=0)
@@ -159,14 +161,19 @@ def draw_map(axes: Axes, scene: Scene, positions: tuple[tuple[int, int], ...]) -
     axes.set_xlim(-0.5, scene.columns - 0.5)
     axes.set_ylim(scene.rows - 0.5, -0.5)
     axes.set_aspect("equal")
-    axes.set_xticks([column - 0.5 for column in range(1, scene.columns)], labels=[])
-    axes.set_yticks([row - 0.5 for row in range(1, scene.rows)], labels=[])
-    axes.tick_params(length=0)
+    # Rows and columns are numbered as in the phrases; lines between cells.
+    axes.set_xticks(range(scene.columns))
+    axes.set_yticks(range(scene.rows))
+    axes.set_xticks([column - 0.5 for column in range(1, scene.columns)], minor=True)
+    axes.set_yticks([row - 0.5 for row in range(1, scene.rows)], minor=True)
+    axes.grid(visible=False, which="major")
+    axes.grid(visible=True, which="minor", alpha=0.25)
+    axes.tick_params(which="both", length=0, labelsize=8, labelcolor="#666666")
     for spine in axes.spines.values():
         spine.set_visible(True)
     if scene.items:
         axes.legend(
-            loc="upper left", bbox_to_anchor=(0, -0.02), ncols=3, fontsize=8, handletextpad=0.3
+            loc="upper left", bbox_to_anchor=(0, -0.05), ncols=3, fontsize=8, handletextpad=0.3
         )
 
 
@@ -181,9 +188,10 @@ def _draw_steps(axes: Axes, story: Story) -> None:
     for k, new in enumerate(story.messages):
         if not new:
             continue
+        axes.plot([k + 0.5, k + 0.5], [0.5, k + 1.5], color=COLOURS[1], lw=1.6)
         axes.text(
-            k + 0.9,
-            0.3,
+            k + 0.45,
+            0.28,
             " + ".join(new).replace("_", " "),
             rotation=35,
             ha="left",
@@ -192,7 +200,7 @@ def _draw_steps(axes: Axes, story: Story) -> None:
             color=COLOURS[1],
             weight="bold",
         )
-        axes.plot(k + 1, 0.36, "v", color=COLOURS[1], markersize=7, clip_on=False)
+        axes.plot(k + 0.5, 0.36, "v", color=COLOURS[1], markersize=7, clip_on=False)
     axes.set_xlim(0.5, m + 0.5)
     axes.set_ylim(m + 0.5, 0.5)
     axes.set_yticks(
@@ -205,7 +213,10 @@ def _draw_steps(axes: Axes, story: Story) -> None:
     axes.plot([], [], "s", color=EXPLICABLE, markersize=9, label="explicable")
     axes.plot([], [], "s", color=INEXPLICABLE, markersize=9, label="inexplicable (?)")
     axes.plot([], [], "v", color=COLOURS[1], label="message given before the step")
-    axes.legend(loc="upper left", bbox_to_anchor=(0, -0.1 - 0.5 / m), ncols=3, fontsize=8)
+    if m >= 8:  # the triangle below the diagonal is free
+        axes.legend(loc="lower left", fontsize=9)
+    else:
+        axes.legend(loc="upper left", bbox_to_anchor=(0, -0.3), ncols=3, fontsize=8)
     longest = max((len(" + ".join(new)) for new in story.messages), default=0)
     axes.set_title(
         f"What a user of type {story.user_type} said: "

@@ -42,20 +42,20 @@ def draw(summary: Summary, report: Path) -> Pictures:
         (
             pictures.regret if many else [],
             "regret",
-            lambda: plots.against_trade_off(summary, "regret", "regret (cost less the oracle’s)"),
+            plots.against_trade_off(summary, "regret", "regret (cost less the oracle’s)"),
             "Regret against λ, with 95 % intervals; open markers are the paper’s values. "
             "The axis is scaled by the square root, so that small and large regrets both show.",
         ),
         (
             pictures.diagnostics,
             "messages",
-            lambda: plots.against_trade_off(summary, "messages", "messages an episode"),
+            plots.against_trade_off(summary, "messages", "messages an episode"),
             "Messages given in an episode, mean over traces and users.",
         ),
         (
             pictures.diagnostics,
             "inexplicable",
-            lambda: plots.against_trade_off(
+            plots.against_trade_off(
                 summary, "inexplicable labels", "inexplicable labels an episode"
             ),
             "Labels “inexplicable” in an episode, summed over its steps, mean over traces and "
@@ -64,20 +64,19 @@ def draw(summary: Summary, report: Path) -> Pictures:
         (
             pictures.types,
             "disagreements",
-            lambda: plots.elbows(summary),
+            plots.elbows(summary),
             "Disagreements of labels within clusters against the number of clusters; rings mark "
             "the numbers of user types that the elbow chose.",
         ),
         (
             pictures.types,
             "belief",
-            lambda: plots.belief_over_steps(summary),
+            plots.belief_over_steps(summary),
             "Belief in the user’s true type after each step, mean over the traces that last so "
             "long.",
         ),
     ]
-    for section, name, make, caption in drawn:
-        figure = make()
+    for section, name, figure, caption in drawn:
         if figure is not None:
             plots.save(figure, report / f"{name}.png", report / f"{name}.svg")
             section.append(Picture(report / f"{name}.svg", caption))

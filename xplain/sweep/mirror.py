@@ -8,12 +8,14 @@ later.
 
 from __future__ import annotations
 
+import json
 import logging
 import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from xplain.storage import git_state, load_results
 from xplain.sweep.folder import State, SweepFolder, result_id
@@ -38,8 +40,20 @@ log = logging.getLogger(__name__)
 SWEEP_TAG = "xplain.sweep"
 """Tag of the parent: identity of the sweep. RESULT_TAG of a child: identity of its result."""
 
+VIEW = "workflowType=machine_learning"
+"""MLflow's page of runs opens in another mode without it."""
+
 COMPARABLE = 100
 """Runs whose comparison still fits into a link."""
+
+
+def mirror_of(
+    tracking: Any, outputs: Path, folder: SweepFolder, jobs: tuple[Job, ...]
+) -> Mirror | NoMirror:
+    """What shows the sweep where its tracking says."""
+    if isinstance(tracking, MLflow):
+        return Mirror(tracking, outputs, folder, jobs)
+    return NoMirror()
 
 
 class NoMirror:
@@ -213,15 +227,14 @@ class Mirror:
             base = "http://127.0.0.1:5000"
             lines.append(f"see it with: mlflow ui --backend-store-uri {uri}")
         page = f"{base}/#/experiments/{self._experiment}/runs"
-        lines.append(f"the sweep and its runs: {page}/{self._parent}")
-        lines.append(f"all runs: {page}?workflowType=machine_learning")
+        lines.append(f"the sweep, its curves and table: {page}/{self._parent}")
+        filtered = quote(f"tags.`mlflow.parentRunId` = '{self._parent}'")
+        lines.append(f"its runs as a table: {page}?searchFilter={filtered}&{VIEW}")
         ids = [run_id for run_id, status in self._children.values() if status == "FINISHED"]
         if 1 < len(ids) <= COMPARABLE:
-            runs = ",".join(f'"{run_id}"' for run_id in ids)
-            lines.append(
-                "comparison of the children: "
-                f'{base}/#/compare-runs?runs=[{runs}]&experiments=["{self._experiment}"]'
-            )
+            runs, experiments = quote(json.dumps(ids)), quote(json.dumps([self._experiment]))
+            address = f"{base}/#/compare-runs?runs={runs}&experiments={experiments}"
+            lines.append(f"its runs compared: {address}")
         return lines
 
 

@@ -24,6 +24,7 @@ from xplain.report.sweep import Summary
 from xplain.stage_cache import source_stamp
 from xplain.stamps import configuration, stamp
 from xplain.sweep.folder import SweepFolder, mark_failed
+from xplain.sweep.mirror import mirror_of
 from xplain.sweep.plan import Job, Plan, in_launch_order, make_plan
 from xplain.sweep.watch import Watch, duration
 
@@ -104,7 +105,7 @@ class Run:
         self, plan: Plan, folder: SweepFolder, tracking: Any, outputs: Path, resume: str
     ) -> None:
         self._plan, self._folder, self._resume = plan, folder, resume
-        self._mirror = tracking.mirror(outputs, folder, plan.jobs)
+        self._mirror = mirror_of(tracking, outputs, folder, plan.jobs)
         if resume == "none":
             for job in plan.jobs:
                 folder.clear(job)
@@ -161,7 +162,7 @@ class Run:
             error: Exception | None = None
             try:
                 launch(waiting)
-            except Exception as raised:  # whatever a launcher raises when its workers die
+            except Exception as raised:  # noqa: BLE001  (launchers raise what they like when workers die)
                 error = raised
             started = [job for job in waiting if self._folder.state(job) != "waiting"]
             waiting = [job for job in waiting if self._folder.state(job) in ("waiting", "running")]
@@ -183,7 +184,7 @@ class Run:
 
     def tell(self) -> None:
         """The table, what failed, where to look."""
-        from xplain.terminal import print_sweep
+        from xplain.report.console import print_sweep
 
         if self._summary is not None and self._summary.results:
             print_sweep(self._summary)
@@ -235,7 +236,7 @@ def _note_failure(folder: SweepFolder, job: Job, returned: JobReturn) -> None:
     if returned.status == JobStatus.FAILED and folder.state(job) != "failed":
         try:
             returned.return_value  # noqa: B018  (raises what the job raised)
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001  (whatever it raised is its result)
             mark_failed(folder.of(job), error)
 
 
