@@ -22,7 +22,7 @@ from xplain.solvers.base import Solver
 from xplain.solvers.known_type import KnownType
 from xplain.stage_cache import prepared_once, source_stamp
 from xplain.stamps import configuration, stamp
-from xplain.sweep.folder import JobOfSweep, job_of, mark_failed, mark_started
+from xplain.sweep.folder import JobOfSweep, is_ours, job_of, mark_failed, mark_started
 
 log = logging.getLogger(__name__)
 
@@ -71,8 +71,9 @@ def _run_in_sweep(cfg: DictConfig, folder: Path, job: JobOfSweep) -> float | Non
             )
         results, _ = run_experiment(cfg, folder, untracked)
     except Exception as error:  # any failure of a job is a result of the sweep
-        log.exception("failed")
-        mark_failed(folder, error)
+        if is_ours(folder):
+            log.exception("failed")
+            mark_failed(folder, error)
         return None
     results |= {"id": job.result, "name": job.label, "stamp": job.stamp}
     storage.save_results(folder, results)

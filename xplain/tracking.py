@@ -162,7 +162,9 @@ def fill(client: MlflowClient, run_id: str, folder: Path, results: dict[str, Any
         "xplain.rule": results["elbow"]["rule"],
     }
     client.log_batch(run_id, metrics, params, [RunTag(*tag) for tag in tags.items()])
-    client.log_artifacts(run_id, str(folder))
+    for path in sorted(folder.iterdir()):
+        if path.is_file() and not path.name.startswith("."):
+            client.log_artifact(run_id, str(path))
     client.set_terminated(run_id, "FINISHED", end)
 
 

@@ -12,7 +12,6 @@ import json
 import os
 import shutil
 import socket
-import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -143,10 +142,21 @@ def result_id(identity: str, job: Job) -> str:
 
 
 def mark_started(folder: Path) -> None:
-    """A worker took the job."""
-    (folder / FAILURE).unlink(missing_ok=True)
-    content = {"host": socket.gethostname(), "pid": os.getpid(), "time": time.time()}
-    write_atomically(folder / STARTED, json.dumps(content) + "\n")
+    """This process took the job."""
+    write_atomically(folder / STARTED, json.dumps(_here()) + "\n")
+
+
+def is_ours(folder: Path) -> bool:
+    """Whether no other process took the job since: the worker of a sweep that was killed may
+    live on while the job runs anew."""
+    try:
+        return bool(json.loads((folder / STARTED).read_text(encoding="utf-8")) == _here())
+    except (OSError, ValueError):
+        return False
+
+
+def _here() -> dict[str, Any]:
+    return {"host": socket.gethostname(), "pid": os.getpid()}
 
 
 def mark_failed(folder: Path, error: BaseException) -> None:

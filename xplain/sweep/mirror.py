@@ -232,10 +232,14 @@ class Mirror:
         lines.append(f"its runs as a table: {page}?searchFilter={filtered}&{VIEW}")
         ids = [run_id for run_id, status in self._children.values() if status == "FINISHED"]
         if 1 < len(ids) <= COMPARABLE:
-            runs, experiments = quote(json.dumps(ids)), quote(json.dumps([self._experiment]))
+            runs, experiments = quote(_json(ids)), quote(_json([self._experiment]))
             address = f"{base}/#/compare-runs?runs={runs}&experiments={experiments}"
             lines.append(f"its runs compared: {address}")
         return lines
 
 
 _STATUS = {"running": "RUNNING", "finished": "FINISHED", "failed": "FAILED", "waiting": ""}
+
+
+def _json(values: list[str]) -> str:
+    return json.dumps(values, separators=(",", ":"))

@@ -30,9 +30,6 @@ from xplain.sweep.watch import Watch, duration
 
 log = logging.getLogger(__name__)
 
-ATTEMPTS = 3
-"""A job that takes its worker with it is tried so often before it counts as failed."""
-
 RESUME = ("missing", "failed", "none")
 
 
@@ -136,6 +133,9 @@ class Run:
                 status = "FINISHED"
             elif "failed" in states:
                 status = "FAILED"
+        except Exception:
+            status = "FAILED"
+            raise
         finally:
             summary, report = None, None
             if status != "KILLED":
@@ -154,28 +154,34 @@ class Run:
         log.info("folder: %s", self._folder.path)
 
     def _attempt(self, launch: Callable[[list[Job]], None]) -> None:
-        """Launches again what was left when a worker died, as long as that gets further."""
-        waiting = in_launch_order(self._todo)
-        for attempt in range(ATTEMPTS):
-            if not waiting:
-                return
+        """Launches until every job has ended. When a worker dies, launchers give up on all
+        jobs: those not begun are launched again, those it may have died of each on its own."""
+        fresh, suspects = in_launch_order(self._todo), list[Job]()
+        while fresh or suspects:
+            alone = not fresh
+            batch = [suspects.pop(0)] if alone else fresh
             error: Exception | None = None
             try:
-                launch(waiting)
-            except Exception as raised:  # noqa: BLE001  (launchers raise what they like when workers die)
+                launch(batch)
+            except Exception as raised:  # noqa: BLE001  (launchers raise what they like)
                 error = raised
-            started = [job for job in waiting if self._folder.state(job) != "waiting"]
-            waiting = [job for job in waiting if self._folder.state(job) in ("waiting", "running")]
-            if error is not None and not started:
-                raise error  # nothing ran: the launcher itself is at fault
-            if waiting and attempt + 1 < ATTEMPTS:
+            fresh = [job for job in batch if self._folder.state(job) == "waiting"]
+            lost = [job for job in batch if self._folder.state(job) == "running"]
+            if len(fresh) == len(batch):
+                raise error or RuntimeError("the launcher ran none of the jobs")
+            for job in lost:
+                self._folder.clear(job)
+                if alone:
+                    words = f"its worker died, twice ({_short(error)})"
+                    mark_failed(self._folder.of(job), RuntimeError(words))
+            if not alone:
+                suspects += lost
+            if fresh or (lost and not alone):
                 log.warning(
-                    "a worker died (%s); %d jobs are launched again", _short(error), len(waiting)
+                    "a worker died (%s); %d jobs are launched again",
+                    _short(error),
+                    len(fresh) + len(suspects),
                 )
-        for job in waiting:
-            if self._folder.state(job) == "running":
-                lost = RuntimeError(f"its worker died {ATTEMPTS} times ({_short(error)})")
-                mark_failed(self._folder.of(job), lost)
 
     @property
     def failed(self) -> list[Job]:

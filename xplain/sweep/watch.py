@@ -78,7 +78,7 @@ class Watch:
     def _look(self) -> None:
         for job in self._jobs:
             old = self._states[job.stamp]
-            if old in ("finished", "failed"):
+            if old == "finished":
                 continue
             new = self._folder.state(job)
             if new != old:

@@ -1,0 +1,119 @@
+"""Sweeps as the tests start them: tiny, in folders of their own, in process groups of their own."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+TINY = (
+    "-m",
+    "domain=four_rooms",
+    "users.count=2",
+    "traces=1",
+    "max_steps=5",
+    "solver=qmdp,qhr",
+    "lambda=0.5,1,2",
+)
+"""Six jobs of well under a second."""
+
+
+def environment() -> dict[str, str]:
+    """Of a fresh shell: no tracking server."""
+    paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    env.pop("MLFLOW_TRACKING_URI", None)
+    return env
+
+
+def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    """``python -m xplain …`` in this folder, leader of a process group."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return subprocess.Popen(
+        [sys.executable, "-m", "xplain", *arguments],
+        cwd=folder,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def run(folder: Path, *arguments: str) -> tuple[int, str]:
+    """Exit code and all output."""
+    process = start(folder, *arguments)
+    try:
+        output, _ = process.communicate(timeout=300)
+    except subprocess.TimeoutExpired:
+        kill_group(process)
+        raise
+    return process.returncode, output
+
+
+def workers(process: subprocess.Popen[str]) -> list[int]:
+    """Processes of its group besides itself that run jobs."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+            command = (stat.parent / "cmdline").read_text()
+        except OSError:
+            continue
+        pid = int(stat.parent.name)
+        # Fields 3 and 5 of proc(5): state, process group.
+        if int(fields[2]) == process.pid and pid != process.pid and "popen_loky" in command:
+            found.append(pid)
+    return sorted(found)
+
+
+def kill(pid: int) -> None:
+    """kill -9, whether or not it is there still."""
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        pass
+
+
+def kill_group(process: subprocess.Popen[str]) -> None:
+    """kill -9 of the process and all that it started."""
+    try:
+        os.killpg(process.pid, signal.SIGKILL)
+    except ProcessLookupError:
+        pass
+    process.communicate()
+
+
+def sweep_folder(folder: Path) -> Path:
+    """The one sweep below this folder's outputs."""
+    (found,) = (folder / "outputs" / "sweeps").iterdir()
+    return found
+
+
+def tables(folder: Path) -> dict[str, bytes]:
+    """The final tables, byte by byte."""
+    report = sweep_folder(folder) / "report"
+    return {path.name: path.read_bytes() for path in sorted(report.glob("*.[cmt][sde][vx]*"))} | {
+        "table1.md": (report / "table1.md").read_bytes()
+    }
+
+
+def database(folder: Path) -> sqlite3.Connection:
+    """MLflow's database, read only."""
+    path = folder / "outputs" / "mlflow.db"
+    return sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+
+
+def runs(folder: Path) -> list[tuple[str, str, str | None]]:
+    """(name, status, parent) of the runs that are not deleted."""
+    with database(folder) as db:
+        return db.execute(
+            "select runs.name, runs.status, parent.value from runs left join tags as parent "
+            "on parent.run_uuid = runs.run_uuid and parent.key = 'mlflow.parentRunId' "
+            "where runs.lifecycle_stage = 'active' order by runs.name"
+        ).fetchall()
