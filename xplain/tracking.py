@@ -9,8 +9,10 @@ import contextlib
 import getpass
 import logging
 import os
+import shutil
 import socket
 import sqlite3
+import tempfile
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -107,6 +109,7 @@ class MLflow:
         outputs.mkdir(parents=True, exist_ok=True)
         # Two processes that create the database at once break it for good.
         with FileLock(outputs / "mlflow.lock"):
+            _create_whole(uri)
             client = MlflowClient(tracking_uri=uri)
             found = client.get_experiment_by_name(self.experiment)
             if found is None:
@@ -123,6 +126,23 @@ class MLflow:
             else:
                 experiment_id = found.experiment_id
         yield client, experiment_id
+
+
+def _create_whole(uri: str) -> None:
+    """Creates an SQLite database that is not there, all of it or nothing: one whose creation
+    was cut short cannot be used, nor mended."""
+    path = Path(uri.removeprefix("sqlite:///"))
+    if not uri.startswith("sqlite:///") or path.exists():
+        return
+    from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
+
+    for left in path.parent.glob(".mlflow.*"):
+        shutil.rmtree(left, ignore_errors=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".mlflow.") as folder:
+        new = Path(folder) / path.name
+        artifacts = (path.parent.resolve() / "artifacts").as_uri()
+        SqlAlchemyStore(f"sqlite:///{new}", artifacts).engine.dispose()
+        os.replace(new, path)
 
 
 def log_folder(
