@@ -7,8 +7,8 @@ from html import escape
 from xplain.domains.base import Item, Scene
 from xplain.study.plan import StudyPlan
 
-CELL = 48
-"""Side of a cell, in SVG units."""
+CELL, RULER = 48, 22
+"""Side of a cell, and width of the margin with the numbers of rows and columns, in SVG units."""
 # Okabe and Ito's colours, which people with any colour vision can tell apart; every item also has
 # a shape or a letter, and is named in the legend.
 COLOURS = ("#0072B2", "#D55E00", "#00795A", "#A0447E", "#8A6500", "#2F7EA8", "#5B5B5B", "#704214")
@@ -28,9 +28,10 @@ def picture(plan: StudyPlan, steps: int) -> str:
     width, height = scene.columns * CELL, scene.rows * CELL
     where = "the map" if not steps else f"the map and the robot's way after step {steps}"
     parts = [
-        f'<svg class="map" viewBox="0 0 {width} {height}" role="img" '
+        f'<svg class="map" viewBox="{-RULER} {-RULER} {width + RULER} {height + RULER}" role="img" '
         f'aria-label="{escape(where)}; the list of steps says the same in words">',
         f'<rect width="{width}" height="{height}" rx="6" fill="{FLOOR}"/>',
+        *_rulers(scene),
         *_grid(scene),
         *(
             _cell(cell, f'<rect width="{CELL}" height="{CELL}" fill="{WALL}"/>')
@@ -76,6 +77,14 @@ def icon(plan: StudyPlan, item: Item, index: int) -> str:
         f'{tile}<text x="{CELL // 2}" y="{CELL // 2 + 7}" text-anchor="middle" font-size="20" '
         f'font-weight="700" fill="{colour}">{escape(item.symbol)}</text>'
     )
+
+
+def _rulers(scene: Scene) -> list[str]:
+    """Numbers of rows and columns, which the phrases of the steps refer to."""
+    marks = [(-RULER / 2, (r + 0.5) * CELL + 5, r) for r in range(scene.rows)]
+    marks += [((c + 0.5) * CELL, -RULER / 2 + 5, c) for c in range(scene.columns)]
+    texts = [f'<text x="{x:g}" y="{y:g}">{number}</text>' for x, y, number in marks]
+    return [f'<g font-size="14" fill="#5F6C7B" text-anchor="middle">{"".join(texts)}</g>']
 
 
 def _grid(scene: Scene) -> list[str]:

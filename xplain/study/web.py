@@ -334,7 +334,10 @@ def answer() -> AnyResponse:
 def events() -> AnyResponse:
     """A page's own events: seen, hidden, a label clicked. Changes no state."""
     found = _current()
-    value: Any = request.get_json(force=True, silent=True)
+    try:
+        value: Any = request.get_json(force=True, silent=True)
+    except RecursionError:  # brackets within brackets
+        value = None
     keys = context().keys
     token = value.get("token") if isinstance(value, dict) else None
     if found is None or not isinstance(token, str) or not keys.same(token, keys.form(found.id)):

@@ -1,0 +1,222 @@
+"""The protocol as a pure machine: what it accepts, what it never shows, what the policies do."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.study.conftest import FAULTLESS
+from tests.study.stand_in import street_plan, street_study
+from xplain.errors import XplainError
+from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.study import content, prepare, protocol
+from xplain.study.people import take_part
+from xplain.study.plan import Study, StudyPlan
+from xplain.study.protocol import Refused, State
+
+ORDERS = {"eligibility": (2, 0, 1, 3), "quiz": (3, 2, 1, 0)}
+
+
+def at_evaluation(study: Study, user_type: int, condition: str) -> State:
+    slot = {"user_type": user_type, "condition": condition, "orders": ORDERS}
+    text = study.plan.texts.consent_hash
+    right = [q.answer for q in study.plan.roles[user_type].eligibility]
+    state = State()
+    for kind, payload in (
+        ("consent", {"agree": 1, "text": text, **slot}),
+        ("read", {}),
+        ("example", {"label": 0}),
+        ("example", {"label": 1}),
+        ("eligibility", {"answers": right}),
+    ):
+        state = protocol.advance(study, state, kind, payload).state
+    return state
+
+
+@pytest.mark.parametrize("condition", ["personalized", "conformant"])
+@pytest.mark.parametrize("user_type", range(3))
+def test_participants_meet_what_the_offline_experiment_computes(
+    study: Study, user_type: int, condition: str
+) -> None:
+    plan = study.plan
+    user = SimulatedUser(plan.true_labels[user_type])
+    offline = explain(plan.problem, study.policies[condition], user, study.belief)
+    state = at_evaluation(study, user_type, condition)
+    for k in range(plan.n_steps):
+        assert (state.step, state.new) == (k, offline.messages[k])
+        assert state.belief == tuple(offline.beliefs[k].tolist())
+        labels = plan.true_labels[user_type, : k + 1, state.given].tolist()
+        state = protocol.advance(study, state, "labels", {"labels": labels}).state
+    assert state.stage == "quiz"
+    assert state.belief == tuple(offline.beliefs[-1].tolist())
+
+
+def test_conformant_does_not_listen_and_personalized_does(study: Study) -> None:
+    def given(condition: str, user_type: int) -> int:
+        state = at_evaluation(study, user_type, condition)
+        while state.stage == "evaluation":
+            labels = study.plan.true_labels[user_type, : state.step + 1, state.given].tolist()
+            state = protocol.advance(study, state, "labels", {"labels": labels}).state
+        return state.given
+
+    assert len({given("conformant", t) for t in range(3)}) == 1
+    assert len({given("personalized", t) for t in range(3)}) > 1
+
+
+def test_a_faultless_participant_errs_only_where_nothing_was_said(study: Study) -> None:
+    plan = study.plan
+    for user_type, condition in plan.cells:
+        user = SimulatedUser(plan.true_labels[user_type])
+        offline = explain(plan.problem, study.policies[condition], user, study.belief)
+        found = take_part(study, user_type, condition, FAULTLESS, np.random.default_rng(0))
+        assert found is not None
+        assert found.inexplicable == (offline.labels[-1] == 0).sum()
+        assert found.messages == offline.n_messages
+        told = sum(int(mask) for mask in offline.messages)
+        untold = [j for j in plan.roles[user_type].wrong if not told >> j & 1]
+        assert found.score == 4 - len(untold)
+
+
+def test_failing_the_check_leads_to_the_briefing_then_to_a_polite_end(study: Study) -> None:
+    wrong = [1 - q.answer for q in study.plan.roles[0].eligibility]
+    state = State(stage="eligibility", user_type=0, condition="conformant")
+    state = protocol.advance(study, state, "eligibility", {"answers": wrong}).state
+    assert (state.stage, state.attempts, state.wrong) == ("briefing", 1, True)
+    assert protocol.page(study, state)["attempts_left"] == 1
+    state = protocol.advance(study, state, "read", {}).state
+    assert state.stage == "eligibility"  # the practice is not repeated
+    state = protocol.advance(study, state, "eligibility", {"answers": wrong}).state
+    assert (state.stage, state.over) == ("ineligible", True)
+
+
+def test_practice_goes_on_until_it_is_understood(study: Study) -> None:
+    state = State(stage="training", user_type=0, condition="conformant")
+    state = protocol.advance(study, state, "example", {"label": 1}).state
+    assert (state.part, state.wrong) == (0, True)
+    state = protocol.advance(study, state, "example", {"label": 0}).state
+    assert (state.part, state.wrong) == (1, False)
+    assert protocol.advance(study, state, "example", {"label": 1}).state.stage == "eligibility"
+
+
+def test_quiz_scores_every_statement_judged_rightly(study: Study) -> None:
+    state = State(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
+    true = [i for i, s in enumerate(study.plan.roles[1].quiz) if s.true]
+    for chosen, score in ((true, 4), ([], 2), ([0, 1, 2, 3], 2), (true[:1], 3)):
+        outcome = protocol.advance(study, state, "quiz", {"chosen": chosen})
+        assert outcome.state.score == score
+
+
+PAYLOADS = st.recursive(
+    st.none() | st.booleans() | st.integers(-5, 9) | st.text(max_size=5) | st.floats(),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=6,
+)
+KEYS = ("agree", "text", "label", "labels", "answers", "chosen", "age", "comment")
+
+
+@settings(max_examples=300, deadline=None)
+@given(data=st.data())
+def test_whatever_comes_is_refused_or_leads_to_a_stage(study: Study, data: Any) -> None:
+    state = data.draw(
+        st.sampled_from(
+            [
+                State(),
+                State(stage="training", user_type=0, condition="personalized", orders=ORDERS),
+                State(stage="eligibility", user_type=1, condition="personalized", orders=ORDERS),
+                at_evaluation(study, 2, "personalized"),
+                State(stage="quiz", user_type=0, condition="conformant", orders=ORDERS),
+                State(stage="questions", user_type=0, condition="conformant", orders=ORDERS),
+                State(stage="withdrawn"),
+            ]
+        )
+    )
+    kind = data.draw(st.sampled_from([*protocol.KINDS.values(), "withdraw", "", "x"]))
+    payload = data.draw(st.dictionaries(st.sampled_from(KEYS), PAYLOADS))
+    try:
+        after = protocol.advance(study, state, kind, payload).state
+    except Refused:
+        return
+    assert after.accepted == state.accepted + 1
+    assert after.stage in (*protocol.STAGES, *protocol.ENDS)
+    assert State.from_text(after.text) == after
+    protocol.page(study, after)
+
+
+def test_pages_carry_nothing_that_tells_type_condition_or_answers(study: Study) -> None:
+    for user_type, condition in study.plan.cells:
+        state = at_evaluation(study, user_type, condition)
+        view = protocol.page(study, state)
+        assert not view.keys() & {"belief", "condition", "user_type", "true", "score", "values"}
+        quiz = State(stage="quiz", user_type=user_type, condition=condition, orders=ORDERS)
+        texts = [text for _, text in protocol.page(study, quiz)["statements"]]
+        assert sorted(texts) == sorted(s.text for s in study.plan.roles[user_type].quiz)
+
+
+def test_a_plan_survives_storage_to_the_last_bit() -> None:
+    for shown in (True, False):
+        plan = street_plan(shown)
+        again = StudyPlan.from_text(plan.text)
+        assert again.text == plan.text
+        assert again.hash == plan.hash
+        assert again.problem.p_explicable.tobytes() == plan.problem.p_explicable.tobytes()
+        assert (again.scene, again.path, again.roles) == (plan.scene, plan.path, plan.roles)
+
+
+def test_code_that_decides_differently_does_not_run_the_study() -> None:
+    plan = street_plan()
+    value = json.loads(plan.text)
+    value["conditions"]["personalized"] = value["conditions"]["conformant"]
+    with pytest.raises(XplainError, match="decides differently"):
+        prepare.study_of(StudyPlan.from_text(json.dumps(value)))
+
+
+def test_needed_messages_are_smallest(study: Study) -> None:
+    plan = study.plan
+    for role, labels in zip(plan.roles, plan.true_labels, strict=True):
+        mask = content.needed(labels)
+        assert mask == sum(1 << j for j in role.wrong)
+        assert labels[:, mask].all()
+        smaller = [m for m in range(16) if m.bit_count() < mask.bit_count()]
+        assert not any(labels[:, m].all() for m in smaller)
+
+
+def test_roles_follow_from_the_sentences(study: Study) -> None:
+    plan = study.plan
+    for role in plan.roles:
+        for j, (fact, told) in enumerate(zip(plan.facts, role.briefing, strict=True)):
+            assert told == (fact.belief if j in role.wrong else fact.message)
+        true = [s for s in role.quiz if s.true]
+        assert [plan.facts[j].name for j in role.wrong] == [s.fact for s in true]
+        assert all(s.text == plan.facts[_of(plan, s.fact)].message for s in true)
+        false = [s for s in role.quiz if not s.true]
+        assert len(false) == 2
+        assert not {s.fact for s in false} & {s.fact for s in true}
+        assert all(s.text == plan.facts[_of(plan, s.fact)].belief for s in false)
+    # A reward with a phrase gets the paper's question; what is no number gets the sentences.
+    assert plan.roles[0].eligibility[0].options == ("0 or more", "less than 0")
+    assert plan.roles[0].eligibility[0].answer == 1
+    assert plan.roles[2].eligibility[0].answer == 0
+    assert set(plan.roles[0].eligibility[3].options) == {
+        plan.facts[3].message,
+        plan.facts[3].belief,
+    }
+
+
+def _of(plan: StudyPlan, name: str) -> int:
+    return [fact.name for fact in plan.facts].index(name)
+
+
+def test_persistent_belief_is_taken_from_the_configuration() -> None:
+    study = street_study(belief={"_target_": "xplain.explanation.belief.Persistent"})
+    state = at_evaluation(study, 0, "personalized")
+    user = SimulatedUser(study.plan.true_labels[0])
+    offline = explain(study.plan.problem, study.policies["personalized"], user, study.belief)
+    while state.stage == "evaluation":
+        labels = study.plan.true_labels[0, : state.step + 1, state.given].tolist()
+        state = protocol.advance(study, state, "labels", {"labels": labels}).state
+    assert state.belief == tuple(offline.beliefs[-1].tolist())

@@ -1,0 +1,224 @@
+"""The store: once and only once, balanced, on the disk, nobody else's."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.study.conftest import GENEROUS, Visitor, consent
+from tests.study.stand_in import street_plan, street_study
+from xplain.errors import XplainError
+from xplain.study.database import Clock, read_plan
+from xplain.study.people import Habits, Person
+from xplain.study.plan import Study
+from xplain.study.protocol import Refused
+from xplain.study.slots import Full
+from xplain.study.store import MAX_TAB_EVENTS, Store, Unknown
+from xplain.study.visitor import visit
+from xplain.study.web import create_app
+
+
+class Time:
+    """A clock that stands still until it is told."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def clock(self) -> Clock:
+        return Clock(lambda: self.now, lambda: self.now, "boot")
+
+
+def test_an_answer_that_comes_twice_counts_once(store: Store) -> None:
+    who = store.enter_invited(store.invite(1, "person")[0])
+    first = consent(store, who)
+    before = store.query("SELECT * FROM event")
+    assert consent(store, who) == first
+    assert store.query("SELECT * FROM event") == before
+    assert store.query("SELECT count(*) AS n FROM slot WHERE holder IS NOT NULL") == [{"n": 1}]
+
+
+def test_an_answer_out_of_order_is_refused(store: Store) -> None:
+    who = store.enter_invited(store.invite(1, "person")[0])
+    with pytest.raises(Refused):
+        store.submit(who, 3, "labels", {"labels": [1]})
+    with pytest.raises(Refused):
+        store.submit(who, 0, "labels", {"labels": [1]})
+    assert store.participant(who).state.accepted == 0
+
+
+def test_the_same_answer_from_many_threads_counts_once(store: Store) -> None:
+    who = store.enter_invited(store.invite(1, "person")[0])
+    threads = [threading.Thread(target=consent, args=(store, who)) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    kinds = [row["kind"] for row in store.query("SELECT kind FROM event")]
+    assert kinds.count("consent") == 1
+
+
+def test_places_are_blocks_with_every_cell_once(store: Store, study: Study) -> None:
+    rows = store.query("SELECT * FROM slot ORDER BY position")
+    cells = [(row["user_type"], row["condition"]) for row in rows]
+    size = len(study.plan.cells)
+    assert len(cells) == size * study.plan.rules.per_cell
+    for block in range(study.plan.rules.per_cell):
+        assert sorted(cells[block * size : (block + 1) * size]) == sorted(study.plan.cells)
+    assert cells[:size] != cells[size : 2 * size]  # an order drawn for each block
+
+
+def test_only_completion_uses_a_place_up(tmp_path: Path, study: Study) -> None:
+    time = Time()
+    store = Store(tmp_path / "s.sqlite", study, time.clock())
+    everybody = [store.enter_invited(token) for token in store.invite(14, "person")]
+    places = len(study.plan.cells) * study.plan.rules.per_cell
+    for who in everybody[:places]:
+        consent(store, who)
+    with pytest.raises(Full):
+        consent(store, everybody[places])
+    assert store.participant(everybody[places]).state.stage == "consent"
+    taken = store.query("SELECT position FROM slot WHERE holder = ?", (everybody[3],))
+    state = store.participant(everybody[3]).state
+    store.submit(everybody[3], state.accepted, "withdraw", {})
+    consent(store, everybody[places])
+    now = store.query("SELECT position FROM slot WHERE holder = ?", (everybody[places],))
+    assert now == taken  # the very place that came back
+    # Silence frees a place too, when somebody asks for one.
+    time.now += 31 * 60
+    for who in everybody[:2]:
+        store.shown(who, 1, "briefing")  # signs of life
+    consent(store, everybody[places + 1])
+    assert store.participant(everybody[5]).state.stage == "timed_out"
+    assert store.participant(everybody[0]).state.stage == "briefing"
+    store.close()
+
+
+def test_cells_are_balanced_in_spite_of_drop_outs(tmp_path: Path) -> None:
+    study = street_study(
+        rules={"per_cell": 4, "max_attempts": 2, "timeout_minutes": 30, "recall": True}
+    )
+    time = Time()
+    store = Store(tmp_path / "s.sqlite", study, time.clock())
+    app = create_app(store, GENEROUS)
+    stages: Counter[str] = Counter()
+    for number in range(400):
+        if stages["done"] == 24:
+            break
+        habits = Habits(leaving=0.06, mistake=0.05)
+        person = Person(study.plan, habits, np.random.default_rng(number))
+        token = store.invite(1, "person")[0]
+        stages[visit(Visitor(app.test_client()), person, token)] += 1
+        time.now += 40 * 60  # whoever left has been silent for too long by now
+    assert stages["done"] == 24
+    assert stages["left"] > 5
+    done = store.query(
+        "SELECT json_extract(state, '$.user_type') AS t, json_extract(state, '$.condition') AS c, "
+        "count(*) AS n FROM participant WHERE json_extract(state, '$.stage') = 'done' GROUP BY 1, 2"
+    )
+    assert {(row["t"], row["c"]): row["n"] for row in done} == dict.fromkeys(study.plan.cells, 4)
+    store.close()
+
+
+def test_bots_and_pilots_do_not_touch_peoples_places(store: Store) -> None:
+    before = store.query("SELECT * FROM slot WHERE stream = 'person'")
+    for token in store.invite(40, "bot"):
+        consent(store, store.enter_invited(token))
+    consent(store, store.enter_open())
+    assert store.query("SELECT * FROM slot WHERE stream = 'person'") == before
+    cells = store.query(
+        "SELECT count(*) AS n FROM slot WHERE stream = 'bot' AND holder IS NOT NULL "
+        "GROUP BY user_type, condition"
+    )
+    assert max(c["n"] for c in cells) - min(c["n"] for c in cells) <= 1
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "UPDATE event SET payload = '{}'",
+        "DELETE FROM event",
+        "UPDATE participant SET stream = 'person'",
+        "DELETE FROM participant",
+        "UPDATE step SET labels = '[0]' WHERE labels IS NOT NULL",
+    ],
+)
+def test_the_log_only_grows_and_a_bot_stays_a_bot(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person], sql: str
+) -> None:
+    visit(browser(), person(), store.invite(1, "bot")[0])
+    with pytest.raises(sqlite3.IntegrityError), store.transaction() as do:
+        do(sql)
+
+
+def test_events_of_a_page_are_kept_once_and_not_without_end(store: Store) -> None:
+    who = store.enter_invited(store.invite(1, "person")[0])
+    items = [(n, "visible", 1.0 * n, {"at": 1.0}) for n in range(50)]
+    store.from_tab(who, "a" * 16, items)
+    store.from_tab(who, "a" * 16, items)
+    count = "SELECT count(*) AS n FROM event WHERE source LIKE 'tab:%'"
+    assert store.query(count) == [{"n": 50}]
+    with pytest.raises(Refused):
+        for batch in range(MAX_TAB_EVENTS):
+            more = [(n + 50 * batch, "visible", 1.0, {"at": 1.0}) for n in range(50)]
+            store.from_tab(who, "b" * 16, more)
+    assert store.query(count)[0]["n"] <= MAX_TAB_EVENTS
+
+
+def test_invitations_and_outside_ids_lead_back_to_the_same_participant(store: Store) -> None:
+    (token,) = store.invite(1, "person")
+    assert store.enter_invited(token) == store.enter_invited(token)
+    with pytest.raises(Unknown):
+        store.enter_invited(token + "x")
+    first = store.enter_prolific("P", "S", "X", keep=False)
+    assert store.enter_prolific("P", "S", "X", keep=False) == first
+    with pytest.raises(Unknown):  # the same person in another session
+        store.enter_prolific("P", "S", "Y", keep=False)
+    store.enter_prolific("Q", "S", "Z", keep=True)
+    dump = "\n".join(store._connection.iterdump())
+    assert token not in dump
+    assert "'P'" not in dump
+    assert '"PROLIFIC_PID": "Q"' in dump
+
+
+def test_a_database_has_one_process_and_one_plan(tmp_path: Path, study: Study) -> None:
+    path = tmp_path / "s.sqlite"
+    store = Store(path, study)
+    assert path.stat().st_mode & 0o077 == 0
+    assert path.with_name("s.sqlite.key").stat().st_mode & 0o077 == 0
+    stored = read_plan(path)
+    assert stored is not None
+    assert stored.hash == study.plan.hash
+    store.close()
+    with pytest.raises(XplainError, match="another study plan"):
+        Store(path, street_study(seed=4))
+    Store(path, study).close()
+    assert street_plan(seed=4).hash != study.plan.hash
+
+
+def test_a_damaged_or_foreign_file_is_named(tmp_path: Path, study: Study) -> None:
+    path = tmp_path / "s.sqlite"
+    path.write_text("no database at all, but long enough to look like something\n" * 20)
+    with pytest.raises(XplainError, match=r"s\.sqlite"):
+        read_plan(path)
+    with pytest.raises(XplainError, match=r"s\.sqlite"):
+        Store(path, study)
+
+
+def test_state_survives_a_restart(tmp_path: Path, study: Study) -> None:
+    store = Store(tmp_path / "s.sqlite", study)
+    (token,) = store.invite(1, "person")
+    who = store.enter_invited(token)
+    state = consent(store, who)
+    key = store.keyed("participant", who)
+    store.close()
+    store = Store(tmp_path / "s.sqlite", study)
+    assert store.participant(who).state == state
+    assert store.keyed("participant", who) == key  # cookies stay valid
+    assert store.enter_invited(token) == who
+    store.close()
