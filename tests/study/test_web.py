@@ -99,7 +99,7 @@ def test_earlier_labels_stay_and_only_the_new_one_is_needed(
     store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
 ) -> None:
     visitor = browser()
-    for html, page in pages(visitor, person(), store.invite(1, "person")[0]):
+    for _, page in pages(visitor, person(), store.invite(1, "person")[0]):
         if page.stage == "evaluation":
             break
     hidden = dict(page.hidden)
@@ -344,8 +344,7 @@ def test_the_platform_gets_its_code_back(store: Store, person: Callable[[], Pers
         visitor_burst=1e9,
     )
     visitor = Visitor(create_app(store, server).test_client())
-    for html, page in pages(visitor, person(), store.invite(1, "person")[0]):
-        del page
+    *_, (html, _) = pages(visitor, person(), store.invite(1, "person")[0])
     assert 'href="https://example.org/back?cc=C0DE"' in html
 
 

@@ -45,7 +45,7 @@ def serve(cfg: DictConfig) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     if not os.access(path.parent, os.W_OK):
         raise InputError("database", str(path), "a file in a folder that can be written to")
-    server = {key: value for key, value in cfg.server.items() if key != "_target_"}
+    server = Server(**{key: value for key, value in cfg.server.items() if key != "_target_"})
     study, ignored = running_study(cfg, path)
     if ignored:
         print(
@@ -53,7 +53,7 @@ def serve(cfg: DictConfig) -> None:
             f"{', '.join(ignored)}",
             file=sys.stderr,
         )
-    _run(study, Server(**server), path, cfg)
+    _run(study, server, path, cfg)
 
 
 def check_address(cfg: DictConfig) -> None:

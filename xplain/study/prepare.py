@@ -40,6 +40,7 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     from xplain.learning.types import learn_types
 
     config = fixed(cfg)
+    Rules(**config["rules"])  # refused before the work, not after it
     seed = cfg.seed
     domain: Domain = instantiate(cfg.domain)
     types = instantiate(cfg.users).types(domain, stream(seed, "users"))

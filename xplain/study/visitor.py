@@ -208,6 +208,10 @@ class Browser:
         self._connection = None
 
 
+class Refusal(Exception):
+    """The server did not accept an answer: status, and the stage of the page."""
+
+
 def visit(
     browser: Browser,
     person: Person,
@@ -224,21 +228,31 @@ def visit(
 
     Returns:
         The last stage; "left" for somebody who dropped out.
+
+    Raises:
+        Refusal: an answer was not accepted.
+        OSError: the server was away for longer than the browser's patience.
     """
+    try:
+        return _visit(browser, person, invitation, think)
+    finally:
+        browser.close()
+
+
+def _visit(
+    browser: Browser, person: Person, invitation: str, think: Callable[[float], None]
+) -> str:
     _, html = browser.get(f"/?invitation={invitation}")
     page = Page(html)
     _, html = browser.post("/enter", [*page.hidden.items(), ("invitation", invitation)])
     page = Page(html)
-    for _ in range(200):
-        if not page.hidden:
-            break
+    while page.hidden:
         if person.leaves():
             return "left"
         fields, seconds = fill(person, page)
         think(seconds)
         status, html = browser.post("/study", [*page.hidden.items(), *fields])
         if status >= 400:
-            raise RuntimeError(f"{page.stage}: the server answered {status}: {html[:2000]}")
+            raise Refusal(status, page.stage)
         page = Page(html)
-    browser.close()
     return page.stage

@@ -1,0 +1,267 @@
+"""The real server: dry runs over HTTP, kill -9, one process a database, one-line errors."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+import zipfile
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.conftest import Command
+from tests.study.conftest import FAULTLESS
+from tests.study.server import ServerProcess
+from tests.study.stand_in import street_study
+from xplain.study import analyse, bots, replay
+from xplain.study.bots import Researcher
+from xplain.study.export import export
+from xplain.study.people import Habits, Person
+from xplain.study.plan import Study
+from xplain.study.store import Store
+from xplain.study.visitor import Browser, Page, Refusal, fill, visit
+
+RATE = ("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6")
+
+
+@pytest.fixture
+def database(tmp_path: Path, study: Study) -> Path:
+    """With a plan in it."""
+    path = tmp_path / "study.sqlite"
+    Store(path, study).close()
+    return path
+
+
+def test_bots_take_part_and_the_data_goes_all_the_way(
+    database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with ServerProcess(database, *RATE) as server:
+        archive = tmp_path / "study.zip"
+        arguments = ["--url", server.url, "--key", server.key, "--count", "24", "--at-once", "6"]
+        bots.main([*arguments, "--leaving", "0.01", "--save", str(archive)])
+        with pytest.raises(SystemExit):
+            bots.main(["--url", server.url, "--key", "wrong"])
+        assert "researcher's key" in capsys.readouterr().err
+    with zipfile.ZipFile(archive) as out:
+        out.extractall(tmp_path)
+    capsys.readouterr()
+    for path in (tmp_path / "study" / "snapshot.sqlite", database):
+        replay.main([str(path)])
+        assert "all equal" in capsys.readouterr().out
+    analyse.main([str(tmp_path / "study"), "--stream", "bot"])
+    people = pd.read_csv(tmp_path / "study" / "participants.csv")
+    assert set(people["stream"]) == {"bot"}
+    assert (people["stage"] == "done").sum() >= 12
+
+
+class Careful:
+    """A participant who writes down every answer that the server acknowledged."""
+
+    def __init__(self, url: str, person: Person, invitation: str) -> None:
+        self.browser = Browser(url, patience=90)
+        self.person, self.invitation = person, invitation
+        self.acknowledged: list[tuple[int, str]] = []
+
+    def take_part(self) -> str:
+        """To the end, however often the server dies; the outbox is this loop."""
+        _, html = self.browser.get(f"/?invitation={self.invitation}")
+        fields = [*Page(html).hidden.items(), ("invitation", self.invitation)]
+        _, html = self.browser.post("/enter", fields)
+        page = Page(html)
+        while page.hidden:
+            time.sleep(0.15)
+            answer = [*page.hidden.items(), *fill(self.person, page)[0]]
+            status, html = self.browser.post("/study", answer)
+            assert status == 200, html
+            self.acknowledged.append((int(page.hidden["sequence"]), page.stage))
+            page = Page(html)
+        self.browser.close()
+        return page.stage
+
+
+def survive(database: Path, study: Study, kills: int, people: int) -> tuple[int, int]:
+    """Kills the server while people take part; how many answers were acknowledged and stored."""
+    server = ServerProcess(database, *RATE)
+    server.start()
+    ended = threading.Event()
+
+    def parade(number: int) -> list[Careful]:
+        """One participant after another, until the last kill."""
+        own: list[Careful] = []
+        while not ended.is_set():
+            invitation = invitations[number].pop()
+            rng = np.random.default_rng([number, len(own)])
+            visitor = Careful(server.url, Person(study.plan, FAULTLESS, rng), invitation)
+            assert visitor.take_part() == "done"
+            own.append(visitor)
+        return own
+
+    researcher = Researcher(server.url, server.key)
+    invitations = [researcher.invite(100) for _ in range(people)]
+    with ThreadPoolExecutor(people) as pool:
+        futures = [pool.submit(parade, number) for number in range(people)]
+        pause = np.random.default_rng(0)
+        for _ in range(kills):
+            time.sleep(0.3 + 0.8 * pause.random())
+            server.kill()
+            server.start()
+        ended.set()
+        visitors = [visitor for future in futures for visitor in future.result()]
+    server.stop()
+    return _compare(database, study, visitors)
+
+
+def _compare(database: Path, study: Study, visitors: list[Careful]) -> tuple[int, int]:
+    store = Store(database, study)
+    stored: dict[str, list[tuple[int, str]]] = {}
+    for visitor in visitors:
+        who = store.enter_invited(visitor.invitation)
+        rows = store.query(
+            "SELECT source_sequence AS n, kind FROM event WHERE participant = ? "
+            "AND source = 'protocol' ORDER BY sequence",
+            (who,),
+        )
+        numbers = [row["n"] for row in rows]
+        assert numbers == list(range(len(rows)))  # none lost, none doubled
+        # Everybody saw every page once, in order: they went on where they were.
+        assert [n for n, _ in visitor.acknowledged] == sorted({n for n, _ in visitor.acknowledged})
+        assert {n for n, _ in visitor.acknowledged} <= set(numbers)
+        assert store.participant(who).state.stage == "done"
+        stored[who] = [(row["n"], row["kind"]) for row in rows]
+    verdict = store.query("PRAGMA integrity_check")
+    assert verdict == [{"integrity_check": "ok"}]
+    store.close()
+    return sum(len(v.acknowledged) for v in visitors), sum(map(len, stored.values()))
+
+
+def _everything_replays(database: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    replay.main([str(database)])
+    assert "all equal" in capsys.readouterr().out
+
+
+def test_kill_9_loses_nothing_that_was_acknowledged(
+    database: Path, study: Study, capsys: pytest.CaptureFixture[str]
+) -> None:
+    acknowledged, stored = survive(database, study, kills=1, people=4)
+    assert 10 < acknowledged <= stored
+    _everything_replays(database, capsys)
+
+
+@pytest.mark.slow
+def test_kill_9_twenty_times_under_eight_participants(
+    database: Path, study: Study, capsys: pytest.CaptureFixture[str]
+) -> None:
+    acknowledged, stored = survive(database, study, kills=20, people=8)
+    with capsys.disabled():
+        print(f"\n20 kills: {acknowledged} answers acknowledged, {stored} stored")
+    assert 200 < acknowledged <= stored
+    _everything_replays(database, capsys)
+
+
+def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """People's places, filled over HTTP by simulated people some of whom drop out for good."""
+    rules = {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 0.04, "recall": True}
+    study = street_study(rules=rules)
+    path = tmp_path / "study.sqlite"
+    Store(path, study).close()
+    stages: Counter[str] = Counter()
+    with ServerProcess(path, *RATE) as server:
+        researcher = Researcher(server.url, server.key)
+        invitations = researcher.invite(200, "person")
+
+        def one(number: int) -> str:
+            habits = Habits(leaving=0.03, mistake=0.03)
+            person = Person(study.plan, habits, np.random.default_rng(number))
+            try:
+                return visit(Browser(server.url), person, invitations.pop())
+            except Refusal as refusal:
+                if refusal.args[0] != 503:
+                    raise
+                time.sleep(0.5)  # every place is taken for now
+                return "full"
+
+        with ThreadPoolExecutor(4) as pool:
+            while stages["done"] < 12:
+                stages.update(pool.map(one, range(sum(stages.values()), sum(stages.values()) + 4)))
+        assert stages["left"] > 0
+    export(path, tmp_path / "out")
+    people = pd.read_csv(tmp_path / "out" / "participants.csv")
+    done = people[people["stage"] == "done"]
+    assert set(done.groupby(["type", "condition"]).size()) == {2}
+    assert len(done) == 12
+    _everything_replays(path, capsys)
+
+
+def test_one_process_a_database(database: Path, command: Command) -> None:
+    with ServerProcess(database):
+        second = command("xplain.study", f"database={database}", "port=1")
+    assert second.returncode == 2
+    assert "another process is using it" in second.stderr
+    assert "Traceback" not in second.stderr
+
+
+def test_a_running_study_keeps_its_plan(database: Path, study: Study) -> None:
+    with ServerProcess(database, "rules.per_cell=99", "lambda=2") as server:
+        assert "are ignored" in server.log()
+        assert "lambda" in server.log()
+        plan = Researcher(server.url, server.key).plan()
+    assert plan.hash == study.plan.hash
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments", "said"),
+    [
+        ("xplain.study", ["port=0"], "port=0: a whole number"),
+        ("xplain.study", ["port=many"], "port='many'"),
+        ("xplain.study", ["prot=1"], "did you mean port?"),
+        ("xplain.study", ["threads=0"], "threads=0"),
+        ("xplain.study", ["8080"], "key=value"),
+        ("xplain.study", ["server.entry=[anybody]"], "server.entry='anybody'"),
+        ("xplain.study", ["database=broken.sqlite"], "not a study's database"),
+        ("xplain.study", ["rules.per_cell=0"], "rules.per_cell=0"),
+        ("xplain.study", ["trace.start=[99,99]"], "trace.start=[99, 99]"),
+        ("xplain.study", ["trace.candidates=0"], "trace.candidates=0"),
+        ("xplain.study.export", ["nothing.sqlite", "out"], "nothing.sqlite"),
+        ("xplain.study.replay", ["broken.sqlite"], "not a study's database"),
+        ("xplain.study.analyse", ["nowhere"], "participants.csv"),
+        ("xplain.study.bots", ["--key", "k", "--url", "http://127.0.0.1:9"], "a running study"),
+        ("xplain.study.power", ["--people", "1"], "--people=1"),
+    ],
+)
+def test_what_is_wrong_is_one_line(
+    command: Command, tmp_path: Path, module: str, arguments: list[str], said: str
+) -> None:
+    (tmp_path / "broken.sqlite").write_text("broken " * 500)
+    done = command(module, *arguments)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+    lines = [line for line in done.stderr.splitlines() if "preparing" not in line]
+    assert len(lines) == 1
+    assert not (tmp_path / "outputs" / "study" / "study.sqlite").exists()
+
+
+def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
+    from xplain.study.command_line import composed
+    from xplain.study.prepare import study_of, study_plan
+
+    cfg = composed(["observers.points=150", "trace.candidates=40"])
+    plan = study_plan(cfg)
+    assert study_plan(cfg).hash == plan.hash  # same configuration, same study
+    study_of(plan)
+    assert (len(plan.roles), plan.problem.trade_off) == (5, 1.0)
+    assert set(plan.conditions) == {"personalized", "conformant"}
+    agree = (plan.problem.p_explicable > 0.5) == plan.true_labels.astype(bool)
+    assert agree.mean() > 0.95
+    assert plan.scene is not None
+    assert set(plan.icons) >= {item.name for item in plan.scene.items}
+    for role in plan.roles:
+        assert len(role.wrong) == 2
+        assert all(q.options == ("0 or more", "less than 0") for q in role.eligibility)
+        assert [q.answer for q in role.eligibility] == [int(j in role.wrong) for j in range(6)]
+    assert json.loads(plan.text)["config"]["lambda"] == 1.0
