@@ -131,14 +131,14 @@ class Certified:
     """Args:
     gap: stop once the optimum is known this well.
     nodes: most beliefs to open before the first step.
-    seconds: most time for it; results then depend on the machine.
+    seconds: most time for it, results then depend on the machine; None is no limit.
     decision_nodes: most beliefs to open for a decision where the search has not been.
     memory_gib: most memory; tables beyond it are refused, the search stops before it.
     """
 
     gap: float = 1e-3
     nodes: int = 1_000_000
-    seconds: float = math.inf
+    seconds: float | None = None
     decision_nodes: int = 50
     memory_gib: float = 8.0
     knows: Knowledge = "types"
@@ -151,7 +151,8 @@ class Certified:
 
     @property
     def _effort(self) -> Effort:
-        return Effort(self.gap, self.nodes, self.seconds, self.memory_gib)
+        seconds = math.inf if self.seconds is None else self.seconds
+        return Effort(self.gap, self.nodes, seconds, self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """See :class:`xplain.solvers.base.Solver`."""
