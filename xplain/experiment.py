@@ -301,13 +301,18 @@ def evaluate(
                 # A user's type changes the plan only of a solver that knows it.
                 if policy is None or problem is None or not shared:
                     problem = problem_for(prepared, case, costs, solver, user)
-                    policy = solver.plan(problem, derived_seed(seed, "solver", index))
+                    policy = solver.plan(problem, trace_seed(seed, index))
                 episode = explain(problem, policy, SimulatedUser(case.labels[user]), belief_update)
                 right = np.ones(problem.n_types, dtype=bool)
                 if solver.knows == "types":
                     right = prepared.stands_for == prepared.distinct[user]
                 records.append(Record(name, index, user, right, episode))
     return records
+
+
+def trace_seed(seed: int, index: int) -> int:
+    """The seed of every policy for the trace with this index."""
+    return derived_seed(seed, "solver", index)
 
 
 def _tables(

@@ -16,6 +16,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__, storage, terminal
+from xplain.certificates import Certify
 from xplain.command_line import hand_over, one_line
 from xplain.experiment import Costs, Prepared, Source, Track, evaluate, prepare, untracked
 from xplain.solvers.base import Solver
@@ -93,6 +94,7 @@ def run_experiment(
     costs = costs_of(cfg)
     solver = instantiate(cfg.solver)
     belief = instantiate(cfg.belief)
+    certify = Certify(**cfg.certify)
 
     clock = Clock()
     config = configuration(cfg)
@@ -105,7 +107,7 @@ def run_experiment(
         solvers["oracle"] = KnownType("type")
     records = evaluate(prepared, costs, solvers, belief, cfg.seed, track)
     clock.lap("explain")
-    bounds: dict[str, float] = {}
+    bounds = certify.certificates(prepared, costs, solver, cfg.seed)
     clock.lap("bounds")
 
     about = {

@@ -116,16 +116,22 @@ def _interval(estimate: dict[str, float | None]) -> str:
 
 
 def _bounds(bounds: dict[str, float]) -> list[str]:
-    if "optimal_lower" not in bounds:
+    if not bounds:
         return []
     lines = [
-        f"optimal value of the explanation POMDP (mean over traces): between "
-        f"{bounds['optimal_lower']:.4f} and {bounds['optimal_upper']:.4f}"
+        f"certificates, {bounds['traces']:.0f} traces, discounted returns under the learned model:",
+        f"  optimum between {bounds['optimal_lower']:.4f} and {bounds['optimal_upper']:.4f}; price "
+        f"of not knowing the type {_range(bounds, 'price_of_not_knowing')}",
     ]
     if "policy_value" in bounds:
+        how = "exact" if bounds["policy_value_exact"] == 1 else f"± {bounds['policy_value_se']:.4f}"
         lines.append(
-            f"this policy's value: {bounds['policy_value']:.4f}; price of approximation: at most "
-            f"{bounds['price_of_approximation']:.4f}; of not knowing the type: at most "
-            f"{bounds['price_of_not_knowing']:.4f}"
+            f"  this policy {bounds['policy_value']:.4f} ({how}), price of approximation "
+            f"{_range(bounds, 'price_of_approximation')}; its expected cost "
+            f"{bounds['policy_cost']:.3f}"
         )
     return lines
+
+
+def _range(bounds: dict[str, float], name: str) -> str:
+    return f"{bounds[f'{name}_low']:.4f} … {bounds[f'{name}_high']:.4f}"

@@ -124,9 +124,13 @@ class POMCP:
         tell_when_compiling()
         kept = messages_worth_giving(problem)
         small = restrict(problem, kept)
-        size = model_bytes(small) + self.trees * tree_bytes(small, -(-self.simulations // self.trees))
+        size = model_bytes(small) + self.trees * tree_bytes(
+            small, -(-self.simulations // self.trees)
+        )
         check_memory("pomcp", size, self.memory_gib, "search less, or qhr plans without tables")
-        unit = max(problem.inexplicability_cost, problem.trade_off * problem.message_cost.max(initial=0))
+        unit = max(
+            problem.inexplicability_cost, problem.trade_off * problem.message_cost.max(initial=0)
+        )
         options = Options(
             depth=self.depth or small.n_steps + small.n_messages + 1,
             message_depth=DEPTH_UNITS.index(self.depth_unit),
