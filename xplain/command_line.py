@@ -23,7 +23,7 @@ from omegaconf import (
 )
 from omegaconf.errors import OmegaConfBaseException
 
-from xplain.errors import XplainError
+from xplain.errors import InputError, XplainError
 
 _PACKAGE = Path(__file__).parent
 
@@ -76,6 +76,23 @@ def hand_over(error: Exception) -> None:
     """Keeps an error for :func:`report_errors`. Hydra prints lines of its own about an exception
     that leaves a job, so a single job hands its over and returns."""
     _handed_over.append(error)
+
+
+def compose_for(name: str, arguments: list[str]) -> DictConfig:
+    """The configuration of a small command, conf/<name>.yaml with overrides.
+
+    Raises:
+        InputError: an override of a key that this command does not have.
+    """
+    from hydra import compose, initialize_config_dir
+
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        known = [str(key) for key in compose(name)]
+        for argument in arguments:
+            key = argument.split("=")[0]
+            if key.lstrip("+~").split(".")[0] not in known or "=" not in argument:
+                raise InputError(key, argument, f"write key=value; keys: {', '.join(known)}")
+        return compose(name, arguments, return_hydra_config=True)
 
 
 @contextmanager
