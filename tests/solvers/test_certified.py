@@ -11,12 +11,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.explanation.problems import random_problem
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.problem import Problem
 from xplain.explanation.reference import reduced_optimal_value
 from xplain.solvers.certified import Certified, CertifiedPolicy
 from xplain.solvers.policy_value import evaluate
+from xplain.testing.problems import random_problem
 
 PROBLEMS = 1000
 

@@ -148,7 +148,8 @@ class Problem:
         except (OSError, zipfile.BadZipFile, EOFError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            # A ValueError means that numpy would have to unpickle, which is never done here.
+            reason = getattr(error, "strerror", None) or "it must hold named arrays of numbers"
             raise InputError("problem", str(path), f"not a readable .npz file ({reason})") from None
         fields = set(cls.__dataclass_fields__)
         missing = {"p_explicable", "message_cost"} - arrays.keys()

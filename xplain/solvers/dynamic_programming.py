@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
+from xplain.solvers.compilation import tell_when_compiling
 
 log = logging.getLogger(__name__)
 
@@ -81,6 +82,7 @@ def optimal_values(problem: Problem) -> NDArray[np.float64]:
 
     Takes (m + 2) · 2^n · N · 8 bytes; see :func:`check_memory`.
     """
+    tell_when_compiling()
     p = problem.p_explicable
     values = np.zeros((problem.n_steps + 1, p.shape[2], problem.n_types))
     zeros = np.zeros((p.shape[2], problem.n_types))

@@ -1,0 +1,79 @@
+"""Bounds and lookahead against brute force; the prices that every run reports."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from xplain.errors import InputError, TooLargeError
+from xplain.explanation.reference import reduced_optimal_value
+from xplain.solvers.bounds import bounds, known_type_value
+from xplain.solvers.certified import Effort
+from xplain.solvers.lookahead import Lookahead
+from xplain.solvers.policy_value import evaluate
+from xplain.solvers.qmdp import QMDP
+from xplain.testing.problems import random_problem
+
+
+def test_bounds_and_prices_enclose_the_truth() -> None:
+    rng = np.random.default_rng(30)
+    for _ in range(100):
+        problem = random_problem(rng)
+        optimum = reduced_optimal_value(problem)
+        found = bounds(problem)
+        assert found.lower - 1e-9 <= optimum <= found.upper + 1e-9
+        assert found.known_type == pytest.approx(known_type_value(problem))
+        assert found.known_type >= optimum - 1e-9
+        least, most = found.price_of_not_knowing
+        assert least - 1e-9 <= found.known_type - optimum <= most + 1e-9
+        value = evaluate(problem, QMDP().plan(problem)).value
+        least, most = found.price_of_approximation(value)
+        assert least - 1e-9 <= optimum - value <= most + 1e-9
+
+
+def test_lookahead_bounds_enclose_the_optimum_and_tighten_qmdp() -> None:
+    rng = np.random.default_rng(31)
+    tighter = 0
+    for _ in range(200):
+        problem = random_problem(rng)
+        optimum = reduced_optimal_value(problem)
+        policy = Lookahead().plan(problem)
+        assert policy.lower - 1e-9 <= optimum <= policy.upper + 1e-9
+        qmdp = max(QMDP().plan(problem).values(0, 0, problem.prior).values())
+        assert policy.upper <= qmdp + 1e-9
+        tighter += policy.upper < qmdp - 1e-6
+    assert tighter > 0
+
+
+def test_few_candidates_or_answers_still_bound() -> None:
+    rng = np.random.default_rng(32)
+    for _ in range(100):
+        problem = random_problem(rng)
+        optimum = reduced_optimal_value(problem)
+        for narrow in (Lookahead(candidates=1), Lookahead(answers=1)):
+            assert narrow.plan(problem).upper >= optimum - 1e-9
+
+
+def test_bounds_fall_back_to_lookahead_where_memory_is_short() -> None:
+    problem = random_problem(np.random.default_rng(5), max_types=3, max_steps=3, max_messages=2)
+    enough = bounds(problem)
+    little = bounds(problem, Effort(memory_gib=_between(problem)))
+    assert little.lower <= enough.lower + 1e-9
+    assert little.upper >= enough.upper - 1e-9
+    with pytest.raises(TooLargeError):
+        bounds(problem, Effort(memory_gib=1e-9))
+
+
+def _between(problem) -> float:
+    """Room for the tables of known types, not for those of plans."""
+    from xplain.solvers import bound_tables, dynamic_programming
+
+    small, large = dynamic_programming.table_bytes(problem), bound_tables.table_bytes(problem)
+    assert small < large
+    return (small + large) / 2 / dynamic_programming.GIB
+
+
+@pytest.mark.parametrize("key", ["candidates", "answers", "memory_gib"])
+def test_bad_options(key: str) -> None:
+    with pytest.raises(InputError, match=key):
+        Lookahead(**{key: 0})

@@ -1,0 +1,176 @@
+"""Explanation problems in Cassandra's ``.pomdp`` text, which the field's programs read.
+
+The reduced problem, flat: states are (k, H, type) and one absorbing end; actions are *explain* and
+the n messages; observations are "nothing" and the distinguishable answers at each (k, H), numbered.
+Explicit and numeric throughout, without names and wildcards: parsers are fast on that.
+
+A message already given is no action of the problem, but the format knows no such thing: here it
+leads to the end at a price above any cost, so no optimal policy takes it.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import product
+from math import comb
+
+import numpy as np
+
+from xplain.errors import InputError, TooLargeError
+from xplain.explanation.problem import Problem
+
+EXPLAIN, NOTHING = 0, 0
+MAX_LINES = 20_000_000
+
+
+@dataclass(frozen=True)
+class Flat:
+    """A POMDP as the file tells it; absent entries are 0.
+
+    Attributes:
+        discount: γ.
+        states, actions, observations: how many.
+        start: initial belief, one a state.
+        transition: {(action, state): {next state: probability}}.
+        observation: {(action, next state): {observation: probability}}.
+        reward: {(action, state, next state, observation): value}.
+    """
+
+    discount: float
+    states: int
+    actions: int
+    observations: int
+    start: tuple[float, ...]
+    transition: dict[tuple[int, int], dict[int, float]] = field(
+        default_factory=lambda: defaultdict(dict)
+    )
+    observation: dict[tuple[int, int], dict[int, float]] = field(
+        default_factory=lambda: defaultdict(dict)
+    )
+    reward: dict[tuple[int, int, int, int], float] = field(default_factory=dict)
+
+
+def lines(problem: Problem) -> Iterator[str]:
+    """The file's lines.
+
+    Raises:
+        InputError: only steps discount, which the format cannot say.
+        TooLargeError: more than MAX_LINES lines.
+    """
+    if problem.discount_per == "step" and problem.discount < 1:
+        raise InputError(
+            "discount_per", "step", "the format discounts every action; needs action, or γ = 1"
+        )
+    types, steps, n = problem.n_types, problem.n_steps, problem.n_messages
+    sets = 1 << n
+    end = types * steps * sets
+    answers = {
+        (k, shown): _answers(problem, k, shown) for k in range(steps - 1) for shown in range(sets)
+    }
+    expected = 2 * end * (n + 1) + 3 * types * sum(len(answer) for answer in answers.values())
+    if expected > MAX_LINES:
+        raise TooLargeError(
+            f"format=pomdp: about {expected:.1e} lines, more than {MAX_LINES:.0e}; "
+            "fewer messages or a shorter trace fit"
+        )
+
+    def state(k: int, shown: int, t: int) -> int:
+        return (k * sets + shown) * types + t if k < steps else end
+
+    observations = 1 + max((len(answer) for answer in answers.values()), default=0)
+    yield f"discount: {problem.discount!r}"
+    yield "values: reward"
+    yield f"states: {end + 1}"
+    yield f"actions: {n + 1}"
+    yield f"observations: {observations}"
+    start = np.zeros(end + 1)
+    start[:types] = problem.prior
+    yield "start: " + " ".join(repr(float(p)) for p in start)
+
+    prices = problem.trade_off * problem.message_cost
+    forbidden = -1.0 - float(prices.sum()) - problem.inexplicability_cost * steps * (steps + 1) / 2
+    for k, shown, t in product(range(steps), range(sets), range(types)):
+        here, after = state(k, shown, t), state(k + 1, shown, t)
+        zeros = float((1 - problem.p_explicable[t, : k + 1, shown]).sum())
+        cost = -problem.inexplicability_cost * zeros
+        yield f"T: {EXPLAIN} : {here} : {after} 1.0"
+        for o, weights in enumerate(answers.get((k, shown), [None]), start=1):
+            if weights is None:  # the last step: what is answered changes nothing
+                yield f"R: {EXPLAIN} : {here} : {after} : {NOTHING} {cost!r}"
+            elif weights[t] > 0:
+                yield f"O: {EXPLAIN} : {after} : {o} {weights[t]!r}"
+                yield f"R: {EXPLAIN} : {here} : {after} : {o} {cost!r}"
+        if k == 0:
+            yield f"O: {EXPLAIN} : {here} : {NOTHING} 1.0"
+        for j in range(n):
+            given = shown >> j & 1
+            reward = forbidden if given else -float(prices[j])
+            after = end if given else state(k, shown | 1 << j, t)
+            yield f"T: {j + 1} : {here} : {after} 1.0"
+            yield f"R: {j + 1} : {here} : {after} : {NOTHING} {reward!r}"
+            yield f"O: {j + 1} : {here} : {NOTHING} 1.0"
+    for action in range(n + 1):
+        yield f"T: {action} : {end} : {end} 1.0"
+        yield f"O: {action} : {end} : {NOTHING} 1.0"
+
+
+def _answers(problem: Problem, step: int, shown: int) -> list[list[float]]:
+    """P(answer | type) for the distinguishable answers to *explain* at (k, H): transitions with
+    equal columns answer by their number of 1s, those that all types label alike not at all."""
+    columns: dict[tuple[float, ...], int] = {}
+    for i in range(step + 1):
+        column = tuple(problem.p_explicable[:, i, shown].tolist())
+        if len(set(column)) > 1:
+            columns[column] = columns.get(column, 0) + 1
+    found = []
+    for ones in product(*(range(size + 1) for size in columns.values())):
+        weights = [1.0] * problem.n_types
+        for (column, size), count in zip(columns.items(), ones, strict=True):
+            for t, p in enumerate(column):
+                weights[t] *= comb(size, count) * p**count * (1 - p) ** (size - count)
+        found.append(weights)
+    return found
+
+
+def read(text: str) -> Flat:
+    """Reads what :func:`lines` writes: numeric entries, one a line.
+
+    Raises:
+        InputError: a line that is not of that kind.
+    """
+    header: dict[str, str] = {}
+    flat: Flat | None = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        try:
+            key, rest = line.split(":", 1)
+            if key not in ("T", "O", "R"):
+                header[key] = rest
+                continue
+            flat = flat or _flat(header)
+            *places, last = rest.split(":")
+            place, value = last.split()
+            indices = (*(int(part) for part in places), int(place))
+            if key == "T":
+                flat.transition[indices[0], indices[1]][indices[2]] = float(value)
+            elif key == "O":
+                flat.observation[indices[0], indices[1]][indices[2]] = float(value)
+            else:
+                action, state, after, observation = indices
+                flat.reward[action, state, after, observation] = float(value)
+        except (ValueError, IndexError, KeyError):
+            raise InputError("pomdp", line, f"line {number} is no numeric entry") from None
+    if flat is None:
+        raise InputError("pomdp", text[:20], "no entries")
+    return flat
+
+
+def _flat(header: dict[str, str]) -> Flat:
+    return Flat(
+        float(header["discount"]),
+        int(header["states"]),
+        int(header["actions"]),
+        int(header["observations"]),
+        tuple(float(p) for p in header["start"].split()),
+    )
