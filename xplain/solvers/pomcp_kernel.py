@@ -13,6 +13,8 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 LANE = np.uint64((1 << 21) - 1)
 SCALE = 2.0**-21  # three labels share one random word: 21 bits and a bias below 2^-21 a label
 
+CERTAIN = 1 - 1e-6
+
 MAX_OF_MEAN, MEAN_OF_MAX = 0, 1
 RANDOM, QMDP, SILENT = 0, 1, 2
 MEAN, MAX = 0, 1
@@ -52,84 +54,74 @@ def _count_bits(mask, n):  # type: ignore[no-untyped-def]
 
 
 @njit(forceinline=True)
-def _draw_type(belief, counter):  # type: ignore[no-untyped-def]
-    """A type with positive belief, and the counter."""
-    counter += GOLDEN
-    u = np.float64(mix(counter) >> uint64(11)) * 2.0**-53
-    drawn, total = 0, 0.0
-    for t in range(len(belief)):
-        # The last type with positive belief takes what rounding leaves of the sum.
-        if belief[t] > 0 and (total == 0 or u >= total):
-            drawn = t
-        total += belief[t]
-    return drawn, counter
-
-
-@njit(forceinline=True)
-def _draw_labels(model, step, given, t, counter, zero):  # type: ignore[no-untyped-def]
-    """Draws the informative labels that a user of type t gives: their code, and the counter."""
+def _draw_labels(count, given, t, p, weight, counter, zero):  # type: ignore[no-untyped-def]
+    """Draws ``count`` informative labels of a user of type t: their code, and the counter."""
     code = uint64(0)
     word = uint64(0)
-    p, weight = model.p[given], model.weight[given]
-    for i in range(model.informative[given, step]):
+    for i in range(count):
         if i % 3 == 0:
             counter += GOLDEN
             word = mix(counter)
-        zero[i] = (np.float64(word & LANE) + 0.5) * SCALE > p[i, t]
+        zero[i] = (np.float64(word & LANE) + 0.5) * SCALE > p[given, i, t]
         word >>= uint64(21)
-        code += weight[i] if zero[i] else uint64(0)
+        code += weight[given, i] if zero[i] else uint64(0)
     return code, counter
 
 
 @njit(forceinline=True)
-def _update(model, step, given, zero, belief, posterior):  # type: ignore[no-untyped-def]
+def _update(count, given, p, zero, belief, posterior):  # type: ignore[no-untyped-def]
     """posterior ∝ belief × likelihood of the drawn labels. The two may be one array."""
-    p = model.p[given]
-    posterior[:] = belief
-    for i in range(model.informative[given, step]):
-        for t in range(len(belief)):
-            posterior[t] *= 1.0 - p[i, t] if zero[i] else p[i, t]
     total = 0.0
     for t in range(len(belief)):
-        total += posterior[t]
+        likelihood = belief[t]
+        for i in range(count):
+            likelihood *= 1.0 - p[given, i, t] if zero[i] else p[given, i, t]
+        posterior[t] = likelihood
+        total += likelihood
     for t in range(len(belief)):
         posterior[t] /= total
 
 
 @njit(forceinline=True)
-def _qmdp(model, step, given, belief):  # type: ignore[no-untyped-def]
+def _qmdp(optimal, explain_cost, price, discounts, step, given, belief):  # type: ignore[no-untyped-def]
     """max_a Σ_t b(t) Q_t(k, H, a), and the action (n is *explain*)."""
-    n = len(model.price)
-    now, later = model.explain_cost[given, step], model.optimal[step + 1, given]
-    best, action = 0.0, n
+    best, bound = 0.0, 0.0
     for t in range(len(belief)):
-        best += belief[t] * (model.discount * later[t] - now[t])
-    for j in range(n):
-        if not given >> j & 1:
-            after = model.optimal[step, given | 1 << j]
-            value = 0.0
-            for t in range(len(belief)):
-                value += belief[t] * after[t]
-            value = model.message_discount * value - model.price[j]
-            if value > best:
-                best, action = value, j
+        later = discounts[0] * optimal[step + 1, given, t]
+        best += belief[t] * (later - explain_cost[given, step, t])
+        bound += belief[t] * optimal[step, given, t]
+    action = len(price)
+    # Where *explain* is best for every type there is nothing to compare.
+    if bound > best:
+        for j in range(len(price)):
+            if not given >> j & 1:
+                more = given | 1 << j
+                value = 0.0
+                for t in range(len(belief)):
+                    value += belief[t] * optimal[step, more, t]
+                value = discounts[1] * value - price[j]
+                if value > best:
+                    best, action = value, j
     return best, action
 
 
-@njit(forceinline=True)
+@njit
 def _leaf(model, reading, step, given, belief):  # type: ignore[no-untyped-def]
     if reading == MAX_OF_MEAN:
-        return _qmdp(model, step, given, belief)[0]
+        discounts = (model.discount, model.message_discount)
+        return _qmdp(
+            model.optimal, model.explain_cost, model.price, discounts, step, given, belief
+        )[0]
     value = 0.0
     for t in range(len(belief)):
         value += belief[t] * model.optimal[step, given, t]
     return value
 
 
-@njit(forceinline=True)
-def _roll_random(model, step, given, t, counter):  # type: ignore[no-untyped-def]
+@njit
+def _roll_random(explain_cost, price, discounts, step, given, t, counter):  # type: ignore[no-untyped-def]
     """The return of uniformly random actions, for a user of type t."""
-    n, steps = len(model.price), model.explain_cost.shape[1]
+    n, steps = len(price), explain_cost.shape[1]
     free = ((1 << n) - 1) & ~given
     count = _count_bits(free, n)
     value, scale = 0.0, 1.0
@@ -139,74 +131,84 @@ def _roll_random(model, step, given, t, counter):  # type: ignore[no-untyped-def
             counter += GOLDEN
             choice = _below(mix(counter), count + 1)
         if choice == count:
-            value -= scale * model.explain_cost[given, step, t]
-            scale *= model.discount
+            value -= scale * explain_cost[given, step, t]
+            scale *= discounts[0]
             step += 1
         else:
             j = _nth_bit(free, choice)
-            value -= scale * model.price[j]
-            scale *= model.message_discount
+            value -= scale * price[j]
+            scale *= discounts[1]
             free ^= 1 << j
             given |= 1 << j
             count -= 1
     return value, counter
 
 
-@njit(forceinline=True)
-def _roll_silent(model, step, given, belief):  # type: ignore[no-untyped-def]
+@njit
+def _roll_silent(explain_cost, discount, step, given, belief):  # type: ignore[no-untyped-def]
     """The expected return of saying nothing more."""
     value, scale = 0.0, 1.0
-    for k in range(step, model.explain_cost.shape[1]):
+    for k in range(step, explain_cost.shape[1]):
         for t in range(len(belief)):
-            value -= scale * belief[t] * model.explain_cost[given, k, t]
-        scale *= model.discount
+            value -= scale * belief[t] * explain_cost[given, k, t]
+        scale *= discount
     return value
 
 
-@njit(forceinline=True)
+@njit
 def _roll_qmdp(model, step, given, t, belief, counter, zero, now):  # type: ignore[no-untyped-def]
-    """The return of following QMDP with exact beliefs (kept in ``now``), for a user of type t."""
-    n, steps = len(model.price), model.explain_cost.shape[1]
+    """The return of following QMDP with exact beliefs (kept in ``now``), for a user of type t.
+    Once t is certain, QMDP acts as if it were known, and V*_t is the rest of the return."""
+    optimal, explain_cost, price = model.optimal, model.explain_cost, model.price
+    informative, p, weight = model.informative, model.p, model.weight
+    discounts = (model.discount, model.message_discount)
+    n, steps = len(price), explain_cost.shape[1]
     now[:] = belief
     value, scale = 0.0, 1.0
     while step < steps:
-        _, action = _qmdp(model, step, given, now)
+        if now[t] > CERTAIN:
+            return value + scale * optimal[step, given, t], counter
+        _, action = _qmdp(optimal, explain_cost, price, discounts, step, given, now)
         if action < n:
-            value -= scale * model.price[action]
-            scale *= model.message_discount
+            value -= scale * price[action]
+            scale *= discounts[1]
             given |= 1 << action
         else:
-            value -= scale * model.explain_cost[given, step, t]
-            scale *= model.discount
+            value -= scale * explain_cost[given, step, t]
+            scale *= discounts[0]
             if step + 1 < steps:
-                _, counter = _draw_labels(model, step, given, t, counter, zero)
-                _update(model, step, given, zero, now, now)
+                count = informative[given, step]
+                _, counter = _draw_labels(count, given, t, p, weight, counter, zero)
+                _update(count, given, p, zero, now, now)
             step += 1
     return value, counter
 
 
-@njit(forceinline=True)
+@njit
 def _roll(model, rollout, step, given, t, belief, counter, zero, now):  # type: ignore[no-untyped-def]
     if rollout == RANDOM:
-        return _roll_random(model, step, given, t, counter)
+        discounts = (model.discount, model.message_discount)
+        return _roll_random(
+            model.explain_cost, model.price, discounts, step, given, t, counter
+        )
     if rollout == SILENT:
-        return _roll_silent(model, step, given, belief), counter
+        return _roll_silent(model.explain_cost, model.discount, step, given, belief), counter
     return _roll_qmdp(model, step, given, t, belief, counter, zero, now)
 
 
 @njit(forceinline=True)
-def _find(tree, parent, code):  # type: ignore[no-untyped-def]
+def _find(nodes, table, parent, code):  # type: ignore[no-untyped-def]
     """Where the table holds this child, or has room for it."""
-    mask = len(tree.table) - 1
+    mask = len(table) - 1
     slot = np.int64(mix(code + uint64(parent) * GOLDEN) & uint64(mask))
     while True:
-        node = tree.table[slot]
-        if node == 0 or (tree.nodes[node].parent == parent and tree.nodes[node].code == code):
+        node = table[slot]
+        if node == 0 or (nodes[node].parent == parent and nodes[node].code == code):
             return slot
         slot = (slot + 1) & mask
 
 
-@njit(forceinline=True)
+@njit
 def _add(tree, slot, parent, code, step, given, base):  # type: ignore[no-untyped-def]
     """A node of its own; ``base`` < 0 means that it begins a step. The belief is left to set."""
     node = tree.used[0]
@@ -225,7 +227,7 @@ def _add(tree, slot, parent, code, step, given, base):  # type: ignore[no-untype
     return node
 
 
-@njit(forceinline=True)
+@njit
 def _open(model, tree, node):  # type: ignore[no-untyped-def]
     """Gives a node its edges: one a message, the last for *explain*."""
     n = len(model.price)
@@ -234,9 +236,9 @@ def _open(model, tree, node):  # type: ignore[no-untyped-def]
     tree.used[1] += n + 1
     record.untried = ((1 << (n + 1)) - 1) & ~record.given
     record.reward = 0.0
-    belief, cost = tree.beliefs[record.base], model.explain_cost[record.given, record.step]
-    for t in range(len(belief)):
-        record.reward -= belief[t] * cost[t]
+    for t in range(tree.beliefs.shape[1]):
+        cost = model.explain_cost[record.given, record.step, t]
+        record.reward -= tree.beliefs[record.base, t] * cost
     for a in range(n + 1):
         edge = tree.edges[record.edges + a]
         edge.value = -np.inf
@@ -245,122 +247,128 @@ def _open(model, tree, node):  # type: ignore[no-untyped-def]
         edge.child = 0
 
 
-@njit(forceinline=True)
-def _select(tree, record, n, log_root, counter):  # type: ignore[no-untyped-def]
-    """UCB1; actions not yet tried come first, in random order."""
-    untried = np.int64(record.untried)
-    if untried != 0:
-        counter += GOLDEN
-        action = _nth_bit(untried, _below(mix(counter), _count_bits(untried, n + 1)))
-        record.untried = untried & ~(1 << action)
-        return action, counter
-    first, bonus = record.edges, log_root[record.visits]
-    best, action = -np.inf, 0
-    for a in range(n + 1):
-        edge = tree.edges[first + a]
-        score = edge.value + bonus * edge.width
-        if score > best:
-            best, action = score, a
-    return action, counter
-
-
-@njit(forceinline=True)
-def _back_up(tree, model, options, node, tail, path_node, path_action, length):  # type: ignore[no-untyped-def]
-    """Tells the nodes on the path of a return ``tail`` from ``node`` on (−1: the end).
-
-    With MAX backups a node is worth its best action, and *explain* the mean of what its
-    observations are worth now: ``moved`` corrects what earlier arrivals were counted with.
-    """
-    n = len(model.price)
-    moved = 0.0
-    if node >= 0:
-        record = tree.nodes[node]
-        moved = record.visits * (tail - record.value)
-        record.value = tail
-        record.visits += 1
-    for i in range(length - 1, -1, -1):
-        record, action = tree.nodes[path_node[i]], path_action[i]
-        edge = tree.edges[record.edges + action]
-        edge.visits += 1
-        before = edge.value
-        if action < n:
-            tail = model.message_discount * tail - model.price[action]
-        else:
-            tail = record.reward + model.discount * tail
-        if edge.visits == 1 or (options.backup == MAX and action < n):
-            edge.value = tail
-        elif options.backup == MAX:
-            edge.value += (tail - before + model.discount * moved) / edge.visits
-        else:
-            edge.value += (tail - before) / edge.visits
-        edge.width = options.exploration / np.sqrt(np.float64(edge.visits))
-        if options.backup == MAX:
-            # A node visited once so far holds a rollout's return, not its best action's.
-            if record.visits > 1 and before < record.value:
-                tail = max(record.value, edge.value)
-            else:
-                tail = edge.value
-                for a in range(n + 1):
-                    tail = max(tail, tree.edges[record.edges + a].value)
-            moved = record.visits * (tail - record.value)
-            record.value = tail
-        record.visits += 1
-
-
 @njit(cache=True, nogil=True)
 def simulate(simulations, model, options, tree, log_root):  # type: ignore[no-untyped-def]
-    """Runs simulations from node 0, whose belief is set. ``log_root[v]`` is sqrt(log v)."""
-    n, steps = len(model.price), model.explain_cost.shape[1]
+    """Runs simulations from node 0, whose belief is set. ``log_root[v]`` is sqrt(log v).
+
+    The inner loops are written out, and arrays taken from their tuples once: numba counts
+    references wherever an array is passed on or sliced, which cost more than the search itself.
+    """
+    nodes, edges, beliefs, table = tree.nodes, tree.edges, tree.beliefs, tree.table
+    informative, p, weight, price = model.informative, model.p, model.weight, model.price
+    discount, message_discount = model.discount, model.message_discount
+    depth_limit, message_depth = options.depth, options.message_depth
+    exploration, to_max = options.exploration, options.backup == MAX
+    n, steps, types = len(price), informative.shape[1], beliefs.shape[1]
     counter = tree.counter[0]
     zero = np.zeros(steps, np.bool_)
-    now = np.empty(tree.beliefs.shape[1])
+    now = np.empty(types)
     path_node = np.empty(n + steps + 1, np.int64)
     path_action = np.empty(n + steps + 1, np.int64)
+    last_type = 0
+    for t in range(types):
+        if beliefs[0, t] > 0:
+            last_type = t
     for _ in range(simulations):
-        t, counter = _draw_type(tree.beliefs[0], counter)
+        # The type; the last with positive belief takes what rounding leaves of the sum.
+        counter += GOLDEN
+        u = np.float64(mix(counter) >> uint64(11)) * 2.0**-53
+        t = 0
+        while t < last_type and u >= beliefs[0, t]:
+            u -= beliefs[0, t]
+            t += 1
+        # Down the tree.
         node, depth, length, tail = 0, 0, 0, 0.0
         while True:
-            record = tree.nodes[node]
+            record = nodes[node]
             step, given, base = np.int64(record.step), np.int64(record.given), record.base
-            if depth >= options.depth:
+            if depth >= depth_limit:
                 if np.isnan(record.leaf):
-                    record.leaf = _leaf(model, options.leaf, step, given, tree.beliefs[base])
+                    record.leaf = _leaf(model, options.leaf, step, given, beliefs[base])
                 tail = record.leaf
                 break
             if record.edges == 0:
                 _open(model, tree, node)
-            action, counter = _select(tree, record, n, log_root, counter)
+            first, untried = record.edges, np.int64(record.untried)
+            action = 0
+            if untried != 0:  # actions not yet tried come first, in random order
+                counter += GOLDEN
+                choice = _below(mix(counter), _count_bits(untried, n + 1))
+                action = _nth_bit(untried, choice)
+                record.untried = untried & ~(1 << action)
+            else:  # UCB1
+                bonus, best = log_root[record.visits], -np.inf
+                for a in range(n + 1):
+                    score = edges[first + a].value + bonus * edges[first + a].width
+                    if score > best:
+                        best, action = score, a
             path_node[length], path_action[length] = node, action
             length += 1
+            is_new = False
             if action < n:
                 given |= 1 << action
-                depth += options.message_depth
-                edge = tree.edges[record.edges + action]
-                if edge.child == 0:
-                    slot = _find(tree, ~base, uint64(given))
-                    edge.child = tree.table[slot]
-                is_new = edge.child == 0
-                if is_new:
-                    edge.child = _add(tree, slot, ~base, uint64(given), step, given, base)
-                node = np.int64(edge.child)
+                depth += message_depth
+                node = np.int64(edges[first + action].child)
+                if node == 0:
+                    slot = _find(nodes, table, ~base, uint64(given))
+                    node = np.int64(table[slot])
+                    is_new = node == 0
+                    if is_new:
+                        node = _add(tree, slot, ~base, uint64(given), step, given, base)
+                    edges[first + action].child = node
             elif step + 1 == steps:
                 node = -1
                 break
             else:
                 depth += 1
-                code, counter = _draw_labels(model, step, given, t, counter, zero)
-                slot = _find(tree, node, code)
-                child = np.int64(tree.table[slot])
+                count = informative[given, step]
+                code, counter = _draw_labels(count, given, t, p, weight, counter, zero)
+                slot = _find(nodes, table, node, code)
+                child = np.int64(table[slot])
                 is_new = child == 0
                 if is_new:
                     child = _add(tree, slot, node, code, step + 1, given, -1)
-                    _update(model, step, given, zero, tree.beliefs[base], tree.beliefs[child])
-                node, base, step = child, child, step + 1
+                    _update(count, given, p, zero, beliefs[base], beliefs[child])
+                    base = child
+                node, step = child, step + 1
             if is_new:
-                belief = tree.beliefs[base]
                 tail, counter = _roll(
-                    model, options.rollout, step, given, t, belief, counter, zero, now
+                    model, options.rollout, step, given, t, beliefs[base], counter, zero, now
                 )
                 break
-        _back_up(tree, model, options, node, tail, path_node, path_action, length)
+        # Back up. With MAX a node is worth its best action, and *explain* the mean of what its
+        # observations are worth now: ``moved`` corrects what earlier arrivals counted as.
+        moved = 0.0
+        if node >= 0:
+            record = nodes[node]
+            moved = record.visits * (tail - record.value)
+            record.value = tail
+            record.visits += 1
+        for i in range(length - 1, -1, -1):
+            record, action = nodes[path_node[i]], path_action[i]
+            edge = edges[record.edges + action]
+            edge.visits += 1
+            before = edge.value
+            if action < n:
+                tail = message_discount * tail - price[action]
+            else:
+                tail = record.reward + discount * tail
+            if edge.visits == 1 or (to_max and action < n):
+                edge.value = tail
+            elif to_max:
+                edge.value += (tail - before + discount * moved) / edge.visits
+            else:
+                edge.value += (tail - before) / edge.visits
+            edge.width = exploration / np.sqrt(np.float64(edge.visits))
+            if to_max:
+                # A node visited once so far holds a rollout's return, not its best action's.
+                if record.visits > 1 and before < record.value:
+                    tail = max(record.value, edge.value)
+                else:
+                    tail = edge.value
+                    for a in range(n + 1):
+                        tail = max(tail, edges[record.edges + a].value)
+                moved = record.visits * (tail - record.value)
+                record.value = tail
+            record.visits += 1
     tree.counter[0] = counter
