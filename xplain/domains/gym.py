@@ -7,20 +7,21 @@ list of changes of its rewards or transitions.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import Item, Parameter, Scene
+from xplain.domains.base import Item, Scene
 from xplain.domains.grid import Cell, discount_factor, number, parameters_of
 from xplain.errors import InputError, XplainError
 from xplain.mdp import MDP
 
-CHANGES = ("arguments", "when", "actions", "next", "add", "like")
-STAY = "stay"
+EFFECTS = ("add", "like", "to", "arguments")
+CHANGES = ("when", "actions", "next", *EFFECTS)
+"""What a change may say; exactly one of EFFECTS."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,66 @@ class Tables:
     reward: NDArray[np.float64]
     terminal: NDArray[np.bool_]
     starts: NDArray[np.int64]
+
+
+class Features:
+    """What the numbers of the states mean: one value of each feature, the last changing fastest.
+
+    Args:
+        given: ``{feature: how many values, or their names}``.
+        n_states: S.
+
+    Raises:
+        InputError: they do not make S states.
+    """
+
+    def __init__(self, given: Mapping[str, int | Sequence[str]], n_states: int) -> None:
+        """Numbers the values of each feature."""
+        self.values = {feature: _values(feature, values) for feature, values in given.items()}
+        self.names = tuple(self.values)
+        self.sizes = tuple(len(values) for values in self.values.values())
+        if not self.sizes or int(np.prod(self.sizes)) != n_states:
+            raise InputError("domain.states", dict(given), f"their product must be {n_states}")
+        self.codes = np.stack(np.unravel_index(np.arange(n_states), self.sizes), axis=1)
+
+    def where(self, key: str, condition: Any) -> NDArray[np.bool_]:
+        """[S] the states that meet ``{feature: value, or a list of values}``."""
+        if not isinstance(condition, Mapping):
+            raise InputError(key, condition, "{feature: value, or a list of values}")
+        result = np.ones(len(self.codes), dtype=bool)
+        for feature, wanted in condition.items():
+            one = isinstance(wanted, str) or not isinstance(wanted, Sequence)
+            codes = [self._code(key, feature, value) for value in ([wanted] if one else wanted)]
+            result &= np.isin(self.codes[:, self.names.index(feature)], codes)
+        return result
+
+    def changed(self, key: str, target: Any) -> NDArray[np.int64]:
+        """[S] the number of each state once the features in ``{feature: value}`` are set."""
+        if not isinstance(target, Mapping):
+            raise InputError(key, target, "{feature: value}")
+        codes = self.codes.copy()
+        for feature, value in target.items():
+            code = self._code(key, feature, value)
+            codes[:, self.names.index(feature)] = code
+        return np.asarray(np.ravel_multi_index(tuple(codes.T), self.sizes), dtype=np.int64)
+
+    def differences(self, before: int, after: int) -> list[str]:
+        """Such as "row 2 → 3", one a feature that differs."""
+        return [
+            f"{feature} {values[a]} → {values[b]}"
+            for (feature, values), a, b in zip(
+                self.values.items(), self.codes[before], self.codes[after], strict=True
+            )
+            if a != b
+        ]
+
+    def _code(self, key: str, feature: str, value: Any) -> int:
+        if feature not in self.values:
+            raise InputError(key, feature, f"unknown feature; known: {', '.join(self.names)}")
+        known = self.values[feature]
+        if value not in known:
+            raise InputError(f"{key}.{feature}", value, f"one of {', '.join(map(str, known))}")
+        return known.index(value)
 
 
 class Gymnasium:
@@ -47,10 +108,11 @@ class Gymnasium:
         parameters: ``{name: {inaccurate, message, belief}}``. ``inaccurate`` is a list of changes
             that lead from the environment to what people believe. A change says where it applies
             (all of these are optional): ``when``, a condition on the state; ``actions``, names;
-            ``next``, a condition on the state reached. And what changes there: ``add``, a number
-            added to the reward; or ``like``, the action whose outcomes it has instead, or
-            ``stay``. A change ``arguments`` alone takes rewards and transitions of the
-            environment made with these arguments; it comes before the others.
+            ``next``, a condition on the state reached (with ``add`` only). And what changes there,
+            one of these: ``add``, a number added to the reward; ``like``, the action whose
+            outcomes it has instead; ``to``, features of the state it leads to instead, the others
+            staying as they are (``{}``: nothing happens). ``arguments`` stands alone: rewards and
+            transitions are those of the environment made with these arguments, before all others.
             A condition is ``{feature: value, or a list of values}``.
         starts: condition on states where traces start, equally likely; states that are terminal
             never are. None: those of the environment's initial distribution.
@@ -78,33 +140,28 @@ class Gymnasium:
         """Makes the environment, reads its model and tries every change."""
         self.name, self._id, self._arguments = name, id, dict(arguments or {})
         self.discount = discount_factor("domain.discount", discount)
-        self._variants: dict[str, Tables] = {}
-        tables = self._tables({})
-        n_states, n_actions, _ = tables.successor.shape
+        self._own = read_model(id, self._arguments)
+        n_states, n_actions, _ = self._own.successor.shape
         self.actions = tuple(actions)
         if len(self.actions) != n_actions or len(set(self.actions)) < n_actions:
             raise InputError("domain.actions", actions, f"{n_actions} different names for {id}")
-        self._values = {feature: _values(feature, given) for feature, given in states.items()}
-        sizes = [len(values) for values in self._values.values()]
-        if not sizes or int(np.prod(sizes)) != n_states:
-            raise InputError("domain.states", dict(states), f"their product must be {n_states}")
-        self.feature_names = tuple(self._values)
-        self._codes = np.stack(np.unravel_index(np.arange(n_states), sizes), axis=1)
-        self.state_features = self._codes.astype(np.float64)
-        where = tables.starts if starts is None else np.flatnonzero(self._where("starts", starts))
-        self.starts = where[~tables.terminal[where]].astype(np.int64)
+        self._features = Features(states, n_states)
+        self.feature_names = self._features.names
+        self.state_features = self._features.codes.astype(np.float64)
+        self.starts = self._own.starts
+        if starts is not None:
+            here = self._features.where("domain.starts", starts) & ~self._own.terminal
+            self.starts = np.flatnonzero(here)
         if not len(self.starts):
             raise InputError("domain.starts", starts, "at least one state that is not terminal")
         if not isinstance(parameters, Mapping):
             raise InputError("domain.parameters", parameters, "{name: {inaccurate, message}}")
         # The robot's value is the environment as it is: no change.
-        self.parameters: tuple[Parameter, ...] = parameters_of(
-            {
-                key: {"accurate": [], **fields} if isinstance(fields, Mapping) else fields
-                for key, fields in parameters.items()
-            },
-            tuple(parameters),
-        )
+        unchanged = {
+            key: {"accurate": [], **fields} if isinstance(fields, Mapping) else fields
+            for key, fields in parameters.items()
+        }
+        self.parameters = parameters_of(unchanged, tuple(parameters))
         accurate: dict[str, Any] = {parameter.name: [] for parameter in self.parameters}
         for parameter in self.parameters:
             self.model(accurate | {parameter.name: parameter.inaccurate})
@@ -119,86 +176,41 @@ class Gymnasium:
         Raises:
             InputError: a change is not allowed.
         """
-        changes: list[tuple[str, Mapping[str, Any]]] = []
-        arguments: dict[str, Any] = {}
-        for parameter in self.parameters:
-            key = f"domain.parameters.{parameter.name}"
-            value = values[parameter.name]
-            if isinstance(value, str) or not isinstance(value, Sequence):
-                raise InputError(key, value, "a list of changes")
-            for change in value:
-                if not isinstance(change, Mapping) or not change:
-                    raise InputError(key, change, f"a change with {', '.join(CHANGES)}")
-                if unknown := change.keys() - set(CHANGES):
-                    raise InputError(key, min(unknown), f"unknown; known: {', '.join(CHANGES)}")
-                if sum(what in change for what in ("arguments", "add", "like")) != 1:
-                    raise InputError(key, dict(change), "one of arguments, add, like")
-                if "arguments" in change:
-                    if len(change) > 1:
-                        raise InputError(key, dict(change), "arguments stand alone in a change")
-                    arguments |= change["arguments"]
-                else:
-                    changes.append((key, change))
-        tables = self._tables(arguments)
+        changes = [
+            (f"domain.parameters.{parameter.name}", change)
+            for parameter in self.parameters
+            for change in _changes(f"domain.parameters.{parameter.name}", values[parameter.name])
+        ]
+        tables = self._own
+        arguments = [change["arguments"] for _, change in changes if "arguments" in change]
+        if arguments:
+            tables = read_model(
+                self._id, self._arguments | {k: v for a in arguments for k, v in a.items()}
+            )
+            if tables.successor.shape[:2] != self._own.successor.shape[:2]:
+                raise InputError("domain.parameters", arguments, "arguments that keep the states")
         successor, probability = tables.successor.copy(), tables.probability.copy()
         reward = tables.reward.copy()
         for key, change in changes:
             at = np.zeros(successor.shape[:2], dtype=bool)
             at[:, self._numbers(key, change.get("actions", self.actions))] = True
-            at &= self._where(key, change.get("when", {}))[:, None]
-            if "like" in change:
-                if "next" in change:
-                    raise InputError(key, dict(change), "like goes with when and actions only")
-                if change["like"] == STAY:
-                    own = np.arange(len(successor))[:, None, None]
-                    successor = np.where(at[:, :, None], own, successor)
-                else:
-                    (other,) = self._numbers(key, [change["like"]])
-                    successor[at] = tables.successor[np.nonzero(at)[0], other]
-                    probability[at] = tables.probability[np.nonzero(at)[0], other]
-                    reward[at] = tables.reward[np.nonzero(at)[0], other]
-            else:
-                reached = self._where(key, change.get("next", {}))[successor]
+            at &= self._features.where(key, change.get("when", {}))[:, None]
+            if "add" in change:
+                reached = self._features.where(key, change.get("next", {}))[successor]
                 reward[at[:, :, None] & reached] += number(f"{key}.add", change["add"])
+            elif "to" in change:
+                led = self._features.changed(key, change["to"])[:, None, None]
+                successor = np.where(at[:, :, None], led, successor)
+            elif "like" in change:
+                (other,) = self._numbers(key, [change["like"]])
+                s = np.nonzero(at)[0]
+                successor[at] = tables.successor[s, other]
+                probability[at] = tables.probability[s, other]
+                reward[at] = tables.reward[s, other]
         return MDP(successor, probability, reward, self.discount, tables.terminal)
 
-    def _tables(self, arguments: Mapping[str, Any]) -> Tables:
-        """The environment's own model, made with some other arguments."""
-        key = repr(sorted(arguments.items()))
-        if key not in self._variants:
-            self._variants[key] = read_model(self._id, self._arguments | dict(arguments))
-            if len(self._variants[key].terminal) != len(
-                next(iter(self._variants.values())).terminal
-            ):
-                raise InputError("domain.parameters", dict(arguments), "changes the states")
-        return self._variants[key]
-
-    def _where(self, key: str, condition: Mapping[str, Any]) -> NDArray[np.bool_]:
-        """[S] the states that a condition names."""
-        if not isinstance(condition, Mapping):
-            raise InputError(key, condition, "{feature: value, or a list of values}")
-        result = np.ones(len(self._codes), dtype=bool)
-        for feature, wanted in condition.items():
-            if feature not in self._values:
-                raise InputError(
-                    key, feature, f"unknown feature; known: {', '.join(self.feature_names)}"
-                )
-            known = self._values[feature]
-            listed = (
-                wanted if isinstance(wanted, Sequence) and not isinstance(wanted, str) else [wanted]
-            )
-            for value in listed:
-                if value not in known:
-                    raise InputError(
-                        f"{key}.{feature}", value, f"one of {', '.join(map(str, known))}"
-                    )
-            codes = [known.index(value) for value in listed]
-            result &= np.isin(self._codes[:, self.feature_names.index(feature)], codes)
-        return result
-
-    def _numbers(self, key: str, names: Iterable[str]) -> list[int]:
+    def _numbers(self, key: str, names: Any) -> list[int]:
         """The numbers of actions."""
-        names = [names] if isinstance(names, str) else list(names)
         for name in names:
             if name not in self.actions:
                 raise InputError(key, name, f"unknown action; known: {', '.join(self.actions)}")
@@ -206,28 +218,47 @@ class Gymnasium:
 
     def position(self, state: int) -> Cell | None:
         """The robot's cell, where the states have a row and a column."""
-        if "row" not in self._values or "column" not in self._values:
+        if not {"row", "column"} <= set(self.feature_names):
             return None
-        code = dict(zip(self.feature_names, self._codes[state], strict=True))
+        code = dict(zip(self.feature_names, self._features.codes[state], strict=True))
         return int(code["row"]), int(code["column"])
 
     def describe(self, transition: NDArray[np.int64]) -> str:
         """The action and what changes: "south: row 2 → 3", "pick up: passenger red → taxi"."""
         state, action, after = (int(x) for x in transition)
-        changed = [
-            f"{feature} {values[self._codes[state, f]]} → {values[self._codes[after, f]]}"
-            for f, (feature, values) in enumerate(self._values.items())
-            if self._codes[state, f] != self._codes[after, f]
-        ]
-        return f"{self.actions[action]}: {', '.join(changed) or 'stays'}"
+        changed = ", ".join(self._features.differences(state, after))
+        return f"{self.actions[action]}: {changed or 'nothing changes'}"
 
     @property
     def scene(self) -> Scene | None:
         """The map, where the states have a row and a column."""
-        if "row" not in self._values or "column" not in self._values:
+        if not {"row", "column"} <= set(self.feature_names):
             return None
-        rows, columns = len(self._values["row"]), len(self._values["column"])
+        rows, columns = (len(self._features.values[name]) for name in ("row", "column"))
         return Scene(rows, columns, (), tuple(self._items))
+
+
+def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
+    """A parameter's value, checked in form."""
+    if isinstance(value, (str, Mapping)) or not isinstance(value, Sequence):
+        raise InputError(key, value, "a list of changes")
+    for change in value:
+        if not isinstance(change, Mapping):
+            raise InputError(key, change, f"a change with {', '.join(CHANGES)}")
+        if unknown := change.keys() - set(CHANGES):
+            raise InputError(key, min(unknown), f"unknown; known: {', '.join(CHANGES)}")
+        if sum(effect in change for effect in EFFECTS) != 1:
+            raise InputError(key, dict(change), f"one of {', '.join(EFFECTS)}")
+        if "arguments" in change and len(change) > 1:
+            raise InputError(key, dict(change), "arguments stand alone in a change")
+        if "next" in change and "add" not in change:
+            raise InputError(key, dict(change), "next goes with add only")
+        listed = change.get("actions", [])
+        if isinstance(listed, str) or not isinstance(listed, Sequence):
+            raise InputError(f"{key}.actions", listed, "a list of actions")
+        if not isinstance(change.get("arguments", {}), Mapping):
+            raise InputError(f"{key}.arguments", change["arguments"], "{argument: value}")
+    return list(value)
 
 
 def read_model(id: str, arguments: Mapping[str, Any]) -> Tables:
