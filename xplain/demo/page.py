@@ -1,0 +1,61 @@
+"""The session as one page of HTML that can be stepped through; it loads nothing from anywhere."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from typing import Any
+
+from xplain.demo.play import Played, Stage
+
+SHOWN = 6
+"""Values behind a choice that are shown, the best ones."""
+
+
+def page(stage: Stage, played: Played) -> str:
+    """The whole page."""
+    template = files("xplain.demo").joinpath("page.html").read_text(encoding="utf-8")
+    # Inside a script element only "</" and "<!--" could end or change what follows.
+    data = json.dumps(content(stage, played), ensure_ascii=False).replace("<", "\\u003c")
+    return template.replace("/*DATA*/null", data)
+
+
+def content(stage: Stage, played: Played) -> dict[str, Any]:
+    """What the page draws, in plain JSON."""
+    prepared, case = stage.prepared, stage.case
+    scene = prepared.scene
+    return {
+        "domain": stage.domain,
+        "solver": stage.solver,
+        "tradeOff": stage.trade_off,
+        "user": played.user,
+        "right": stage.right(played.user),
+        "believes": list(stage.beliefs.get(played.user or "", ())),
+        "sentences": dict(zip(prepared.messages, prepared.sentences, strict=True)),
+        "scene": scene
+        and {
+            "rows": scene.rows,
+            "columns": scene.columns,
+            "walls": scene.walls,
+            "items": [
+                {"name": item.name, "symbol": item.symbol, "cells": item.cells}
+                for item in scene.items
+            ],
+        },
+        "positions": case.positions if len(case.positions) == len(case.transitions) + 1 else [],
+        "phrases": case.phrases,
+        "prior": played.prior,
+        "steps": [
+            {
+                "said": step.said,
+                "values": [
+                    {"messages": names, "value": value}
+                    for names, value in list(step.why.values.items())[:SHOWN]
+                ],
+                "labels": step.labels,
+                "belief": step.belief,
+                "cost": step.cost,
+            }
+            for step in played.steps
+        ],
+    }

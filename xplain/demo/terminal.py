@@ -1,0 +1,145 @@
+"""The session on a terminal: map, transitions, what the robot says, labels, belief bars."""
+
+from __future__ import annotations
+
+import sys
+
+from rich.columns import Columns
+from rich.console import Console, Group, RenderableType
+from rich.panel import Panel
+from rich.rule import Rule
+from rich.table import Table
+from rich.text import Text
+
+from xplain.demo.play import Stage, Step
+from xplain.errors import InputError
+from xplain.online.session import Session
+
+BAR = 24
+PATH, ROBOT = "·", "@"
+
+
+class Terminal:
+    """Shows a session as it goes, and asks the person at it.
+
+    Args:
+        stage: what is explained.
+        user: true type of the simulated user; None where a person answers.
+    """
+
+    def __init__(self, stage: Stage, user: str | None) -> None:
+        width = None if sys.stdout.isatty() else 100
+        self.console = Console(highlight=False, width=width)
+        self.stage, self.user = stage, user
+        self._before: dict[str, float] | None = None
+        self._briefing()
+
+    def _briefing(self) -> None:
+        stage = self.stage
+        self.console.print(
+            f"[bold]{stage.domain}[/] · {stage.solver} · λ = {stage.trade_off:g} · "
+            f"{len(stage.prepared.found)} user types were learned"
+        )
+        if self.user is not None:
+            self.console.print(f"The user is of type [bold]{self.user}[/] (the robot is not told):")
+            for sentence in stage.beliefs[self.user]:
+                self.console.print(f"  “{sentence}”")
+            return
+        self.console.print("You are the user. Answer as you like, or as one of the types would:")
+        for name, sentences in stage.beliefs.items():
+            self.console.print(f"  [bold]{name}[/]  {' '.join(sentences)}")
+
+    def said(self, session: Session) -> None:
+        """Map, what the robot says, and the trace so far."""
+        k = session.shown
+        if self._before is None:
+            self._before = session.belief
+        self.console.print()
+        self.console.print(Rule(f"step {k} of {len(session.trace)}", align="left", style="dim"))
+        prepared = self.stage.prepared
+        for name in session.messages():
+            sentence = prepared.sentences[prepared.messages.index(name)]
+            self.console.print(Panel(sentence, title="robot", title_align="left", expand=False))
+        map_ = self._map(k)
+        if map_ is not None:
+            self.console.print(map_)
+        if self.user is None:
+            self.console.print(self._transitions(k, None))
+
+    def heard(self, step: Step) -> None:
+        """The labels and what they did to the belief."""
+        k = len(step.labels)
+        parts: list[RenderableType] = [self._bars(step.belief)]
+        if self.user is not None:
+            parts.insert(0, self._transitions(k, step.labels))
+        self.console.print(Columns(parts, padding=(0, 4)))
+        self._before = step.belief
+        if k == len(self.stage.case.transitions):
+            self.console.print(
+                f"\n[bold]cost {step.cost:g}[/] (λ · messages + inexplicable labels)"
+            )
+
+    def ask(self, count: int) -> list[int]:
+        """The person's labels of the first ``count`` transitions.
+
+        Raises:
+            InputError: the input has ended.
+        """
+        while True:
+            self.console.print(
+                "Which of these make no sense to you? [dim](numbers, such as 1 3; Enter: none)[/]",
+                end=" ",
+            )
+            try:
+                text = input()
+            except EOFError:
+                raise InputError(
+                    "--me", "end of input", "an answer a step, on a terminal"
+                ) from None
+            words = text.replace(",", " ").split()
+            if all(word.isdecimal() and 1 <= int(word) <= count for word in words):
+                wrong = {int(word) for word in words}
+                return [0 if i in wrong else 1 for i in range(1, count + 1)]
+            self.console.print(f"  numbers between 1 and {count}, please", style="yellow")
+
+    def _transitions(self, k: int, labels: tuple[int, ...] | None) -> Table:
+        table = Table(box=None, show_header=False, padding=(0, 1))
+        for i, phrase in enumerate(self.stage.case.phrases[:k]):
+            mark = Text(" ")
+            if labels is not None:
+                mark = Text("✓", "blue") if labels[i] else Text("?", "bold dark_orange")
+            style = "bold" if i == k - 1 else ""
+            table.add_row(f"{i + 1}", mark, Text(phrase, style))
+        return table
+
+    def _bars(self, belief: dict[str, float]) -> Table:
+        table = Table(box=None, show_header=False, padding=(0, 1))
+        table.add_row("", Text("belief", "dim"), "")
+        for name, p in belief.items():
+            full = round(p * BAR)
+            was = 0.0 if self._before is None else self._before[name]
+            arrow = "↑" if p > was + 0.005 else "↓" if p < was - 0.005 else " "
+            bar = Text("█" * full, "blue") + Text("─" * (BAR - full), "dim")
+            # The user's own type stands out for the audience; the robot is not told.
+            style = "bold" if name in self.stage.right(self.user) else ""
+            table.add_row(Text(name.replace("_", " "), style), bar, f"{p:4.0%} {arrow}")
+        return table
+
+    def _map(self, k: int) -> RenderableType | None:
+        scene, cells = self.stage.prepared.scene, self.stage.case.positions
+        if scene is None or len(cells) <= k:
+            return None
+        grid = [[Text(".", "dim") for _ in range(scene.columns)] for _ in range(scene.rows)]
+        for row, column in scene.walls:
+            grid[row][column] = Text("█", "grey50")
+        for item in scene.items:
+            for row, column in item.cells:
+                grid[row][column] = Text(item.symbol, "bold green")
+        for row, column in cells[:k]:
+            if grid[row][column].plain == ".":
+                grid[row][column] = Text(PATH, "bold blue")
+        row, column = cells[k]
+        grid[row][column] = Text(ROBOT, "bold reverse blue")
+        lines = [Text(" ").join(line) for line in grid]
+        legend = Text("  ".join(f"{item.symbol} {item.name}" for item in scene.items), "dim")
+        return Group(*lines, legend)
