@@ -24,6 +24,7 @@ from xplain.solvers.known_type import KnownType
 from xplain.stage_cache import prepared_once, source_stamp
 from xplain.stamps import configuration, stamp
 from xplain.sweep.folder import JobOfSweep, is_ours, job_of, mark_failed, mark_started
+from xplain.sweep.worker import end_with_parent
 
 log = logging.getLogger(__name__)
 
@@ -63,6 +64,7 @@ def _run_alone(cfg: DictConfig, folder: Path) -> float | None:
 
 
 def _run_in_sweep(cfg: DictConfig, folder: Path, job: JobOfSweep) -> float | None:
+    end_with_parent()
     mark_started(folder)
     try:
         if stamp(configuration(cfg)) != job.stamp:

@@ -39,7 +39,8 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
         [sys.executable, "-m", "xplain", *arguments],
         cwd=folder,
         env=environment(),
-        stdout=subprocess.PIPE,
+        # A file, not a pipe: nobody waits for orphans that hold it open.
+        stdout=(folder / "output.txt").open("w"),
         stderr=subprocess.STDOUT,
         text=True,
         start_new_session=True,
@@ -49,12 +50,17 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
 def run(folder: Path, *arguments: str) -> tuple[int, str]:
     """Exit code and all output."""
     process = start(folder, *arguments)
+    return wait(folder, process)
+
+
+def wait(folder: Path, process: subprocess.Popen[str]) -> tuple[int, str]:
+    """Exit code and all output, once it has ended by itself."""
     try:
-        output, _ = process.communicate(timeout=300)
+        process.wait(timeout=300)
     except subprocess.TimeoutExpired:
         kill_group(process)
         raise
-    return process.returncode, output
+    return process.returncode, (folder / "output.txt").read_text()
 
 
 def workers(process: subprocess.Popen[str]) -> list[int]:
@@ -80,10 +86,10 @@ def kill(pid: int) -> None:
 
 
 def kill_group(process: subprocess.Popen[str]) -> None:
-    """kill -9 of the process and all that it started."""
+    """kill -9 of the process and of all that it started."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
+    process.wait()
 
 
 def sweep_folder(folder: Path) -> Path:

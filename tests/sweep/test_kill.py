@@ -33,18 +33,16 @@ def disturb(folder: Path, whom: str, moment: float) -> None:
         time.sleep(0.02)
     if whom == "all":
         sweeps.kill_group(process)
+        process.wait()
     elif whom == "main":
-        orphans = sweeps.workers(process)
+        # Its workers live on for a moment, and may end jobs while the rerun begins.
         process.kill()
-        time.sleep(0.5 * random.random())
-        for orphan in orphans:
-            sweeps.kill(orphan)
-        process.communicate()
+        process.wait()
     else:
         for worker in sweeps.workers(process)[:1]:
             sweeps.kill(worker)
-        output, _ = process.communicate(timeout=300)
-        assert process.returncode == 0, output
+        code, output = sweeps.wait(folder, process)
+        assert code == 0, output
 
 
 def check(folder: Path, undisturbed: Path) -> None:

@@ -156,7 +156,7 @@ class Run:
     def _attempt(self, launch: Callable[[list[Job]], None]) -> None:
         """Launches until every job has ended. When a worker dies, launchers give up on all
         jobs: those not begun are launched again, those it may have died of each on its own."""
-        fresh, suspects = in_launch_order(self._todo), list[Job]()
+        fresh, suspects, idle = in_launch_order(self._todo), list[Job](), 0
         while fresh or suspects:
             alone = not fresh
             batch = [suspects.pop(0)] if alone else fresh
@@ -167,7 +167,10 @@ class Run:
                 error = raised
             fresh = [job for job in batch if self._folder.state(job) == "waiting"]
             lost = [job for job in batch if self._folder.state(job) == "running"]
-            if len(fresh) == len(batch):
+            # A worker may die before it begins a job; when it happens again and again the
+            # launcher itself is at fault.
+            idle = idle + 1 if len(fresh) == len(batch) else 0
+            if idle == 3:
                 raise error or RuntimeError("the launcher ran none of the jobs")
             for job in lost:
                 self._folder.clear(job)
