@@ -1,0 +1,126 @@
+"""Planning time against the size of the problem, and the certified gap against time.
+
+    python benchmarks/planning.py            some minutes
+    python benchmarks/planning.py --quick    some seconds
+
+Problems are drawn at random in the shape that the pipeline's have: every type lacks two of n facts,
+a transition is explicable to a type once it knows those of them that bear on it (up to two facts
+bear on a transition), and a type's labeler has one confidence. Times are medians of repeats in one
+process, kernels compiled before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from xplain.explanation.problem import Problem
+from xplain.solvers.certified import Certified, CertifiedPolicy
+from xplain.solvers.dynamic_programming import GIB, optimal_values, table_bytes
+from xplain.solvers.policy_value import evaluate
+from xplain.solvers.qmdp import QMDP
+
+
+def facts_problem(m: int, n: int, types: int, seed: int = 0, trade_off: float = 1.0) -> Problem:
+    """m steps, n messages; see above."""
+    rng = np.random.default_rng(seed)
+    sets = np.arange(1 << n)
+    bearing = [set(rng.choice(n, rng.integers(0, 3), replace=False)) for _ in range(m)]
+    p = np.empty((types, m, 1 << n))
+    for t in range(types):
+        lacking = set(rng.choice(n, 2, replace=False))
+        confidence = rng.uniform(0.9, 0.99)
+        for i, facts in enumerate(bearing):
+            needed = sum(1 << int(j) for j in facts & lacking)
+            p[t, i] = np.where(sets & needed == needed, confidence, 1 - confidence)
+    return Problem(p, np.ones(n), trade_off=trade_off)
+
+
+def median_seconds(work: Callable[[], object], repeats: int) -> float:
+    """Of so many calls."""
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - began)
+    return statistics.median(times)
+
+
+def tables(quick: bool, repeats: int) -> Table:
+    """QMDP: tables and one decision, one size varied at a time around (20, 12, 5)."""
+    shown = Table("steps", "messages", "types", "tables (s)", "GiB", "decision (ms)", title="QMDP")
+    sizes = [(20, n, 5) for n in ((4, 8, 12) if quick else (4, 8, 12, 16, 18, 20))]
+    sizes += [(m, 12, 5) for m in (5, 10, 40)] + [(20, 12, types) for types in (2, 10, 20)]
+    for m, n, types in sizes:
+        problem = facts_problem(m, n, types)
+        seconds = median_seconds(lambda p=problem: optimal_values(p), 1 if n > 16 else repeats)
+        policy = QMDP().plan(problem)
+        decision = median_seconds(
+            lambda q=policy, p=problem: q.messages(0, 0, p.prior), 5 * repeats
+        )
+        gib = table_bytes(problem) / GIB
+        shown.add_row(
+            str(m), str(n), str(types), f"{seconds:.4f}", f"{gib:.3f}", f"{1e3 * decision:.2f}"
+        )
+    return shown
+
+
+def certified(quick: bool, seeds: int) -> Table:
+    """Time until the gap is closed, over random problems of a size."""
+    shown = Table(
+        "steps", "messages", "types", "gap asked", "closed", "median (s)", "worst (s)",
+        title="certified: tables and search, λ ∈ {0.5, 1, 2}",
+    )  # fmt: skip
+    sizes = [(8, 6, 5, 1e-3), (15, 8, 5, 1e-3), (10, 10, 5, 1e-3), (20, 10, 8, 1e-2)]
+    for m, n, types, gap in sizes[: 2 if quick else 4]:
+        times, closed = [], 0
+        for seed in range(seeds):
+            for trade_off in (0.5, 1.0, 2.0):
+                problem = facts_problem(m, n, types, seed, trade_off)
+                solver = Certified(gap=gap, seconds=2 if quick else 30)
+                began = time.perf_counter()
+                policy = solver.plan(problem)
+                times.append(time.perf_counter() - began)
+                assert isinstance(policy, CertifiedPolicy)
+                closed += policy.upper - policy.lower <= gap
+        shown.add_row(
+            str(m), str(n), str(types), f"{gap:g}", f"{closed} of {len(times)}",
+            f"{statistics.median(times):.4f}", f"{max(times):.3f}",
+        )  # fmt: skip
+    return shown
+
+
+def gap_against_time(quick: bool) -> Table:
+    """How the bounds of one hard problem close, and what QMDP earns on it."""
+    problem = facts_problem(15, 8, 5, seed=2, trade_off=1.0)
+    worth = evaluate(problem, QMDP().plan(problem))
+    title = f"certified on one hard (15, 8, 5); QMDP earns {worth.value:.4f} ({worth.value_is})"
+    shown = Table("seconds", "lower", "upper", "gap", title=title)
+    for seconds in (0.01, 0.1, 0.5) if quick else (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0):
+        policy = Certified(gap=1e-6, seconds=seconds).plan(problem)
+        assert isinstance(policy, CertifiedPolicy)
+        lower, upper = policy.lower, policy.upper
+        shown.add_row(f"{seconds:g}", f"{lower:.5f}", f"{upper:.5f}", f"{upper - lower:.5f}")
+    return shown
+
+
+def main() -> None:
+    """Prints the three tables."""
+    parser = argparse.ArgumentParser(description="planning time and certified gaps")
+    parser.add_argument("--quick", action="store_true", help="a smoke test of some seconds")
+    quick = parser.parse_args().quick
+    Certified().plan(facts_problem(3, 2, 2))  # compiles
+    console = Console()
+    console.print(tables(quick, 3))
+    console.print(certified(quick, 1 if quick else 3))
+    console.print(gap_against_time(quick))
+
+
+if __name__ == "__main__":
+    main()
