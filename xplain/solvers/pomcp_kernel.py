@@ -188,9 +188,7 @@ def _roll_qmdp(model, step, given, t, belief, counter, zero, now):  # type: igno
 def _roll(model, rollout, step, given, t, belief, counter, zero, now):  # type: ignore[no-untyped-def]
     if rollout == RANDOM:
         discounts = (model.discount, model.message_discount)
-        return _roll_random(
-            model.explain_cost, model.price, discounts, step, given, t, counter
-        )
+        return _roll_random(model.explain_cost, model.price, discounts, step, given, t, counter)
     if rollout == SILENT:
         return _roll_silent(model.explain_cost, model.discount, step, given, belief), counter
     return _roll_qmdp(model, step, given, t, belief, counter, zero, now)
@@ -278,7 +276,7 @@ def simulate(simulations, model, options, tree, log_root):  # type: ignore[no-un
             u -= beliefs[0, t]
             t += 1
         # Down the tree.
-        node, depth, length, tail = 0, 0, 0, 0.0
+        node, depth, length, tail = np.int64(0), 0, 0, 0.0
         while True:
             record = nodes[node]
             step, given, base = np.int64(record.step), np.int64(record.given), record.base
@@ -317,7 +315,7 @@ def simulate(simulations, model, options, tree, log_root):  # type: ignore[no-un
                         node = _add(tree, slot, ~base, uint64(given), step, given, base)
                     edges[first + action].child = node
             elif step + 1 == steps:
-                node = -1
+                node = np.int64(-1)
                 break
             else:
                 depth += 1
