@@ -1,0 +1,213 @@
+"""Gymnasium domains against the environments themselves, played."""
+
+from __future__ import annotations
+
+import sys
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+from tests.domains.configs import configured, domain_of, setting_of
+from xplain import mdp
+from xplain.errors import InputError, XplainError
+from xplain.randomness import stream
+from xplain.users.traces import sample_trace
+
+gymnasium = pytest.importorskip("gymnasium", reason="pip install 'xplain[gym]'")
+from xplain.domains.gym import Gymnasium  # noqa: E402
+
+NAMES = ["taxi", "cliff_walking", "frozen_lake"]
+
+
+def given(name: str) -> dict[str, Any]:
+    """The arguments in the configuration."""
+    node: Any = OmegaConf.to_container(configured(f"domain={name}").domain, resolve=True)
+    return {k: v for k, v in node.items() if not k.startswith("_")}
+
+
+def domain(name: str) -> Gymnasium:
+    made = domain_of(f"domain={name}")
+    assert isinstance(made, Gymnasium)
+    return made
+
+
+def held(name: str, *wrong: str) -> mdp.MDP:
+    """The model of someone who holds these parameters wrong."""
+    parameters = domain(name).parameters
+    return domain(name).model(
+        {p.name: p.inaccurate if p.name in wrong else p.accurate for p in parameters}
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_robots_model_is_what_the_environment_does(name: str) -> None:
+    """Played at random, every outcome has its probability and reward, and ends when it should."""
+    model, arguments = held(name), given(name)
+    environment = gymnasium.make(arguments["id"], **arguments["arguments"]).unwrapped
+    rng = np.random.default_rng(0)
+    counts: dict[tuple[int, int], list[int]] = {}
+    state, _ = environment.reset(seed=0)
+    for _ in range(4000):
+        action = int(rng.integers(model.n_actions))
+        after, reward, ended, *_ = environment.step(action)
+        slots = (model.successor[state, action] == after) & (model.probability[state, action] > 0)
+        assert slots.any()
+        assert set(model.reward[state, action][slots]) == {reward}
+        assert model.terminal[after] == ended
+        counts.setdefault((int(state), action), []).append(int(after))
+        state = environment.reset()[0] if ended else after
+    for (s, a), reached in counts.items():
+        if len(reached) < 100:
+            continue
+        for after in set(model.successor[s, a]):
+            p = model.probability[s, a][model.successor[s, a] == after].sum()
+            seen = np.mean(np.array(reached) == after)
+            assert abs(seen - p) <= 5 * np.sqrt(p * (1 - p) / len(reached)) + 1e-9
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_parameter_held_wrong_alone_matters(name: str) -> None:
+    parameters = [p.name for p in domain(name).parameters]
+    models = [held(name), *(held(name, p) for p in parameters)]
+    optimal = mdp.optimal_actions(models)
+    rng = stream(0, "test", "traces")
+    transitions = np.concatenate(
+        [sample_trace(models[0], optimal[0], domain(name).starts, rng, 10) for _ in range(300)]
+    )
+    inexplicable = 1 - mdp.labels(models, optimal, transitions).mean(axis=1)
+    assert inexplicable[0] == 0
+    assert (inexplicable[1:] >= 0.02).all(), dict(zip(parameters, inexplicable[1:], strict=True))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_tie_is_ambiguous(name: str) -> None:
+    names = [p.name for p in domain(name).parameters]
+    wrong = [[p for j, p in enumerate(names) if mask >> j & 1] for mask in range(1 << len(names))]
+    assert len(mdp.optimal_actions([held(name, *some) for some in wrong])) == 1 << len(names)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_random_types_can_be_drawn(name: str) -> None:
+    assert len(np.unique(setting_of(f"domain={name}").distinct)) == 3
+
+
+def test_states_decode_as_the_environment_says() -> None:
+    taxi = gymnasium.make("Taxi-v4").unwrapped
+    for state in range(500):
+        assert domain("taxi").state_features[state].tolist() == list(map(int, taxi.decode(state)))
+
+
+def test_an_added_reward_is_added_where_the_change_says() -> None:
+    before, after = held("cliff_walking"), held("cliff_walking", "rocks")
+    difference = after.reward - before.reward
+    cells = np.array([domain("cliff_walking").position(s) for s in range(48)])
+    rocks = np.isin(cells[:, 0], [1, 2]) & (cells[:, 1] == 5)
+    assert np.array_equal(difference != 0, rocks[before.successor])
+    assert set(difference[difference != 0]) == {-6.0}
+    assert np.array_equal(before.successor, after.successor)
+
+
+def test_a_changed_transition_leads_where_the_change_says() -> None:
+    before, after = held("taxi"), held("taxi", "bridge")
+    changed = (before.successor != after.successor).any(axis=2)
+    taxi = domain("taxi")
+    for s, a in np.argwhere(changed):
+        assert taxi.position(s) == taxi.position(before.successor[s, a, 0])  # a wall
+        row, column = taxi.position(after.successor[s, a, 0])
+        assert (row, {taxi.position(s)[1], column}) == (0, {1, 2})
+        assert np.array_equal(
+            taxi.state_features[s][2:], taxi.state_features[after.successor[s, a, 0]][2:]
+        )
+    assert changed.sum() == 2 * 5 * 4
+
+
+def test_other_arguments_are_the_other_environment() -> None:
+    model = held("frozen_lake", "ice")
+    table = gymnasium.make("FrozenLake-v1", is_slippery=False).unwrapped.P
+    for s in np.flatnonzero(~model.terminal):
+        for a in range(4):
+            ((p, after, reward, _),) = table[s][a]
+            assert model.probability[s, a].tolist() == [p]
+            assert model.successor[s, a, 0] == after
+            assert model.reward[s, a, 0] == reward
+
+
+def test_like_another_action() -> None:
+    arguments = given("cliff_walking")
+    arguments["parameters"] = {
+        "mirror": {
+            "inaccurate": [{"when": {"row": 0}, "actions": ["left"], "like": "right"}],
+            "message": "Left is left.",
+        }
+    }
+    made = Gymnasium(**arguments)
+    model = made.model({"mirror": made.parameters[0].inaccurate})
+    for s in range(36):
+        same = np.array_equal(model.successor[s, 3], model.successor[s, 1])
+        assert same == (made.position(s)[0] == 0)
+
+
+def test_phrases_name_what_changes() -> None:
+    taxi = domain("taxi")
+    state = int(np.ravel_multi_index((0, 0, 0, 1), (5, 5, 5, 4)))
+    aboard = int(np.ravel_multi_index((0, 0, 4, 1), (5, 5, 5, 4)))
+    pick_up = taxi.actions.index("pick up")
+    assert taxi.describe(np.array([state, pick_up, aboard])) == "pick up: passenger red → taxi"
+    assert taxi.describe(np.array([state, 1, state])) == "north: nothing changes"
+
+
+def change(**fields: Any) -> dict[str, Any]:
+    return {"parameters": {"x": {"inaccurate": [fields], "message": "Not so."}}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"id": "NoSuchThing-v0"}, "gymnasium cannot make it"),
+        ({"id": "CartPole-v1"}, "tabular model"),
+        ({"arguments": {"colour": "red"}}, "gymnasium cannot make it"),
+        ({"discount": 1}, r"\(0, 1\)"),
+        ({"states": {"row": 4, "column": 11}}, "product must be 48"),
+        ({"states": {"row": 4, "column": "twelve"}}, "how many values"),
+        ({"states": {}}, "product must be 48"),
+        ({"actions": ["up", "down"]}, "4 different names"),
+        ({"starts": {"depth": 1}}, "unknown feature"),
+        ({"starts": {"row": 7}}, "one of 0, 1, 2, 3"),
+        ({"starts": {"row": 3, "column": 11}}, "at least one state that is not terminal"),
+        ({"parameters": {}}, "at least one"),
+        ({"parameters": ["wind"]}, "inaccurate, message"),
+        ({"parameters": {"x": {"message": "Not so."}}}, "lacks inaccurate"),
+        ({"parameters": {"x": {"inaccurate": "wet", "message": "No."}}}, "a list of changes"),
+        ({"parameters": {"x": {"inaccurate": ["wet"], "message": "No."}}}, "a change with"),
+        ({"parameters": {"x": {"inaccurate": [], "message": "No."}}}, "differs from accurate"),
+        (change(when={"row": 0}), "one of add, like, to, arguments"),
+        (change(add=1.0, like="up"), "one of add, like, to, arguments"),
+        (change(add="much"), "finite number"),
+        (change(add=1.0, where={}), "unknown"),
+        (change(add=1.0, when={"row": 9}), "one of 0, 1, 2, 3"),
+        (change(add=1.0, next=3), "feature: value"),
+        (change(add=1.0, actions="up"), "a list of actions"),
+        (change(add=1.0, actions=["jump"]), "unknown action"),
+        (change(like="jump"), "unknown action"),
+        (change(like="up", next={"row": 0}), "next goes with add only"),
+        (change(to={"row": 9}), "one of 0, 1, 2, 3"),
+        (change(to=3), "feature: value"),
+        (change(arguments={"is_slippery": True}, when={}), "stand alone"),
+        (change(arguments={"colour": "red"}), "gymnasium cannot make it"),
+    ],
+)
+def test_bad_input_is_one_clear_line(changes: dict[str, Any], text: str) -> None:
+    with pytest.raises(InputError, match=text) as caught:
+        Gymnasium(**deepcopy(given("cliff_walking")) | changes)
+    assert caught.value.key.startswith("domain.")
+    assert "\n" not in str(caught.value)
+
+
+def test_without_gymnasium_the_error_names_the_fix(monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = given("cliff_walking")
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    with pytest.raises(XplainError, match=r"pip install 'xplain\[gym\]'"):
+        Gymnasium(**arguments)
