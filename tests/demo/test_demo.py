@@ -1,0 +1,171 @@
+"""The demo plays what the experiments play, asks a person, and makes a page that needs nothing."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hydra.core.global_hydra import GlobalHydra
+
+from xplain.demo.__main__ import main
+from xplain.demo.page import content, page
+from xplain.demo.play import Simulated, play, stage
+from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.explanation.belief import Independent
+from xplain.message_sets import mask_of
+from xplain.solvers.qmdp import QMDP
+
+QUICK = ["points=150", "lambda=1.5"]
+
+
+@pytest.fixture(scope="module")
+def rescue():
+    GlobalHydra.instance().clear()
+    return stage(QUICK, trace=1)
+
+
+@pytest.fixture
+def demo(tmp_path, monkeypatch, capsys):
+    """``demo("--me", typed="1\\n")``: exit code, standard output, standard error."""
+
+    def run(*arguments, typed=""):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", ["demo", *arguments])
+        monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
+        GlobalHydra.instance().clear()
+        code = 0
+        try:
+            main()
+        except SystemExit as error:
+            code = error.code
+        shown = capsys.readouterr()
+        return code, shown.out, shown.err
+
+    return run
+
+
+@pytest.mark.parametrize("user", ["A", "E"])
+def test_it_plays_the_experiments_episode(rescue, user):
+    case, prepared = rescue.case, rescue.prepared
+    problem = rescue.explainer.problem(case.learned)
+    labels = case.labels[prepared.types.index(user)]
+    policy = QMDP().plan(problem)
+    episode = explain(problem, policy, SimulatedUser(labels), Independent())
+    played = play(rescue, Simulated(rescue, user))
+    said = [mask_of(step.said, prepared.messages) for step in played.steps]
+    assert said == episode.messages.tolist()
+    assert played.steps[-1].cost == pytest.approx(episode.cost)
+    for k, step in enumerate(played.steps):
+        np.testing.assert_array_equal(step.labels, episode.labels[k, : k + 1])
+        np.testing.assert_array_equal(list(step.belief.values()), episode.beliefs[k + 1])
+
+
+def test_the_page_holds_the_session_and_loads_nothing(rescue):
+    played = play(rescue, Simulated(rescue, "A"))
+    html = page(rescue, played)
+    data = re.search(r"^const D = (.*);$", html, re.MULTILINE)
+    assert json.loads(data.group(1)) == json.loads(json.dumps(content(rescue, played)))
+    outside = re.findall(r"(?:src|href|url|import|fetch)\s*[=(]\s*[\"']?([^\"'\s)>]*)", html)
+    assert set(outside) <= {"data:,"}
+    assert "http" not in html.replace("http://www.w3.org/2000/svg", "")
+
+
+def test_words_of_a_domain_cannot_end_the_script(rescue):
+    evil = "</script><script>alert(1)</script><!--"
+    sentences = tuple(evil for _ in rescue.prepared.sentences)
+    scene = replace(rescue, prepared=replace(rescue.prepared, sentences=sentences))
+    html = page(scene, play(scene, Simulated(scene, "A")))
+    assert html.count("</script>") == 1
+    assert "<!--" not in html
+
+
+def test_a_terminal_shows_what_happens(demo):
+    code, out, err = demo("--user", "B", *QUICK)
+    assert (code, err) == (0, "")
+    assert "type B" in out
+    assert out.count("step ") >= 3
+    assert "robot" in out
+    assert re.search(r"cost \d", out)
+
+
+def test_a_person_can_answer_and_is_asked_again_after_a_slip(demo):
+    code, out, err = demo("--me", *QUICK, typed="7\nno\n1\n" + "\n" * 60)
+    assert (code, err) == (0, "")
+    assert out.count("numbers between 1 and 1, please") == 2
+    assert re.search(r"cost \d", out)
+
+
+def test_the_page_is_written_where_it_was_asked_for(demo, tmp_path):
+    code, out, err = demo("--html", "session.html", *QUICK)
+    assert (code, out) == (0, "")
+    assert err.strip() == "session.html"
+    assert "const D = {" in (tmp_path / "session.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--trace", "-1"], ["--trace", "-1"]),
+        (["--trace", "x"], ["--trace", "x"]),
+        (["--bogus"], ["--bogus"]),
+        (["--me", "--user", "A"], ["--user", "--me"]),
+        (["--user", "Q"], ["--user", "Q", "A, B"]),
+        (["lamda=2"], ["lamda", "lambda"]),
+        (["lambda=-1"], ["lambda", "-1"]),
+        (["lambda"], ["lambda", "KEY=VALUE"]),
+        (["solver=oracle"], ["solver", "oracle"]),
+        (["domain=mars"], ["domain", "mars", "rescue"]),
+        (["--html", "absent/session.html"], ["--html", "absent"]),
+        (["--me"], ["--me", "end of input"]),
+    ],
+    ids=lambda value: " ".join(value)[:30],
+)
+def test_bad_input_is_one_line(demo, tmp_path, arguments, words):
+    code, _, err = demo(*arguments)
+    assert code == 2
+    assert len(err.strip().splitlines()) == 1, err
+    for word in words:
+        assert word in err
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+@pytest.mark.browser
+def test_the_page_can_be_stepped_through(rescue, tmp_path):
+    from selenium import webdriver
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    played = play(rescue, Simulated(rescue, "A"))
+    (tmp_path / "session.html").write_text(page(rescue, played), encoding="utf-8")
+    options = webdriver.ChromeOptions()
+    for flag in ("--headless=new", "--no-sandbox", f"--user-data-dir={tmp_path / 'profile'}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    browser = webdriver.Chrome(options=options)
+    try:
+        browser.get((tmp_path / "session.html").as_uri())
+        body = browser.find_element(By.TAG_NAME, "body")
+        last = len(played.steps)
+        assert "believes" in browser.find_element(By.ID, "speech").text
+        for k, step in enumerate(played.steps, start=1):
+            body.send_keys(Keys.ARROW_RIGHT)
+            assert browser.find_element(By.ID, "where").text == f"step {k} of {last}"
+            speech = browser.find_element(By.ID, "speech").text
+            sentences = dict(zip(rescue.prepared.messages, rescue.prepared.sentences, strict=True))
+            for name, sentence in sentences.items():
+                assert (sentence in speech) == (name in step.said)
+            squares = browser.find_elements(By.CSS_SELECTOR, "#trace .now")
+            assert [s.text for s in squares] == ["✓" if label else "?" for label in step.labels]
+        assert f"cost {step.cost:g}" in browser.find_element(By.ID, "cost").text
+        assert not browser.find_element(By.ID, "next").is_enabled()
+        body.send_keys(Keys.HOME)
+        browser.find_element(By.ID, "next").click()
+        assert browser.find_element(By.ID, "where").text == f"step 1 of {last}"
+        assert browser.get_log("browser") == []
+    finally:
+        browser.quit()
