@@ -1,0 +1,157 @@
+"""Writes docs/config.md: every configuration key, from the comments in conf/*.yaml.
+
+python docs/config_reference.py            writes it
+python docs/config_reference.py --check    exit code 1 where it is out of date
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+CONF, PAGE = ROOT / "conf", ROOT / "docs" / "config.md"
+
+GROUPS = {
+    "domain": "the robot's task",
+    "users": "the true user types",
+    "observers": "who labelled transitions",
+    "labeler": "learns a labeling model from labels",
+    "clusterer": "finds the user types",
+    "solver": "plans the explanation",
+    "belief": "which labels are evidence",
+    "tracking": "where results go besides the disk",
+}
+UNTOLD = ("defaults", "hydra", "_convert_")
+"""Sections that are no settings of an experiment."""
+SENTENCES = ("message", "belief")
+"""Fields of a domain's parameter that are words for people, not settings to explain."""
+
+LINE = re.compile(r"^(?P<indent> *)(?P<key>[\w.]+):(?: (?P<rest>.*))?$")
+COMMENT = re.compile(r"^(?P<value>(?:\"[^\"]*\"|'[^']*'|[^#])*?)(?:(?:^|\s+)# (?P<comment>.*))?$")
+
+
+@dataclass(frozen=True)
+class Key:
+    """One line of a table."""
+
+    path: str
+    default: str
+    meaning: str
+
+
+def main() -> int:
+    """Writes or checks the page."""
+    text = page()
+    if "--check" not in sys.argv[1:]:
+        PAGE.write_text(text, encoding="utf-8")
+        return 0
+    if PAGE.exists() and PAGE.read_text(encoding="utf-8") == text:
+        return 0
+    print("docs/config.md is out of date: python docs/config_reference.py", file=sys.stderr)
+    return 1
+
+
+def page() -> str:
+    """The whole page."""
+    parts = [
+        "# Configuration\n",
+        "Written by `python docs/config_reference.py` from the comments in `conf/`; edit those.\n",
+        "Any key can be set on the command line (`python -m xplain lambda=2 solver=qhr`), "
+        "`group=choice` takes another file, `+group=...` is never needed. "
+        "`python -m xplain --cfg job` prints what a command would run.\n",
+        "## The experiment (`conf/config.yaml`)\n",
+        section(CONF / "config.yaml", ""),
+    ]
+    for group, what in GROUPS.items():
+        files = sorted((CONF / group).glob("*.yaml"))
+        parts.append(f"## {group}: {what}\n")
+        for file in files:
+            parts += [f"### `{group}={file.stem}`\n", section(file, f"{group}.")]
+    study = CONF / "study.yaml"
+    if study.exists():
+        parts += ["## The user study (`conf/study.yaml`)\n", section(study, "")]
+    return "\n".join(parts)
+
+
+def section(file: Path, prefix: str) -> str:
+    """What a file says of itself, and its keys."""
+    lines = file.read_text(encoding="utf-8").splitlines()
+    whole = lines[0].startswith("# @package _global_")
+    lines = lines[whole:]
+    about = []
+    while lines and lines[0].startswith("#"):
+        about.append(lines.pop(0).removeprefix("#").removeprefix(" "))
+    rows = list(keys(lines, "" if whole else prefix))
+    table = "\n".join(
+        ["| key | default | meaning |", "|---|---|---|"]
+        + [f"| `{row.path}` | {code(row.default)} | {cell(row.meaning)} |" for row in rows]
+    )
+    return "\n".join([paragraph(about), table if rows else "No settings.", ""])
+
+
+def keys(lines: list[str], prefix: str) -> Iterator[Key]:
+    """The keys of a file, by their full path."""
+    path: list[tuple[int, str]] = []
+    above: list[str] = []
+    hidden = block = -1
+    for line in lines:
+        bare = line.strip()
+        depth = len(line) - len(line.lstrip())
+        if not bare:
+            above = []
+            continue
+        if 0 <= block < depth or 0 <= hidden < depth:
+            continue
+        block = hidden = -1
+        if bare.startswith("#"):
+            above.append(bare.removeprefix("#").strip())
+            continue
+        found = LINE.match(line)
+        if found is None:
+            continue
+        split = COMMENT.match(found["rest"] or "")
+        value, comment = (split["value"].strip(), split["comment"]) if split else ("", None)
+        path = [(at, name) for at, name in path if at < depth] + [(depth, found["key"])]
+        told = " ".join([*above, *([comment] if comment else [])])
+        above = []
+        if found["key"] in UNTOLD or (len(path) > 2 and found["key"] in SENTENCES):
+            hidden = depth
+            continue
+        if value == "|":
+            block, value = depth, "(several lines)"
+        if value or told:
+            if found["key"] == "_target_":
+                told = told or "the class that is made"
+            yield Key(prefix + ".".join(name for _, name in path), value, told)
+
+
+def paragraph(lines: list[str]) -> str:
+    """Comment lines as prose; indented ones are commands."""
+    text = ""
+    for line in lines:
+        if line.startswith("  "):
+            text += f"\n\n    {line.strip()}\n"
+        else:
+            text += ("\n" if text.endswith("\n") else " " if text else "") + line
+    return text + "\n"
+
+
+def code(value: str) -> str:
+    """A value as code, cut where it would break the table."""
+    if not value:
+        return ""
+    shown = value if len(value) <= 60 else value[:57] + "..."
+    return f"`{shown}`".replace("|", "\\|")
+
+
+def cell(text: str) -> str:
+    """Prose inside a table."""
+    return text.replace("|", "\\|")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

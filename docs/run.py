@@ -1,0 +1,184 @@
+"""Runs what the docs show: every `console` and `python` block, each document in an empty folder.
+
+    python docs/run.py docs/tour.md            compares, and tells the first difference
+    python docs/run.py --write docs/tour.md    puts the real output in place of what is shown
+
+In a `console` block a line that begins with `$ ` is a command (`\\` at its end continues it), the
+lines below it are its standard output; `...` stands for lines left out. Shown and real output may
+differ in digits, bars and blanks: figures depend on versions and machines. A `python` block is run
+as printed, after the blocks above it; what it prints is the `text` block that follows it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LEFT_OUT = "..."
+SERVERS = ("mlflow ui", "python -m xplain.study")
+"""Commands that run until they are stopped; other tests start these."""
+
+
+class DocsError(Exception):
+    """A command failed, or prints something else than the docs show."""
+
+
+@dataclass
+class Piece:
+    """A command with the output that is shown for it, or a program (``code``) with its own.
+
+    Attributes:
+        command: as typed; empty for a program.
+        code: a program in Python.
+        shown: lines.
+        real: lines, once it ran.
+    """
+
+    command: str = ""
+    code: str = ""
+    shown: list[str] = field(default_factory=list)
+    real: list[str] = field(default_factory=list)
+
+
+def main() -> int:
+    """Compares or writes the documents named."""
+    write = "--write" in sys.argv[1:]
+    for name in [argument for argument in sys.argv[1:] if argument != "--write"]:
+        document = Path(name)
+        text = document.read_text(encoding="utf-8")
+        with tempfile.TemporaryDirectory() as folder:
+            blocks = ran(text, Path(folder), compare=not write)
+        if write:
+            document.write_text(rewritten(text, blocks), encoding="utf-8")
+    return 0
+
+
+def blocks_of(text: str) -> list[tuple[re.Match[str], list[Piece]]]:
+    """The blocks that are run, with the fences that hold them."""
+    found: list[tuple[re.Match[str], list[Piece]]] = []
+    before = ""
+    for fence in FENCE.finditer(text):
+        kind, body = fence.groups()
+        if kind == "console":
+            found.append((fence, _session(body)))
+        elif kind == "python":
+            found.append((fence, [Piece(code=body)]))
+        elif kind == "text" and before == "python":
+            found[-1][1][0].shown = body.splitlines()
+            found.append((fence, []))
+        before = kind
+    return found
+
+
+def _session(body: str) -> list[Piece]:
+    pieces: list[Piece] = []
+    lines = iter(body.splitlines())
+    for line in lines:
+        if not line.startswith("$ "):
+            pieces[-1].shown.append(line)
+            continue
+        command = line.removeprefix("$ ")
+        while command.endswith("\\"):
+            command += "\n" + next(lines)
+        pieces.append(Piece(command))
+    return pieces
+
+
+def ran(text: str, folder: Path, compare: bool) -> list[tuple[re.Match[str], list[Piece]]]:
+    """Runs all blocks in this folder.
+
+    Raises:
+        DocsError: one fails, or (``compare``) prints something else than is shown.
+    """
+    found = blocks_of(text)
+    env = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "100", "PYTHONIOENCODING": "utf-8"}
+    env["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), env.get("PATH", "")])
+    env.pop("MLFLOW_TRACKING_URI", None)
+    for _, pieces in found:
+        for piece in pieces:
+            if piece.command.startswith(SERVERS):
+                piece.real = piece.shown
+                continue
+            done = subprocess.run(
+                [sys.executable, "-c", piece.code] if piece.code else ["bash", "-c", piece.command],
+                cwd=folder,
+                env=env,
+                capture_output=True,
+                text=True,
+                timeout=900,
+                check=False,
+            )
+            what = piece.command or piece.code
+            # A command may be shown for the line with which it refuses bad input.
+            refused = done.returncode == 2 and not done.stdout
+            if done.returncode != 0 and not refused:
+                raise DocsError(f"exit code {done.returncode}: {what}\n{done.stderr}")
+            piece.real = (done.stderr if refused else done.stdout).rstrip().splitlines()
+            if compare and (difference := differs(piece.shown, piece.real)):
+                raise DocsError(f"{what}\n{difference}")
+    return found
+
+
+def differs(shown: list[str], real: list[str]) -> str:
+    """The first difference in words; empty where there is none that matters."""
+    rest = list(real)
+    skipping = False
+    for line in shown:
+        if line.strip() == LEFT_OUT:
+            skipping = True
+            continue
+        wanted = masked(line)
+        while skipping and rest and masked(rest[0]) != wanted:
+            rest.pop(0)
+        if not rest or masked(rest[0]) != wanted:
+            return f"shown: {line!r}\nreal:  {(rest or ['(nothing more)'])[0]!r}"
+        rest.pop(0)
+        skipping = False
+    return "" if skipping or not rest or not shown else f"not shown: {rest[0]!r}"
+
+
+def masked(line: str) -> str:
+    """A line without what may differ: digits, signs before them, bars, rules, blanks, ids."""
+    line = re.sub(r"\b[0-9a-f]{6,}\b", "#", line)
+    line = re.sub(r"[-−+]?\d[\d.,:]*%?", "#", line)
+    line = re.sub(r"[█─━╭╮╰╯│↑↓]+", "", line)
+    return " ".join(line.split())
+
+
+def rewritten(text: str, found: list[tuple[re.Match[str], list[Piece]]]) -> str:
+    """The document with the real output."""
+    for at in range(len(found) - 1, -1, -1):
+        fence, pieces = found[at]
+        if fence[1] == "console":
+            body = "\n".join(
+                line for p in pieces for line in (f"$ {p.command}", *_cut(p.shown, p.real))
+            )
+            text = text[: fence.start(2)] + body + "\n" + text[fence.end(2) :]
+        elif fence[1] == "text":
+            real = found[at - 1][1][0].real
+            text = text[: fence.start(2)] + "\n".join(real) + "\n" + text[fence.end(2) :]
+    return text
+
+
+def _cut(shown: list[str], real: list[str]) -> list[str]:
+    """Real output, leaving out as many lines as was shown to be left out; none where none was."""
+    gaps = [i for i, line in enumerate(shown) if line.strip() == LEFT_OUT]
+    if not shown:
+        return []
+    if not gaps:
+        return real
+    head, tail = gaps[0], len(shown) - gaps[-1] - 1
+    if head + tail >= len(real):
+        return real
+    return [*real[:head], LEFT_OUT, *(real[-tail:] if tail else [])]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,126 @@
+"""What the docs show is what happens."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+
+import pytest
+
+from tests.conftest import ROOT
+
+
+def module(name):
+    """A script of docs/, which is no package."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
+    loaded = importlib.util.module_from_spec(spec)
+    sys.modules[name] = loaded
+    spec.loader.exec_module(loaded)
+    return loaded
+
+
+run, config_reference = module("run"), module("config_reference")
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+SHOWING = [page for page in PAGES if run.blocks_of(page.read_text(encoding="utf-8"))]
+OURS = ("config.yaml", "observers", "labeler", "clusterer", "solver", "belief", "tracking")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", SHOWING, ids=lambda page: page.name)
+def test_every_command_and_program_does_what_is_shown(page, tmp_path):
+    run.ran(page.read_text(encoding="utf-8"), tmp_path, compare=True)
+
+
+def test_no_command_hides_in_a_block_that_is_not_run():
+    """Commands of ours stand in `console` blocks, or in words of a sentence."""
+    for page in PAGES:
+        for fence in run.FENCE.finditer(page.read_text(encoding="utf-8")):
+            if fence[1] in ("", "sh", "bash", "shell", "text"):
+                assert "python -m xplain" not in fence[2], f"{page.name}: {fence[2][:60]}"
+
+
+def test_the_reference_of_all_keys_is_up_to_date():
+    assert config_reference.main.__module__  # the script itself
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "docs" / "config_reference.py"), "--check"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_key_says_what_it_means():
+    silent = []
+    for place in OURS:
+        files = [ROOT / "conf" / place] if "." in place else (ROOT / "conf" / place).glob("*.yaml")
+        for file in files:
+            lines = file.read_text(encoding="utf-8").splitlines()
+            silent += [
+                f"{file.name}: {key.path}"
+                for key in config_reference.keys(lines, "")
+                if not key.meaning
+            ]
+    assert silent == []
+
+
+def test_links_lead_somewhere():
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            if not re.match(r"https?:", target):
+                assert (page.parent / target).exists(), f"{page.name} → {target}"
+
+
+def test_code_named_in_the_docs_exists():
+    """`xplain/…/file.py` and `xplain.module.Name` in words."""
+    import importlib
+
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for path in re.findall(
+            r"`((?:xplain|conf|sweeps|examples|benchmarks|tests)/[\w./]+)`", text
+        ):
+            assert (ROOT / path).exists(), f"{page.name}: {path}"
+        for name in re.findall(r"`(xplain(?:\.\w+)+)(?:\(\))?`", text):
+            parts = name.split(".")
+            for cut in range(len(parts), 0, -1):
+                try:
+                    found = importlib.import_module(".".join(parts[:cut]))
+                except ModuleNotFoundError:
+                    continue
+                for attribute in parts[cut:]:
+                    found = getattr(found, attribute)
+                break
+
+
+@pytest.mark.parametrize(
+    ("shown", "real", "same"),
+    [
+        (["cost 1.25 (3 of 4)"], ["cost  17 (9 of 12)"], True),
+        (["cost 1.25"], ["price 1.25"], False),
+        (["a", "...", "z"], ["a", "b", "c", "z"], True),
+        (["a", "...", "z"], ["a", "b", "c"], False),
+        (["a"], ["a", "b"], False),
+        (["...", "b"], ["a", "b"], True),
+        ([], ["a"], True),
+    ],
+)
+def test_outputs_are_compared_in_words_not_in_figures(shown, real, same):
+    assert (run.differs(shown, real) == "") == same
+
+
+def test_a_false_command_or_output_is_found(tmp_path):
+    for false in (
+        "```console\n$ false\n```",
+        "```console\n$ echo one\ntwo\n```",
+        "```python\nprint(1)\n```\n\n```text\nx\n```",
+        "```python\n1 / 0\n```",
+    ):
+        with pytest.raises(run.DocsError):
+            run.ran(false + "\n", tmp_path, compare=True)
+    text = "```console\n$ echo one\ntwo\n```\n"
+    assert run.rewritten(text, run.ran(text, tmp_path, compare=False)) == (
+        "```console\n$ echo one\none\n```\n"
+    )
