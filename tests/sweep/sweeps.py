@@ -35,16 +35,17 @@ def environment() -> dict[str, str]:
 def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     """``python -m xplain …`` in this folder, leader of a process group."""
     folder.mkdir(parents=True, exist_ok=True)
-    return subprocess.Popen(
-        [sys.executable, "-m", "xplain", *arguments],
-        cwd=folder,
-        env=environment(),
-        # A file, not a pipe: nobody waits for orphans that hold it open.
-        stdout=(folder / "output.txt").open("w"),
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
+    # A file, not a pipe: nobody waits for orphans that hold it open.
+    with (folder / "output.txt").open("w") as output:
+        return subprocess.Popen(
+            [sys.executable, "-m", "xplain", *arguments],
+            cwd=folder,
+            env=environment(),
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
 
 
 def run(folder: Path, *arguments: str) -> tuple[int, str]:
