@@ -203,10 +203,8 @@ def _least_gap(values: list[float]) -> float:
     return float(gaps.min()) if len(gaps) else 1.0
 
 
-def save(figure: Figure, *paths: Path) -> None:
-    """Writes a figure, in the format of each path's suffix, and frees it."""
-    for path in paths:
-        # Without dates and random ids the same figure is the same file.
-        metadata = {"Date": None} if path.suffix == ".svg" else None
-        figure.savefig(path, metadata=metadata)
+def save(figure: Figure, path: Path) -> None:
+    """Writes a figure in the format of the path's suffix, and frees it."""
+    # Without dates and random ids the same figure is the same file.
+    figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
     plt.close(figure)

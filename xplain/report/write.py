@@ -78,7 +78,7 @@ def draw(summary: Summary, report: Path) -> Pictures:
     ]
     for section, name, figure, caption in drawn:
         if figure is not None:
-            plots.save(figure, report / f"{name}.png", report / f"{name}.svg")
+            plots.save(figure, report / f"{name}.svg")
             section.append(Picture(report / f"{name}.svg", caption))
     for domain, path, caption in _trace_pictures(summary, report):
         pictures.traces.setdefault(domain, []).append(Picture(path, caption))

@@ -48,18 +48,18 @@ COMPARABLE = 100
 
 
 def mirror_of(
-    tracking: Any, outputs: Path, folder: SweepFolder, jobs: tuple[Job, ...]
+    tracking: Any, outputs: Path, folder: SweepFolder, jobs: tuple[Job, ...], fresh: bool = False
 ) -> Mirror | NoMirror:
     """What shows the sweep where its tracking says."""
     if isinstance(tracking, MLflow):
-        return Mirror(tracking, outputs, folder, jobs)
+        return Mirror(tracking, outputs, folder, jobs, fresh)
     return NoMirror()
 
 
 class NoMirror:
     """Of a sweep whose results stay on disk."""
 
-    def start(self, fresh: bool = False) -> None:
+    def start(self) -> None:
         """Does nothing."""
 
     def update(self, job: Job, state: State) -> None:
@@ -72,25 +72,28 @@ class NoMirror:
 
 @dataclass
 class Mirror:
-    """Keeps MLflow in line with a sweep's folder."""
+    """Keeps MLflow in line with a sweep's folder.
+
+    Attributes:
+        tracking, outputs: where the runs go.
+        folder, jobs: of the sweep.
+        fresh: forget the children of an earlier run of this sweep.
+    """
 
     tracking: MLflow
     outputs: Path
     folder: SweepFolder
     jobs: tuple[Job, ...]
+    fresh: bool = False
     _client: MlflowClient | None = None
     _experiment: str = ""
     _parent: str = ""
     _children: dict[str, tuple[str, str]] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def start(self, fresh: bool = False) -> None:
-        """Opens the store, ends what dead processes left open, finds or makes the parent.
-
-        Args:
-            fresh: forget the children of an earlier run of this sweep.
-        """
-        self._try(lambda: self._start(fresh))
+    def start(self) -> None:
+        """Opens the store, ends what dead processes left open, finds or makes the parent."""
+        self._try(self._start)
 
     def update(self, job: Job, state: State) -> None:
         """A job changed its state."""
@@ -128,7 +131,7 @@ class Mirror:
                 log.debug("MLflow failed", exc_info=True)
                 self._client, self._parent = None, "out of reach"
 
-    def _start(self, fresh: bool) -> None:
+    def _start(self) -> None:
         with self.tracking.client(self.outputs) as (client, self._experiment):
             self._client = client
         retire(client, self._experiment)
@@ -152,7 +155,7 @@ class Mirror:
         for run in all_runs(
             client, self._experiment, f"tags.`mlflow.parentRunId` = '{self._parent}'"
         ):
-            if fresh:
+            if self.fresh:
                 client.delete_run(run.info.run_id)
             else:
                 key = run.data.tags.get(RESULT_TAG, "")

@@ -102,7 +102,9 @@ class Run:
         self, plan: Plan, folder: SweepFolder, tracking: Any, outputs: Path, resume: str
     ) -> None:
         self._plan, self._folder, self._resume = plan, folder, resume
-        self._mirror = mirror_of(tracking, outputs, folder, plan.jobs)
+        self._mirror = mirror_of(
+            tracking, outputs, folder, plan.jobs, fresh=resume == "none"
+        )
         if resume == "none":
             for job in plan.jobs:
                 folder.clear(job)
@@ -126,7 +128,6 @@ class Run:
         status = "KILLED"
         try:
             with _terminable(), Watch(folder, self._todo, self._mirror, self._done_before):
-                self._mirror.start(fresh=self._resume == "none")
                 self._attempt(launch)
             states = [folder.state(job) for job in plan.jobs]
             if all(state == "finished" for state in states):

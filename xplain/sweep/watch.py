@@ -17,7 +17,11 @@ log = logging.getLogger(__name__)
 
 
 class Listener(Protocol):
-    """Whoever wants to know how far the jobs are."""
+    """Whoever wants to know how far the jobs are; called from one thread."""
+
+    def start(self) -> None:
+        """The watch begins."""
+        ...
 
     def update(self, job: Job, state: State) -> None:
         """A job changed its state."""
@@ -68,6 +72,7 @@ class Watch:
         return Counter(self._states.values())
 
     def _watch(self) -> None:
+        self._listener.start()  # takes seconds, while the jobs run already
         pause = POLL
         while not self._stop.wait(pause):
             before = time.monotonic()
