@@ -10,6 +10,11 @@ k + 1. Every node carries an upper and a lower bound of its optimal value:
 - below, the exact value of the best of N + 1 plans that heed no answer: each type's optimal one,
   and silence.
 
+What is learned at one belief serves all beliefs at its (k, H), as in point-based solvers: the value
+of a policy is linear in the belief, so its values for each type (an alpha vector) bound every
+belief's optimum from below; and the optimum is convex, so an upper bound at one belief bounds the
+others from above (the sawtooth). The latest few of both are kept for each (k, H).
+
 A trial walks from the root: at each node it takes the set with the best upper bound, then the
 answer with the largest probability-weighted gap, until the gap is small enough there, and backs
 both bounds up. Unlikely answers stay coarse, and the unlikeliest are not even told apart.
@@ -30,6 +35,12 @@ DONE, WORKING, FULL = 0, 1, 2
 CLOSED, NO_ROOM = -1, -2
 TAIL = 0.25
 """Share of the gap that may come from answers not told apart."""
+KEPT = 32
+"""Alpha vectors, and upper bounds, kept for each (k, H)."""
+NEWS = 0.01
+"""Share of the gap by which a bound must improve to be kept for the others."""
+IRRELEVANT = -1e30
+"""In an alpha vector, the value for a type that cannot be at its node."""
 ROUNDING = 1e-14
 """Differences below this are rounding."""
 
@@ -37,9 +48,10 @@ ROUNDING = 1e-14
 class Store(NamedTuple):
     """Nodes, their actions (sets of messages, then *explain*), these actions' answers.
 
-    ``used`` counts nodes, actions, answers, candidates, nodes opened, work done. A node not yet
-    opened has ``first`` −1, and so has an action not yet expanded. ``listed`` [m, 2^n, 2] holds
-    the first of the candidate sets of each (k, H), and their number; −1 before they are listed.
+    ``used`` counts nodes, actions, answers, candidates, places, nodes opened, work done. A node
+    not yet opened has ``first`` −1, and so has an action not yet expanded. A place is a (k, H)
+    where a node was opened; ``listed`` [m, 2^n, 3] holds its first candidate set, their number,
+    and its index; −1 before that.
     """
 
     used: NDArray[np.int64]
@@ -49,6 +61,7 @@ class Store(NamedTuple):
     evidence: NDArray[np.int64]
     upper: NDArray[np.float64]
     lower: NDArray[np.float64]
+    alpha: NDArray[np.float64]
     first: NDArray[np.int64]
     n_actions: NDArray[np.int64]
     action_set: NDArray[np.int64]
@@ -58,28 +71,35 @@ class Store(NamedTuple):
     action_first: NDArray[np.int64]
     action_answers: NDArray[np.int64]
     action_tail: NDArray[np.float64]
+    action_tail_alpha: NDArray[np.float64]
     answer_node: NDArray[np.int64]
     answer_probability: NDArray[np.float64]
     candidates: NDArray[np.int64]
+    place_count: NDArray[np.int64]
+    place_alpha: NDArray[np.float64]
+    place_set: NDArray[np.int64]
+    place_belief: NDArray[np.float64]
+    place_upper: NDArray[np.float64]
     listed: NDArray[np.int64]
     hash_table: NDArray[np.int64]
 
 
-NODES, ACTIONS, ANSWERS, CANDIDATES, OPENED, WORK = range(6)
+NODES, ACTIONS, ANSWERS, CANDIDATES, PLACES, OPENED, WORK = range(7)
 
 
 def make_store(tables: Tables, nodes: int = 1 << 10) -> Store:
     """An empty store."""
     types, steps, sets = tables.p.shape
-    actions, answers = max(4 * nodes, 2 * sets), 4 * nodes
+    actions, answers, places = max(4 * nodes, 2 * sets), 4 * nodes, 16
     return Store(
-        np.zeros(6, dtype=np.int64),
+        np.zeros(7, dtype=np.int64),
         np.zeros(nodes, dtype=np.int64),
         np.zeros(nodes, dtype=np.int64),
         np.zeros((nodes, types)),
         np.zeros((nodes, types), dtype=np.int64),
         np.zeros(nodes),
         np.zeros(nodes),
+        np.zeros((nodes, types)),
         np.zeros(nodes, dtype=np.int64),
         np.zeros(nodes, dtype=np.int64),
         np.zeros(actions, dtype=np.int64),
@@ -89,10 +109,16 @@ def make_store(tables: Tables, nodes: int = 1 << 10) -> Store:
         np.zeros(actions, dtype=np.int64),
         np.zeros(actions, dtype=np.int64),
         np.zeros((actions, 2)),
+        np.zeros((actions, types)),
         np.zeros(answers, dtype=np.int64),
         np.zeros(answers),
         np.zeros(actions, dtype=np.int64),
-        np.full((steps, sets, 2), -1, dtype=np.int64),
+        np.zeros((places, 2), dtype=np.int64),
+        np.zeros((places, KEPT, types)),
+        np.zeros((places, KEPT), dtype=np.int64),
+        np.zeros((places, KEPT, types)),
+        np.zeros((places, KEPT)),
+        np.full((steps, sets, 3), -1, dtype=np.int64),
         np.full(4 * nodes, -1, dtype=np.int64),
     )
 
@@ -101,6 +127,7 @@ def grown(store: Store) -> Store:
     """The same store with twice the room for whatever has used up half of it."""
     room = {NODES: len(store.step), ACTIONS: len(store.action_set)}
     room |= {ANSWERS: len(store.answer_node), CANDIDATES: len(store.candidates)}
+    room |= {PLACES: len(store.place_count)}
     short = {kind for kind, size in room.items() if 2 * store.used[kind] >= size}
     short = short or set(room)
 
@@ -120,7 +147,7 @@ def grown(store: Store) -> Store:
     return new
 
 
-_KIND = {"action": ACTIONS, "answer": ANSWERS, "candidates": CANDIDATES}
+_KIND = {"action": ACTIONS, "answer": ANSWERS, "candidates": CANDIDATES, "place": PLACES}
 """What an array of the store is about, by the first word of its name; the rest is about nodes."""
 
 
@@ -166,10 +193,13 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _best_plan(plans, weight):  # type: ignore[no-untyped-def]
-    best = -np.inf
+    """The plan that is worth the most at a belief."""
+    best, chosen = -np.inf, 0
     for u in range(plans.shape[0]):
-        best = max(best, _dot(weight, plans[u]))
-    return best
+        value = _dot(weight, plans[u])
+        if value > best:
+            best, chosen = value, u
+    return chosen
 
 
 @njit(cache=True, nogil=True)
@@ -197,8 +227,93 @@ def add_node(tables, store, step, given, weight, evidence):  # type: ignore[no-u
             later = tables.message_discount * _dot(belief, tables.values[step, more])
             upper = max(upper, later - tables.message_price[j])
     store.upper[node] = upper
-    store.lower[node] = min(_best_plan(tables.plans[step, given], belief), upper)
+    plans = tables.plans[step, given]
+    u = _best_plan(plans, belief)
+    store.alpha[node] = plans[u]
+    store.lower[node] = min(_dot(belief, plans[u]), upper)
+    _learn(tables, store, node)
     return node
+
+
+@njit(cache=True, nogil=True)
+def _learn(tables, store, node):  # type: ignore[no-untyped-def]
+    """Tightens a node's bounds by what other nodes at its (k, H) found out."""
+    step, given, belief = store.step[node], store.given[node], store.belief[node]
+    place = store.listed[step, given, 2]
+    if place < 0:
+        return
+    for i in range(min(store.place_count[place, 0], KEPT)):
+        value = _dot(belief, store.place_alpha[place, i])
+        if value > store.lower[node]:
+            store.lower[node] = min(value, store.upper[node])
+            store.alpha[node] = store.place_alpha[place, i]
+            # The policy takes the best action: the set that earns the bound must say so.
+            for a in range(store.first[node], store.first[node] + store.n_actions[node]):
+                if store.action_set[a] == store.place_set[place, i]:
+                    value = min(value, store.action_upper[a])
+                    store.action_lower[a] = max(store.action_lower[a], value)
+    known = tables.values[step, given]
+    for i in range(min(store.place_count[place, 1], KEPT)):
+        other = store.place_belief[place, i]
+        share = 1.0
+        for t in range(len(belief)):
+            if other[t] > 0.0:
+                share = min(share, belief[t] / other[t])
+        if share > 0.0:
+            value = share * store.place_upper[place, i]
+            for t in range(len(belief)):
+                value += (belief[t] - share * other[t]) * known[t]
+            store.upper[node] = min(store.upper[node], max(value, store.lower[node]))
+
+
+@njit(cache=True, nogil=True)
+def _teach(tables, store, node, upper, lower, news):  # type: ignore[no-untyped-def]
+    """Keeps a node's bounds for the others at its (k, H), if they are better than ``upper`` and
+    ``lower`` by ``news``."""
+    place = store.listed[store.step[node], store.given[node], 2]
+    if store.upper[node] < upper - news:
+        i = store.place_count[place, 1] % KEPT
+        store.place_belief[place, i] = store.belief[node]
+        store.place_upper[place, i] = store.upper[node]
+        store.place_count[place, 1] += 1
+    if store.lower[node] > lower + news:
+        best = store.first[node]
+        for a in range(best, best + store.n_actions[node]):
+            if store.action_lower[a] > store.action_lower[best]:
+                best = a
+        if store.action_first[best] < 0:
+            return
+        _alpha(tables, store, node, best)
+        i = store.place_count[place, 0] % KEPT
+        store.place_alpha[place, i] = store.alpha[node]
+        store.place_set[place, i] = store.action_set[best]
+        store.place_count[place, 0] += 1
+
+
+@njit(cache=True, nogil=True)
+def _alpha(tables, store, node, a):  # type: ignore[no-untyped-def]
+    """The value, for each type, of taking an expanded action and then what the answers' nodes'
+    alpha vectors stand for."""
+    step, belief, alpha = store.step[node], store.belief[node], store.alpha[node]
+    chosen = store.action_set[a]
+    shown = store.given[node] | chosen
+    begin = store.action_first[a]
+    alpha[:] = store.action_tail_alpha[a]
+    for o in range(begin, begin + store.action_answers[a]):
+        child = store.answer_node[o]
+        for t in range(len(belief)):
+            if store.belief[child, t] > 0.0:
+                weight = store.answer_probability[o] * store.belief[child, t]
+                alpha[t] += weight * store.alpha[child, t]
+    for t in range(len(belief)):
+        if belief[t] > 0.0:
+            now = (
+                tables.explain[step, shown, t] - tables.discount * tables.values[step + 1, shown, t]
+            )
+            alpha[t] = alpha[t] / belief[t] + tables.factor[chosen] * now - tables.price[chosen]
+        else:
+            alpha[t] = IRRELEVANT
+    store.used[WORK] += store.action_answers[a]
 
 
 @njit(cache=True, nogil=True)
@@ -208,7 +323,8 @@ def _list_candidates(tables, store, step, given):  # type: ignore[no-untyped-def
     sets = len(tables.price)
     types = tables.p.shape[0]
     begin = store.used[CANDIDATES]
-    if begin + sets > len(store.candidates):
+    place = store.used[PLACES]
+    if begin + sets > len(store.candidates) or place == len(store.place_count):
         return False
     plans = tables.plans[step, given]
     free = (sets - 1) & ~given
@@ -237,6 +353,8 @@ def _list_candidates(tables, store, step, given):  # type: ignore[no-untyped-def
             break
     store.listed[step, given, 0] = begin
     store.listed[step, given, 1] = end - begin
+    store.listed[step, given, 2] = place
+    store.used[PLACES] += 1
     store.used[CANDIDATES] = end
     store.used[WORK] += sets
     return True
@@ -275,7 +393,8 @@ def _open(tables, store, node):  # type: ignore[no-untyped-def]
         )
         store.action_lower[a] = store.action_upper[a]
         if not last:
-            value = store.action_base[a] + later * _best_plan(tables.plans[step + 1, shown], belief)
+            plans = tables.plans[step + 1, shown]
+            value = store.action_base[a] + later * _dot(belief, plans[_best_plan(plans, belief)])
             store.action_lower[a] = min(value, store.action_upper[a])
         lower = max(lower, store.action_lower[a])
     kept = begin
@@ -320,7 +439,8 @@ def _expand(tables, store, node, a, gap, out_weight, out_evidence, tail):  # typ
         if answers < 0:
             return False
         tail_upper = later * _dot(tail, tables.values[step + 1, shown])
-        tail_lower = later * _best_plan(tables.plans[step + 1, shown], tail)
+        plan = tables.plans[step + 1, shown, _best_plan(tables.plans[step + 1, shown], tail)]
+        tail_lower = later * _dot(tail, plan)
         if tail_upper - tail_lower <= gap or negligible == 0.0:
             break
         negligible = negligible * 0.2 if negligible > 1e-18 else 0.0
@@ -339,6 +459,7 @@ def _expand(tables, store, node, a, gap, out_weight, out_evidence, tail):  # typ
     store.action_answers[a] = answers
     store.action_tail[a, 0] = tail_upper
     store.action_tail[a, 1] = tail_lower
+    store.action_tail_alpha[a] = later * tail * plan
     return True
 
 
@@ -387,6 +508,7 @@ def search(tables, store, root, gap, max_opened, work, out_weight, out_evidence)
     """
     steps = tables.p.shape[1]
     nodes = np.empty(steps, dtype=np.int64)
+    gaps = np.empty(steps)
     actions = np.empty(steps, dtype=np.int64)
     tail = np.empty(tables.p.shape[0])
     tail_gap = gap * TAIL / steps
@@ -396,10 +518,11 @@ def search(tables, store, root, gap, max_opened, work, out_weight, out_evidence)
     while _gap(store, root) > gap and store.used[OPENED] < max_opened:
         if store.used[WORK] >= stop:
             return WORKING
-        before = store.upper[root], store.lower[root], store.used[OPENED], store.used[ANSWERS]
+        found = store.used[OPENED], store.used[ANSWERS]
         level, node, allowed = 0, root, gap * (1.0 - TAIL)
         while True:
-            nodes[level] = node
+            nodes[level], gaps[level] = node, _gap(store, node)
+            last = level
             action = _settle(tables, store, node, allowed, tail_gap, out_weight, out_evidence, tail)
             if action < 0:
                 break
@@ -410,11 +533,15 @@ def search(tables, store, root, gap, max_opened, work, out_weight, out_evidence)
             if node < 0:
                 break
         for d in range(level - 1, -1, -1):
+            upper, lower = store.upper[nodes[d]], store.lower[nodes[d]]
             _back_up(store, nodes[d], actions[d])
+            _teach(tables, store, nodes[d], upper, lower, NEWS * gap)
         if action == NO_ROOM:
             return FULL
-        after = store.upper[root], store.lower[root], store.used[OPENED], store.used[ANSWERS]
-        if after == before:
+        moved = found != (store.used[OPENED], store.used[ANSWERS])
+        for d in range(last + 1):
+            moved = moved or _gap(store, nodes[d]) < gaps[d]
+        if not moved:
             return DONE  # rounding is all that is left
     return DONE
 
@@ -428,6 +555,7 @@ def _settle(tables, store, node, allowed, tail_gap, out_weight, out_evidence, ta
     """
     if store.first[node] < 0 and not _open(tables, store, node):
         return NO_ROOM
+    _learn(tables, store, node)
     while _gap(store, node) > allowed and store.step[node] < tables.p.shape[1] - 1:
         action = _best_action(store, node)
         if store.action_first[action] >= 0:
