@@ -89,7 +89,7 @@ class POMCP:
     simulations: int = 10_000
     depth: int | None = 3
     depth_unit: Literal["actions", "steps"] = "actions"
-    exploration: float = 16.0
+    exploration: float = 8.0
     leaf: Literal["max_of_mean", "mean_of_max"] = "max_of_mean"
     rollout: Literal["random", "qmdp", "silent"] = "qmdp"
     backup: Literal["mean", "max"] = "max"
