@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ class Clustering:
         curve: [K] disagreements for k = 1 … K; None where the method draws no such curve.
         vectors: [O] int64 smallest message set of each observer; None where not computed.
         posterior: P(number of types = k) by k; None where the method gives no posterior.
-        extras: further numbers of the method, for the record.
+        model: what the method learned, where it can place a new observer (see :class:`Places`).
     """
 
     assignment: NDArray[np.int64]
@@ -50,7 +50,7 @@ class Clustering:
     curve: NDArray[np.int64] | None = None
     vectors: NDArray[np.int64] | None = None
     posterior: Mapping[int, float] | None = None
-    extras: Mapping[str, Any] = field(default_factory=dict)
+    model: Places | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "assignment", by_first_appearance(self.assignment))
@@ -63,6 +63,20 @@ class Clustering:
     def members(self, cluster: int) -> NDArray[np.int64]:
         """The observers of a cluster."""
         return np.flatnonzero(self.assignment == cluster)
+
+
+class Places(Protocol):
+    """Says of which type a new observer is."""
+
+    def place(
+        self,
+        features: NDArray[np.float64],
+        message_sets: NDArray[np.int64],
+        labels: NDArray[np.uint8],
+    ) -> NDArray[np.float64]:
+        """P(type | the labels [P] of transitions [P, F] under message sets [P]): [N + 1], the last
+        of "none of these"."""
+        ...
 
 
 class Clusterer(Protocol):

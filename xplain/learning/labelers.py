@@ -85,11 +85,11 @@ class Labeler:
             return np.asarray(self._of_leaves()[self.classifier.apply(x)])
         if not self.calibrated:
             return self._of_labels(self.classifier.predict(x))
-        return self._shrunk(_share_of_ones(self.classifier, self.classifier.predict_proba(x)))
+        return self._shrunk(share_of_ones(self.classifier, self.classifier.predict_proba(x)))
 
     def _of_leaves(self) -> NDArray[np.float64]:
         """[nodes] P(label = 1) in each node of the tree."""
-        share = _share_of_ones(self.classifier, self.classifier.tree_.value[:, 0, :])
+        share = share_of_ones(self.classifier, self.classifier.tree_.value[:, 0, :])
         if not self.calibrated:
             largest = self.classifier.tree_.value[:, 0, :].argmax(axis=1)
             return self._of_labels(self.classifier.classes_[largest])
@@ -168,7 +168,13 @@ class LabelerTrainer:
             calibrated=self.confidence == "leaf",
         )
 
-    def fitted(self, x: NDArray[np.float32], y: NDArray[np.uint8], seed: int) -> Any:
+    def fitted(
+        self,
+        x: NDArray[np.float32],
+        y: NDArray[np.uint8],
+        seed: int,
+        weight: NDArray[np.float64] | None = None,
+    ) -> Any:
         """A fitted clone of the classifier; a constant one where all labels are equal."""
         from sklearn.base import clone
         from sklearn.tree import DecisionTreeClassifier
@@ -177,7 +183,8 @@ class LabelerTrainer:
         model = clone(self.classifier) if y.min() != y.max() else DecisionTreeClassifier()
         state = derived_seed(seed, "labeler", "classifier") & 0xFFFFFFFF
         names = [name for name in model.get_params() if name.split("__")[-1] == "random_state"]
-        return model.set_params(**dict.fromkeys(names, state)).fit(x, y)
+        model.set_params(**dict.fromkeys(names, state))
+        return model.fit(x, y) if weight is None else model.fit(x, y, sample_weight=weight)
 
 
 def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:
@@ -205,7 +212,7 @@ def points(dataset: Dataset) -> NDArray[np.int64]:
     return number
 
 
-def _share_of_ones(classifier: Any, shares: NDArray[np.float64]) -> NDArray[np.float64]:
+def share_of_ones(classifier: Any, shares: NDArray[np.float64]) -> NDArray[np.float64]:
     """The column of class 1 in shares [*, classes]; 0 where no such class was seen."""
     where = np.flatnonzero(classifier.classes_ == 1)
     return shares[:, where[0]] if len(where) else np.zeros(len(shares))
