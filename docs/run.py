@@ -6,7 +6,8 @@
 In a `console` block a line that begins with `$ ` is a command (`\\` at its end continues it), the
 lines below it are its standard output; `...` stands for lines left out. Shown and real output may
 differ in digits, bars and blanks: figures depend on versions and machines. A `python` block is run
-as printed, after the blocks above it; what it prints is the `text` block that follows it.
+as printed, after the blocks above it; what it prints is the `text` block that follows it. A block
+that begins with "```python path/of/a/file" shows that file.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FILE = re.compile(r"^(```\w+ (\S+)\n)(.*?)(^```$)", re.MULTILINE | re.DOTALL)
+"""A block that shows a file of the repository."""
 LEFT_OUT = "..."
 SERVERS = ("mlflow ui", "python -m xplain.study")
 """Commands that run until they are stopped; other tests start these."""
@@ -53,11 +56,20 @@ def main() -> int:
     for name in [argument for argument in sys.argv[1:] if argument != "--write"]:
         document = Path(name)
         text = document.read_text(encoding="utf-8")
+        if write:
+            text = with_files(text)
+        elif text != with_files(text):
+            raise DocsError(f"{name} shows a file that has changed: --write")
         with tempfile.TemporaryDirectory() as folder:
             blocks = ran(text, Path(folder), compare=not write)
         if write:
             document.write_text(rewritten(text, blocks), encoding="utf-8")
     return 0
+
+
+def with_files(text: str) -> str:
+    """The document with the files that it shows as they are now."""
+    return FILE.sub(lambda b: b[1] + (ROOT / b[2]).read_text(encoding="utf-8") + b[4], text)
 
 
 def blocks_of(text: str) -> list[tuple[re.Match[str], list[Piece]]]:
@@ -101,6 +113,7 @@ def ran(text: str, folder: Path, compare: bool) -> list[tuple[re.Match[str], lis
     env = os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "100", "PYTHONIOENCODING": "utf-8"}
     env["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), env.get("PATH", "")])
     env.pop("MLFLOW_TRACKING_URI", None)
+    (folder / "examples").symlink_to(ROOT / "examples")
     for _, pieces in found:
         for piece in pieces:
             if piece.command.startswith(SERVERS):
@@ -141,12 +154,13 @@ def differs(shown: list[str], real: list[str]) -> str:
             return f"shown: {line!r}\nreal:  {(rest or ['(nothing more)'])[0]!r}"
         rest.pop(0)
         skipping = False
-    return "" if skipping or not rest or not shown else f"not shown: {rest[0]!r}"
+    return "" if skipping or not rest else f"not shown: {rest[0]!r}"
 
 
 def masked(line: str) -> str:
     """A line without what may differ: digits, signs before them, bars, rules, blanks, ids."""
     line = re.sub(r"\b[0-9a-f]{6,}\b", "#", line)
+    line = re.sub(r"\((exact|± [\d.]+)\)", "", line)
     line = re.sub(r"[-−+]?\d[\d.,:]*%?", "#", line)
     line = re.sub(r"[█─━╭╮╰╯│↑↓]+", "", line)
     return " ".join(line.split())
@@ -168,10 +182,8 @@ def rewritten(text: str, found: list[tuple[re.Match[str], list[Piece]]]) -> str:
 
 
 def _cut(shown: list[str], real: list[str]) -> list[str]:
-    """Real output, leaving out as many lines as was shown to be left out; none where none was."""
+    """Real output, without what is shown to be left out."""
     gaps = [i for i, line in enumerate(shown) if line.strip() == LEFT_OUT]
-    if not shown:
-        return []
     if not gaps:
         return real
     head, tail = gaps[0], len(shown) - gaps[-1] - 1

@@ -33,6 +33,12 @@ def test_every_command_and_program_does_what_is_shown(page, tmp_path):
     run.ran(page.read_text(encoding="utf-8"), tmp_path, compare=True)
 
 
+def test_files_are_shown_as_they_are():
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert text == run.with_files(text), f"python docs/run.py --write {page.name}"
+
+
 def test_no_command_hides_in_a_block_that_is_not_run():
     """Commands of ours stand in `console` blocks, or in words of a sentence."""
     for page in PAGES:
@@ -104,7 +110,8 @@ def test_code_named_in_the_docs_exists():
         (["a", "...", "z"], ["a", "b", "c"], False),
         (["a"], ["a", "b"], False),
         (["...", "b"], ["a", "b"], True),
-        ([], ["a"], True),
+        ([], ["a"], False),
+        (["..."], ["a"], True),
     ],
 )
 def test_outputs_are_compared_in_words_not_in_figures(shown, real, same):
@@ -118,8 +125,10 @@ def test_a_false_command_or_output_is_found(tmp_path):
         "```python\nprint(1)\n```\n\n```text\nx\n```",
         "```python\n1 / 0\n```",
     ):
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        folder.mkdir()
         with pytest.raises(run.DocsError):
-            run.ran(false + "\n", tmp_path, compare=True)
+            run.ran(false + "\n", folder, compare=True)
     text = "```console\n$ echo one\ntwo\n```\n"
     assert run.rewritten(text, run.ran(text, tmp_path, compare=False)) == (
         "```console\n$ echo one\none\n```\n"
