@@ -70,8 +70,14 @@ def test_the_wheel_carries_what_the_commands_need(installed, tmp_path):
         assert shipped
     for page in (ROOT / "xplain").rglob("*.html"):
         assert (installed / page.relative_to(ROOT)).exists()
-    said = ran(sys.executable, "-m", "xplain", "--cfg", "job", **elsewhere(installed, tmp_path))
-    assert "trade" in said or "lambda" in said
+    where = elsewhere(installed, tmp_path)
+    assert "lambda: 1.0" in ran(sys.executable, "-m", "xplain", "--cfg", "job", **where)
+    said = ran(
+        *(sys.executable, "-m", "xplain", "sweeps=smoke", "traces=1", "certify.traces=0"),
+        "hydra.sweeper.settings=null",
+        **where,
+    )
+    assert "QHR" in said
 
 
 def test_examples_test_themselves_in_three_lines():
