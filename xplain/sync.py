@@ -1,6 +1,7 @@
 """Sends results on disk to MLflow: ``python -m xplain.sync [FOLDER ...] [tracking.uri=URI]``.
 
-Without folders, every result below ``outputs/``. What is in MLflow already is not sent again.
+Without folders, every result below ``outputs/``. Sweeps arrive as a parent with its children.
+What is in MLflow already is not sent again.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from hydra.utils import instantiate
 from xplain.command_line import CONF, prepare, report_errors
 from xplain.errors import InputError
 from xplain.storage import RESULTS
+from xplain.sweep.folder import SWEEP, SweepFolder
+from xplain.sweep.mirror import Mirror
 from xplain.tracking import MLflow, log_folder
 
 
@@ -24,26 +27,38 @@ def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
         InputError: a folder is not there, or holds no results.
         OSError, MlflowException: the store cannot be reached.
     """
-    found: list[Path] = []
+    sweeps: dict[Path, int] = {}
+    alone: list[Path] = []
     for folder in folders:
         below = sorted(path.parent for path in folder.rglob(RESULTS))
         if not below:
             raise InputError("folder", str(folder), f"a folder with {RESULTS} in it or below")
-        found += below
+        for result in below:
+            sweep = result.parents[1]
+            if result.parent.name == "jobs" and (sweep / SWEEP).exists():
+                sweeps[sweep] = sweeps.get(sweep, 0) + 1
+            else:
+                alone.append(result)
     with tracking.client(outputs) as (client, experiment_id):
-        for folder in found:
-            log_folder(client, experiment_id, folder)
-    return len(found)
+        for result in alone:
+            log_folder(client, experiment_id, result)
+    for path in sweeps:
+        folder = SweepFolder(path)
+        with folder.alone(f"{folder.identity}: it is running; waiting for its end"):
+            Mirror(tracking, outputs, folder, folder.jobs()).send()
+    return len(alone) + sum(sweeps.values())
 
 
 def main() -> None:
     """The command line."""
     prepare()
     with report_errors(), initialize_config_dir(str(CONF), version_base="1.3"):
-        overrides = [word for word in sys.argv[1:] if "=" in word]
-        cfg = compose("config", ["tracking=mlflow", *overrides])
+        words = sys.argv[1:]
+        # Names of jobs' folders have an equals sign as well.
+        named = [word for word in words if Path(word).exists() or "=" not in word]
+        cfg = compose("config", ["tracking=mlflow", *(w for w in words if w not in named)])
         outputs = Path(cfg.outputs)
-        folders = [Path(word) for word in sys.argv[1:] if "=" not in word] or [outputs]
+        folders = [Path(word) for word in named] or [outputs]
         count = sync(folders, outputs, instantiate(cfg.tracking))
         print(f"{count} results in MLflow")
 

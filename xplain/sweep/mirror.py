@@ -113,6 +113,24 @@ class Mirror:
         self._try(lambda: self._finish(status, summary, report))
         return self._links() if self._client is not None else []
 
+    def send(self) -> None:
+        """Brings MLflow to the state on disk, in one go, raising what goes wrong.
+
+        Raises:
+            OSError, MlflowException: the store cannot take it.
+        """
+        from xplain.report.sweep import Summary
+
+        self._start()
+        states = {self.folder.state(job) for job in self.jobs}
+        status = "KILLED"
+        if states == {"finished"}:
+            status = "FINISHED"
+        elif "failed" in states:
+            status = "FAILED"
+        report = self.folder.path / "report"
+        self._finish(status, Summary(self.folder.path), report if report.is_dir() else None)
+
     def _try(self, step: Any) -> None:
         with self._lock:
             if self._client is None and self._parent:
