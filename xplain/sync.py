@@ -43,9 +43,9 @@ def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
         for result in alone:
             log_folder(client, experiment_id, result)
     for path in sweeps:
-        folder = SweepFolder(path)
-        with folder.alone(f"{folder.identity}: it is running; waiting for its end"):
-            Mirror(tracking, outputs, folder, folder.jobs()).send()
+        sweep_folder = SweepFolder(path)
+        with sweep_folder.alone(f"{path.name}: it is running; waiting for its end"):
+            Mirror(tracking, outputs, sweep_folder, sweep_folder.jobs()).send()
     return len(alone) + sum(sweeps.values())
 
 

@@ -18,6 +18,7 @@ TINY = (
     "users.count=2",
     "traces=1",
     "max_steps=5",
+    "certify.traces=0",
     "solver=qmdp,qhr",
     "lambda=0.5,1,2",
 )
@@ -26,19 +27,19 @@ TINY = (
 
 def environment() -> dict[str, str]:
     """Of a fresh shell: no tracking server."""
-    paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
+    paths = [str(ROOT), ".", os.environ.get("PYTHONPATH", "")]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
     env.pop("MLFLOW_TRACKING_URI", None)
     return env
 
 
-def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+def start(folder: Path, *arguments: str, module: str = "xplain") -> subprocess.Popen[str]:
     """``python -m xplain …`` in this folder, leader of a process group."""
     folder.mkdir(parents=True, exist_ok=True)
     # A file, not a pipe: nobody waits for orphans that hold it open.
     with (folder / "output.txt").open("w") as output:
         return subprocess.Popen(
-            [sys.executable, "-m", "xplain", *arguments],
+            [sys.executable, "-m", module, *arguments],
             cwd=folder,
             env=environment(),
             stdout=output,
@@ -52,6 +53,11 @@ def run(folder: Path, *arguments: str) -> tuple[int, str]:
     """Exit code and all output."""
     process = start(folder, *arguments)
     return wait(folder, process)
+
+
+def run_module(folder: Path, module: str, *arguments: str) -> tuple[int, str]:
+    """``python -m module …``: exit code and all output."""
+    return wait(folder, start(folder, *arguments, module=module))
 
 
 def wait(folder: Path, process: subprocess.Popen[str]) -> tuple[int, str]:
@@ -102,9 +108,8 @@ def sweep_folder(folder: Path) -> Path:
 def tables(folder: Path) -> dict[str, bytes]:
     """The final tables, byte by byte."""
     report = sweep_folder(folder) / "report"
-    return {path.name: path.read_bytes() for path in sorted(report.glob("*.[cmt][sde][vx]*"))} | {
-        "table1.md": (report / "table1.md").read_bytes()
-    }
+    names = ("table1.md", "table1.tex", "table1.csv", "differences.csv")
+    return {name: (report / name).read_bytes() for name in names}
 
 
 def database(folder: Path) -> sqlite3.Connection:

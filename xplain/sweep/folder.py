@@ -106,6 +106,10 @@ class SweepFolder:
             self.clear(job)
         return self.state(job)
 
+    def worker(self, job: Job) -> str:
+        """Host and number of the process that ran the job."""
+        return (self.of(job) / STARTED).read_text(encoding="utf-8")
+
     def failure(self, job: Job) -> dict[str, str]:
         """Error and traceback of a failed job."""
         content: dict[str, str] = json.loads((self.of(job) / FAILURE).read_text(encoding="utf-8"))

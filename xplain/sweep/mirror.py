@@ -43,6 +43,9 @@ SWEEP_TAG = "xplain.sweep"
 VIEW = "workflowType=machine_learning"
 """MLflow's page of runs opens in another mode without it."""
 
+Links = list[tuple[str, str]]
+"""(words, address)."""
+
 COMPARABLE = 100
 """Runs whose comparison still fits into a link."""
 
@@ -65,7 +68,7 @@ class NoMirror:
     def update(self, job: Job, state: State) -> None:
         """Does nothing."""
 
-    def finish(self, status: str, summary: Summary | None, report: Path | None) -> list[str]:
+    def finish(self, status: str, summary: Summary | None, report: Path | None) -> Links:
         """Does nothing."""
         return []
 
@@ -99,7 +102,9 @@ class Mirror:
         """A job changed its state."""
         self._try(lambda: self._update(job, state))
 
-    def finish(self, status: str, summary: Summary | None, report: Path | None) -> list[str]:
+    def finish(
+        self, status: str, summary: Summary | None, report: Path | None
+    ) -> list[tuple[str, str]]:
         """Brings every child and the parent into their final state.
 
         Args:
@@ -108,7 +113,7 @@ class Mirror:
             report: folder of files for the parent.
 
         Returns:
-            Lines for people: where to look.
+            (words, address): where to look.
         """
         self._try(lambda: self._finish(status, summary, report))
         return self._links() if self._client is not None else []
@@ -241,22 +246,24 @@ class Mirror:
             client.log_batch(self._parent, metrics[first : first + 900])
         client.set_tag(self._parent, "mlflow.note.content", summary.note())
 
-    def _links(self) -> list[str]:
+    def _links(self) -> Links:
         uri = self.tracking.tracking_uri(self.outputs)
-        base, lines = uri.rstrip("/"), []
+        base, links = uri.rstrip("/"), []
         if not uri.startswith("http"):
             base = "http://127.0.0.1:5000"
-            lines.append(f"see it with: mlflow ui --backend-store-uri {uri}")
+            log.info("see it in MLflow with: mlflow ui --backend-store-uri %s", uri)
         page = f"{base}/#/experiments/{self._experiment}/runs"
-        lines.append(f"the sweep, its curves and table: {page}/{self._parent}")
         filtered = quote(f"tags.`mlflow.parentRunId` = '{self._parent}'")
-        lines.append(f"its runs as a table: {page}?searchFilter={filtered}&{VIEW}")
+        links = [
+            ("the sweep, its curves and table", f"{page}/{self._parent}"),
+            ("its runs as a table", f"{page}?searchFilter={filtered}&{VIEW}"),
+        ]
         ids = [run_id for run_id, status in self._children.values() if status == "FINISHED"]
         if 1 < len(ids) <= COMPARABLE:
             runs, experiments = quote(_json(ids)), quote(_json([self._experiment]))
             address = f"{base}/#/compare-runs?runs={runs}&experiments={experiments}"
-            lines.append(f"its runs compared: {address}")
-        return lines
+            links.append(("its runs compared", address))
+        return links
 
 
 _STATUS = {"running": "RUNNING", "finished": "FINISHED", "failed": "FAILED", "waiting": ""}

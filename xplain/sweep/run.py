@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 import time
@@ -17,6 +18,8 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from hydra.utils import instantiate
 from omegaconf import DictConfig, open_dict
+from rich.console import Console
+from rich.style import Style
 
 from xplain import storage
 from xplain.errors import InputError
@@ -102,9 +105,7 @@ class Run:
         self, plan: Plan, folder: SweepFolder, tracking: Any, outputs: Path, resume: str
     ) -> None:
         self._plan, self._folder, self._resume = plan, folder, resume
-        self._mirror = mirror_of(
-            tracking, outputs, folder, plan.jobs, fresh=resume == "none"
-        )
+        self._mirror = mirror_of(tracking, outputs, folder, plan.jobs, fresh=resume == "none")
         if resume == "none":
             for job in plan.jobs:
                 folder.clear(job)
@@ -117,8 +118,7 @@ class Run:
         for job in self._todo:
             folder.clear(job)
         self._done_before = sum(state == "finished" for _, state in states)
-        self._began = time.monotonic()
-        self._links: list[str] = []
+        self._links: list[tuple[str, str]] = []
         self._summary: Summary | None = None
 
     def through(self, launch: Callable[[list[Job]], None]) -> None:
@@ -187,6 +187,22 @@ class Run:
                     len(fresh) + len(suspects),
                 )
 
+    def _shares(self) -> str:
+        """How much of the workers' time went into the method, and how much into the rest."""
+        inside, workers = 0.0, set()
+        for job in self._todo:
+            if self._folder.state(job) == "finished":
+                inside += sum(storage.load_results(self._folder.of(job))["seconds"].values())
+                workers.add(self._folder.worker(job))
+        if not workers:
+            return "no job ran"
+        share = min(1.0, inside / (len(workers) * age()))
+        return (
+            f"time of {len(workers)} worker{'s' if len(workers) > 1 else ''}: {share:.0%} in the "
+            f"method itself, {1 - share:.0%} in all else (start, configuration, waiting, MLflow, "
+            "report)"
+        )
+
     @property
     def failed(self) -> list[Job]:
         """Jobs that failed."""
@@ -200,8 +216,8 @@ class Run:
             print_sweep(self._summary)
         total = len(self._plan.jobs)
         finished = sum(self._folder.state(job) == "finished" for job in self._plan.jobs)
-        seconds = time.monotonic() - self._began
-        log.info("%d of %d jobs finished, %s", finished, total, duration(seconds))
+        log.info("%d of %d jobs finished, %s", finished, total, duration(age()))
+        log.info(self._shares())
         for job in self.failed:
             log.info("failed: %s: %s", job.label, self._folder.failure(job)["error"])
             log.info("  %s", self._folder.of(job))
@@ -209,8 +225,9 @@ class Run:
             log.info("run them again: the same command with resume=failed")
         elif finished < total:
             log.info("run the others: the same command without resume=%s", self._resume)
-        for line in (f"report: {self._folder.path / 'report' / 'index.html'}", *self._links):
-            log.info(line)
+        log.info("report: %s", self._folder.path / "report" / "index.html")
+        for words, address in self._links:
+            show_link(words, address)
 
 
 def _launch(
@@ -233,6 +250,7 @@ def _launch(
             f"hydra.sweep.subdir='jobs/{job.name}'",
             # On the terminal the sweep speaks as a whole; what a job says is in its folder.
             "hydra.job_logging.root.handlers=[file]",
+            "hydra.output_subdir=null",  # config.yaml is beside the results
         ]
         for job in jobs
     ]
@@ -266,6 +284,27 @@ def _terminable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def age() -> float:
+    """Seconds since this process started, imports and all; where the system does not tell,
+    since this module was imported."""
+    try:
+        birth = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
+        return time.clock_gettime(time.CLOCK_BOOTTIME) - birth / os.sysconf("SC_CLK_TCK")
+    except (OSError, AttributeError):
+        return time.time() - _IMPORTED
+
+
+_IMPORTED = time.time()
+
+
+def show_link(words: str, address: str) -> None:
+    """A link behind its words where the terminal can, else written out."""
+    if sys.stderr.isatty():
+        Console(stderr=True).print(words, style=Style(link=address))
+    else:
+        log.info("%s: %s", words, address)
 
 
 def _short(error: BaseException | None) -> str:
