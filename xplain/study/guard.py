@@ -6,8 +6,10 @@ import hmac
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 from flask import Response
 
@@ -37,6 +39,35 @@ def secure(response: Response, https: bool, kept: bool) -> Response:
         response.headers["Strict-Transport-Security"] = "max-age=31536000"
     response.headers["Cache-Control"] = "public, max-age=3600" if kept else "no-store"
     return response
+
+
+@dataclass(frozen=True)
+class ReadToTheEnd:
+    """Reads what is left of a request's body before the answer is sent.
+
+    A server that answers early may read the last bytes of an unread body together with the next
+    request on the connection, and then wait for ever for a request that it has already got. Bodies
+    too large to be read like this end the connection.
+
+    Attributes:
+        application: WSGI.
+        patience: seconds to wait for the next bytes of a slow sender.
+    """
+
+    application: Callable[..., Iterable[bytes]]
+    patience: float = 10.0
+
+    def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Any:
+        """As WSGI has it."""
+        if connection := environ.get("gunicorn.socket"):
+            connection.settimeout(self.patience)
+        answer = self.application(environ, start_response)
+        left = 16 * MAX_BODY
+        # A sender that stalls or goes away here gets its answer all the same.
+        with suppress(OSError):
+            while left > 0 and (read := environ["wsgi.input"].read(min(left, MAX_BODY))):
+                left -= len(read)
+        return answer
 
 
 @dataclass

@@ -137,6 +137,7 @@ def create_app(store: Store, server: Server) -> Flask:
     app.register_blueprint(researcher_pages)
     if server.proxies:
         app.wsgi_app = ProxyFix(app.wsgi_app, server.proxies, server.proxies)  # type: ignore[method-assign]
+    app.wsgi_app = guard.ReadToTheEnd(app.wsgi_app)  # type: ignore[method-assign]
     return app
 
 

@@ -1,0 +1,148 @@
+"""Load on the study's server: many participants at once, on this machine.
+
+    python benchmarks/study_load.py            200 participants, thinking 2 to 10 s between pages
+    python benchmarks/study_load.py --quick    20 participants, thinking 0.2 to 1 s
+
+Prints percentiles of the time that a page takes, from the click to the last byte of the next page
+(the answer is stored, then the page is rendered), and of single requests; exits with 1 on any
+error. The participants run in this process and take their share of the machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import http.client
+import json
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from tests.study.server import ServerProcess
+from xplain.study.bots import Researcher
+from xplain.study.command_line import composed
+from xplain.study.people import Habits, Person
+from xplain.study.plan import StudyPlan
+from xplain.study.prepare import study_of, study_plan
+from xplain.study.store import Store
+from xplain.study.visitor import Browser, Page, fill
+
+Times = list[float]
+
+
+class Participant(threading.Thread):
+    """Enters, thinks, answers; loads the page's files, and reports as a page with scripts does."""
+
+    def __init__(
+        self,
+        url: str,
+        plan: StudyPlan,
+        invitation: str,
+        number: int,
+        wait: float,
+        think: tuple[float, float],
+    ) -> None:
+        super().__init__(daemon=True)
+        self.browser = Browser(url, patience=0)
+        self.person = Person(plan, Habits(0, 0, 0, 0, mistake=0), np.random.default_rng(number))
+        self.rng = np.random.default_rng([number, 1])
+        self.invitation, self.wait, self.think = invitation, wait, think
+        self.pages: Times = []
+        self.error = ""
+
+    def run(self) -> None:
+        """The whole study; an error ends it and is kept."""
+        time.sleep(self.wait)
+        try:
+            self._take_part()
+        except (OSError, http.client.HTTPException, AssertionError, KeyError) as error:
+            self.error = f"{type(error).__name__}: {error}"
+        finally:
+            self.browser.close()
+
+    def _take_part(self) -> None:
+        _, html = self._page("GET", f"/?invitation={self.invitation}", [])
+        for file in ("study.css", "study.js", "robot.svg"):
+            self.browser.get(f"/static/{file}")
+        fields = [*Page(html).hidden.items(), ("invitation", self.invitation)]
+        status, html = self._page("POST", "/enter", fields)
+        number = 0
+        while (page := Page(html)).hidden:
+            self._report(page, number)
+            number += 1
+            time.sleep(self.rng.uniform(*self.think))
+            fields = [*page.hidden.items(), *fill(self.person, page)[0]]
+            status, html = self._page("POST", "/study", fields)
+            assert status == 200, f"{status} at {page.stage}"
+        assert page.stage == "done", page.stage
+
+    def _page(self, method: str, path: str, fields: list[tuple[str, str]]) -> tuple[int, str]:
+        start = time.perf_counter()
+        answer = self.browser.get(path) if method == "GET" else self.browser.post(path, fields)
+        self.pages.append(time.perf_counter() - start)
+        return answer
+
+    def _report(self, page: Page, number: int) -> None:
+        items = [{"n": number, "kind": "visible", "ms": 5.0, "at": 5.0, "what": page.stage}]
+        body = {"token": page.hidden["token"], "tab": "0123456789abcdef", "items": items}
+        status, _, _ = self.browser.once("POST", "/events", json.dumps(body))
+        assert status == 200, f"{status} for a report"
+
+
+def percentiles(times: Times) -> str:
+    """Median, 95 %, 99 %, worst, in milliseconds."""
+    marks = np.percentile(times, [50, 95, 99, 100]) * 1000
+    return "  ".join(
+        f"{name} {mark:.0f} ms"
+        for name, mark in zip(("p50", "p95", "p99", "max"), marks, strict=True)
+    )
+
+
+def measure(people: int, think: tuple[float, float], ramp: float) -> int:
+    """Runs and prints; how many participants met an error."""
+    plan = study_plan(composed(["observers.points=150", "trace.candidates=40"]))
+    with tempfile.TemporaryDirectory() as folder:
+        database = Path(folder) / "study.sqlite"
+        Store(database, study_of(plan)).close()
+        with ServerProcess(database) as server:  # with the limits that it has by default
+            invitations = Researcher(server.url, server.key).invite(people)
+            rng = np.random.default_rng(0)
+            crowd = [
+                Participant(server.url, plan, token, number, rng.uniform(0, ramp), think)
+                for number, token in enumerate(invitations)
+            ]
+            start = time.perf_counter()
+            for one in crowd:
+                one.start()
+            for one in crowd:
+                one.join()
+            took = time.perf_counter() - start
+    pages = [t for one in crowd for t in one.pages]
+    requests = [t for one in crowd for t, _ in one.browser.timings]
+    errors = [one.error for one in crowd if one.error]
+    errors += [str(s) for one in crowd for _, s in one.browser.timings if s >= 400]
+    print(f"{people} participants at once, thinking {think[0]:g} to {think[1]:g} s, {took:.0f} s")
+    print(f"{len(pages):6d} pages     {percentiles(pages)}")
+    print(f"{len(requests):6d} requests  {percentiles(requests)}  ({len(requests) / took:.0f} /s)")
+    print(f"{len(errors):6d} errors    {'; '.join(sorted(set(errors))[:5])}")
+    return len(errors)
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--people", type=int, default=200)
+    given = parser.parse_args()
+    if given.quick:
+        sys.exit(measure(20, (0.2, 1.0), 1.0) > 0)
+    sys.exit(measure(given.people, (2.0, 10.0), 8.0) > 0)
+
+
+if __name__ == "__main__":
+    main()
