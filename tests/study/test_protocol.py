@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,15 @@ from xplain.study.plan import Study, StudyPlan
 from xplain.study.protocol import Refused, State
 
 ORDERS = {"eligibility": (2, 0, 1, 3), "quiz": (3, 2, 1, 0)}
+
+
+def test_the_protocol_knows_no_web_no_store_no_configuration() -> None:
+    script = "import sys, xplain.study.protocol; print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    outer = {"flask", "werkzeug", "sqlite3", "hydra", "omegaconf", "gunicorn", "http.server"}
+    assert not outer & set(done.stdout.split())
 
 
 def at_evaluation(study: Study, user_type: int, condition: str) -> State:

@@ -163,19 +163,15 @@ def test_kill_9_twenty_times_under_eight_participants(
     _everything_replays(database, capsys)
 
 
-def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def fill_every_place(study: Study, path: Path, habits: Habits) -> Counter[str]:
     """People's places, filled over HTTP by simulated people some of whom drop out for good."""
-    rules = {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 0.04, "recall": True}
-    study = street_study(rules=rules)
-    path = tmp_path / "study.sqlite"
     Store(path, study).close()
+    places = len(study.plan.cells) * study.plan.rules.per_cell
     stages: Counter[str] = Counter()
     with ServerProcess(path, *RATE) as server:
-        researcher = Researcher(server.url, server.key)
-        invitations = researcher.invite(200, "person")
+        invitations = Researcher(server.url, server.key).invite(400, "person")
 
         def one(number: int) -> str:
-            habits = Habits(leaving=0.03, mistake=0.03)
             person = Person(study.plan, habits, np.random.default_rng(number))
             try:
                 return visit(Browser(server.url), person, invitations.pop())
@@ -186,15 +182,48 @@ def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFix
                 return "full"
 
         with ThreadPoolExecutor(4) as pool:
-            while stages["done"] < 12:
-                stages.update(pool.map(one, range(sum(stages.values()), sum(stages.values()) + 4)))
-        assert stages["left"] > 0
-    export(path, tmp_path / "out")
-    people = pd.read_csv(tmp_path / "out" / "participants.csv")
+            while stages["done"] < places:
+                begun = sum(stages.values())
+                stages.update(pool.map(one, range(begun, begun + 4)))
+    return stages
+
+
+def every_cell_is_full(study: Study, path: Path, out: Path) -> None:
+    export(path, out)
+    people = pd.read_csv(out / "participants.csv")
     done = people[people["stage"] == "done"]
-    assert set(done.groupby(["type", "condition"]).size()) == {2}
-    assert len(done) == 12
+    assert set(done.groupby(["type", "condition"]).size()) == {study.plan.rules.per_cell}
+    assert len(done) == len(study.plan.cells) * study.plan.rules.per_cell
+
+
+RULES = {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 0.04, "recall": True}
+
+
+def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study, path = street_study(rules=RULES), tmp_path / "study.sqlite"
+    stages = fill_every_place(study, path, Habits(leaving=0.04, mistake=0.03))
+    assert stages["left"] > 0
+    every_cell_is_full(study, path, tmp_path / "out")
     _everything_replays(path, capsys)
+
+
+@pytest.mark.slow
+def test_forty_bots_in_the_rescue_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from xplain.study.command_line import composed
+    from xplain.study.prepare import study_of, study_plan
+
+    study = study_of(study_plan(composed(["rules.per_cell=4", "rules.timeout_minutes=0.05"])))
+    path = tmp_path / "study.sqlite"
+    stages = fill_every_place(study, path, Habits(leaving=0.02))
+    assert stages["done"] == 40
+    assert stages["left"] > 3
+    every_cell_is_full(study, path, tmp_path / "out")
+    analyse.main([str(tmp_path / "out")])
+    replay.main([str(path)])
+    said = capsys.readouterr().out
+    assert "all equal" in said
+    with capsys.disabled():
+        print(f"\n{dict(stages)}\n{said}")
 
 
 def test_one_process_a_database(database: Path, command: Command) -> None:
