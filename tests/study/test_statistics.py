@@ -21,6 +21,7 @@ from xplain.study.statistics import (
     hedges,
     holm,
     stratified_permutation,
+    student_p,
     t_power,
 )
 
@@ -115,6 +116,13 @@ def test_permutation_test_does_not_take_a_type_for_an_effect() -> None:
     strata = np.array(["a"] * 8 + ["b"] * 2), np.array(["a"] * 2 + ["b"] * 8)
     assert stratified_permutation(values, other, *strata, seed=0) == 1.0
     assert compare(values, other, list(strata[0]), list(strata[1]), 0).student.p < 0.01
+
+
+def test_many_t_tests_at_once_are_scipys() -> None:
+    rng = np.random.default_rng(8)
+    x, y = rng.normal(0.4, 1, (50, 12, 3)), rng.normal(0, 2, (50, 9, 3))
+    assert student_p(x, y) == pytest.approx(stats.ttest_ind(x, y, axis=1).pvalue)
+    assert (student_p(np.ones((2, 5, 1)), np.ones((2, 5, 1))) == 1).all()
 
 
 def test_false_alarms_are_as_rare_as_promised() -> None:

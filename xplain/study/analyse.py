@@ -128,6 +128,7 @@ def draw(analysis: Analysis, path: Path) -> None:
 
 def _draw_measure(axis: Axes, analysis: Analysis, row: Row) -> None:
     import numpy as np
+    from matplotlib.ticker import MaxNLocator
     from scipy import stats
 
     rng = np.random.default_rng(0)  # of the sideways scatter only
@@ -162,6 +163,8 @@ def _draw_measure(axis: Axes, analysis: Analysis, row: Row) -> None:
             markersize=10,
             label="paper's mean" if condition == "personalized" else None,
         )
+    if row.measure != "interaction_time_s":  # counts
+        axis.yaxis.set_major_locator(MaxNLocator(integer=True))
     axis.set_xticks(range(len(CONDITIONS)), CONDITIONS)
     axis.set_xlim(-0.4, 1.6)
     axis.set_ylabel(row.title)

@@ -24,7 +24,7 @@ from xplain.study.analysis import CONDITIONS, MEASURES, paper_table
 from xplain.study.command_line import composed, one_clear_line
 from xplain.study.people import Habits, take_part
 from xplain.study.plan import Study
-from xplain.study.statistics import d_from_p, t_power
+from xplain.study.statistics import d_from_p, student_p, t_power
 
 SIZES = (10, 20, 30, 40, 50, 60, 80)
 SWEEPS: dict[str, tuple[float, ...]] = {
@@ -93,8 +93,6 @@ def power(
 ) -> NDArray[np.float64]:
     """Share of planned studies with n a condition (types as even as n allows) in which each
     measure is significant: [2, 3], plain and after Holm's correction."""
-    from scipy import stats
-
     drawn = []
     for condition in CONDITIONS:
         values = pool.values[condition]
@@ -102,9 +100,7 @@ def power(
         order = rng.permuted(np.tile(np.arange(len(values)), (studies, 1)), axis=1)
         types = order[:, np.arange(n) % len(values)]
         drawn.append(values[types, rng.integers(values.shape[1], size=(studies, n))])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        p = np.asarray(stats.ttest_ind(drawn[0], drawn[1], axis=1).pvalue)
-    p = np.nan_to_num(p, nan=1.0)
+    p = student_p(drawn[0], drawn[1])
     ranked = np.sort(p, axis=1)
     steps = ranked * (len(MEASURES) - np.arange(len(MEASURES)))
     adjusted = np.maximum.accumulate(steps, axis=1)
@@ -185,8 +181,9 @@ def draw_curves(rows: list[dict[str, Any]], path: Path) -> None:
         axis.set_ylim(0, 1.03)
         axis.spines[["top", "right"]].set_visible(False)
     axes[0].set_ylabel("power (α = .05, two-sided)")
-    axes[-1].legend(frameon=False, fontsize=8, loc="lower right")
-    figure.tight_layout()
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper center", ncols=4, frameon=False, fontsize=9)
+    figure.tight_layout(rect=(0, 0, 1, 0.93))
     figure.savefig(path, dpi=160)
     plt.close(figure)
 

@@ -84,6 +84,24 @@ def compare(
     return Comparison(Group.of(x), Group.of(y), student, welch, *g, permutation_p=p)
 
 
+def student_p(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Two-sided Student's p of many studies at once; 1 where nothing varies.
+
+    Args:
+        x, y: [studies, participants, measures].
+
+    Returns:
+        [studies, measures].
+    """
+    n, m = x.shape[1], y.shape[1]
+    within = ((n - 1) * x.var(axis=1, ddof=1) + (m - 1) * y.var(axis=1, ddof=1)) / (n + m - 2)
+    error = np.sqrt(within * (1 / n + 1 / m))
+    difference = np.abs(x.mean(axis=1) - y.mean(axis=1))
+    t = np.divide(difference, error, out=np.zeros_like(error), where=error > 1e-12)
+    p: NDArray[np.float64] = 2 * special.stdtr(n + m - 2, -t)
+    return p
+
+
 def hedges(t: float, n_a: int, n_b: int, level: float = 0.95) -> tuple[float, float, float]:
     """Hedges' g from Student's t, with the exact interval by the noncentral t distribution.
 
