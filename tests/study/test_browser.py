@@ -12,9 +12,8 @@ import shutil
 import subprocess
 import tarfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,53 +23,39 @@ from tests.study.server import ROOT, ServerProcess
 from tests.study.stand_in import street_study
 from xplain.study import replay
 from xplain.study.bots import Researcher
+from xplain.study.chromium import (
+    Driver,
+    answer,
+    browser,
+    choose,
+    go_in,
+    missing,
+    press,
+    sequence,
+    take_part,
+    wait,
+)
 from xplain.study.people import Habits, Person
 from xplain.study.plan import Study
 from xplain.study.prepare import study_of, study_plan
 from xplain.study.store import Store
 from xplain.study.visitor import Page, fill
 
-webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
-from selenium.common.exceptions import WebDriverException  # noqa: E402
-from selenium.webdriver.common.by import By  # noqa: E402
-from selenium.webdriver.common.keys import Keys  # noqa: E402
+By = pytest.importorskip("selenium.webdriver.common.by", reason="selenium is not installed").By
+Keys = pytest.importorskip("selenium.webdriver.common.keys").Keys
 
 pytestmark = pytest.mark.browser
 
-FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--disable-dev-shm-usage",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--window-size=1280,900",
-)
 SCREENSHOTS = Path(os.environ.get("XPLAIN_SCREENSHOTS", ROOT / "outputs/study/screenshots"))
-Driver = Any
 
 
 @pytest.fixture
-def driver(tmp_path: Path) -> Iterator[Driver]:
+def driver() -> Iterator[Driver]:
     """A new Chromium with an empty profile."""
-    browser = shutil.which("chromium") or shutil.which("google-chrome")
-    service = shutil.which("chromedriver")
-    if not browser or not service:
-        pytest.skip("no Chromium with its driver here (Debian: chromium, chromium-driver)")
-    options = webdriver.ChromeOptions()
-    options.binary_location = browser
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path / 'profile'}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    opened = webdriver.Chrome(
-        options=options, service=webdriver.ChromeService(executable_path=service)
-    )
-    opened.implicitly_wait(3)
-    yield opened
-    opened.quit()
+    if what := missing():
+        pytest.skip(f"no browser to drive: install {what}")
+    with browser() as opened:
+        yield opened
 
 
 @pytest.fixture(scope="module")
@@ -111,55 +96,9 @@ def serving(path: Path, study: Study) -> ServerProcess:
     return ServerProcess(path, "server.burst=1e6", "server.visitor_burst=1e6")
 
 
-def moved_on(driver: Driver, sequence: str) -> bool:
+def moved_on(driver: Driver, before: str) -> bool:
     """Whether another page is there, whole."""
-    script = "return document.readyState === 'complete' ? document.body.dataset.sequence : null"
-    try:
-        return driver.execute_script(script) not in (sequence, None)
-    except WebDriverException:  # between two pages
-        return False
-
-
-def wait(true: Callable[[], bool], seconds: float = 20) -> None:
-    until = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < until, "nothing happened"
-        time.sleep(0.03)
-
-
-def press(driver: Driver) -> None:
-    """The button that goes on."""
-    driver.find_element(By.CSS_SELECTOR, "main form button").click()
-
-
-def go_in(driver: Driver, url: str, invitation: str) -> None:
-    driver.get(f"{url}/?invitation={invitation}")
-    press(driver)
-    wait(lambda: moved_on(driver, "none"))
-
-
-def choose(driver: Driver, fields: list[tuple[str, str]]) -> None:
-    """Clicks what is not chosen yet, as a person would."""
-    for name, value in fields:
-        box = driver.find_element(By.CSS_SELECTOR, f'input[name="{name}"][value="{value}"]')
-        if not box.is_selected():
-            box.click()
-
-
-def take_part(
-    driver: Driver, person: Person, look: Callable[[Page], None] = lambda page: None
-) -> str:
-    """From the consent page to the end, through the mouse."""
-    while True:
-        page = Page(driver.page_source)
-        look(page)
-        if not page.hidden:
-            return page.stage
-        if person.leaves():
-            return "left"
-        choose(driver, fill(person, page)[0])
-        press(driver)
-        wait(lambda before=page.hidden["sequence"]: moved_on(driver, before))  # type: ignore[misc]
+    return sequence(driver) not in (before, None)
 
 
 def faults(driver: Driver, axe: str) -> list[str]:
@@ -221,7 +160,7 @@ def test_every_page_is_accessible_and_is_photographed(
         press(driver)
         wait(lambda: moved_on(driver, "none"))
         person = Person(plan, FAULTLESS, np.random.default_rng(0))
-        assert take_part(driver, person, look) == "done"
+        assert take_part(driver, person, look=look) == "done"
         assert len(seen) == plan.n_steps + 8
         assert complaints(driver) == []
 
@@ -237,9 +176,7 @@ def test_every_page_is_accessible_and_is_photographed(
                 fields = [("label", str(len(page.messages)))]
             if "Not all of your answers" in driver.page_source:
                 look_at(driver, axe, "briefing-again")
-            choose(driver, fields)
-            press(driver)
-            wait(lambda before=page.hidden["sequence"]: moved_on(driver, before))  # type: ignore[misc]
+            answer(driver, page, fields)
         look_at(driver, axe, "ineligible")
         go_in(driver, server.url, researcher.invite(1, "pilot")[0])
         driver.find_element(By.CSS_SELECTOR, "details.leave summary").click()
@@ -374,6 +311,25 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
     kinds = [row["kind"] for row in store.query("SELECT kind FROM event WHERE source = 'protocol'")]
     assert kinds == ["consent", "read", "example", "example", "eligibility", "labels", "labels"]
     store.close()
+
+
+def test_new_messages_are_announced(driver: Driver, study: Study, tmp_path: Path) -> None:
+    with serving(tmp_path / "s.sqlite", study) as server:
+        go_in(driver, server.url, Researcher(server.url, server.key).invite(1)[0])
+        announced: list[str] = []
+        driver.implicitly_wait(0)  # most steps bring no message
+
+        def look(page: Page) -> None:
+            new = [e.text for e in driver.find_elements(By.CSS_SELECTOR, ".message.new")]
+            if new:
+                live = driver.find_element(By.CSS_SELECTOR, "[aria-live]#announce")
+                wait(lambda: bool(live.get_attribute("textContent")))
+                said = " ".join(str(live.get_attribute("textContent")).split())
+                assert said == " ".join(" ".join(new).split())
+                announced.extend(new)
+
+        take_part(driver, Person(study.plan, FAULTLESS, np.random.default_rng(0)), look=look)
+        assert len(announced) > 1  # practice, then at least one of the robot's
 
 
 def test_what_is_missing_is_said_on_the_page(driver: Driver, tmp_path: Path) -> None:

@@ -1,8 +1,8 @@
 """Dry runs against a running server: ``python -m xplain.study.bots --key … --count 40``.
 
-Simulated participants come over HTTP with invitations of the stream "bot", which marks them in the
-data for ever. The plan that they need is read from the snapshot that the server offers, so the
-server may run anywhere.
+Simulated participants come over HTTP, or each in a real browser, with invitations of the stream
+"bot", which marks them in the data for ever. The plan that they need is read from the snapshot
+that the server offers, so the server may run anywhere.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from urllib.parse import urlencode, urlsplit
 
 from xplain.errors import InputError, XplainError
 from xplain.randomness import stream
+from xplain.study import chromium
 from xplain.study.command_line import one_clear_line
 from xplain.study.export import plan_of
 from xplain.study.people import Habits, Person
@@ -81,7 +82,14 @@ class Researcher:
 
 
 def run(
-    url: str, key: str, count: int, at_once: int, pace: float, habits: Habits, seed: int
+    url: str,
+    key: str,
+    count: int,
+    at_once: int,
+    pace: float,
+    habits: Habits,
+    seed: int,
+    in_chromium: bool,
 ) -> Counter[str]:
     """Lets bots take part; how many ended at which stage.
 
@@ -92,13 +100,21 @@ def run(
         pace: seconds of waiting a simulated second of thinking; 0 = none.
         habits: of all.
         seed: of their streams.
+        in_chromium: each in a real browser instead of bare HTTP.
     """
     researcher = Researcher(url, key)
     plan = researcher.plan()
 
+    def think(seconds: float) -> None:
+        time.sleep(pace * seconds)
+
     def one(number: int, invitation: str) -> str:
         person = Person(plan, habits, stream(seed, "bots", number))
-        return visit(Browser(url), person, invitation, lambda s: time.sleep(pace * s))
+        if not in_chromium:
+            return visit(Browser(url), person, invitation, think)
+        with chromium.browser() as driver:
+            chromium.go_in(driver, url, invitation)
+            return chromium.take_part(driver, person, think)
 
     invitations: list[str] = []
     while len(invitations) < count:
@@ -120,6 +136,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--at-once", type=int, default=8, help="at a time (default 8)")
     parser.add_argument("--pace", type=float, default=0.0, help="1 = in real time; default 0")
     parser.add_argument("--leaving", type=float, default=0.0, help="chance to leave, a page")
+    parser.add_argument("--chromium", action="store_true", help="each in a real browser")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--save", type=Path, help="where to put the export (ZIP) afterwards")
     given = parser.parse_args(arguments)
@@ -127,10 +144,19 @@ def main(arguments: list[str] | None = None) -> None:
         for name, value in (("--count", given.count), ("--at-once", given.at_once)):
             if not 0 < value <= 10_000:
                 raise InputError(name, value, "a whole number from 1 to 10000")
+        if given.chromium and (what := chromium.missing()):
+            raise InputError("--chromium", "not here", f"install {what}")
         habits = Habits(leaving=given.leaving)
         try:
             stages = run(
-                given.url, given.key, given.count, given.at_once, given.pace, habits, given.seed
+                given.url,
+                given.key,
+                given.count,
+                given.at_once,
+                given.pace,
+                habits,
+                given.seed,
+                given.chromium,
             )
             if given.save:
                 given.save.write_bytes(Researcher(given.url, given.key).archive())

@@ -66,6 +66,11 @@
 
   window.addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
 
+  // Screen readers announce what changes, not what a new page brings along.
+  const announce = document.getElementById("announce");
+  const fresh = [...document.querySelectorAll(".message.new")].map((m) => m.textContent.trim());
+  if (announce && fresh.length) setTimeout(() => { announce.textContent = fresh.join(" "); }, 400);
+
   // Events of the page ------------------------------------------------------------------------
   const tab = [...crypto.getRandomValues(new Uint8Array(8))].map((b) => b.toString(16).padStart(2, "0")).join("");
   let number = 0;
