@@ -108,6 +108,7 @@ CONFIG: dict[str, Any] = {
         "goodbye": ["Bye."],
         "training": {"belief": "b", "action": "a", "message": "m"},
         "rewards": {"bridge": "Crossing the bridge"},
+        "hide": [],
         "icons": {"market": "M3 12L12 4L21 12"},
     },
 }

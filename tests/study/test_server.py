@@ -15,9 +15,10 @@ import pandas as pd
 import pytest
 
 from tests.conftest import Command
-from tests.study.conftest import FAULTLESS
+from tests.study.conftest import FAULTLESS, GENEROUS, Visitor
 from tests.study.server import ServerProcess
 from tests.study.stand_in import street_study
+from xplain.errors import InputError
 from xplain.study import analyse, bots, replay
 from xplain.study.bots import Researcher
 from xplain.study.export import export
@@ -25,6 +26,7 @@ from xplain.study.people import Habits, Person
 from xplain.study.plan import Study
 from xplain.study.store import Store
 from xplain.study.visitor import Browser, Page, Refusal, fill, visit
+from xplain.study.web import create_app
 
 RATE = ("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6")
 
@@ -294,3 +296,24 @@ def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
         assert all(q.options == ("0 or more", "less than 0") for q in role.eligibility)
         assert [q.answer for q in role.eligibility] == [int(j in role.wrong) for j in range(6)]
     assert json.loads(plan.text)["config"]["lambda"] == 1.0
+
+
+def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) -> None:
+    from xplain.study.command_line import composed
+    from xplain.study.prepare import study_of, study_plan
+
+    cfg = composed(["domain=four_rooms", "observers.points=150", "trace.candidates=40"])
+    plan = study_plan(cfg)
+    assert plan.scene is not None
+    assert plan.scene.items == ()  # goals and penalties are among what types hold wrong
+    assert "four rooms" in plan.texts.introduction[0]
+    for role in plan.roles:
+        assert len(role.quiz) == 4
+    study = study_of(plan)
+    store = Store(tmp_path / "s.sqlite", study)
+    client = Visitor(create_app(store, GENEROUS).test_client())
+    person = Person(plan, FAULTLESS, np.random.default_rng(0))
+    assert visit(client, person, store.invite(1, "bot")[0]) == "done"
+    store.close()
+    with pytest.raises(InputError, match=r"wording\.hide"):
+        study_plan(composed(["domain=four_rooms", "wording.hide=[Q]", "observers.points=50"]))

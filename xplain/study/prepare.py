@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import Domain, transition_features
+from xplain.domains.base import Domain, Scene, transition_features
 from xplain.errors import InputError, XplainError
 from xplain.experiment import Costs
 from xplain.randomness import derived_seed, stream
@@ -157,7 +158,7 @@ def assemble(
         path=None
         if domain.scene is None or None in cells
         else tuple(pairwise(cell for cell in cells if cell is not None)),
-        scene=domain.scene,
+        scene=domain.scene and _shown(domain.scene, wording["hide"]),
         problem=costs.problem(p_explicable, setting.message_names, names, uniform),
         true_labels=labels,
         conditions=config["conditions"],
@@ -169,6 +170,19 @@ def assemble(
     object.__setattr__(plan, "probes", probes(_at_work(plan)))
     # What is stored is what runs, from the first participant on.
     return StudyPlan.from_text(plan.text)
+
+
+def _shown(scene: Scene, hide: Sequence[str]) -> Scene:
+    """The map without the items of these symbols.
+
+    Raises:
+        InputError: there is no such symbol on the map.
+    """
+    symbols = [item.symbol for item in scene.items]
+    for symbol in hide:
+        if symbol not in symbols:
+            raise InputError("wording.hide", symbol, f"symbols on the map: {', '.join(symbols)}")
+    return replace(scene, items=tuple(i for i in scene.items if i.symbol not in hide))
 
 
 def study_of(plan: StudyPlan) -> Study:
