@@ -13,8 +13,8 @@ import argparse
 
 import numpy as np
 from omegaconf import OmegaConf
-
 from pomcp import problem_of
+
 from xplain.command_line import CONF
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
