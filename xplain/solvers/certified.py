@@ -35,6 +35,7 @@ from xplain.solvers.gap_search import (
     DONE,
     FULL,
     NODES,
+    TAIL,
     Store,
     add_node,
     grown,
@@ -47,6 +48,8 @@ log = logging.getLogger(__name__)
 
 CHUNK = 100_000
 """Work between two looks at the clock and at Ctrl-C: some hundredths of a second."""
+COARSER = 4
+"""A search asks for a gap this much smaller than the last that it closed."""
 SAME = 1e-9
 """Beliefs that differ by less in every entry are the same belief."""
 
@@ -111,18 +114,26 @@ def explore(
     types = tables.p.shape[0]
     store = make_store(tables)
     root = add_node(tables, store, step, given, belief, np.zeros(types, dtype=np.int64))
+    tail_gap = effort.gap * TAIL / tables.p.shape[1]
     room = 256
+    # Coarse before fine: a trial for the final gap would first refine what is ruled out later.
+    asked = max(effort.gap, (store.upper[root] - store.lower[root]) / COARSER)
     while True:
         buffers = np.empty((room, types)), np.empty((room, types), dtype=np.int64)
-        status = search(tables, store, root, effort.gap, effort.nodes, CHUNK, *buffers)
+        limits = asked, tail_gap, effort.nodes, CHUNK
+        status = search(tables, store, root, *limits, *buffers)
         if status == FULL:
             room *= 2
             if 2 * store_bytes(store) > effort.memory_gib * GIB:
                 log.warning("the search stops at solver.memory_gib=%g", effort.memory_gib)
                 break
             store = grown(store)
-        elif status == DONE or time.perf_counter() - began > effort.seconds:
+        elif time.perf_counter() - began > effort.seconds:
             break
+        elif status == DONE:
+            if asked == effort.gap:
+                break
+            asked = max(effort.gap, asked / COARSER)
     return Found(store, root)
 
 

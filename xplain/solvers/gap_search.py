@@ -500,8 +500,9 @@ def _gap(store, node):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def search(tables, store, root, gap, max_opened, work, out_weight, out_evidence):  # type: ignore[no-untyped-def]
-    """Trials until the root's gap is closed, the nodes are spent, or the work is done.
+def search(tables, store, root, gap, tail_gap, max_opened, work, out_weight, out_evidence):  # type: ignore[no-untyped-def]
+    """Trials until the root's gap is closed, the nodes are spent, or the work is done. ``tail_gap``
+    is what answers not told apart may widen an action's gap by.
 
     Returns:
         DONE, WORKING (call again), or FULL (grow the store or the buffers, call again).
@@ -511,7 +512,6 @@ def search(tables, store, root, gap, max_opened, work, out_weight, out_evidence)
     gaps = np.empty(steps)
     actions = np.empty(steps, dtype=np.int64)
     tail = np.empty(tables.p.shape[0])
-    tail_gap = gap * TAIL / steps
     stop = store.used[WORK] + work
     if store.first[root] < 0 and not _open(tables, store, root):
         return FULL
@@ -519,7 +519,7 @@ def search(tables, store, root, gap, max_opened, work, out_weight, out_evidence)
         if store.used[WORK] >= stop:
             return WORKING
         found = store.used[OPENED], store.used[ANSWERS]
-        level, node, allowed = 0, root, gap * (1.0 - TAIL)
+        level, node, allowed = 0, root, gap
         while True:
             nodes[level], gaps[level] = node, _gap(store, node)
             last = level
@@ -527,18 +527,23 @@ def search(tables, store, root, gap, max_opened, work, out_weight, out_evidence)
             if action < 0:
                 break
             actions[level] = action
+            # What the answers may leave open: all that the tail does not.
+            allowed -= store.action_tail[action, 0] - store.action_tail[action, 1]
             allowed /= tables.factor[store.action_set[action]] * tables.discount
             node = _widest_answer(store, action, allowed)
             level += 1
             if node < 0:
                 break
+        moved = found != (store.used[OPENED], store.used[ANSWERS])
         for d in range(level - 1, -1, -1):
             upper, lower = store.upper[nodes[d]], store.lower[nodes[d]]
+            # What others at its (k, H) taught a node may hide that its action has moved.
+            action_upper = store.action_upper[actions[d]]
             _back_up(store, nodes[d], actions[d])
+            moved = moved or store.action_upper[actions[d]] < action_upper
             _teach(tables, store, nodes[d], upper, lower, NEWS * gap)
         if action == NO_ROOM:
             return FULL
-        moved = found != (store.used[OPENED], store.used[ANSWERS])
         for d in range(last + 1):
             moved = moved or _gap(store, nodes[d]) < gaps[d]
         if not moved:
@@ -556,7 +561,7 @@ def _settle(tables, store, node, allowed, tail_gap, out_weight, out_evidence, ta
     if store.first[node] < 0 and not _open(tables, store, node):
         return NO_ROOM
     _learn(tables, store, node)
-    while _gap(store, node) > allowed and store.step[node] < tables.p.shape[1] - 1:
+    while _gap(store, node) > allowed + ROUNDING and store.step[node] < tables.p.shape[1] - 1:
         action = _best_action(store, node)
         if store.action_first[action] >= 0:
             return action
@@ -569,7 +574,7 @@ def _settle(tables, store, node, allowed, tail_gap, out_weight, out_evidence, ta
 @njit(cache=True, nogil=True)
 def _widest_answer(store, action, allowed):  # type: ignore[no-untyped-def]
     """The answer whose node exceeds the allowed gap the most, by probability; −1 if none does."""
-    worst, widest = 0.0, -1
+    worst, widest = ROUNDING, -1
     begin = store.action_first[action]
     for o in range(begin, begin + store.action_answers[action]):
         child = store.answer_node[o]
