@@ -153,6 +153,7 @@ def test_a_missing_parameter_is_named() -> None:
 def test_a_goal_behind_walls_is_refused() -> None:
     arguments = edited("map", given()["map"].replace("##.####", "#######"))
     arguments["map"] = arguments["map"].replace("#...........#", "#.....#.....#")
-    arguments["parameters"]["penalty_cells"] |= {"accurate": [], "inaccurate": [[1, 1]]}
+    goals = arguments["parameters"]["goals"]
+    goals["accurate"] = [{"cell": [1, 8], "reward": 5.0}]
     with pytest.raises(InputError, match="no path from the start to the goal"):
         FourRooms(**arguments)
