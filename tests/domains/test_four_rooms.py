@@ -151,7 +151,8 @@ def test_a_missing_parameter_is_named() -> None:
 
 
 def test_a_goal_behind_walls_is_refused() -> None:
-    arguments = edited("map", given()["map"].replace("##.####", "#######"))
+    doors_shut = given()["map"].replace("s", ".").replace("##.####", "#######")
+    arguments = edited("map", doors_shut)
     arguments["map"] = arguments["map"].replace("#...........#", "#.....#.....#")
     goals = arguments["parameters"]["goals"]
     goals["accurate"] = [{"cell": [1, 8], "reward": 5.0}]
