@@ -156,5 +156,6 @@ def test_a_goal_behind_walls_is_refused() -> None:
     arguments["map"] = arguments["map"].replace("#...........#", "#.....#.....#")
     goals = arguments["parameters"]["goals"]
     goals["accurate"] = [{"cell": [1, 8], "reward": 5.0}]
+    goals["inaccurate"] = [{"cell": [1, 9], "reward": 5.0}]
     with pytest.raises(InputError, match="no path from the start to the goal"):
         FourRooms(**arguments)
