@@ -271,11 +271,22 @@ def _lead(count):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _weigh_subsets(masks, labels, subsets, log_subset, marginal, noise, log_noise, count, out):  # type: ignore[no-untyped-def]
     """``out`` [Z, E]: log joint of (S_τ, ε_τ) and the labels of one transition, given M."""
+    # Answers under the same M are counted once for all subsets.
     order = np.argsort(masks)
+    distinct = np.empty(len(masks), dtype=np.int64)
+    times = np.zeros((len(masks), 2), dtype=np.int64)
+    size = 0
+    for i in order:
+        if size == 0 or distinct[size - 1] != masks[i]:
+            distinct[size] = masks[i]
+            size += 1
+        times[size - 1, labels[i]] += 1
     for z in range(len(subsets)):
         count[:] = 0
-        for i in order:
-            count[_local(subsets[z], masks[i]), labels[i]] += 1
+        for i in range(size):
+            c = _local(subsets[z], distinct[i])
+            count[c, 0] += times[i, 0]
+            count[c, 1] += times[i, 1]
         for e in range(len(noise)):
             value = log_subset[z] + log_noise[e]
             right = np.log1p(-noise[e])

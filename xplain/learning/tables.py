@@ -92,7 +92,7 @@ def write_table(dataset: Dataset, path: str | Path) -> None:
         columns[name] = values[dataset.transition]
     columns["label"] = dataset.label
     table = pd.DataFrame(columns)
-    if _format(Path(path)) == "parquet":
+    if check_format(Path(path), "data") == "parquet":
         table.to_parquet(path, index=False)
     else:
         table.to_csv(path, index=False)
@@ -122,19 +122,24 @@ def align(dataset: Dataset, names: tuple[str, ...]) -> Dataset:
     return replace(dataset, features=np.stack(columns, axis=1), feature_names=names)
 
 
-def _format(path: Path) -> str:
+def check_format(path: Path, key: str) -> str:
+    """``csv`` or ``parquet``, by the name's end; ``key`` is what the user set.
+
+    Raises:
+        InputError: another end.
+    """
     name = path.name.lower()
     if name.endswith((".csv", ".csv.gz")):
         return "csv"
     if name.endswith(".parquet"):
         return "parquet"
-    raise InputError("data", str(path), "a file that ends in .csv, .csv.gz or .parquet")
+    raise InputError(key, str(path), "a file that ends in .csv, .csv.gz or .parquet")
 
 
 def _load(path: Path, features: Sequence[str] | None, ignore: Sequence[str]) -> pd.DataFrame:
     import pandas as pd
 
-    kind = _format(path)
+    kind = check_format(path, "data")
     if not path.is_file():
         raise InputError("data", str(path), "no such file")
     try:

@@ -1,0 +1,215 @@
+"""Methods for independent questions: mixtures, the Dirichlet process, stopping rules."""
+
+from dataclasses import replace
+from math import lgamma
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.metrics import adjusted_rand_score
+
+from tests.learning.conftest import made
+from xplain.errors import InputError, TooLargeError
+from xplain.learning import facts
+from xplain.learning.clustering import Clusterer, Perfect, Single
+from xplain.learning.dirichlet import DirichletMixture
+from xplain.learning.disagreements import disagreements
+from xplain.learning.heldout import folds, held_out_log_likelihood
+from xplain.learning.hierarchy import Gap, HeldOut, Hierarchy, Share
+from xplain.learning.labelers import LabelerTrainer, points
+from xplain.learning.mixture import Mixture
+from xplain.learning.types import base_rate, learn_types
+
+TYPES = [[0, 1], [2], [1, 3]]
+
+
+@pytest.mark.parametrize("clusterer", [DirichletMixture(), Mixture()])
+def test_types_are_found_though_nobody_answers_the_same_questions(clusterer: Clusterer) -> None:
+    for seed in range(3):
+        dataset, truth = made(np.random.default_rng(seed), TYPES, size=250)
+        found = clusterer.cluster(dataset, LabelerTrainer(), seed, None)
+        assert adjusted_rand_score(truth, found.assignment) == 1
+
+
+def test_the_process_bears_noise_unequal_observers_and_one_point() -> None:
+    dataset, truth = made(np.random.default_rng(4), TYPES, per_type=4, size=200, noise=0.08)
+    rng = np.random.default_rng(0)
+    keep = rng.random(len(dataset)) < np.where(dataset.observer % 4 == 1, 0.4, 1.0)
+    keep[dataset.observer == 0] = False
+    keep[0] = True
+    dataset = dataset.take(np.flatnonzero(keep))
+    found = DirichletMixture().cluster(dataset, LabelerTrainer(), 1, None)
+    assert found.assignment.shape == truth.shape
+    assert adjusted_rand_score(truth[1:], found.assignment[1:]) == 1
+
+
+def test_the_posterior_is_a_distribution_and_no_more_certain_than_the_data() -> None:
+    dataset, _ = made(np.random.default_rng(5), TYPES, size=250)
+    sure = DirichletMixture().cluster(dataset, LabelerTrainer(), 0, None).posterior
+    scarce = dataset.take(np.flatnonzero(np.arange(len(dataset)) % 25 == 0))
+    unsure = DirichletMixture().cluster(scarce, LabelerTrainer(), 0, None).posterior
+    assert sure is not None
+    assert unsure is not None
+    for posterior in (sure, unsure):
+        assert sum(posterior.values()) == pytest.approx(1)
+    assert sure[3] > 0.9
+    assert max(unsure.values()) < sure[3]
+
+
+def test_new_observers_are_placed_and_strangers_are_known_as_such() -> None:
+    rng = np.random.default_rng(6)
+    dataset, truth = made(rng, TYPES, size=250)
+    found = DirichletMixture().cluster(dataset, LabelerTrainer(), 0, None)
+    assert found.model is not None
+    fresh, kinds = made(rng, [*TYPES, [0, 2, 3]], per_type=2, size=60)
+    for o, kind in enumerate(kinds):
+        own = fresh.of(np.array([o]))
+        where = found.model.place(fresh.features[own.transition], own.message_set, own.label)
+        assert where.sum() == pytest.approx(1)
+        cluster = found.assignment[np.flatnonzero(truth == kind)[0]] if kind < 3 else 3
+        assert where[cluster] > 0.95
+    # Somebody who answers at random is none of these either; who has said nothing is anybody.
+    own = fresh.of(np.array([0]))
+    said = rng.integers(2, size=len(own)).astype(np.uint8)
+    assert found.model.place(fresh.features[own.transition], own.message_set, said)[-1] > 0.95
+    nothing = found.model.place(fresh.features[:0], own.message_set[:0], said[:0])
+    assert nothing == pytest.approx([3 / 10, 3 / 10, 3 / 10, 1 / 10])
+
+
+def test_chains_in_threads_change_nothing() -> None:
+    dataset, _ = made(np.random.default_rng(7), TYPES, size=60)
+    one, two = (
+        DirichletMixture(sweeps=30, jobs=jobs).cluster(dataset, LabelerTrainer(), 2, None)
+        for jobs in (1, 2)
+    )
+    assert (one.assignment == two.assignment).all()
+    assert one.posterior == two.posterior
+
+
+def test_many_messages() -> None:
+    dataset, truth = made(np.random.default_rng(8), [[0, 7], [3], [9, 11]], n=12, size=600)
+    found = DirichletMixture(depth=1, sweeps=60).cluster(dataset, LabelerTrainer(), 0, None)
+    # Ten transitions ask for the first ten messages only, so {9, 11} behaves as {9}.
+    assert adjusted_rand_score(truth, found.assignment) == 1
+    wide = replace(dataset, messages=tuple(f"m{j}" for j in range(40)))
+    with pytest.raises(TooLargeError, match="depth"):
+        DirichletMixture(depth=6).cluster(wide, LabelerTrainer(), 0, None)
+
+
+def log_evidence(ones: int, zeros: int, noise: float, prior: float) -> float:
+    right, wrong = np.log1p(-noise), np.log(noise)
+    return float(
+        np.logaddexp(
+            np.log(prior) + ones * right + zeros * wrong,
+            np.log1p(-prior) + ones * wrong + zeros * right,
+        )
+    )
+
+
+@given(seed=st.integers(0, 1000))
+@settings(max_examples=8, deadline=None)
+def test_score_is_the_joint_probability_by_its_definition(seed: int) -> None:
+    dataset, _ = made(np.random.default_rng(seed), [[0], [1]], per_type=2, size=25, n=2)
+    answers, tables = facts.Answers.of(dataset), facts.Tables.of(2, 2)
+    first = np.array([0, 1, 3, 3])
+    rng = np.random.default_rng(seed)
+    # One sweep: the score is that of the first state, before anything is drawn.
+    score = facts.sample(answers, tables, 0.7, first, 1, 1.0, rng).best.score
+    expected = 2 * (np.log(0.7) - 2 * np.log(2)) + lgamma(1) * 2 + lgamma(2)
+    expected += np.log(0.7) - 2 * np.log(2)
+    held = first[dataset.observer] & ~dataset.message_set
+    for t in range(len(dataset.features)):
+        rows = dataset.transition == t
+        terms = []
+        for z, positions in enumerate(tables.subsets):
+            mask = sum(1 << int(j) for j in positions if j >= 0)
+            for noise in facts.NOISE:
+                value = tables.log_subset[z] - np.log(len(facts.NOISE))
+                for cell in np.unique(held[rows] & mask):
+                    labels = dataset.label[rows & (held & mask == cell)]
+                    ones = int(labels.sum())
+                    prior = facts.CELL[int(cell == 0)]
+                    value += log_evidence(ones, len(labels) - ones, noise, prior)
+                terms.append(value)
+        expected += np.logaddexp.reduce(terms)
+    assert score == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "stop", [Share(0.0), HeldOut()], ids=["share of disagreements", "held-out likelihood"]
+)
+def test_hierarchies_stop_at_the_types(stop: Share | HeldOut) -> None:
+    for seed in range(3):
+        dataset, truth = made(np.random.default_rng(seed), TYPES, size=400, shared=True)
+        found = Hierarchy(stop).cluster(dataset, LabelerTrainer(), seed, None)
+        assert adjusted_rand_score(truth, found.assignment) == 1
+        assert found.curve is not None
+        for k, value in enumerate(found.curve[:4], start=1):
+            if k == found.n_types:
+                assert value == disagreements(dataset, found.assignment)
+
+
+def test_gap_statistic_counts_groups_far_apart() -> None:
+    # Published behaviour: far groups are counted, one cloud is one (Tibshirani et al. 2001).
+    needs = [[0, 1, 2, 3], [4, 5, 6, 7]]
+    dataset, truth = made(np.random.default_rng(1), needs, per_type=10, n=8, size=600)
+    found = Hierarchy(Gap()).cluster(dataset, LabelerTrainer(), 0, None)
+    assert adjusted_rand_score(truth, found.assignment) == 1
+    alike, _ = made(np.random.default_rng(1), [[0, 1]], per_type=20, n=8, size=600)
+    assert Hierarchy(Gap()).cluster(alike, LabelerTrainer(), 0, None).n_types == 1
+
+
+def test_every_point_is_held_out_once() -> None:
+    dataset, _ = made(np.random.default_rng(2), TYPES, size=50)
+    masks = list(folds(dataset, 4, 1))
+    assert (np.sum(masks, axis=0) == 1).all()
+    point = points(dataset)
+    for mask in masks:
+        assert not set(point[mask].tolist()) & set(point[~mask].tolist())
+
+
+def test_true_types_foretell_better_than_one_for_all() -> None:
+    dataset, truth = made(np.random.default_rng(3), TYPES, size=300)
+
+    class Known(Perfect):
+        def cluster(self, dataset, trainer, seed, _):  # type: ignore[no-untyped-def]
+            return super().cluster(dataset, trainer, seed, truth)
+
+    apart = held_out_log_likelihood(dataset, Known(), LabelerTrainer(), 0)
+    together = held_out_log_likelihood(dataset, Single(), LabelerTrainer(), 0)
+    assert together < apart < 0
+
+
+def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
+    dataset, truth = made(rng, TYPES, size=100)
+    clustering = Perfect().cluster(dataset, LabelerTrainer(), 0, truth)
+    types = learn_types(dataset, clustering, LabelerTrainer(), 0, none_of_these=1.0)
+    assert types.names[-1] == "none of these"
+    assert types.prior == pytest.approx([0.3, 0.3, 0.3, 0.1])
+    stranger = types.p_explicable(dataset.features, dataset.n_messages)[-1]
+    assert np.ptp(stranger) == 0
+    assert stranger[0, 0] == pytest.approx(dataset.label.mean(), abs=0.01)
+    only = dataset.take(np.flatnonzero(dataset.label == 0))
+    assert base_rate(only).table(only.features, only.n_messages).max() < 0.1
+    with pytest.raises(InputError, match="none_of_these"):
+        learn_types(dataset, clustering, LabelerTrainer(), 0, none_of_these=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("component", "options", "key"),
+    [
+        (DirichletMixture, {"concentration": 0.0}, "concentration"),
+        (DirichletMixture, {"sweeps": 3}, "sweeps"),
+        (DirichletMixture, {"heat": 0.5}, "heat"),
+        (DirichletMixture, {"depth": 0}, "depth"),
+        (Mixture, {"max_types": 0}, "max_types"),
+        (Mixture, {"folds": 1}, "folds"),
+        (Mixture, {"floor": 0.5}, "floor"),
+        (Share, {"few": 1.0}, "few"),
+        (Gap, {"references": 1}, "references"),
+    ],
+)
+def test_bad_values_are_named(component: type, options: dict[str, float], key: str) -> None:
+    with pytest.raises(InputError, match=f"clusterer.*{key}"):
+        component(**options)
