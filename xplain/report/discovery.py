@@ -1,0 +1,63 @@
+"""Plots of what was found in people's labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from xplain.learning.clustering import Clustering
+from xplain.learning.dataset import Dataset
+from xplain.message_sets import bits_of
+from xplain.report.plots import COLOURS
+
+
+def posterior(probability: Mapping[int, float], found: int) -> Figure:
+    """P(number of types | labels), the number that was taken in another colour and hatched."""
+    figure, axes = plt.subplots(figsize=(5, 3.2))
+    numbers = np.arange(1, max(*probability, found) + 2)
+    heights = [probability.get(int(k), 0.0) for k in numbers]
+    bars = axes.bar(numbers, heights, color=COLOURS[5], edgecolor="black")
+    bars[found - 1].set(color=COLOURS[0], hatch="//", edgecolor="white")
+    axes.set(
+        xlabel="number of user types",
+        ylabel="posterior probability",
+        title=f"{found} types taken (hatched)",
+        ylim=(0, 1),
+        xticks=numbers,
+    )
+    plt.close(figure)
+    return figure
+
+
+def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> Figure:
+    """How much likelier a label is 1 where a message was given, by type and message."""
+    gain = np.array([_gain(dataset.of(clustering.members(t))) for t in range(clustering.n_types)])
+    height = 1.6 + 0.32 * len(gain)
+    figure, axes = plt.subplots(figsize=(2.5 + 0.75 * gain.shape[1], height))
+    image = axes.imshow(gain, cmap="PuOr", vmin=-0.5, vmax=0.5, aspect="auto")
+    axes.set_xticks(range(gain.shape[1]), dataset.messages, rotation=30, ha="right")
+    axes.set_yticks(range(len(gain)), list(names)[: len(gain)])
+    axes.grid(False)
+    if gain.size <= 400:
+        for (t, j), value in np.ndenumerate(gain):
+            ink = "white" if abs(value) > 0.35 else "black"
+            axes.text(j, t, f"{100 * value:+.0f}", ha="center", va="center", color=ink, fontsize=8)
+    axes.set(xlabel="message", title="Explicable labels: given − not given (percentage points)")
+    figure.colorbar(image, ax=axes, label="difference of shares")
+    plt.close(figure)
+    return figure
+
+
+def _gain(dataset: Dataset) -> NDArray[np.float64]:
+    """[n] share of ones with the message less without; 0 where either was never asked."""
+    given = bits_of(dataset.message_set, dataset.n_messages).astype(bool)
+    result = np.zeros(dataset.n_messages)
+    for j in range(dataset.n_messages):
+        told, untold = dataset.label[given[:, j]], dataset.label[~given[:, j]]
+        if len(told) and len(untold):
+            result[j] = told.mean() - untold.mean()
+    return result
