@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r"^```(\w*)(?: \S+)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE = re.compile(r"^(```\w+ (\S+)\n)(.*?)(^```$)", re.MULTILINE | re.DOTALL)
 """A block that shows a file of the repository."""
 LEFT_OUT = "..."
@@ -78,6 +78,8 @@ def blocks_of(text: str) -> list[tuple[re.Match[str], list[Piece]]]:
     before = ""
     for fence in FENCE.finditer(text):
         kind, body = fence.groups()
+        if FILE.match(fence[0]):
+            continue
         if kind == "console":
             found.append((fence, _session(body)))
         elif kind == "python":

@@ -40,10 +40,12 @@ def test_files_are_shown_as_they_are():
 
 
 def test_no_command_hides_in_a_block_that_is_not_run():
-    """Commands of ours stand in `console` blocks, or in words of a sentence."""
+    """Commands of ours stand in `console` blocks, unless they say what a test has not."""
     for page in PAGES:
-        for fence in run.FENCE.finditer(page.read_text(encoding="utf-8")):
-            if fence[1] in ("", "sh", "bash", "shell", "text"):
+        text = page.read_text(encoding="utf-8")
+        for fence in run.FENCE.finditer(text):
+            unable = text[: fence.start()].endswith("<!-- needs a cluster -->\n")
+            if fence[1] in ("", "sh", "bash", "shell", "text") and not unable:
                 assert "python -m xplain" not in fence[2], f"{page.name}: {fence[2][:60]}"
 
 
