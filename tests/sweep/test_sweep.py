@@ -165,11 +165,11 @@ def test_a_worker_that_always_dies_fails_its_job_alone(tmp_path):
     (group / "deadly.yaml").write_text("_target_: deadly.Deadly\ndeadly: false\n")
     code, output = sweeps.run(
         tmp_path,
+        f"--config-dir={tmp_path / 'conf'}",
         *sweeps.TINY[:-2],
         "solver=deadly",
         "solver.deadly=true,false",
         "lambda=0.5,1",
-        f"--config-dir={tmp_path / 'conf'}",
         "hydra.launcher.n_jobs=2",
         "tracking=none",
     )
@@ -177,7 +177,7 @@ def test_a_worker_that_always_dies_fails_its_job_alone(tmp_path):
     assert "2 of 4 jobs finished" in output
     summary = output[output.index("2 of 4 jobs finished") :]
     assert summary.count("its worker died") == 2
-    assert "deadly=false" not in summary.split("report:")[0]
+    assert "deadly=False" not in summary.split("report:")[0]
 
 
 def test_ctrl_c_leaves_no_run_open(tmp_path):
