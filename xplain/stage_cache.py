@@ -76,7 +76,7 @@ def prepared_once(folder: Path, key: str, make: Callable[[], Prepared]) -> Prepa
 
 def _read(path: Path) -> Prepared | None:
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stored, np.load(stored, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         content = json.loads(str(arrays["content"]))
         prepared: Prepared = _decode(Prepared, content, arrays)

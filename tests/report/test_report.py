@@ -1,0 +1,213 @@
+"""Reports from a sweep whose numbers are known: tables, differences, curves, page."""
+
+from __future__ import annotations
+
+import csv
+import html.parser
+import io
+import itertools
+import json
+import re
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from xplain.report import tables
+from xplain.report.sweep import Summary
+from xplain.report.write import write_report
+
+METHODS = ("qmdp", "qhr", "baseline")
+SETTINGS = ({"domain": "rescue"}, {"domain": "four_rooms", "users.count": "2"})
+SEEDS, TRACES, TYPES, TRADE_OFFS = 3, 4, ("A", "B"), (0.5, 1.0)
+
+
+def oracle(trade_off, seed, trace):
+    return 2 * trade_off + 0.25 * seed + 0.125 * trace
+
+
+def regret(method, trade_off, seed, trace):
+    base = {"qmdp": 0.5, "qhr": 2.0, "baseline": 12.0}[method]
+    return base * trade_off + 0.3 * ((seed * 7 + trace * 3) % 5)
+
+
+def episode(solver, trace, kind, cost):
+    return {
+        "solver": solver,
+        "trace": trace,
+        "type": kind,
+        "cost": cost,
+        "messages": 1,
+        "inexplicable_labels": 2,
+        "steps_until_sure": 1,
+    }
+
+
+def line(solver, trace, kind):
+    steps = [
+        {"messages": ["fire"], "labels": [1], "belief": [0.5, 0.5]},
+        {"messages": [], "labels": [1, 0], "belief": [0.9, 0.1]},
+    ]
+    return json.dumps(
+        {
+            "solver": solver,
+            "trace": trace,
+            "type": kind,
+            "cost": 3.5,
+            "transitions": ["moves right to (0, 1)", "moves <right> & stops"],
+            "positions": [[0, 0], [0, 1], [0, 2]],
+            "prior": [0.5, 0.5],
+            "steps": steps,
+        }
+    )
+
+
+@pytest.fixture
+def sweep(tmp_path):
+    jobs = []
+    for setting, method, trade_off, seed in itertools.product(
+        SETTINGS, METHODS, TRADE_OFFS, range(SEEDS)
+    ):
+        values = setting | {"solver": method, "lambda": f"{trade_off:g}", "seed": str(seed)}
+        name = ",".join(f"{key}={value}" for key, value in values.items())
+        jobs.append({"name": name, "label": name, "values": values})
+        episodes = [
+            episode(solver, trace, kind, cost)
+            for trace in range(TRACES)
+            for kind in TYPES
+            for solver, cost in [
+                ("oracle", oracle(trade_off, seed, trace)),
+                ("solver", oracle(trade_off, seed, trace) + regret(method, trade_off, seed, trace)),
+            ]
+        ]
+        results = {
+            "choices": {"domain": setting["domain"], "solver": method},
+            "config": {"lambda": trade_off, "seed": seed},
+            "episodes": episodes,
+            "learning": {"types_found": 2.0, "adjusted_rand_index": 1.0},
+            "elbow": {"disagreements": [40.0, 3.0, 1.0], "rule": "kneedle"},
+            "types": {"found": ["1", "2"]},
+            "steps": {"belief_in_true_type": [0.5, 0.8, 0.9], "episodes": [8, 8, 8]},
+            "messages": {"fire": "The robot likes <fire>."},
+            "scene": {
+                "rows": 1,
+                "columns": 3,
+                "walls": [],
+                "items": [{"name": "goal", "symbol": "G", "cells": [[0, 2]]}],
+            },
+        }
+        folder = tmp_path / "jobs" / name
+        folder.mkdir(parents=True)
+        (folder / "results.json").write_text(json.dumps(results))
+        (folder / "episodes.jsonl").write_text("\n".join(line("solver", 0, kind) for kind in TYPES))
+    about = {"name": "many", "command": "python -m xplain", "code": "c0de", "git": {}, "jobs": jobs}
+    (tmp_path / "sweep.json").write_text(json.dumps(about))
+    return tmp_path
+
+
+def test_the_table_holds_means_intervals_and_the_papers_values(sweep):
+    rows = list(csv.DictReader(io.StringIO(tables.as_csv(Summary(sweep)))))
+    found = {(r["domain"], r["setting"], float(r["lambda"]), r["column"]): r for r in rows}
+    assert len(rows) == len(SETTINGS) * len(TRADE_OFFS) * (1 + len(METHODS))
+    for method, trade_off in itertools.product(METHODS, TRADE_OFFS):
+        row = found["rescue", "all", trade_off, method]
+        by_seed = [
+            np.mean([regret(method, trade_off, seed, trace) for trace in range(TRACES)])
+            for seed in range(SEEDS)
+        ]
+        mean = np.mean(by_seed)
+        # Seeds are what was sampled: the t interval over their means.
+        half = stats.t.ppf(0.975, SEEDS - 1) * np.std(by_seed, ddof=1) / SEEDS**0.5
+        assert float(row["mean"]) == pytest.approx(mean, abs=1e-6)
+        assert float(row["high"]) - float(row["mean"]) == pytest.approx(half, abs=1e-6)
+    # The paper's Table 1, rescue, λ = 1.
+    published = {"oracle": 1.73, "qmdp": 0.93, "qhr": 5.86, "baseline": 12.06}
+    for column, value in published.items():
+        row = found["rescue", "all", 1.0, column]
+        assert float(row["paper"]) == value
+        assert float(row["difference"]) == pytest.approx(float(row["mean"]) - value, abs=1e-6)
+
+
+def test_differences_are_paired(sweep):
+    """The oracle's cost and the traces' difficulty cancel: what is left is exact."""
+    rows = csv.DictReader(io.StringIO(tables.differences_csv(Summary(sweep))))
+    found = {(r["domain"], float(r["lambda"]), r["method"], r["less"]): r for r in rows}
+    for trade_off in TRADE_OFFS:
+        row = found["rescue", trade_off, "qhr", "qmdp"]
+        for key in ("mean", "low", "high"):
+            assert float(row[key]) == pytest.approx(1.5 * trade_off, abs=1e-6)
+
+
+def test_tables_do_not_depend_on_the_order_in_which_jobs_ended(sweep):
+    before = tables.markdown(Summary(sweep)), tables.latex(Summary(sweep))
+    for path in sorted((sweep / "jobs").glob("*/results.json"), reverse=True):
+        content = json.loads(path.read_text())
+        content["seconds"] = {"explain": 99.0}
+        path.unlink()
+        path.write_text(json.dumps(content))
+    assert (tables.markdown(Summary(sweep)), tables.latex(Summary(sweep))) == before
+
+
+def test_markdown_and_latex_have_one_row_a_domain_and_trade_off(sweep):
+    summary = Summary(sweep)
+    rows = [row for row in tables.markdown(summary).splitlines() if row.startswith("|")]
+    assert len(rows) == 2 + len(SETTINGS) * len(TRADE_OFFS)
+    assert len({row.count("|") for row in rows}) == 1
+    body = [row for row in tables.latex(summary).splitlines() if row.endswith(r"\\")]
+    assert {row.count("&") for row in body if "multicolumn" not in row} == {
+        1 + 2 * (1 + len(METHODS))
+    }
+
+
+def test_missing_jobs_are_told_and_incomplete_cells_make_no_curve(sweep):
+    lost = "domain=rescue,solver=qmdp,lambda=1,seed=2"
+    (sweep / "jobs" / lost / "results.json").unlink()
+    failure = {"error": "InputError: <no>", "traceback": ""}
+    (sweep / "jobs" / lost / "failure.json").write_text(json.dumps(failure))
+    summary = Summary(sweep)
+    assert "1 of 36 jobs are missing" in tables.caption(summary)
+    names = {(name, trade_off) for name, trade_off, _ in summary.curves()}
+    assert ("regret/rescue/qmdp", 1.0) not in names
+    assert ("regret/rescue/qmdp", 0.5) in names
+    _, report = write_report(sweep)
+    page = (report / "index.html").read_text()
+    assert "InputError: &lt;no&gt;" in page
+
+
+class Page(html.parser.HTMLParser):
+    """Collects what a page would load, and whether its elements close."""
+
+    def __init__(self):
+        super().__init__()
+        self.loads, self.images, self.open = [], 0, []
+
+    def handle_starttag(self, tag, attrs):
+        own = dict(attrs)
+        self.loads += [own[key] for key in ("src", "href") if key in own]
+        self.images += tag == "img"
+        if tag not in ("meta", "img", "link", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def test_the_page_is_whole_and_loads_nothing(sweep):
+    _, report = write_report(sweep)
+    text = (report / "index.html").read_text()
+    page = Page()
+    page.feed(text)
+    assert page.open == []
+    assert page.images >= 6
+    assert all(address.startswith("data:image/") for address in page.loads)
+    assert not re.search(r"url\(|@import|<script", text)
+    assert "The robot likes &lt;fire&gt;." in text
+    for name in ("regret.svg", "messages.svg", "inexplicable.svg", "disagreements.svg"):
+        assert (report / name).stat().st_size > 1000
+
+
+def test_the_report_is_the_same_bytes_each_time(sweep):
+    _, report = write_report(sweep)
+    before = {path.name: path.read_bytes() for path in report.iterdir()}
+    write_report(sweep)
+    assert {path.name: path.read_bytes() for path in report.iterdir()} == before
