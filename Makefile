@@ -7,7 +7,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready
 
-.PHONY: run test test-fast browser-test lint bench bench-quick study ui clean
+.PHONY: run test test-fast browser-test lint docs bench bench-quick study ui clean
 
 run: $(READY)
 	$(BIN)/python -m xplain solver=pomcp domain=rescue lambda=1.5
@@ -26,6 +26,11 @@ lint: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The reference of all keys, and what the commands in the docs print, anew.
+docs: $(READY)
+	$(BIN)/python docs/config_reference.py
+	for page in README.md docs/*.md; do $(BIN)/python docs/run.py --write $$page || exit 1; done
 
 bench-quick: $(READY)
 	for file in benchmarks/[a-z]*.py; do $(BIN)/python $$file --quick || exit 1; done

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
+import socket
 import subprocess
 import sys
 
@@ -42,6 +44,8 @@ def test_files_are_shown_as_they_are():
 def test_no_command_hides_in_a_block_that_is_not_run():
     """Commands of ours stand in `console` blocks, unless they say what a test has not."""
     for page in PAGES:
+        if page.name == "study.md":  # has a test of its own
+            continue
         text = page.read_text(encoding="utf-8")
         for fence in run.FENCE.finditer(text):
             unable = text[: fence.start()].endswith("<!-- needs a cluster -->\n")
@@ -135,3 +139,46 @@ def test_a_false_command_or_output_is_found(tmp_path):
     assert run.rewritten(text, run.ran(text, tmp_path, compare=False)) == (
         "```console\n$ echo one\none\n```\n"
     )
+
+
+@pytest.mark.slow
+def test_the_study_runs_as_its_page_says(tmp_path):
+    """Every command of docs/study.md in its order, but `make`, a real browser, and smaller."""
+    text = (ROOT / "docs" / "study.md").read_text(encoding="utf-8")
+    lines = [line.strip().split("   ")[0] for line in text.splitlines()]
+    start, *others = [line for line in lines if line.startswith("python -m xplain")]
+    others = [line for line in others if "--chromium" not in line]
+    assert start.startswith("python -m xplain.study ")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    words = start.replace("8080", port).split()[1:]
+    env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    where = {"cwd": tmp_path, "env": env, "text": True}
+    server = subprocess.Popen(
+        [sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, **where
+    )
+    try:
+        said = ""
+        while "plan " not in said:  # the last line of a start
+            line = server.stdout.readline()
+            assert line, said
+            said += line
+        key = re.search(r"key (\w+)", said).group(1)
+        for command in others:
+            if "bots" in command:
+                command = command.replace("--count 40", "--count 20")
+                command += f" --url http://127.0.0.1:{port}"
+            elif server.poll() is None:  # the commands after the dry run want no server
+                server.terminate()
+                server.wait(60)
+            if "analyse" in command:
+                command += " --stream bot"
+            words = command.replace("6f6c…", key).split()[1:]
+            done = subprocess.run([sys.executable, *words], capture_output=True, **where)
+            assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+    finally:
+        if server.poll() is None:
+            server.terminate()
+        server.wait(60)
+        server.stdout.close()
