@@ -28,6 +28,9 @@ ORDER = ("qmdp", "pomcp", "qhr", "baseline", "conformant")
 _SOURCE = ("domain", "users", "observers", "labeler", "clusterer", "points", "traces", "max_steps")
 """What tells settings apart; anything else that is swept tells methods apart."""
 
+_WORDS = {"users.count": "{} types", "users.index": "completion {}"}
+"""What people call settings."""
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -297,16 +300,14 @@ class Summary:
 
 
 def setting_of(values: dict[str, str]) -> str:
-    """``count=3``; empty where settings are domains alone."""
-    own = {
-        key: value
-        for key, value in values.items()
-        if key.partition(".")[0] in _SOURCE and key != "domain"
-    }
-    return " ".join(
-        value if "." not in key and key == "users" else f"{key.rpartition('.')[2]}={value}"
-        for key, value in own.items()
-    )
+    """``3 types``, ``noise=0.1``; empty where settings are domains alone."""
+    words = []
+    for key, value in values.items():
+        group, _, last = key.rpartition(".")
+        if key.partition(".")[0] not in _SOURCE or key == "domain":
+            continue
+        words.append(_WORDS.get(key, f"{last}=" + "{}").format(value) if group else value)
+    return " ".join(words)
 
 
 def method_of(values: dict[str, str], solver: str) -> str:
