@@ -140,9 +140,7 @@ def test_the_report_page_renders(driver, sweep):
     assert broken == 0
     assert driver.execute_script("return document.images.length") >= 6
     # Nothing sticks out of the page, and nothing was fetched from elsewhere.
-    assert driver.execute_script(
-        "return document.documentElement.scrollWidth <= window.innerWidth"
-    )
+    assert driver.execute_script("return document.documentElement.scrollWidth <= window.innerWidth")
     assert driver.execute_script("return performance.getEntriesByType('resource').length") == 0 or (
         driver.execute_script(
             "return performance.getEntriesByType('resource').every(r => r.name.startsWith('data:'))"

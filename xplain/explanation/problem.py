@@ -70,10 +70,14 @@ class Problem:
         prior = np.full(len(p), 1 / len(p)) if prior.size == 0 else _numbers("prior", prior)
         if prior.shape != p.shape[:1] or (prior < 0).any() or abs(prior.sum() - 1) > 1e-6:
             raise InputError("prior", prior.tolist(), f"{len(p)} probabilities that sum to 1")
+        # A prior that sums to 1 but for rounding stays to the last bit, however often a problem is
+        # made of another: decisions and replays must not hang on it.
+        if abs(prior.sum() - 1) > 1e-12:
+            prior = prior / prior.sum()
         checked: dict[str, Any] = {
             "p_explicable": p,
             "message_cost": cost,
-            "prior": prior / prior.sum(),
+            "prior": prior,
             "inexplicability_cost": _number("inexplicability_cost", self.inexplicability_cost),
             "trade_off": _number("lambda", self.trade_off),
             "discount": _number("discount", self.discount),
