@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import shlex
 import socket
 import subprocess
 import sys
+from importlib.util import find_spec
 
 import pytest
 
@@ -41,16 +43,51 @@ def test_files_are_shown_as_they_are():
         assert text == run.with_files(text), f"python docs/run.py --write {page.name}"
 
 
-def test_no_command_hides_in_a_block_that_is_not_run():
-    """Commands of ours stand in `console` blocks, unless they say what a test has not."""
+def composed():
+    """Commands of `sh` blocks: too long for a test, or in need of a cluster."""
     for page in PAGES:
-        if page.name == "study.md":  # has a test of its own
-            continue
-        text = page.read_text(encoding="utf-8")
-        for fence in run.FENCE.finditer(text):
-            unable = text[: fence.start()].endswith("<!-- needs a cluster -->\n")
-            if fence[1] in ("", "sh", "bash", "shell", "text") and not unable:
-                assert "python -m xplain" not in fence[2], f"{page.name}: {fence[2][:60]}"
+        for fence in run.FENCE.finditer(page.read_text(encoding="utf-8")):
+            if fence[1] == "sh":
+                for line in fence[2].replace("\\\n", " ").splitlines():
+                    words = shlex.split(line, comments=True)
+                    if words[:3] == ["python", "-m", "xplain"]:
+                        yield page.name, [one_of(word) for word in words[3:] if word != "-m"]
+
+
+def one_of(word):
+    """`key=value` of the first job of a sweep."""
+    key, _, value = word.partition("=")
+    if value.startswith("range("):
+        value = "0"
+    return f"{key}={value if value[:1] in '[{' else value.split(',')[0]}"
+
+
+@pytest.mark.parametrize(("page", "words"), composed())
+def test_commands_that_are_not_run_are_configurations_all_the_same(page, words, tmp_path):
+    for launcher in ("ray", "submitit"):
+        if any(launcher in word for word in words) and not find_spec(
+            f"hydra_plugins.hydra_{launcher}_launcher"
+        ):
+            pytest.skip(f"pip install 'xplain[{launcher}]'")
+    done = subprocess.run(
+        [sys.executable, "-m", "xplain", *words, "--cfg", "job"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, f"{page}: {done.stderr}"
+    assert "solver:" in done.stdout
+
+
+def test_no_command_hides_in_a_block_that_no_test_reads():
+    """Commands of ours stand in `console` blocks (run) or `sh` blocks (composed)."""
+    for page in PAGES:
+        if page.name != "study.md":  # it has a test of its own
+            for fence in run.FENCE.finditer(page.read_text(encoding="utf-8")):
+                if fence[1] not in ("console", "sh", "python", "yaml"):
+                    assert "python -m xplain" not in fence[2], f"{page.name}: {fence[2][:60]}"
 
 
 def test_the_reference_of_all_keys_is_up_to_date():
