@@ -62,10 +62,12 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
         "cost": [episode.cost for episode in episodes],
         "messages": [episode.n_messages for episode in episodes],
         "inexplicable_labels": [episode.n_inexplicable for episode in episodes],
-        "steps_until_sure": [record.steps_until_sure for record in own.values()],
-        "final_belief": [float(record.right_belief[-1]) for record in own.values()],
         "decision_ms": [1e3 * float(episode.seconds.mean()) for episode in episodes],
     }
+    # Of labels from a file nobody knows which learned type stands for which true one.
+    if any(record.right.any() for record in own.values()):
+        columns["steps_until_sure"] = [record.steps_until_sure for record in own.values()]
+        columns["final_belief"] = [float(record.right_belief[-1]) for record in own.values()]
     for reference, name in (("oracle", "regret"), ("clairvoyant", "regret_to_clairvoyant")):
         if reference in by_solver:
             other = [by_solver[reference][key].episode.cost for key in own]
