@@ -45,7 +45,7 @@ class DirichletMixture:
     depth: int = 4
     chains: int = 4
     sweeps: int = 100
-    updates: int = 200_000
+    updates: int = 300_000
     heat: float = 4.0
     jobs: int = 1
 

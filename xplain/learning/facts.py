@@ -43,12 +43,12 @@ BLOCK = 8
 
 @dataclass(frozen=True)
 class Answers:
-    """The labels of a dataset, sorted by observer and by transition.
+    """The labels of a dataset, sorted by observer and, of each observer, by transition.
 
     Attributes:
         start: [O + 1] int64 first row of each observer.
         tau, given, label, owner: [P] int64 transition, message set, label, observer.
-        rows: [P] int64 the rows in the order of their transition.
+        rows: [P] int64 the rows of everybody in the order of their transition.
         tau_start: [T + 1] int64 where each transition starts in ``rows``.
         n: messages.
     """
@@ -65,7 +65,7 @@ class Answers:
     @classmethod
     def of(cls, dataset: Dataset) -> Answers:
         """Sorts."""
-        order = np.argsort(dataset.observer, kind="stable")
+        order = np.lexsort((dataset.transition, dataset.observer))
         owner, tau = dataset.observer[order], dataset.transition[order]
         rows = np.argsort(tau, kind="stable")
         return cls(
@@ -233,12 +233,18 @@ def _locals(positions: NDArray[np.int64], masks: NDArray[np.int64]) -> NDArray[n
     return np.asarray((bits << np.arange(positions.shape[1])).sum(axis=1))
 
 
+# The kernels below index arrays in full: a row taken out of an array is counted by numba, and that
+# costs more than the work in the innermost loops.
+
+
 @njit(cache=True, nogil=True)
-def _local(subset, mask):  # type: ignore[no-untyped-def]
+def _local(subsets, z, mask):  # type: ignore[no-untyped-def]
+    """The bits of ``mask`` at the positions of subset z, packed."""
     packed = 0
-    for i in range(len(subset)):
-        if subset[i] >= 0:
-            packed |= (mask >> subset[i] & 1) << i
+    for i in range(subsets.shape[1]):
+        if subsets[z, i] < 0:
+            break
+        packed |= (mask >> subsets[z, i] & 1) << i
     return packed
 
 
@@ -263,9 +269,9 @@ def _draw(log_weight, temperature, rng):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _lead(count):  # type: ignore[no-untyped-def]
+def _lead(ahead):  # type: ignore[no-untyped-def]
     """Where ones − zeros is in the tables."""
-    return min(max(count[1] - count[0], -REACH), REACH) + REACH
+    return min(max(ahead, -REACH), REACH) + REACH
 
 
 @njit(cache=True, nogil=True)
@@ -284,7 +290,7 @@ def _weigh_subsets(masks, labels, subsets, log_subset, marginal, noise, log_nois
     for z in range(len(subsets)):
         count[:] = 0
         for i in range(size):
-            c = _local(subsets[z], distinct[i])
+            c = _local(subsets, z, distinct[i])
             count[c, 0] += times[i, 0]
             count[c, 1] += times[i, 1]
         for e in range(len(noise)):
@@ -295,33 +301,54 @@ def _weigh_subsets(masks, labels, subsets, log_subset, marginal, noise, log_nois
                 if count[c, 0] + count[c, 1] > 0:
                     ahead = count[c, 1] - count[c, 0]
                     value += count[c, 1] * right + count[c, 0] * wrong
-                    value += marginal[int(c == 0), e, _lead(count[c])]
+                    value += marginal[int(c == 0), e, _lead(ahead)]
                     if ahead < -REACH:  # beyond the table it is a straight line
                         value += (ahead + REACH) * (wrong - right)
             out[z, e] = value
 
 
 @njit(cache=True, nogil=True)
-def _likelihood(first, last, tau, given, label, facts, subsets, subset, noise, count, table):  # type: ignore[no-untyped-def]
-    """log P(an observer's labels | R = facts, the answers counted): each row is counted before
-    the next is predicted, and taken back at the end."""
-    value = 0.0
-    for p in range(first, last):
-        t = tau[p]
-        c = _local(subsets[subset[t]], facts & ~given[p])
-        value += table[int(c == 0), noise[t], _lead(count[t, c]), label[p]]
-        count[t, c, label[p]] += 1
-    for p in range(first, last):
-        t = tau[p]
-        count[t, _local(subsets[subset[t]], facts & ~given[p]), label[p]] -= 1
-    return value
+def _weigh_facts(  # type: ignore[no-untyped-def]
+    first, last, tau, given, label, masks, subsets, subset, noise, count, table, local, values
+):
+    """Adds to ``values`` [masks]: log P(an observer's labels | R = mask, the answers counted).
+
+    Rows of one transition are neighbours; all that R says about them is which of the few facts in
+    S_τ it holds, so each such combination is tried once. Every row is counted before the next is
+    predicted, and taken back.
+    """
+    begin = first
+    while begin < last:
+        t = tau[begin]
+        end = begin + 1
+        while end < last and tau[end] == t:
+            end += 1
+        z = subset[t]
+        size = 0
+        while size < subsets.shape[1] and subsets[z, size] >= 0:
+            size += 1
+        # Where no fact matters the labels say the same of every R.
+        if size > 0:
+            for held in range(1 << size):
+                value = 0.0
+                for p in range(begin, end):
+                    c = held & ~_local(subsets, z, given[p])
+                    lead = _lead(count[t, c, 1] - count[t, c, 0])
+                    value += table[int(c == 0), noise[t], lead, label[p]]
+                    count[t, c, label[p]] += 1
+                for p in range(begin, end):
+                    count[t, held & ~_local(subsets, z, given[p]), label[p]] -= 1
+                local[held] = value
+            for i in range(len(masks)):
+                values[i] += local[_local(subsets, z, masks[i])]
+        begin = end
 
 
 @njit(cache=True, nogil=True)
 def _count_in(first, last, tau, given, label, facts, subsets, subset, count, sign):  # type: ignore[no-untyped-def]
     for p in range(first, last):
         t = tau[p]
-        count[t, _local(subsets[subset[t]], facts & ~given[p]), label[p]] += sign
+        count[t, _local(subsets, subset[t], facts & ~given[p]), label[p]] += sign
 
 
 @njit(cache=True, nogil=True)
@@ -362,6 +389,9 @@ def _chain(  # type: ignore[no-untyped-def]
     log_noise = np.full(levels, -np.log(levels))
     choices = np.empty(1 << width)
     masks = np.empty(1 << width, dtype=np.int64)
+    local = np.empty(1 << subsets.shape[1])
+    pair = np.empty(2, dtype=np.int64)
+    both = np.empty(2)
     best_score = -np.inf
     for sweep in range(len(types)):
         temperature = 1.0 + (heat - 1.0) * (1.0 - sweep / heated) if sweep < heated else 1.0
@@ -389,7 +419,7 @@ def _chain(  # type: ignore[no-untyped-def]
             seen[noise[t]] += 1
             count[t] = 0
             for i in range(len(own)):
-                count[t, _local(subsets[subset[t]], held[i]), label[own[i]]] += 1
+                count[t, _local(subsets, subset[t], held[i]), label[own[i]]] += 1
         log_noise = np.log(seen / seen.sum())
         # The types in use, and the score of the state.
         used = np.unique(facts)
@@ -429,33 +459,24 @@ def _chain(  # type: ignore[no-untyped-def]
                 for k in range(number):
                     left -= members[k]
                     if left < 0:
-                        here = _likelihood(
+                        pair[0], pair[1] = facts[o], kinds[k]
+                        both[:] = 0.0
+                        _weigh_facts(
                             first,
                             last,
                             tau,
                             given,
                             label,
-                            facts[o],
+                            pair,
                             subsets,
                             subset,
                             noise,
                             count,
                             predictive,
+                            local,
+                            both,
                         )
-                        there = _likelihood(
-                            first,
-                            last,
-                            tau,
-                            given,
-                            label,
-                            kinds[k],
-                            subsets,
-                            subset,
-                            noise,
-                            count,
-                            predictive,
-                        )
-                        if np.log(rng.random()) * temperature < there - here:
+                        if np.log(rng.random()) * temperature < both[1] - both[0]:
                             facts[o] = kinds[k]
                         break
                 for j in range(width):  # the first facts of a random order
@@ -477,20 +498,22 @@ def _chain(  # type: ignore[no-untyped-def]
                         at |= (kinds[k] >> block[j] & 1) << j
                     if masks[at] == kinds[k]:
                         choices[at] += members[k]
-            for i in range(1 << width):
-                choices[i] = np.log(choices[i]) + _likelihood(
-                    first,
-                    last,
-                    tau,
-                    given,
-                    label,
-                    masks[i],
-                    subsets,
-                    subset,
-                    noise,
-                    count,
-                    predictive,
-                )
+            choices[:] = np.log(choices)
+            _weigh_facts(
+                first,
+                last,
+                tau,
+                given,
+                label,
+                masks,
+                subsets,
+                subset,
+                noise,
+                count,
+                predictive,
+                local,
+                choices,
+            )
             chosen, _ = _draw(choices, temperature, rng)
             facts[o] = masks[chosen]
             known = False
