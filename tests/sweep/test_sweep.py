@@ -101,6 +101,27 @@ def test_only_what_is_missing_or_damaged_runs(finished):
     assert {n: c for n, (_, c) in after.items()} == {n: c for n, (_, c) in before.items()}
 
 
+def test_all_anew_on_demand(tmp_path):
+    code, output = sweeps.run(tmp_path, *QUICK)
+    assert code == 0, output
+    before, tables = results(tmp_path), sweeps.tables(tmp_path)
+    code, output = sweeps.run(tmp_path, *QUICK, "resume=none")
+    assert code == 0, output
+    after = results(tmp_path)
+    assert all(after[name][0] != before[name][0] for name in before)
+    assert sweeps.tables(tmp_path) == tables
+    assert len(sweeps.runs(tmp_path)) == 3
+
+
+def test_a_way_to_resume_that_does_not_exist_is_one_line(tmp_path):
+    code, output = sweeps.run(tmp_path, *QUICK, "resume=maybe")
+    assert code == 2
+    assert output.strip().splitlines() == [
+        "xplain: resume='maybe': one of missing, failed, none",
+    ]
+    assert not (tmp_path / "outputs").exists()
+
+
 def test_every_launcher_gives_the_same_table(finished, tmp_path):
     folder, _ = finished
     code, output = sweeps.run(tmp_path, *sweeps.TINY, SERIAL, "tracking=none")

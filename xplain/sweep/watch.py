@@ -75,10 +75,10 @@ class Watch:
         self._listener.start()  # takes seconds, while the jobs run already
         pause = POLL
         while not self._stop.wait(pause):
-            before = time.monotonic()
+            before = time.process_time()
             self._look()
-            # A slow file system is looked at less often.
-            pause = max(POLL, 10 * (time.monotonic() - before))
+            # Looking must not take a core from the jobs.
+            pause = max(POLL, 2 * (time.process_time() - before))
 
     def _look(self) -> None:
         for job in self._jobs:
