@@ -127,6 +127,6 @@ class Told:
         return self.policy.values(step, given, self._sure(belief))
 
     def _sure(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
-        if belief.max() < 1:
+        if belief.max() < 1 - 1e-9:  # a sum of probabilities may be 1 but for rounding
             raise InputError("belief", belief.tolist(), "this solver is told the type: 1 on one")
         return belief
