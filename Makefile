@@ -1,5 +1,7 @@
 # make run    sets everything up and runs one experiment
-# make test   sets everything up, then lint, types, layers and tests
+# make test   sets everything up, then lint, types, layers and tests (minutes)
+# make test-slow  the long ones: twenty kill -9, ten thousand hostile requests, every command of
+#                 the docs, the examples against a built wheel; browser-test needs Chromium
 # make study  starts the study's server
 # make bench  the benchmarks, whole
 PYTHON ?= python3
@@ -7,16 +9,19 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready
 
-.PHONY: run test test-fast browser-test lint docs bench bench-quick study ui clean
+.PHONY: run test test-docs test-slow browser-test lint docs bench bench-quick study ui clean
 
 run: $(READY)
 	$(BIN)/python -m xplain solver=pomcp domain=rescue lambda=1.5
 
 test: lint
-	$(BIN)/python -m pytest -q -m "not browser"
-
-test-fast: $(READY)
 	$(BIN)/python -m pytest -q -m "not browser and not slow"
+
+test-docs: $(READY)
+	$(BIN)/python -m pytest -q -m slow tests/test_docs.py tests/test_examples.py
+
+test-slow: $(READY)
+	$(BIN)/python -m pytest -q -m "slow and not browser"
 
 browser-test: $(READY)
 	$(BIN)/python -m pytest -q -m browser
