@@ -147,7 +147,7 @@ class Elbow:
     """
 
     partition: Partition
-    few: float = 0.05
+    few: float = 0.01
     max_types: int | None = None
 
     def __post_init__(self) -> None:

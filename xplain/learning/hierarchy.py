@@ -97,7 +97,7 @@ class Hierarchy:
 class Share:
     """The fewest clusters that leave at most a share of the disagreements of one cluster."""
 
-    few: float = 0.05
+    few: float = 0.01
 
     def __post_init__(self) -> None:
         if not 0 <= self.few < 1:

@@ -1,0 +1,190 @@
+"""Labelers compared at equal budgets: what they foretell, how well calibrated, what it costs.
+
+    python benchmarks/labelers.py            some minutes
+    python benchmarks/labelers.py --quick    some seconds, nothing written
+
+The true types are given (perfect clustering), so that labelers alone differ. Questions differ from
+observer to observer, three observers a type. ``right`` and ``brier`` are of questions asked as the
+training ones were, but with (transition, message set) that no training label has. ``oracle`` and
+``qmdp`` are the mean costs of explaining (λ = 1) with the type known and unknown, less the cost of
+the clairvoyant, who knows the labels: what not knowing them better costs. Results go to
+benchmarks/results/.
+"""
+
+from __future__ import annotations
+
+import argparse
+from itertools import product
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from discovery import FIRST_SEED, RESULTS, setting_of, shown
+from joblib import Parallel, delayed
+from sklearn.calibration import CalibratedClassifierCV
+from sklearn.ensemble import GradientBoostingClassifier, RandomForestClassifier
+from sklearn.linear_model import LogisticRegression
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import MinMaxScaler, PolynomialFeatures
+from sklearn.tree import DecisionTreeClassifier
+
+from xplain.domains.base import transition_features
+from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.explanation.belief import Independent
+from xplain.explanation.problem import Problem
+from xplain.learning.clustering import Perfect
+from xplain.learning.dataset import Dataset
+from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.types import UserTypes, learn_types
+from xplain.randomness import stream
+from xplain.report.plots import series_style
+from xplain.solvers.qmdp import QMDP
+from xplain.users.observers import SimulatedObservers
+from xplain.users.setting import Setting
+from xplain.users.traces import sample_trace
+
+LABELERS = {
+    "tree (paper)": LabelerTrainer(),
+    "tree, leaf confidence": LabelerTrainer(confidence="leaf"),
+    "tree, isotonic": LabelerTrainer(
+        CalibratedClassifierCV(DecisionTreeClassifier(), method="isotonic", ensemble=False, cv=3),
+        confidence="leaf",
+    ),
+    "forest": LabelerTrainer(RandomForestClassifier(100), confidence="leaf"),
+    "boosting": LabelerTrainer(GradientBoostingClassifier(), confidence="leaf"),
+    "boosting, deeper": LabelerTrainer(
+        GradientBoostingClassifier(n_estimators=200, max_depth=4), confidence="leaf"
+    ),
+    "logistic, interactions": LabelerTrainer(
+        make_pipeline(
+            MinMaxScaler(),
+            PolynomialFeatures(2, interaction_only=True),
+            LogisticRegression(C=10, max_iter=2000),
+        ),
+        confidence="leaf",
+    ),
+}
+BINS = np.linspace(0, 1, 11)
+
+
+def unseen(setting: Setting, dataset: Dataset, seed: int) -> tuple[Dataset, np.ndarray]:
+    """Fresh on-policy questions, less those in the dataset; and the true type of who answers."""
+    fresh, truth = SimulatedObservers(1, 1500, queries="independent").collect(setting, seed + 10**6)
+    asked = {
+        (dataset.features[t].tobytes(), int(given))
+        for t, given in zip(dataset.transition, dataset.message_set, strict=True)
+    }
+    new = [
+        row
+        for row in range(len(fresh))
+        if (fresh.features[fresh.transition[row]].tobytes(), int(fresh.message_set[row]))
+        not in asked
+    ]
+    return fresh.take(np.array(new)), truth
+
+
+def costs(setting: Setting, types: UserTypes, traces: int, seed: int) -> dict[str, float]:
+    """Mean cost above the clairvoyant's."""
+    cost: dict[str, list[float]] = {"oracle": [], "qmdp": [], "clairvoyant": []}
+    n = setting.n_messages
+    for index in range(traces):
+        rng = stream(seed, "traces", index)
+        trace = sample_trace(setting.models[0], setting.optimal[0], setting.domain.starts, rng, 40)
+        labels = setting.label_table(trace)
+        p = types.p_explicable(transition_features(setting.domain, trace), n)
+        unknown = Problem(p, np.ones(n))
+        policy = QMDP().plan(unknown)
+        for t in range(len(setting.types)):
+            user = SimulatedUser(labels[t])
+            cost["qmdp"].append(explain(unknown, policy, user, Independent()).cost)
+            for key, one in (("oracle", p[t : t + 1]), ("clairvoyant", labels[t : t + 1])):
+                known = Problem(one.astype(float), np.ones(n))
+                plan = QMDP().plan(known)
+                cost[key].append(explain(known, plan, user, Independent()).cost)
+    floor = np.mean(cost["clairvoyant"])
+    return {key: float(np.mean(cost[key]) - floor) for key in ("oracle", "qmdp")}
+
+
+def measure(
+    domain: str, types: int | None, points: int, name: str, seed: int, traces: int
+) -> tuple[dict[str, Any], np.ndarray]:
+    """The figures of one fit, and its reliability: [10, 3] labels, ones, sum of P, by P."""
+    setting = setting_of(domain, types, seed)
+    dataset, truth = SimulatedObservers(3, points, queries="independent").collect(setting, seed)
+    clustering = Perfect().cluster(dataset, LabelerTrainer(), 0, truth)
+    learned = learn_types(dataset, clustering, LABELERS[name], seed, prior="uniform")
+    p, y = [], []
+    for t, labeler in enumerate(learned.labelers):
+        fresh, who = unseen(setting, dataset.of(clustering.members(t)), seed)
+        own = fresh.of(np.flatnonzero(who == t))
+        p.append(labeler.probability(own.features[own.transition], own.message_set))
+        y.append(own.label)
+    said, label = np.concatenate(p), np.concatenate(y)
+    where = np.clip(np.digitize(said, BINS) - 1, 0, 9)
+    reliability = np.stack(
+        [np.bincount(where, weight, 10) for weight in (np.ones(len(said)), label, said)], axis=1
+    )
+    row = {
+        "domain": domain,
+        "points": points,
+        "labeler": name,
+        "seed": seed,
+        "right": float(((said > 0.5) == label).mean()),
+        "brier": float(((said - label) ** 2).mean()),
+    }
+    return row | costs(setting, learned, traces, seed), reliability
+
+
+def picture(names: list[str], reliability: dict[str, np.ndarray]) -> plt.Figure:
+    """Share of labels that are 1 against the probability foretold, and how many labels."""
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4))
+    axes[0].plot([0, 1], [0, 1], color="0.6", linewidth=1)
+    for index, name in enumerate(names):
+        count, ones, said = reliability[name].T
+        some = count >= 30
+        axes[0].plot(said[some] / count[some], ones[some] / count[some], label=name,
+                     **series_style(index))  # fmt: skip
+        axes[1].plot((BINS[:-1] + BINS[1:]) / 2, count / count.sum(), **series_style(index))
+    axes[0].set(xlabel="P(label = 1) foretold", ylabel="share of labels that are 1")
+    axes[1].set(xlabel="P(label = 1) foretold", ylabel="share of all labels", yscale="log")
+    axes[0].legend(fontsize=8)
+    return figure
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a little, nothing written")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--traces", type=int, default=5)
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    arguments = parser.parse_args()
+    names = list(LABELERS)[:2] if arguments.quick else list(LABELERS)
+    seeds = 1 if arguments.quick else arguments.seeds
+    cells = product(
+        [("rescue", None), ("four_rooms", 3)],
+        (50,) if arguments.quick else (50, 100, 300),
+        names,
+        range(FIRST_SEED, FIRST_SEED + seeds),
+    )
+    found = Parallel(n_jobs=arguments.jobs)(
+        delayed(measure)(*domain, points, name, seed, 1 if arguments.quick else arguments.traces)
+        for domain, points, name, seed in cells
+    )
+    rows = pd.DataFrame([row for row, _ in found])
+    text = shown(rows, ["domain", "points", "labeler"], ["right", "brier", "oracle", "qmdp"])
+    print(text)
+    if arguments.quick:
+        return
+    reliability = {name: np.zeros((10, 3)) for name in names}
+    for row, bins in found:
+        reliability[row["labeler"]] += bins
+    RESULTS.mkdir(exist_ok=True)
+    rows.to_csv(RESULTS / "labelers.csv", index=False, float_format="%.5g")
+    (RESULTS / "labelers.md").write_text(text + "\n", encoding="utf-8")
+    picture(names, reliability).savefig(RESULTS / "labelers_reliability.png")
+
+
+if __name__ == "__main__":
+    main()
