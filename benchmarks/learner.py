@@ -1,0 +1,67 @@
+"""Does the paper's learner find the types, and how right are labelers under perfect clustering?
+
+    python benchmarks/learner.py                 20 seeds a setting, minutes
+    python benchmarks/learner.py --quick         2 seeds
+    python benchmarks/learner.py --first 100     other seeds
+
+Shared queries, the paper's numbers of labels, k-means and the elbow of disagreements. A data set
+counts as found when the adjusted Rand index to the behaviourally distinct true types is 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+from hydra import compose, initialize_config_dir
+from joblib import Parallel, delayed
+from rich.console import Console
+from rich.table import Table
+
+from xplain.command_line import CONF, prepare
+from xplain.experiment import prepare as prepared
+from xplain.run import source_of
+
+SETTINGS = {
+    "rescue, 5 types": ["domain=rescue"],
+    "four rooms, 2 types": ["domain=four_rooms", "users.count=2"],
+    "four rooms, 3 types": ["domain=four_rooms", "users.count=3"],
+    "four rooms, 4 types": ["domain=four_rooms", "users.count=4"],
+}
+
+
+def learning(overrides: list[str], seed: int) -> dict[str, float]:
+    """The figures of the learning stage on one data set."""
+    prepare()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("config", [*overrides, f"seed={seed}", "traces=1"])
+    return prepared(source_of(cfg)).learning
+
+
+def main() -> None:
+    """Prints one row a setting."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--quick", action="store_true", help="2 seeds")
+    arguments.add_argument("--first", type=int, default=0, help="first seed")
+    arguments.add_argument("--jobs", type=int, default=2, help="processes")
+    chosen = arguments.parse_args()
+    seeds = range(chosen.first, chosen.first + (2 if chosen.quick else 20))
+    table = Table(
+        "setting", "found", "mean ARI", "accuracy, perfect clustering", "least of a data set"
+    )
+    for name, overrides in SETTINGS.items():
+        rows = Parallel(chosen.jobs)(delayed(learning)(overrides, seed) for seed in seeds)
+        indices = [row["adjusted_rand_index"] for row in rows]
+        accuracies = [row["perfect_labeler_accuracy"] for row in rows]
+        table.add_row(
+            name,
+            f"{sum(index == 1 for index in indices)} of {len(rows)}",
+            f"{np.mean(indices):.3f}",
+            f"{np.mean(accuracies):.3f}",
+            f"{min(accuracies):.3f}",
+        )
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()
