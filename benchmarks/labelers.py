@@ -5,7 +5,8 @@
 
 The true types are given (perfect clustering), so that labelers alone differ. Questions differ from
 observer to observer, three observers a type. ``right`` and ``brier`` are of questions asked as the
-training ones were, but with (transition, message set) that no training label has. ``oracle`` and
+training ones were, but with (transition, message set) that no training label has, and without
+noise. ``oracle`` and
 ``qmdp`` are the mean costs of explaining (λ = 1) with the type known and unknown, less the cost of
 the clairvoyant, who knows the labels: what not knowing them better costs. Results go to
 benchmarks/results/.
@@ -47,15 +48,13 @@ from xplain.users.traces import sample_trace
 LABELERS = {
     "tree (paper)": LabelerTrainer(),
     "tree, leaf confidence": LabelerTrainer(confidence="leaf"),
+    "tree, pruned": LabelerTrainer(DecisionTreeClassifier(ccp_alpha=0.004), confidence="leaf"),
     "tree, isotonic": LabelerTrainer(
         CalibratedClassifierCV(DecisionTreeClassifier(), method="isotonic", ensemble=False, cv=3),
         confidence="leaf",
     ),
     "forest": LabelerTrainer(RandomForestClassifier(100), confidence="leaf"),
     "boosting": LabelerTrainer(GradientBoostingClassifier(), confidence="leaf"),
-    "boosting, deeper": LabelerTrainer(
-        GradientBoostingClassifier(n_estimators=200, max_depth=4), confidence="leaf"
-    ),
     "logistic, interactions": LabelerTrainer(
         make_pipeline(
             MinMaxScaler(),
@@ -107,11 +106,12 @@ def costs(setting: Setting, types: UserTypes, traces: int, seed: int) -> dict[st
 
 
 def measure(
-    domain: str, types: int | None, points: int, name: str, seed: int, traces: int
+    domain: str, types: int | None, points: int, noise: float, name: str, seed: int, traces: int
 ) -> tuple[dict[str, Any], np.ndarray]:
     """The figures of one fit, and its reliability: [10, 3] labels, ones, sum of P, by P."""
     setting = setting_of(domain, types, seed)
-    dataset, truth = SimulatedObservers(3, points, queries="independent").collect(setting, seed)
+    observers = SimulatedObservers(3, points, queries="independent", label_noise=noise)
+    dataset, truth = observers.collect(setting, seed)
     clustering = Perfect().cluster(dataset, LabelerTrainer(), 0, truth)
     learned = learn_types(dataset, clustering, LABELERS[name], seed, prior="uniform")
     p, y = [], []
@@ -128,6 +128,7 @@ def measure(
     row = {
         "domain": domain,
         "points": points,
+        "noise": noise,
         "labeler": name,
         "seed": seed,
         "right": float(((said > 0.5) == label).mean()),
@@ -148,7 +149,7 @@ def picture(names: list[str], reliability: dict[str, np.ndarray]) -> plt.Figure:
         axes[1].plot((BINS[:-1] + BINS[1:]) / 2, count / count.sum(), **series_style(index))
     axes[0].set(xlabel="P(label = 1) foretold", ylabel="share of labels that are 1")
     axes[1].set(xlabel="P(label = 1) foretold", ylabel="share of all labels", yscale="log")
-    axes[0].legend(fontsize=8)
+    figure.legend(loc="upper center", ncol=4, fontsize=8, bbox_to_anchor=(0.5, 1.08))
     return figure
 
 
@@ -165,15 +166,20 @@ def main() -> None:
     cells = product(
         [("rescue", None), ("four_rooms", 3)],
         (50,) if arguments.quick else (50, 100, 300),
+        (0.0,) if arguments.quick else (0.0, 0.05),
         names,
         range(FIRST_SEED, FIRST_SEED + seeds),
     )
     found = Parallel(n_jobs=arguments.jobs)(
-        delayed(measure)(*domain, points, name, seed, 1 if arguments.quick else arguments.traces)
-        for domain, points, name, seed in cells
+        delayed(measure)(
+            *domain, points, noise, name, seed, 1 if arguments.quick else arguments.traces
+        )
+        for domain, points, noise, name, seed in cells
     )
     rows = pd.DataFrame([row for row, _ in found])
-    text = shown(rows, ["domain", "points", "labeler"], ["right", "brier", "oracle", "qmdp"])
+    text = shown(
+        rows, ["domain", "points", "noise", "labeler"], ["right", "brier", "oracle", "qmdp"]
+    )
     print(text)
     if arguments.quick:
         return

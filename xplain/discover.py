@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 from hydra.utils import instantiate
 
 from xplain.command_line import CONF, compose_for, report_errors
-from xplain.errors import InputError
+from xplain.errors import InputError, TooLargeError
 
 if TYPE_CHECKING:
     from xplain.learning.dataset import Dataset
@@ -135,10 +135,12 @@ def summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
             "explicable": float(own.label.mean()),
             "confidence": labeler.confidence,
         }
-        if hasattr(labeler.classifier, "tree_"):
-            shown = dataset.features[sorted(set(own.transition.tolist()))]
+        shown = dataset.features[sorted(set(own.transition.tolist()))]
+        try:
             needed = smallest(labeler.classifier, shown, dataset.n_messages)
             row["needs"] = list(names_of(needed, dataset.messages))
+        except TooLargeError:  # no tree, and too many messages to try them all
+            row["needs"] = None
         rows.append(row)
     return rows
 
@@ -155,7 +157,7 @@ def _show(row: Row, known: list[Row], folder: Path) -> None:
             str(one["labels"]),
             f"{one['explicable']:.1%}",
             f"{one['confidence']:.3f}",
-            ", ".join(one["needs"]) or "nothing" if "needs" in one else "",
+            "?" if one["needs"] is None else ", ".join(one["needs"]) or "nothing",
         )
     console = Console()
     console.print(
