@@ -37,7 +37,10 @@ def main() -> None:
     )
     parser.add_argument("--problems", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--quick", action="store_true", help="2 problems: only that it runs")
     options = parser.parse_args()
+    if options.quick:
+        options.problems = 2
     solvers = {name: solver_of(name) for name in ("qmdp", "pomcp_paper", "pomcp")}
     regret: dict[str, list[float]] = {name: [] for name in solvers}
     simulated = 0
