@@ -2,7 +2,7 @@
 
 Histories are objects with dicts, values are recomputed from what they are made of, and only the
 random words are drawn in the kernel's order: a word a type, a word where an action is chosen at
-random, a word for every three informative labels.
+random, a word for all informative labels and one more after each that was the less likely.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class PlainPOMCP:
     def run(self) -> dict[int, list[float]]:
         """Visits and value of the root's actions; action n is *explain*."""
         for _ in range(self.solver.simulations):
-            u = (self.word() >> 11) * 2.0**-53
+            u = self.uniform()
             possible = [t for t, b in enumerate(self.root.belief) if b > 0]
             user_type = possible[-1]
             for t in possible[:-1]:
@@ -73,6 +73,9 @@ class PlainPOMCP:
         x = ((x ^ (x >> 30)) * 0xBF58476D1CE4E5B9) & ALL
         x = ((x ^ (x >> 27)) * 0x94D049BB133111EB) & ALL
         return x ^ (x >> 31)
+
+    def uniform(self) -> float:
+        return (self.word() >> 11) * 2.0**-53
 
     def choice(self, options: list[int]) -> int:
         return options[((self.word() >> 32) * len(options)) >> 32]
@@ -149,13 +152,18 @@ class PlainPOMCP:
         return [i for i in range(step + 1) if len(set(p[:, i])) > 1]
 
     def draw(self, step: int, given: int, user_type: int) -> list[int]:
-        labels, word = [], 0
-        for j, i in enumerate(self.informative(step, given)):
-            if j % 3 == 0:
-                word = self.word()
-            u = ((word & 0x1FFFFF) + 0.5) / 2**21
-            word >>= 21
-            labels.append(int(u <= self.problem.p_explicable[user_type, i, given]))
+        """Labels are the likelier of the two until u exceeds the probability that all were."""
+        labels: list[int] = []
+        u, as_likely = -1.0, 1.0
+        for i in self.informative(step, given):
+            p = float(self.problem.p_explicable[user_type, i, given])
+            u = self.uniform() if u < 0 else u
+            as_likely *= max(p, 1 - p)
+            likelier = int(p >= 0.5)
+            labels.append(likelier)
+            if u >= as_likely:
+                labels[-1] = 1 - likelier
+                u, as_likely = self.uniform(), 1.0
         return labels
 
     def counts(self, node: Node, labels: list[int]) -> object:
@@ -204,6 +212,17 @@ class PlainPOMCP:
                     best, action = value, j
         return best, action
 
+    def settled(self, step: int, given: int) -> bool:
+        """No type should be told anything more, now or later."""
+        return all(
+            self.optimal(k, given, t)
+            <= self.discount * self.optimal(k + 1, given, t)
+            - self.explain_cost(k, given, t)
+            + 1e-12
+            for k in range(step, self.m)
+            for t in range(self.problem.n_types)
+        )
+
     def leaf(self, node: Node) -> float:
         if self.solver.leaf == "max_of_mean":
             return self.qmdp(node.step, node.given, node.belief)[0]
@@ -216,9 +235,11 @@ class PlainPOMCP:
             action = self.n
             if self.solver.rollout == "random":
                 free = indices(((1 << self.n) - 1) & ~given)
-                action = self.choice([*free, self.n]) if free else self.n
+                if not free:
+                    return value + scale * self.optimal(step, given, user_type)
+                action = self.choice([*free, self.n])
             elif self.solver.rollout == "qmdp":
-                if belief[user_type] > 1 - 1e-6:
+                if belief[user_type] > 1 - 1e-6 or self.settled(step, given):
                     return value + scale * self.optimal(step, given, user_type)
                 action = self.qmdp(step, given, belief)[1]
             if action < self.n:

@@ -25,7 +25,7 @@ from xplain.explanation.reference import reduced_optimal_value
 from xplain.solvers import pomcp_kernel
 from xplain.solvers.compilation import _Listener
 from xplain.solvers.policy_value import evaluate
-from xplain.solvers.pomcp import POMCP, Search
+from xplain.solvers.pomcp import POMCP, Search, _roots
 from xplain.solvers.pomcp_tables import Tree, model_of
 from xplain.testing.problems import random_problem
 
@@ -78,9 +78,8 @@ def test_is_the_plain_search(
     for problem, middle in product(problems, [False, True]):
         step, given = (2, 4 if problem.n_messages > 1 else 0) if middle else (0, 0)
         search = search_of(solver, problem)
-        tree = Tree.rooted(700, problem.n_messages, step, given, problem.prior, 99)
-        log_root = np.sqrt(np.log(np.maximum(np.arange(702), 1)))
-        pomcp_kernel.simulate(700, search.model, search.options, tree, log_root)
+        tree = Tree.rooted(700, problem.n_messages, problem.n_steps, step, given, problem.prior, 99)
+        pomcp_kernel.simulate(700, search.model, search.options, tree, *_roots(702))
         expected = PlainPOMCP(solver, problem, 99, step, given, problem.prior).run()
         for action, edge in enumerate(tree.root_edges()):
             visits, value = expected.get(action, [0, -np.inf])
@@ -146,8 +145,8 @@ def test_steps_do_not_count_messages() -> None:
     opened = {}
     for unit in ("actions", "steps"):
         search = search_of(POMCP(depth=1, depth_unit=unit, rollout="silent"), problem)
-        tree = Tree.rooted(2000, 2, 0, 0, problem.prior, 1)
-        pomcp_kernel.simulate(2000, search.model, search.options, tree, np.ones(2002))
+        tree = Tree.rooted(2000, 2, 2, 0, 0, problem.prior, 1)
+        pomcp_kernel.simulate(2000, search.model, search.options, tree, *_roots(2002))
         nodes = tree.nodes[: tree.used[0]]
         opened[unit] = {int(node["given"]) for node in nodes if node["edges"]}
     assert opened == {"actions": {0}, "steps": {0, 1, 2, 3}}
@@ -167,24 +166,46 @@ def test_without_messages_the_value_is_the_cost() -> None:
 
 
 def test_labels_are_drawn_with_their_probabilities() -> None:
-    """Within 5 standard errors each, certain ones always, neighbours in a word independent."""
+    """Within 5 standard errors each, certain ones always, neighbours independent; and the
+    posterior is Bayes' for them, whether or not the labels were met before."""
     p = np.array([0.0, 1.0, 0.5, 0.02, 0.98, 0.3, 1e-4, 0.9999])
     draws, count = 40_000, len(p)
-    weight = (1 << np.arange(count, dtype=np.uint64))[None]
-    zero, counter = np.empty(count, np.bool_), np.uint64(12345)
-    labels = np.empty((draws, count), bool)
-    for row in labels:
-        code, counter = pomcp_kernel._draw_labels(
-            count, 0, 0, p[None, :, None], weight, np.uint64(counter), zero
-        )
-        counter = np.uint64(counter)
-        assert code == zero @ (1 << np.arange(count))
-        row[:] = ~zero
+    other = np.random.default_rng(3).uniform(0.1, 0.9, count)
+    problem = Problem(np.stack([p, other])[:, :, None], np.empty(0))
+    model = model_of(problem)
+    tree = Tree.rooted(draws, 0, count, 0, 0, problem.prior, 1)
+    model.weight[0] = 1 << np.arange(count, dtype=np.uint64)
+    for t in range(2):
+        usual = model.p[0, :, t] < 0.5
+        model.likeliest["code"][0, :, t] = np.cumsum(usual * model.weight[0])
+    labels, beliefs = _draw_many(draws, model, tree, problem.prior)
     error = np.sqrt(p * (1 - p) / draws)
     assert np.all(np.abs(labels.mean(axis=0) - p) <= 5 * error)
     soft = labels[:, [2, 3, 4, 5]]
     off_diagonal = np.corrcoef(soft.T)[~np.eye(4, dtype=bool)]
     assert np.abs(off_diagonal).max() < 5 / np.sqrt(draws)
+    likelihood = np.where(labels[:, None], [p, other], [1 - p, 1 - other]).prod(axis=2)
+    expected = likelihood / likelihood.sum(axis=1, keepdims=True)
+    assert beliefs == pytest.approx(expected, rel=1e-9)
+
+
+@njit
+def _draw_many(draws, model, tree, prior):  # type: ignore[no-untyped-def]
+    """Labels [draws, m] of a user of the first type after all is shown, and beliefs after them."""
+    steps = model.p.shape[1]
+    labels, beliefs = np.empty((draws, steps), np.bool_), np.empty((draws, 2))
+    counter = tree.counter[0]
+    for d in range(draws):
+        code, counter = pomcp_kernel._draw_labels(
+            model.likeliest, steps, steps - 1, 0, 0, model.p, model.weight, counter, tree.zero
+        )
+        for i in range(steps):
+            labels[d, i] = not code >> np.uint64(i) & np.uint64(1)
+        pomcp_kernel._update(
+            model.likeliest, steps, steps - 1, 0, 0, model.p, code, tree.zero, tree.seen,
+            tree.likelihoods, prior, beliefs[d],
+        )  # fmt: skip
+    return labels, beliefs
 
 
 def test_exchangeable_labels_share_a_history() -> None:
@@ -193,8 +214,9 @@ def test_exchangeable_labels_share_a_history() -> None:
     p[0, :6], p[1, :6] = 0.6, 0.4
     problem = Problem(p, np.empty(0))
     search = search_of(POMCP(), problem)
-    tree = Tree.rooted(5000, 0, 6, 0, problem.prior, 1)
-    pomcp_kernel.simulate(5000, search.model, search.options._replace(depth=1), tree, np.ones(5002))
+    tree = Tree.rooted(5000, 0, 8, 6, 0, problem.prior, 1)
+    options = search.options._replace(depth=1)
+    pomcp_kernel.simulate(5000, search.model, options, tree, *_roots(5002))
     assert tree.used[0] == 1 + 7
     assert len(np.unique(tree.beliefs[1:8, 0])) == 7
 
@@ -322,7 +344,7 @@ def test_trees_take_no_more_than_told() -> None:
     from xplain.solvers.pomcp_tables import model_bytes, tree_bytes
 
     problem = soft_problem(15)
-    tree = Tree.rooted(1000, 3, 0, 0, problem.prior, 0)
+    tree = Tree.rooted(1000, 3, 4, 0, 0, problem.prior, 0)
     model = model_of(problem)
     assert sum(a.nbytes for a in tree) == pytest.approx(tree_bytes(problem, 1000), rel=0.01)
     held = sum(a.nbytes for a in model if isinstance(a, np.ndarray))

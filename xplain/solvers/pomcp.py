@@ -189,10 +189,18 @@ class Search:
         def grow(number: int) -> NDArray[Any]:
             seed = derived_seed(self.seed, "pomcp", step, given, digest, number)
             budget = whole + (number < rest)
-            tree = Tree.rooted(budget, len(self.model.price), step, given, belief, seed)
-            log_root = _sqrt_log(1 << budget.bit_length())
+            tree = Tree.rooted(
+                budget,
+                len(self.model.price),
+                len(self.model.optimal) - 1,
+                step,
+                given,
+                belief,
+                seed,
+            )
+            roots = _roots(1 << budget.bit_length())
             while budget > 0 and not stop.is_set():
-                simulate(min(budget, CHUNK), self.model, self.options, tree, log_root)
+                simulate(min(budget, CHUNK), self.model, self.options, tree, *roots)
                 budget -= CHUNK
             return tree.root_edges()
 
@@ -216,7 +224,9 @@ def _is_count(value: object) -> bool:
 
 
 @lru_cache(maxsize=4)
-def _sqrt_log(size: int) -> NDArray[np.float64]:
-    """sqrt(log v) for v = 0 … size (0 for 0), once a size."""
-    root: NDArray[np.float64] = np.sqrt(np.log(np.maximum(np.arange(size + 1), 1)))
-    return root
+def _roots(size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """sqrt(log v) and 1 / sqrt(v) for v = 0 … size (0 for 0), once a size."""
+    v = np.maximum(np.arange(size + 1), 1)
+    inverse = 1 / np.sqrt(v)
+    inverse[0] = 0.0
+    return np.sqrt(np.log(v)), inverse
