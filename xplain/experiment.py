@@ -29,6 +29,7 @@ from xplain.explanation.problem import DiscountPer, Problem
 from xplain.learning.dataset import Dataset
 from xplain.randomness import derived_seed, stream
 from xplain.solvers.base import Solver
+from xplain.solvers.remembered import Remembered
 from xplain.users.setting import Setting
 from xplain.users.traces import sample_trace
 from xplain.users.types import TypeSource
@@ -301,7 +302,7 @@ def evaluate(
                 # A user's type changes the plan only of a solver that knows it.
                 if policy is None or problem is None or not shared:
                     problem = problem_for(prepared, case, costs, solver, user)
-                    policy = solver.plan(problem, trace_seed(seed, index))
+                    policy = Remembered(solver.plan(problem, trace_seed(seed, index)))
                 episode = explain(problem, policy, SimulatedUser(case.labels[user]), belief_update)
                 right = np.ones(problem.n_types, dtype=bool)
                 if solver.knows == "types":

@@ -91,8 +91,8 @@ def run_experiment(
     outputs = Path(cfg.outputs).absolute()
     started = time.time()
 
-    # Everything is instantiated, and so checked, before any work.
-    source = source_of(cfg)
+    # Everything is instantiated, and so checked, before any work; but for the source, where what
+    # it leads to is known: its classifiers' imports take longer than all the rest then.
     costs = costs_of(cfg)
     solver = instantiate(cfg.solver)
     belief = instantiate(cfg.belief)
@@ -101,7 +101,7 @@ def run_experiment(
     clock = Clock()
     config = configuration(cfg)
     prepared = prepared_once(
-        outputs / "cache", source_stamp(config), lambda: prepare(source, track)
+        outputs / "cache", source_stamp(config), lambda: prepare(source_of(cfg), track)
     )
     clock.lap("prepare")
     solvers: dict[str, Solver] = {"solver": solver, "clairvoyant": KnownType("labels")}

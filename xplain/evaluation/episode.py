@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,6 +13,7 @@ from xplain.explanation.problem import Problem
 from xplain.message_sets import indices
 from xplain.online.interaction import Interaction
 from xplain.solvers.base import Policy
+from xplain.solvers.remembered import Remembered
 
 
 class User(Protocol):
@@ -43,7 +43,7 @@ class Episode:
         messages: [m] int64, the new messages (bitmask) before each *explain*.
         labels: [m, m] int8, row k the labels given at step k; −1 right of the diagonal.
         beliefs: [m + 1, N], before the first step and after each.
-        seconds: [m], time the policy took to decide.
+        seconds: [m], time the policy took to decide, when it was first asked that.
         communication: Σ C_e of all messages given (not multiplied by λ).
         inexplicability: Σ C_inexp over every label 0 at every step.
         cost: Definition 2, λ · communication + inexplicability, undiscounted.
@@ -73,7 +73,7 @@ def explain(problem: Problem, policy: Policy, user: User, belief_update: BeliefU
 
     Args:
         problem: what the agent believes of users; its costs are those that count.
-        policy: planned for that problem.
+        policy: planned for that problem; a remembered one shares its decisions between users.
         user: who answers.
         belief_update: which labels change the belief.
 
@@ -81,16 +81,16 @@ def explain(problem: Problem, policy: Policy, user: User, belief_update: BeliefU
         ValueError: the policy gives a message again, or one that does not exist.
     """
     m = problem.n_steps
-    talk = Interaction(problem, policy, belief_update)
+    asked = policy if isinstance(policy, Remembered) else Remembered(policy)
+    talk = Interaction(problem, asked, belief_update)
     messages = np.zeros(m, dtype=np.int64)
     labels = np.full((m, m), -1, dtype=np.int8)
     beliefs = np.empty((m + 1, problem.n_types))
     beliefs[0] = talk.belief
     seconds = np.empty(m)
     for k in range(m):
-        before = time.perf_counter()
         messages[k] = talk.say()
-        seconds[k] = time.perf_counter() - before
+        seconds[k] = asked.seconds
         answer = user.labels(k + 1, talk.given)
         labels[k, : k + 1] = answer
         talk.hear(answer)

@@ -79,3 +79,8 @@ def update(
     posterior = np.exp(log_posterior - top)
     normalised: NDArray[np.float64] = posterior / posterior.sum()
     return normalised
+
+
+def rounded(belief: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The belief to 12 decimals: the same evidence in another order gives the same belief."""
+    return np.round(belief, 12)

@@ -20,6 +20,7 @@ from xplain.randomness import stream
 from xplain.solvers.base import Policy
 from xplain.solvers.dynamic_programming import message_discount, message_price
 from xplain.solvers.lattice import branch, hash_key
+from xplain.solvers.remembered import Remembered
 
 NEGLIGIBLE = 1e-16
 """Joint probability below which an answer is not followed."""
@@ -55,25 +56,27 @@ def evaluate(
     Args:
         problem: the model, which draws every label afresh.
         policy: a function of (step, given, belief).
-        beliefs: where the exact walk is given up.
+        beliefs: the exact walk is given up where it would reach more.
         episodes: then simulated.
         seed: of the simulated labels' stream.
     """
-    exact = _walk(problem, policy, beliefs)
-    return exact if exact is not None else simulate(problem, policy, episodes, seed)
+    asked = Remembered(policy)
+    exact = _walk(problem, asked, beliefs)
+    return exact if exact is not None else simulate(problem, asked, episodes, seed)
 
 
 def _walk(problem: Problem, policy: Policy, limit: int) -> PolicyValue | None:
-    """None where more than ``limit`` beliefs are reachable."""
+    """None where more than ``limit`` beliefs are reachable, or will be: a layer is seldom smaller
+    than the one before, so there must be room for two of its size."""
     given = np.zeros(1, dtype=np.int64)
     weight = problem.prior[None].copy()
     evidence = np.zeros((1, problem.n_types), dtype=np.int64)
     asked, value, cost, left_out = 0, 0.0, 0.0, 0.0
     worst = _worst_remaining(problem)
     for k in range(problem.n_steps):
-        asked += len(given)
-        if asked > limit:
+        if asked + min(2, problem.n_steps - k) * len(given) > limit:
             return None
+        asked += len(given)
         mass = weight.sum(axis=1)
         for b in range(len(given)):
             new = policy.messages(k, int(given[b]), weight[b] / mass[b])
@@ -212,15 +215,12 @@ def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> Poli
     """The policy's worth as a mean over simulated users, with its standard error."""
     rng = stream(seed, "policy_value")
     values, costs = np.zeros(episodes), np.zeros(episodes)
-    decided: dict[tuple[int, int, bytes], int] = {}
+    asked = policy if isinstance(policy, Remembered) else Remembered(policy)
     for episode in range(episodes):
         user_type = rng.choice(problem.n_types, p=problem.prior)
         given, belief = 0, problem.prior
         for k in range(problem.n_steps):
-            question = k, given, belief.tobytes()
-            if question not in decided:
-                decided[question] = policy.messages(k, given, belief)
-            new = decided[question]
+            new = asked.messages(k, given, belief)
             factor, price, undiscounted = _give(problem, given, new)
             given |= new
             p = problem.p_explicable[user_type, : k + 1, given]
@@ -237,5 +237,5 @@ def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> Poli
         "simulated",
         float(values.std(ddof=1)) / error,
         float(costs.std(ddof=1)) / error,
-        len(decided),
+        len(asked.decisions),
     )

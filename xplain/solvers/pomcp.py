@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
+from xplain.explanation.belief import rounded
 from xplain.explanation.problem import Problem
 from xplain.randomness import derived_seed
 from xplain.solvers.base import Knowledge, Policy
@@ -86,7 +87,7 @@ class POMCP:
     memory_gib: most that tables and trees may take.
     """
 
-    simulations: int = 10_000
+    simulations: int = 3_000
     depth: int | None = 3
     depth_unit: Literal["actions", "steps"] = "actions"
     exploration: float = 8.0
@@ -180,8 +181,9 @@ class Search:
         self, step: int, given: int, belief: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Value and visits of each action at the root, merged over the trees: [n + 1] each,
-        *explain* last."""
-        belief = np.ascontiguousarray(belief, dtype=np.float64)
+        *explain* last. The random stream comes from the question, not from what was asked
+        before."""
+        belief = rounded(np.ascontiguousarray(belief, dtype=np.float64))
         digest = int.from_bytes(blake2b(belief.tobytes(), digest_size=8).digest(), "little")
         whole, rest = divmod(self.solver.simulations, self.solver.trees)
         stop = threading.Event()
