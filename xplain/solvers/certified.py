@@ -31,18 +31,8 @@ from xplain.solvers.dynamic_programming import (
     messages_worth_giving,
     restrict,
 )
-from xplain.solvers.gap_search import (
-    DONE,
-    FULL,
-    NODES,
-    TAIL,
-    Store,
-    add_node,
-    grown,
-    make_store,
-    search,
-    store_bytes,
-)
+from xplain.solvers.gap_search import DONE, FULL, TAIL, add_node, search
+from xplain.solvers.gap_store import NODES, Store, grown, make_store, store_bytes
 
 log = logging.getLogger(__name__)
 

@@ -10,10 +10,7 @@ k + 1. Every node carries an upper and a lower bound of its optimal value:
 - below, the exact value of the best of N + 1 plans that heed no answer: each type's optimal one,
   and silence.
 
-What is learned at one belief serves all beliefs at its (k, H), as in point-based solvers: the value
-of a policy is linear in the belief, so its values for each type (an alpha vector) bound every
-belief's optimum from below; and the optimum is convex, so an upper bound at one belief bounds the
-others from above (the sawtooth). The latest few of both are kept for each (k, H).
+What is learned at one belief serves all at its (k, H): :mod:`xplain.solvers.gap_sharing`.
 
 A trial walks from the root: at each node it takes the set with the best upper bound, then the
 answer with the largest probability-weighted gap, until the gap is small enough there, and backs
@@ -22,173 +19,19 @@ both bounds up. Unlikely answers stay coarse, and the unlikeliest are not even t
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from xplain.solvers.bound_tables import Tables
-from xplain.solvers.lattice import branch, hash_key
+from xplain.solvers.gap_sharing import ROUNDING, learn, list_candidates, teach
+from xplain.solvers.gap_store import ACTIONS, ANSWERS, NODES, OPENED, WORK, dot, find
+from xplain.solvers.lattice import branch
 
 DONE, WORKING, FULL = 0, 1, 2
 CLOSED, NO_ROOM = -1, -2
 TAIL = 0.25
 """Share of the gap that may come from answers not told apart."""
-KEPT = 32
-"""Alpha vectors, and upper bounds, kept for each (k, H)."""
 NEWS = 0.01
 """Share of the gap by which a bound must improve to be kept for the others."""
-IRRELEVANT = -1e30
-"""In an alpha vector, the value for a type that cannot be at its node."""
-ROUNDING = 1e-14
-"""Differences below this are rounding."""
-
-
-class Store(NamedTuple):
-    """Nodes, their actions (sets of messages, then *explain*), these actions' answers.
-
-    ``used`` counts nodes, actions, answers, candidates, places, nodes opened, work done. A node
-    not yet opened has ``first`` −1, and so has an action not yet expanded. A place is a (k, H)
-    where a node was opened; ``listed`` [m, 2^n, 3] holds its first candidate set, their number,
-    and its index; −1 before that.
-    """
-
-    used: NDArray[np.int64]
-    step: NDArray[np.int64]
-    given: NDArray[np.int64]
-    belief: NDArray[np.float64]
-    evidence: NDArray[np.int64]
-    upper: NDArray[np.float64]
-    lower: NDArray[np.float64]
-    alpha: NDArray[np.float64]
-    first: NDArray[np.int64]
-    n_actions: NDArray[np.int64]
-    action_set: NDArray[np.int64]
-    action_upper: NDArray[np.float64]
-    action_lower: NDArray[np.float64]
-    action_base: NDArray[np.float64]
-    action_first: NDArray[np.int64]
-    action_answers: NDArray[np.int64]
-    action_tail: NDArray[np.float64]
-    action_tail_alpha: NDArray[np.float64]
-    answer_node: NDArray[np.int64]
-    answer_probability: NDArray[np.float64]
-    candidates: NDArray[np.int64]
-    place_count: NDArray[np.int64]
-    place_alpha: NDArray[np.float64]
-    place_set: NDArray[np.int64]
-    place_belief: NDArray[np.float64]
-    place_upper: NDArray[np.float64]
-    listed: NDArray[np.int64]
-    hash_table: NDArray[np.int64]
-
-
-NODES, ACTIONS, ANSWERS, CANDIDATES, PLACES, OPENED, WORK = range(7)
-
-
-def make_store(tables: Tables, nodes: int = 1 << 10) -> Store:
-    """An empty store."""
-    types, steps, sets = tables.p.shape
-    actions, answers, places = max(4 * nodes, 2 * sets), 4 * nodes, 16
-    return Store(
-        np.zeros(7, dtype=np.int64),
-        np.zeros(nodes, dtype=np.int64),
-        np.zeros(nodes, dtype=np.int64),
-        np.zeros((nodes, types)),
-        np.zeros((nodes, types), dtype=np.int64),
-        np.zeros(nodes),
-        np.zeros(nodes),
-        np.zeros((nodes, types)),
-        np.zeros(nodes, dtype=np.int64),
-        np.zeros(nodes, dtype=np.int64),
-        np.zeros(actions, dtype=np.int64),
-        np.zeros(actions),
-        np.zeros(actions),
-        np.zeros(actions),
-        np.zeros(actions, dtype=np.int64),
-        np.zeros(actions, dtype=np.int64),
-        np.zeros((actions, 2)),
-        np.zeros((actions, types)),
-        np.zeros(answers, dtype=np.int64),
-        np.zeros(answers),
-        np.zeros(actions, dtype=np.int64),
-        np.zeros((places, 2), dtype=np.int64),
-        np.zeros((places, KEPT, types)),
-        np.zeros((places, KEPT), dtype=np.int64),
-        np.zeros((places, KEPT, types)),
-        np.zeros((places, KEPT)),
-        np.full((steps, sets, 3), -1, dtype=np.int64),
-        np.full(4 * nodes, -1, dtype=np.int64),
-    )
-
-
-def grown(store: Store) -> Store:
-    """The same store with twice the room for whatever has used up half of it."""
-    room = {NODES: len(store.step), ACTIONS: len(store.action_set)}
-    room |= {ANSWERS: len(store.answer_node), CANDIDATES: len(store.candidates)}
-    room |= {PLACES: len(store.place_count)}
-    short = {kind for kind, size in room.items() if 2 * store.used[kind] >= size}
-    short = short or set(room)
-
-    def bigger(name: str, array: NDArray[Any]) -> NDArray[Any]:
-        kind = _KIND.get(name.split("_")[0], NODES)
-        if kind not in short:
-            return array
-        return np.concatenate([array, np.zeros_like(array)])
-
-    fixed = {"used": store.used, "listed": store.listed}
-    arrays: dict[str, Any] = {
-        n: fixed[n] if n in fixed else bigger(n, a) for n, a in store._asdict().items()
-    }
-    arrays["hash_table"] = np.full(4 * len(arrays["step"]), -1, dtype=np.int64)
-    new = Store(**arrays)
-    _rehash(new)
-    return new
-
-
-_KIND = {"action": ACTIONS, "answer": ANSWERS, "candidates": CANDIDATES, "place": PLACES}
-"""What an array of the store is about, by the first word of its name; the rest is about nodes."""
-
-
-def store_bytes(store: Store) -> int:
-    """What a store takes."""
-    return sum(array.nbytes for array in store)
-
-
-@njit(cache=True, nogil=True)
-def _rehash(store):  # type: ignore[no-untyped-def]
-    for node in range(store.used[NODES]):
-        slot = _find(store, store.step[node], store.given[node], store.evidence[node])
-        store.hash_table[slot] = node
-
-
-@njit(cache=True, nogil=True)
-def _find(store, step, given, evidence):  # type: ignore[no-untyped-def]
-    """The slot that holds this belief's node, or the free one where it belongs."""
-    mask = np.uint64(len(store.hash_table) - 1)
-    slot = hash_key(step, given, evidence) & mask
-    while True:
-        node = store.hash_table[slot]
-        if node < 0:
-            return slot
-        if store.step[node] == step and store.given[node] == given:
-            same = True
-            for t in range(len(evidence)):
-                if store.evidence[node, t] != evidence[t]:
-                    same = False
-                    break
-            if same:
-                return slot
-        slot = (slot + np.uint64(1)) & mask
-
-
-@njit(cache=True, nogil=True)
-def _dot(a, b):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for t in range(len(a)):
-        total += a[t] * b[t]
-    return total
 
 
 @njit(cache=True, nogil=True)
@@ -196,7 +39,7 @@ def _best_plan(plans, weight):  # type: ignore[no-untyped-def]
     """The plan that is worth the most at a belief."""
     best, chosen = -np.inf, 0
     for u in range(plans.shape[0]):
-        value = _dot(weight, plans[u])
+        value = dot(weight, plans[u])
         if value > best:
             best, chosen = value, u
     return chosen
@@ -206,7 +49,7 @@ def _best_plan(plans, weight):  # type: ignore[no-untyped-def]
 def add_node(tables, store, step, given, weight, evidence):  # type: ignore[no-untyped-def]
     """The node of a belief, made if need be; −1 where the store is full. ``weight`` may be
     unnormalised."""
-    slot = _find(store, step, given, evidence)
+    slot = find(store, step, given, evidence)
     if store.hash_table[slot] >= 0:
         return store.hash_table[slot]
     node = store.used[NODES]
@@ -220,151 +63,26 @@ def add_node(tables, store, step, given, weight, evidence):  # type: ignore[no-u
     store.belief[node] = weight / weight.sum()
     store.first[node] = -1
     belief = store.belief[node]
-    upper = _dot(belief, tables.explain[step, given])
+    upper = dot(belief, tables.explain[step, given])
     for j in range(len(tables.message_price)):
         more = given | (1 << j)
         if more != given:
-            later = tables.message_discount * _dot(belief, tables.values[step, more])
+            later = tables.message_discount * dot(belief, tables.values[step, more])
             upper = max(upper, later - tables.message_price[j])
     store.upper[node] = upper
     plans = tables.plans[step, given]
     u = _best_plan(plans, belief)
     store.alpha[node] = plans[u]
-    store.lower[node] = min(_dot(belief, plans[u]), upper)
-    _learn(tables, store, node)
+    store.lower[node] = min(dot(belief, plans[u]), upper)
+    learn(tables, store, node)
     return node
-
-
-@njit(cache=True, nogil=True)
-def _learn(tables, store, node):  # type: ignore[no-untyped-def]
-    """Tightens a node's bounds by what other nodes at its (k, H) found out."""
-    step, given, belief = store.step[node], store.given[node], store.belief[node]
-    place = store.listed[step, given, 2]
-    if place < 0:
-        return
-    for i in range(min(store.place_count[place, 0], KEPT)):
-        value = _dot(belief, store.place_alpha[place, i])
-        if value > store.lower[node]:
-            store.lower[node] = min(value, store.upper[node])
-            store.alpha[node] = store.place_alpha[place, i]
-            # The policy takes the best action: the set that earns the bound must say so.
-            for a in range(store.first[node], store.first[node] + store.n_actions[node]):
-                if store.action_set[a] == store.place_set[place, i]:
-                    value = min(value, store.action_upper[a])
-                    store.action_lower[a] = max(store.action_lower[a], value)
-    known = tables.values[step, given]
-    for i in range(min(store.place_count[place, 1], KEPT)):
-        other = store.place_belief[place, i]
-        share = 1.0
-        for t in range(len(belief)):
-            if other[t] > 0.0:
-                share = min(share, belief[t] / other[t])
-        if share > 0.0:
-            value = share * store.place_upper[place, i]
-            for t in range(len(belief)):
-                value += (belief[t] - share * other[t]) * known[t]
-            store.upper[node] = min(store.upper[node], max(value, store.lower[node]))
-
-
-@njit(cache=True, nogil=True)
-def _teach(tables, store, node, upper, lower, news):  # type: ignore[no-untyped-def]
-    """Keeps a node's bounds for the others at its (k, H), if they are better than ``upper`` and
-    ``lower`` by ``news``."""
-    place = store.listed[store.step[node], store.given[node], 2]
-    if store.upper[node] < upper - news:
-        i = store.place_count[place, 1] % KEPT
-        store.place_belief[place, i] = store.belief[node]
-        store.place_upper[place, i] = store.upper[node]
-        store.place_count[place, 1] += 1
-    if store.lower[node] > lower + news:
-        best = store.first[node]
-        for a in range(best, best + store.n_actions[node]):
-            if store.action_lower[a] > store.action_lower[best]:
-                best = a
-        if store.action_first[best] < 0:
-            return
-        _alpha(tables, store, node, best)
-        i = store.place_count[place, 0] % KEPT
-        store.place_alpha[place, i] = store.alpha[node]
-        store.place_set[place, i] = store.action_set[best]
-        store.place_count[place, 0] += 1
-
-
-@njit(cache=True, nogil=True)
-def _alpha(tables, store, node, a):  # type: ignore[no-untyped-def]
-    """The value, for each type, of taking an expanded action and then what the answers' nodes'
-    alpha vectors stand for."""
-    step, belief, alpha = store.step[node], store.belief[node], store.alpha[node]
-    chosen = store.action_set[a]
-    shown = store.given[node] | chosen
-    begin = store.action_first[a]
-    alpha[:] = store.action_tail_alpha[a]
-    for o in range(begin, begin + store.action_answers[a]):
-        child = store.answer_node[o]
-        for t in range(len(belief)):
-            if store.belief[child, t] > 0.0:
-                weight = store.answer_probability[o] * store.belief[child, t]
-                alpha[t] += weight * store.alpha[child, t]
-    for t in range(len(belief)):
-        if belief[t] > 0.0:
-            now = (
-                tables.explain[step, shown, t] - tables.discount * tables.values[step + 1, shown, t]
-            )
-            alpha[t] = alpha[t] / belief[t] + tables.factor[chosen] * now - tables.price[chosen]
-        else:
-            alpha[t] = IRRELEVANT
-    store.used[WORK] += store.action_answers[a]
-
-
-@njit(cache=True, nogil=True)
-def _list_candidates(tables, store, step, given):  # type: ignore[no-untyped-def]
-    """The sets of messages that may be optimal at (k, H) for some belief: all but those whose
-    upper bound lies below the value of one and the same plan for every type."""
-    sets = len(tables.price)
-    types = tables.p.shape[0]
-    begin = store.used[CANDIDATES]
-    place = store.used[PLACES]
-    if begin + sets > len(store.candidates) or place == len(store.place_count):
-        return False
-    plans = tables.plans[step, given]
-    free = (sets - 1) & ~given
-    end = begin
-    chosen = 0
-    while True:
-        explain = tables.explain[step, given | chosen]
-        dominated = False
-        for u in range(len(plans)):
-            below, strictly = True, False
-            for t in range(types):
-                value = tables.factor[chosen] * explain[t] - tables.price[chosen]
-                if value > plans[u, t]:
-                    below = False
-                    break
-                if value < plans[u, t] - ROUNDING:
-                    strictly = True
-            if below and strictly:
-                dominated = True
-                break
-        if not dominated:
-            store.candidates[end] = chosen
-            end += 1
-        chosen = (chosen - free) & free
-        if chosen == 0:
-            break
-    store.listed[step, given, 0] = begin
-    store.listed[step, given, 1] = end - begin
-    store.listed[step, given, 2] = place
-    store.used[PLACES] += 1
-    store.used[CANDIDATES] = end
-    store.used[WORK] += sets
-    return True
 
 
 @njit(cache=True, nogil=True)
 def _open(tables, store, node):  # type: ignore[no-untyped-def]
     """Lists the sets of messages that may be optimal at a node. False where the store is full."""
     step, given, belief = store.step[node], store.given[node], store.belief[node]
-    if store.listed[step, given, 0] < 0 and not _list_candidates(tables, store, step, given):
+    if store.listed[step, given, 0] < 0 and not list_candidates(tables, store, step, given):
         return False
     candidates = store.listed[step, given, 1]
     begin = store.used[ACTIONS]
@@ -376,7 +94,7 @@ def _open(tables, store, node):  # type: ignore[no-untyped-def]
     lower = store.lower[node]
     for c in range(store.listed[step, given, 0], store.listed[step, given, 0] + candidates):
         chosen = store.candidates[c]
-        value = tables.factor[chosen] * _dot(belief, tables.explain[step, given | chosen])
+        value = tables.factor[chosen] * dot(belief, tables.explain[step, given | chosen])
         value -= tables.price[chosen]
         # The best is kept even where rounding puts it below the best plan.
         if value >= lower or value > best:
@@ -388,13 +106,13 @@ def _open(tables, store, node):  # type: ignore[no-untyped-def]
         chosen = store.action_set[a]
         shown = given | chosen
         later = tables.factor[chosen] * tables.discount
-        store.action_base[a] = store.action_upper[a] - later * _dot(
+        store.action_base[a] = store.action_upper[a] - later * dot(
             belief, tables.values[step + 1, shown]
         )
         store.action_lower[a] = store.action_upper[a]
         if not last:
             plans = tables.plans[step + 1, shown]
-            value = store.action_base[a] + later * _dot(belief, plans[_best_plan(plans, belief)])
+            value = store.action_base[a] + later * dot(belief, plans[_best_plan(plans, belief)])
             store.action_lower[a] = min(value, store.action_upper[a])
         lower = max(lower, store.action_lower[a])
     kept = begin
@@ -438,9 +156,9 @@ def _expand(tables, store, node, a, gap, out_weight, out_evidence, tail):  # typ
         )
         if answers < 0:
             return False
-        tail_upper = later * _dot(tail, tables.values[step + 1, shown])
+        tail_upper = later * dot(tail, tables.values[step + 1, shown])
         plan = tables.plans[step + 1, shown, _best_plan(tables.plans[step + 1, shown], tail)]
-        tail_lower = later * _dot(tail, plan)
+        tail_lower = later * dot(tail, plan)
         if tail_upper - tail_lower <= gap or negligible == 0.0:
             break
         negligible = negligible * 0.2 if negligible > 1e-18 else 0.0
@@ -541,7 +259,7 @@ def search(tables, store, root, gap, tail_gap, max_opened, work, out_weight, out
             action_upper = store.action_upper[actions[d]]
             _back_up(store, nodes[d], actions[d])
             moved = moved or store.action_upper[actions[d]] < action_upper
-            _teach(tables, store, nodes[d], upper, lower, NEWS * gap)
+            teach(tables, store, nodes[d], upper, lower, NEWS * gap)
         if action == NO_ROOM:
             return FULL
         for d in range(last + 1):
@@ -560,7 +278,7 @@ def _settle(tables, store, node, allowed, tail_gap, out_weight, out_evidence, ta
     """
     if store.first[node] < 0 and not _open(tables, store, node):
         return NO_ROOM
-    _learn(tables, store, node)
+    learn(tables, store, node)
     while _gap(store, node) > allowed + ROUNDING and store.step[node] < tables.p.shape[1] - 1:
         action = _best_action(store, node)
         if store.action_first[action] >= 0:
