@@ -33,6 +33,7 @@ from xplain.solvers.dynamic_programming import (
 )
 from xplain.solvers.gap_search import DONE, FULL, TAIL, add_node, search
 from xplain.solvers.gap_store import NODES, Store, grown, make_store, store_bytes
+from xplain.solvers.lattice import make_room
 
 log = logging.getLogger(__name__)
 
@@ -105,13 +106,16 @@ def explore(
     store = make_store(tables)
     root = add_node(tables, store, step, given, belief, np.zeros(types, dtype=np.int64))
     tail_gap = effort.gap * TAIL / tables.p.shape[1]
+    steps = tables.p.shape[1]
+    path, gaps = np.empty((2, steps), dtype=np.int64), np.empty(steps)
+    working = path, gaps, np.empty(types), make_room(steps, types)
     room = 256
     # Coarse before fine: a trial for the final gap would first refine what is ruled out later.
     asked = max(effort.gap, (store.upper[root] - store.lower[root]) / COARSER)
     while True:
         buffers = np.empty((room, types)), np.empty((room, types), dtype=np.int64)
         limits = asked, tail_gap, effort.nodes, CHUNK
-        status = search(tables, store, root, *limits, *buffers)
+        status = search(tables, store, root, *limits, *buffers, *working)
         if status == FULL:
             room *= 2
             if 2 * store_bytes(store) > effort.memory_gib * GIB:

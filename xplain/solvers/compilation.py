@@ -1,10 +1,11 @@
-"""Tells the user when a kernel is compiled: it takes seconds, once; later runs load it."""
+"""How kernels are compiled, and telling the user: it takes seconds, once; later runs load them."""
 
 from __future__ import annotations
 
 import logging
 from functools import cache
 
+from numba import njit
 from numba.core import event
 
 log = logging.getLogger(__name__)
@@ -29,3 +30,12 @@ class _Listener(event.Listener):  # type: ignore[misc]
 def tell_when_compiling() -> None:
     """From now on, one line is logged in this process when a kernel has to be compiled."""
     event.register("numba:compile", _Listener())
+
+
+inlined = njit(forceinline=True, _nrt=False)
+"""Decorates what a hot kernel is made of. Numba counts references to arrays at every call, and
+passes them by value, seven words each: in kernels of many arrays this took most of the time. So
+everything is inlined into one function that allocates nothing, and nothing is counted (``_nrt``).
+What such a function calls must be decorated so too. Numba's cache knows the file of the outermost
+function only: after a change in another, touch that file.
+"""

@@ -22,8 +22,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from xplain.solvers.compilation import inlined
 from xplain.solvers.gap_sharing import ROUNDING, learn, list_candidates, teach
-from xplain.solvers.gap_store import ACTIONS, ANSWERS, NODES, OPENED, WORK, dot, find
+from xplain.solvers.gap_store import ACTIONS, ANSWERS, NODES, OPENED, WORK, copy, dot, find
 from xplain.solvers.lattice import branch
 
 DONE, WORKING, FULL = 0, 1, 2
@@ -34,7 +35,7 @@ NEWS = 0.01
 """Share of the gap by which a bound must improve to be kept for the others."""
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _best_plan(plans, weight):  # type: ignore[no-untyped-def]
     """The plan that is worth the most at a belief."""
     best, chosen = -np.inf, 0
@@ -45,8 +46,14 @@ def _best_plan(plans, weight):  # type: ignore[no-untyped-def]
     return chosen
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def add_node(tables, store, step, given, weight, evidence):  # type: ignore[no-untyped-def]
+    """:func:`_add_node`, to be called from outside."""
+    return _add_node(tables, store, step, given, weight, evidence)
+
+
+@inlined
+def _add_node(tables, store, step, given, weight, evidence):  # type: ignore[no-untyped-def]
     """The node of a belief, made if need be; −1 where the store is full. ``weight`` may be
     unnormalised."""
     slot = find(store, step, given, evidence)
@@ -59,8 +66,12 @@ def add_node(tables, store, step, given, weight, evidence):  # type: ignore[no-u
     store.hash_table[slot] = node
     store.step[node] = step
     store.given[node] = given
-    store.evidence[node] = evidence
-    store.belief[node] = weight / weight.sum()
+    copy(evidence, store.evidence[node])
+    total = 0.0
+    for t in range(len(weight)):
+        total += weight[t]
+    for t in range(len(weight)):
+        store.belief[node, t] = weight[t] / total
     store.first[node] = -1
     belief = store.belief[node]
     upper = dot(belief, tables.explain[step, given])
@@ -72,13 +83,13 @@ def add_node(tables, store, step, given, weight, evidence):  # type: ignore[no-u
     store.upper[node] = upper
     plans = tables.plans[step, given]
     u = _best_plan(plans, belief)
-    store.alpha[node] = plans[u]
+    copy(plans[u], store.alpha[node])
     store.lower[node] = min(dot(belief, plans[u]), upper)
     learn(tables, store, node)
     return node
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _open(tables, store, node):  # type: ignore[no-untyped-def]
     """Lists the sets of messages that may be optimal at a node. False where the store is full."""
     step, given, belief = store.step[node], store.given[node], store.belief[node]
@@ -134,8 +145,8 @@ def _open(tables, store, node):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True)
-def _expand(tables, store, node, a, gap, out_weight, out_evidence, tail):  # type: ignore[no-untyped-def]
+@inlined
+def _expand(tables, store, node, a, gap, out_weight, out_evidence, tail, room):  # type: ignore[no-untyped-def]
     """Makes the nodes of an action's answers, but for a tail of unlikely ones that widens the
     gap by no more than ``gap``. False where the store is full."""
     step, belief = store.step[node], store.belief[node]
@@ -153,6 +164,7 @@ def _expand(tables, store, node, a, gap, out_weight, out_evidence, tail):  # typ
             out_weight,
             out_evidence,
             tail,
+            room,
         )
         if answers < 0:
             return False
@@ -166,22 +178,26 @@ def _expand(tables, store, node, a, gap, out_weight, out_evidence, tail):  # typ
     if begin + answers > len(store.answer_node):
         return False
     for o in range(answers):
-        child = add_node(tables, store, step + 1, shown, out_weight[o], out_evidence[o])
+        child = _add_node(tables, store, step + 1, shown, out_weight[o], out_evidence[o])
         if child < 0:
             return False
         store.answer_node[begin + o] = child
-        store.answer_probability[begin + o] = later * out_weight[o].sum()
+        total = 0.0
+        for t in range(len(belief)):
+            total += out_weight[o, t]
+        store.answer_probability[begin + o] = later * total
     store.used[ANSWERS] += answers
     store.used[WORK] += 4 * answers
     store.action_first[a] = begin
     store.action_answers[a] = answers
     store.action_tail[a, 0] = tail_upper
     store.action_tail[a, 1] = tail_lower
-    store.action_tail_alpha[a] = later * tail * plan
+    for t in range(len(belief)):
+        store.action_tail_alpha[a, t] = later * tail[t] * plan[t]
     return True
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _back_up(store, node, a):  # type: ignore[no-untyped-def]
     """Both bounds of an expanded action and its node, from its answers'."""
     upper = store.action_base[a] + store.action_tail[a, 0]
@@ -203,7 +219,7 @@ def _back_up(store, node, a):  # type: ignore[no-untyped-def]
     store.lower[node] = min(best_lower, store.upper[node])
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _best_action(store, node):  # type: ignore[no-untyped-def]
     best = store.first[node]
     for a in range(best, best + store.n_actions[node]):
@@ -212,24 +228,35 @@ def _best_action(store, node):  # type: ignore[no-untyped-def]
     return best
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _gap(store, node):  # type: ignore[no-untyped-def]
     return store.upper[node] - store.lower[node]
 
 
-@njit(cache=True, nogil=True)
-def search(tables, store, root, gap, tail_gap, max_opened, work, out_weight, out_evidence):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, _nrt=False)
+def search(  # type: ignore[no-untyped-def]
+    tables,
+    store,
+    root,
+    gap,
+    tail_gap,
+    max_opened,
+    work,
+    out_weight,
+    out_evidence,
+    path,
+    gaps,
+    tail,
+    room,
+):
     """Trials until the root's gap is closed, the nodes are spent, or the work is done. ``tail_gap``
-    is what answers not told apart may widen an action's gap by.
+    is what answers not told apart may widen an action's gap by. The last six arguments are room
+    to work in: the first two as :func:`branch` has them, [2, m], [m], [N], and its own.
 
     Returns:
         DONE, WORKING (call again), or FULL (grow the store or the buffers, call again).
     """
-    steps = tables.p.shape[1]
-    nodes = np.empty(steps, dtype=np.int64)
-    gaps = np.empty(steps)
-    actions = np.empty(steps, dtype=np.int64)
-    tail = np.empty(tables.p.shape[0])
+    nodes, actions = path[0], path[1]
     stop = store.used[WORK] + work
     if store.first[root] < 0 and not _open(tables, store, root):
         return FULL
@@ -241,7 +268,9 @@ def search(tables, store, root, gap, tail_gap, max_opened, work, out_weight, out
         while True:
             nodes[level], gaps[level] = node, _gap(store, node)
             last = level
-            action = _settle(tables, store, node, allowed, tail_gap, out_weight, out_evidence, tail)
+            action = _settle(
+                tables, store, node, allowed, tail_gap, out_weight, out_evidence, tail, room
+            )
             if action < 0:
                 break
             actions[level] = action
@@ -269,8 +298,8 @@ def search(tables, store, root, gap, tail_gap, max_opened, work, out_weight, out
     return DONE
 
 
-@njit(cache=True, nogil=True)
-def _settle(tables, store, node, allowed, tail_gap, out_weight, out_evidence, tail):  # type: ignore[no-untyped-def]
+@inlined
+def _settle(tables, store, node, allowed, tail_gap, out_weight, out_evidence, tail, room):  # type: ignore[no-untyped-def]
     """Opens a node, and expands its best action until one that is expanded is the best.
 
     Returns:
@@ -283,13 +312,13 @@ def _settle(tables, store, node, allowed, tail_gap, out_weight, out_evidence, ta
         action = _best_action(store, node)
         if store.action_first[action] >= 0:
             return action
-        if not _expand(tables, store, node, action, tail_gap, out_weight, out_evidence, tail):
+        if not _expand(tables, store, node, action, tail_gap, out_weight, out_evidence, tail, room):
             return NO_ROOM
         _back_up(store, node, action)
     return CLOSED
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _widest_answer(store, action, allowed):  # type: ignore[no-untyped-def]
     """The answer whose node exceeds the allowed gap the most, by probability; −1 if none does."""
     worst, widest = ROUNDING, -1

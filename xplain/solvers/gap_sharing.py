@@ -8,9 +8,8 @@ of messages that no plan dominates.
 
 from __future__ import annotations
 
-from numba import njit
-
-from xplain.solvers.gap_store import CANDIDATES, KEPT, PLACES, WORK, dot
+from xplain.solvers.compilation import inlined
+from xplain.solvers.gap_store import CANDIDATES, KEPT, PLACES, WORK, copy, dot
 
 IRRELEVANT = -1e30
 """In an alpha vector, the value for a type that cannot be at its node."""
@@ -18,7 +17,7 @@ ROUNDING = 1e-14
 """Differences below this are rounding."""
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def learn(tables, store, node):  # type: ignore[no-untyped-def]
     """Tightens a node's bounds by what other nodes at its (k, H) found out."""
     step, given, belief = store.step[node], store.given[node], store.belief[node]
@@ -29,7 +28,7 @@ def learn(tables, store, node):  # type: ignore[no-untyped-def]
         value = dot(belief, store.place_alpha[place, i])
         if value > store.lower[node]:
             store.lower[node] = min(value, store.upper[node])
-            store.alpha[node] = store.place_alpha[place, i]
+            copy(store.place_alpha[place, i], store.alpha[node])
             # The policy takes the best action: the set that earns the bound must say so.
             for a in range(store.first[node], store.first[node] + store.n_actions[node]):
                 if store.action_set[a] == store.place_set[place, i]:
@@ -49,14 +48,14 @@ def learn(tables, store, node):  # type: ignore[no-untyped-def]
             store.upper[node] = min(store.upper[node], max(value, store.lower[node]))
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def teach(tables, store, node, upper, lower, news):  # type: ignore[no-untyped-def]
     """Keeps a node's bounds for the others at its (k, H), if they are better than ``upper`` and
     ``lower`` by ``news``."""
     place = store.listed[store.step[node], store.given[node], 2]
     if store.upper[node] < upper - news:
         i = store.place_count[place, 1] % KEPT
-        store.place_belief[place, i] = store.belief[node]
+        copy(store.belief[node], store.place_belief[place, i])
         store.place_upper[place, i] = store.upper[node]
         store.place_count[place, 1] += 1
     if store.lower[node] > lower + news:
@@ -68,12 +67,12 @@ def teach(tables, store, node, upper, lower, news):  # type: ignore[no-untyped-d
             return
         _alpha(tables, store, node, best)
         i = store.place_count[place, 0] % KEPT
-        store.place_alpha[place, i] = store.alpha[node]
+        copy(store.alpha[node], store.place_alpha[place, i])
         store.place_set[place, i] = store.action_set[best]
         store.place_count[place, 0] += 1
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _alpha(tables, store, node, a):  # type: ignore[no-untyped-def]
     """The value, for each type, of taking an expanded action and then what the answers' nodes'
     alpha vectors stand for."""
@@ -81,7 +80,7 @@ def _alpha(tables, store, node, a):  # type: ignore[no-untyped-def]
     chosen = store.action_set[a]
     shown = store.given[node] | chosen
     begin = store.action_first[a]
-    alpha[:] = store.action_tail_alpha[a]
+    copy(store.action_tail_alpha[a], alpha)
     for o in range(begin, begin + store.action_answers[a]):
         child = store.answer_node[o]
         for t in range(len(belief)):
@@ -99,7 +98,7 @@ def _alpha(tables, store, node, a):  # type: ignore[no-untyped-def]
     store.used[WORK] += store.action_answers[a]
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def list_candidates(tables, store, step, given):  # type: ignore[no-untyped-def]
     """The sets of messages that may be optimal at (k, H) for some belief: all but those whose
     upper bound lies below the value of one and the same plan for every type."""

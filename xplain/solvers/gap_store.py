@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from xplain.solvers.bound_tables import Tables
+from xplain.solvers.compilation import inlined
 from xplain.solvers.lattice import hash_key
 
 KEPT = 32
@@ -42,7 +43,7 @@ class Store(NamedTuple):
     action_answers: NDArray[np.int64]
     action_tail: NDArray[np.float64]
     action_tail_alpha: NDArray[np.float64]
-    answer_node: NDArray[np.int64]
+    answer_node: NDArray[np.int32]
     answer_probability: NDArray[np.float64]
     candidates: NDArray[np.int64]
     place_count: NDArray[np.int64]
@@ -51,7 +52,7 @@ class Store(NamedTuple):
     place_belief: NDArray[np.float64]
     place_upper: NDArray[np.float64]
     listed: NDArray[np.int64]
-    hash_table: NDArray[np.int64]
+    hash_table: NDArray[np.int32]
 
 
 NODES, ACTIONS, ANSWERS, CANDIDATES, PLACES, OPENED, WORK = range(7)
@@ -80,7 +81,7 @@ def make_store(tables: Tables, nodes: int = 1 << 10) -> Store:
         np.zeros(actions, dtype=np.int64),
         np.zeros((actions, 2)),
         np.zeros((actions, types)),
-        np.zeros(answers, dtype=np.int64),
+        np.zeros(answers, dtype=np.int32),
         np.zeros(answers),
         np.zeros(actions, dtype=np.int64),
         np.zeros((places, 2), dtype=np.int64),
@@ -89,7 +90,7 @@ def make_store(tables: Tables, nodes: int = 1 << 10) -> Store:
         np.zeros((places, KEPT, types)),
         np.zeros((places, KEPT)),
         np.full((steps, sets, 3), -1, dtype=np.int64),
-        np.full(4 * nodes, -1, dtype=np.int64),
+        np.full(4 * nodes, -1, dtype=np.int32),
     )
 
 
@@ -105,13 +106,16 @@ def grown(store: Store) -> Store:
         kind = _KIND.get(name.split("_")[0], NODES)
         if kind not in short:
             return array
-        return np.concatenate([array, np.zeros_like(array)])
+        # Fresh zeros cost nothing until they are touched.
+        more = np.zeros((2 * len(array), *array.shape[1:]), dtype=array.dtype)
+        more[: store.used[kind]] = array[: store.used[kind]]
+        return more
 
     fixed = {"used": store.used, "listed": store.listed}
     arrays: dict[str, Any] = {
         n: fixed[n] if n in fixed else bigger(n, a) for n, a in store._asdict().items()
     }
-    arrays["hash_table"] = np.full(4 * len(arrays["step"]), -1, dtype=np.int64)
+    arrays["hash_table"] = np.full(4 * len(arrays["step"]), -1, dtype=np.int32)
     new = Store(**arrays)
     _rehash(new)
     return new
@@ -126,14 +130,14 @@ def store_bytes(store: Store) -> int:
     return sum(array.nbytes for array in store)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def _rehash(store):  # type: ignore[no-untyped-def]
     for node in range(store.used[NODES]):
         slot = find(store, store.step[node], store.given[node], store.evidence[node])
         store.hash_table[slot] = node
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def find(store, step, given, evidence):  # type: ignore[no-untyped-def]
     """The slot that holds this belief's node, or the free one where it belongs."""
     mask = np.uint64(len(store.hash_table) - 1)
@@ -153,7 +157,14 @@ def find(store, step, given, evidence):  # type: ignore[no-untyped-def]
         slot = (slot + np.uint64(1)) & mask
 
 
-@njit(cache=True, nogil=True)
+@inlined
+def copy(source, target):  # type: ignore[no-untyped-def]
+    """Fills an array [N] from another. (``target[:] = source`` would allocate.)"""
+    for t in range(len(target)):
+        target[t] = source[t]
+
+
+@inlined
 def dot(a, b):  # type: ignore[no-untyped-def]
     total = 0.0
     for t in range(len(a)):

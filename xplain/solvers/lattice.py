@@ -10,8 +10,12 @@ equal evidence in any order gives equal integers, and these are an exact key of 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
+
+from xplain.solvers.compilation import inlined
 
 SCALE = float(1 << 40)
 IMPOSSIBLE = -(1 << 62)
@@ -20,9 +24,36 @@ likeliest type's probability."""
 FAINT = -(1 << 50)
 
 
-@njit(cache=True, nogil=True)
+class Room(NamedTuple):
+    """Room for :func:`branch` to work in, for m steps and N types.
+
+    Attributes:
+        groups: [4, m + 1] first transition, size, first row and count of a group.
+        likelihood, news: [2 m, N] probability and evidence of a group's counts.
+        weights, logs: [m + 1, N] joint probability and evidence of a prefix of counts.
+    """
+
+    groups: NDArray[np.int64]
+    likelihood: NDArray[np.float64]
+    news: NDArray[np.int64]
+    weights: NDArray[np.float64]
+    logs: NDArray[np.int64]
+
+
+def make_room(steps: int, types: int) -> Room:
+    """Room of the right size."""
+    return Room(
+        np.empty((4, steps + 1), dtype=np.int64),
+        np.empty((2 * steps, types)),
+        np.empty((2 * steps, types), dtype=np.int64),
+        np.empty((steps + 1, types)),
+        np.empty((steps + 1, types), dtype=np.int64),
+    )
+
+
+@inlined
 def branch(  # type: ignore[no-untyped-def]
-    p, step, given, weight, evidence, negligible, out_weight, out_evidence, tail
+    p, step, given, weight, evidence, negligible, out_weight, out_evidence, tail, room
 ):
     """The distinguishable answers to *explain*.
 
@@ -37,51 +68,54 @@ def branch(  # type: ignore[no-untyped-def]
         out_weight, out_evidence: [capacity, N] receive ``weight`` and ``evidence`` after each
             answer.
         tail: [N] receives the joint weight of all that was not listed.
+        room: to work in.
 
     Returns:
         The number of answers listed; −1 where they are more than the capacity.
     """
     types = len(weight)
-    first = np.empty(step + 1, dtype=np.int64)  # a group's first transition
-    size = np.zeros(step + 1, dtype=np.int64)
+    first, size, start, count = room.groups[0], room.groups[1], room.groups[2], room.groups[3]
+    likelihood, news, weights, logs = room.likelihood, room.news, room.weights, room.logs
     groups = 0
     for i in range(step + 1):
         if not _informative(p, i, given, weight):
             continue
         for g in range(groups + 1):
             if g == groups:
-                first[g] = i
+                first[g], size[g] = i, 0
                 groups += 1
             if _same_column(p, first[g], i, given, weight):
                 size[g] += 1
                 break
 
-    start = np.zeros(groups + 1, dtype=np.int64)
+    start[0] = 0
     for g in range(groups):
         start[g + 1] = start[g] + size[g] + 1
-    likelihood = np.zeros((start[groups], types))
-    news = np.zeros((start[groups], types), dtype=np.int64)
     for g in range(groups):
         for t in range(types):
             if weight[t] > 0.0:
                 yes = p[t, first[g], given]
                 _binomial(yes, size[g], start[g], t, likelihood, news)
+            else:
+                for row in range(start[g], start[g + 1]):
+                    likelihood[row, t], news[row, t] = 0.0, 0
 
     # Depth first through the groups' counts; a prefix's weight is the sum over its completions,
     # so a negligible prefix is a negligible family.
-    weights = np.empty((groups + 1, types))
-    logs = np.empty((groups + 1, types), dtype=np.int64)
-    weights[0] = weight
-    logs[0] = evidence
-    count = np.zeros(groups + 1, dtype=np.int64)
-    tail[:] = 0.0
+    for g in range(groups):
+        count[g] = 0
+    for t in range(types):
+        weights[0, t] = weight[t]
+        logs[0, t] = evidence[t]
+        tail[t] = 0.0
     found = 0
     level = 0
     while level >= 0:
         if level == groups:
             if found == len(out_weight):
                 return -1
-            out_weight[found] = weights[level]
+            for t in range(types):
+                out_weight[found, t] = weights[level, t]
             _normalise(weights[level], logs[level], out_evidence[found])
             found += 1
             level -= 1
@@ -105,7 +139,7 @@ def branch(  # type: ignore[no-untyped-def]
     return found
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _informative(p, i, given, weight):  # type: ignore[no-untyped-def]
     first = -1
     for t in range(len(weight)):
@@ -117,7 +151,7 @@ def _informative(p, i, given, weight):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _same_column(p, i, other, given, weight):  # type: ignore[no-untyped-def]
     for t in range(len(weight)):
         if weight[t] > 0.0 and p[t, i, given] != p[t, other, given]:
@@ -125,7 +159,7 @@ def _same_column(p, i, other, given, weight):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _binomial(yes, size, start, t, likelihood, news):  # type: ignore[no-untyped-def]
     """Of ``size`` labels, each 1 with probability ``yes``: P(c ones), and their evidence."""
     log_yes = round(np.log(yes) * SCALE) if yes > 0.0 else 0
@@ -138,7 +172,7 @@ def _binomial(yes, size, start, t, likelihood, news):  # type: ignore[no-untyped
         choose *= (size - ones) / (ones + 1)
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _normalise(weight, logs, out):  # type: ignore[no-untyped-def]
     top = IMPOSSIBLE
     for t in range(len(weight)):
@@ -148,7 +182,7 @@ def _normalise(weight, logs, out):  # type: ignore[no-untyped-def]
         out[t] = logs[t] - top if weight[t] > 0.0 and logs[t] - top > FAINT else IMPOSSIBLE
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def hash_key(step, given, evidence):  # type: ignore[no-untyped-def]
     """A 64-bit hash of (k, H, evidence)."""
     h = np.uint64(step) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(given)

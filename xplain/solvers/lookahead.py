@@ -18,6 +18,7 @@ from xplain.errors import InputError
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge
 from xplain.solvers.bound_tables import set_prices
+from xplain.solvers.compilation import inlined
 from xplain.solvers.dynamic_programming import (
     Greedy,
     Restricted,
@@ -31,7 +32,7 @@ from xplain.solvers.dynamic_programming import (
     restrict,
     table_bytes,
 )
-from xplain.solvers.lattice import branch
+from xplain.solvers.lattice import branch, make_room
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,7 @@ class Looking:
             self.candidates,
             np.empty((self.answers, problem.n_types)),
             np.empty((self.answers, problem.n_types), dtype=np.int64),
+            make_room(problem.n_steps, problem.n_types),
         )
         return dict(zip(sets.tolist(), scores.tolist(), strict=True)), float(rest)
 
@@ -172,6 +174,7 @@ def _look(  # type: ignore[no-untyped-def]
     candidates,
     out_weight,
     out_evidence,
+    room,
 ):
     """The best sets by QMDP, their scores after a look at the answers, the best other score."""
     free = (len(price) - 1) & ~given
@@ -204,7 +207,9 @@ def _look(  # type: ignore[no-untyped-def]
         scores[chosen] = -np.inf
         shown = given | chosen
         if step + 1 < p.shape[1]:
-            answers = branch(p, step, shown, belief, evidence, 1e-9, out_weight, out_evidence, tail)
+            answers = branch(
+                p, step, shown, belief, evidence, 1e-9, out_weight, out_evidence, tail, room
+            )
             if answers >= 0:
                 later = 0.0
                 for t in range(len(belief)):
@@ -226,7 +231,7 @@ def _look(  # type: ignore[no-untyped-def]
     return sets[:count], best[:count], scores.max()
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _qmdp(  # type: ignore[no-untyped-def]
     p,
     table,

@@ -19,7 +19,7 @@ from xplain.explanation.problem import Problem
 from xplain.randomness import stream
 from xplain.solvers.base import Policy
 from xplain.solvers.dynamic_programming import message_discount, message_price
-from xplain.solvers.lattice import branch, hash_key
+from xplain.solvers.lattice import branch, hash_key, make_room
 from xplain.solvers.remembered import Remembered
 
 NEGLIGIBLE = 1e-16
@@ -156,6 +156,7 @@ def _next_layer(
         out_given,
         out_weight,
         out_evidence,
+        make_room(problem.n_steps, problem.n_types),
     )
     if found < 0:
         return None
@@ -164,7 +165,7 @@ def _next_layer(
 
 @njit(cache=True, nogil=True)
 def _expand_layer(  # type: ignore[no-untyped-def]
-    p, step, given, weight, evidence, negligible, out_given, out_weight, out_evidence
+    p, step, given, weight, evidence, negligible, out_given, out_weight, out_evidence, room
 ):
     capacity, types = out_weight.shape
     slots = 16
@@ -187,6 +188,7 @@ def _expand_layer(  # type: ignore[no-untyped-def]
             answer_weight,
             answer_evidence,
             tail,
+            room,
         )
         left_out += tail.sum()
         if answers < 0:

@@ -2,9 +2,6 @@
 
 All that ``simulate`` is made of stands in this one file: numba's cache looks at no other. The
 arrays (``Model``, ``Tree``, ``Options``) are described in :mod:`xplain.solvers.pomcp_tables`.
-
-Everything is inlined into ``simulate`` and nothing allocates, so that numba can leave reference
-counting out (``_nrt``): counting, and passing the arrays to functions, cost more than the search.
 """
 
 from __future__ import annotations
@@ -16,6 +13,8 @@ from llvmlite import ir
 from numba import njit, types, uint64
 from numba.extending import intrinsic
 
+from xplain.solvers.compilation import inlined
+
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 CERTAIN = 1 - 1e-6
 
@@ -23,8 +22,6 @@ MAX_OF_MEAN, MEAN_OF_MAX = 0, 1
 RANDOM, QMDP, SILENT = 0, 1, 2
 MEAN, MAX = 0, 1
 SETTLED = -1
-
-inlined = njit(forceinline=True, _nrt=False)
 
 
 @intrinsic  # type: ignore[untyped-decorator]
