@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 
 CHUNK = 100_000
 """Work between two looks at the clock and at Ctrl-C: some hundredths of a second."""
-COARSER = 4
+COARSER = 2
 """A search asks for a gap this much smaller than the last that it closed."""
 SAME = 1e-9
 """Beliefs that differ by less in every entry are the same belief."""

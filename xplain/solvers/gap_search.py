@@ -29,7 +29,7 @@ from xplain.solvers.lattice import branch
 
 DONE, WORKING, FULL = 0, 1, 2
 CLOSED, NO_ROOM = -1, -2
-TAIL = 0.25
+TAIL = 0.6
 """Share of the gap that may come from answers not told apart."""
 NEWS = 0.01
 """Share of the gap by which a bound must improve to be kept for the others."""
