@@ -178,7 +178,7 @@ def sample(
         tables.log_subset,
         tables.predictive,
         tables.marginal,
-        NOISE,
+        np.log(np.stack([1 - NOISE, NOISE], axis=1)),
         np.log(concentration) - answers.n * np.log(2),
         sweeps // 2,
         heat,
@@ -275,7 +275,7 @@ def _lead(ahead):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _weigh_subsets(masks, labels, subsets, log_subset, marginal, noise, log_noise, count, out):  # type: ignore[no-untyped-def]
+def _weigh_subsets(masks, labels, subsets, log_subset, marginal, flip, log_noise, count, out):  # type: ignore[no-untyped-def]
     """``out`` [Z, E]: log joint of (S_τ, ε_τ) and the labels of one transition, given M."""
     # Answers under the same M are counted once for all subsets.
     order = np.argsort(masks)
@@ -293,10 +293,9 @@ def _weigh_subsets(masks, labels, subsets, log_subset, marginal, noise, log_nois
             c = _local(subsets, z, distinct[i])
             count[c, 0] += times[i, 0]
             count[c, 1] += times[i, 1]
-        for e in range(len(noise)):
+        for e in range(len(log_noise)):
             value = log_subset[z] + log_noise[e]
-            right = np.log1p(-noise[e])
-            wrong = np.log(noise[e])
+            right, wrong = flip[e, 0], flip[e, 1]
             for c in range(len(count)):
                 if count[c, 0] + count[c, 1] > 0:
                     ahead = count[c, 1] - count[c, 0]
@@ -309,13 +308,13 @@ def _weigh_subsets(masks, labels, subsets, log_subset, marginal, noise, log_nois
 
 @njit(cache=True, nogil=True)
 def _weigh_facts(  # type: ignore[no-untyped-def]
-    first, last, tau, given, label, masks, subsets, subset, noise, count, table, local, values
+    first, last, tau, mended, label, masks, subsets, subset, noise, count, table, local, values
 ):
     """Adds to ``values`` [masks]: log P(an observer's labels | R = mask, the answers counted).
 
     Rows of one transition are neighbours; all that R says about them is which of the few facts in
     S_τ it holds, so each such combination is tried once. Every row is counted before the next is
-    predicted, and taken back.
+    predicted, and taken back. ``mended`` [P]: the facts of S_τ that were told, packed.
     """
     begin = first
     while begin < last:
@@ -332,12 +331,12 @@ def _weigh_facts(  # type: ignore[no-untyped-def]
             for held in range(1 << size):
                 value = 0.0
                 for p in range(begin, end):
-                    c = held & ~_local(subsets, z, given[p])
+                    c = held & ~mended[p]
                     lead = _lead(count[t, c, 1] - count[t, c, 0])
                     value += table[int(c == 0), noise[t], lead, label[p]]
                     count[t, c, label[p]] += 1
                 for p in range(begin, end):
-                    count[t, held & ~_local(subsets, z, given[p]), label[p]] -= 1
+                    count[t, held & ~mended[p], label[p]] -= 1
                 local[held] = value
             for i in range(len(masks)):
                 values[i] += local[_local(subsets, z, masks[i])]
@@ -345,10 +344,10 @@ def _weigh_facts(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _count_in(first, last, tau, given, label, facts, subsets, subset, count, sign):  # type: ignore[no-untyped-def]
+def _count_in(first, last, tau, mended, label, facts, subsets, subset, count, sign):  # type: ignore[no-untyped-def]
     for p in range(first, last):
         t = tau[p]
-        count[t, _local(subsets, subset[t], facts & ~given[p]), label[p]] += sign
+        count[t, _local(subsets, subset[t], facts) & ~mended[p], label[p]] += sign
 
 
 @njit(cache=True, nogil=True)
@@ -365,7 +364,7 @@ def _chain(  # type: ignore[no-untyped-def]
     log_subset,
     predictive,
     marginal,
-    noise_values,
+    flip,
     log_new,
     heated,
     heat,
@@ -378,9 +377,10 @@ def _chain(  # type: ignore[no-untyped-def]
 ):
     observers = len(start) - 1
     transitions = len(tau_start) - 1
-    levels = len(noise_values)
+    levels = len(flip)
     width = min(n, BLOCK)
     block = np.arange(n)
+    mended = np.empty(len(tau), dtype=np.int64)
     count = np.zeros((transitions, 1 << subsets.shape[1], 2), dtype=np.int64)
     scratch = np.zeros((1 << subsets.shape[1], 2), dtype=np.int64)
     weights = np.empty((len(subsets), levels))
@@ -407,7 +407,7 @@ def _chain(  # type: ignore[no-untyped-def]
                 subsets,
                 log_subset,
                 marginal,
-                noise_values,
+                flip,
                 log_noise,
                 scratch,
                 weights,
@@ -420,6 +420,7 @@ def _chain(  # type: ignore[no-untyped-def]
             count[t] = 0
             for i in range(len(own)):
                 count[t, _local(subsets, subset[t], held[i]), label[own[i]]] += 1
+                mended[own[i]] = _local(subsets, subset[t], given[own[i]])
         log_noise = np.log(seen / seen.sum())
         # The types in use, and the score of the state.
         used = np.unique(facts)
@@ -448,7 +449,7 @@ def _chain(  # type: ignore[no-untyped-def]
         # R of each observer, given the answers of all others.
         for o in range(observers):
             first, last = start[o], start[o + 1]
-            _count_in(first, last, tau, given, label, facts[o], subsets, subset, count, -1)
+            _count_in(first, last, tau, mended, label, facts[o], subsets, subset, count, -1)
             for k in range(number):
                 if kinds[k] == facts[o]:
                     members[k] -= 1
@@ -465,7 +466,7 @@ def _chain(  # type: ignore[no-untyped-def]
                             first,
                             last,
                             tau,
-                            given,
+                            mended,
                             label,
                             pair,
                             subsets,
@@ -503,7 +504,7 @@ def _chain(  # type: ignore[no-untyped-def]
                 first,
                 last,
                 tau,
-                given,
+                mended,
                 label,
                 masks,
                 subsets,
@@ -526,5 +527,5 @@ def _chain(  # type: ignore[no-untyped-def]
                 kinds[number] = facts[o]
                 members[number] = 1
                 number += 1
-            _count_in(first, last, tau, given, label, facts[o], subsets, subset, count, 1)
+            _count_in(first, last, tau, mended, label, facts[o], subsets, subset, count, 1)
     return best_score
