@@ -5,17 +5,24 @@
     python benchmarks/discovery.py growth        time against observers and labels
     python benchmarks/discovery.py --quick       a little of each, nothing written
 
-Every method has one setting for all rows (conf/clusterer/<method>.yaml). Seeds from 1000 on are
-kept for this benchmark. The truth: types that label all reachable questions alike are one. The
-held-out log-likelihood is of labelers fitted to the clusters found, on a held-out quarter of the
-distinct questions. Results go to benchmarks/results/.
+Every method has one setting for all rows (conf/clusterer/<method>.yaml). Seeds from 5000 on are
+kept for this benchmark; methods were made and tuned on others. The truth: types that label all
+reachable questions alike are one. The held-out log-likelihood (nats a label) is of paper's trees
+fitted to the clusters found, on a held-out quarter of the distinct questions; the clusters
+themselves were found from all labels. Times are CPU seconds of finding the types.
+
+Results go to benchmarks/results/. The grid is long: its rows are kept one by one in
+outputs/benchmarks/, and a run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -25,6 +32,10 @@ import numpy as np
 import pandas as pd
 from hydra.utils import instantiate
 from joblib import Parallel, delayed
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from omegaconf import OmegaConf
+from sklearn.metrics import adjusted_rand_score
 
 from xplain.command_line import compose_for
 from xplain.domains.base import transition_features
@@ -32,12 +43,13 @@ from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.learning.clustering import Clustering, Perfect
+from xplain.learning.dataset import Dataset
 from xplain.learning.disagreements import Cells
 from xplain.learning.heldout import log_likelihoods
 from xplain.learning.labelers import LabelerTrainer, split
-from xplain.learning.types import learn_types
+from xplain.learning.types import UserTypes, learn_types
 from xplain.randomness import derived_seed, stream
-from xplain.report.plots import series_style
+from xplain.report.plots import COLOURS, MARKERS, STYLES
 from xplain.solvers.qmdp import QMDP
 from xplain.users.observers import SimulatedObservers
 from xplain.users.setting import Setting
@@ -45,7 +57,10 @@ from xplain.users.traces import sample_trace
 from xplain.users.types import RandomCover
 
 RESULTS = Path(__file__).parent / "results"
-FIRST_SEED = 1000
+ROWS = Path("outputs/benchmarks/discovery_grid.csv")
+FIRST_SEED = 5000
+DATA = ["domain", "types", "queries", "points", "noise"]
+FIGURES = ["ari", "found", "held_out", "cpu_seconds"]
 GOALS = [  # domain, types, questions, points, noise, goal
     ("rescue", None, "shared", 300, 0.0, 1.0),
     ("rescue", None, "independent", 300, 0.0, 0.95),
@@ -56,6 +71,7 @@ GOALS = [  # domain, types, questions, points, noise, goal
 ]
 
 
+@lru_cache(maxsize=8)
 def setting_of(domain: str, types: int | None, seed: int) -> Setting:
     """The domain's own types, or so many drawn at random."""
     cfg = compose_for("observe", [f"domain={domain}"])
@@ -64,26 +80,38 @@ def setting_of(domain: str, types: int | None, seed: int) -> Setting:
     return Setting.build(made, source.types(made, stream(seed, "users")))
 
 
+@cache
 def clusterer(method: str) -> Any:
     """As conf/clusterer/<method>.yaml says."""
     return instantiate(compose_for("discover", [f"clusterer={method}"]).clusterer)
 
 
-def measure(
+@dataclass(frozen=True)
+class Found:
+    """What one method made of one data set."""
+
+    setting: Setting
+    dataset: Dataset
+    truth: NDArray[np.int64]
+    clustering: Clustering
+    row: dict[str, Any]
+
+
+def find(
     domain: str, types: int | None, queries: str, points: int, noise: float, method: str, seed: int
-) -> dict[str, Any]:
+) -> Found:
     """One data set, one method."""
     setting = setting_of(domain, types, seed)
     observers = SimulatedObservers(points=points, queries=queries, label_noise=noise)  # type: ignore[arg-type]
     dataset, truth = observers.collect(setting, seed)
     trainer = LabelerTrainer()
-    began = time.perf_counter()
+    began = time.process_time()
     found = clusterer(method).cluster(dataset, trainer, derived_seed(seed, "clusterer"), None)
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     test = split(dataset, 0.25, seed)
     train, held = dataset.take(np.flatnonzero(~test)), dataset.take(np.flatnonzero(test))
     alike = setting.distinct[truth]
-    return {
+    row = {
         "domain": domain,
         "types": len(np.unique(alike)),
         "queries": queries,
@@ -91,35 +119,23 @@ def measure(
         "noise": noise,
         "method": method,
         "seed": seed,
-        "ari": _score(alike, found.assignment),
+        "ari": score(alike, found.assignment),
         "found": found.n_types,
         "held_out": float(log_likelihoods(train, held, found.assignment, trainer, seed).mean()),
-        "seconds": seconds,
+        "cpu_seconds": seconds,
     }
+    return Found(setting, dataset, truth, found, row)
 
 
-def regrets(
-    domain: str,
-    types: int | None,
-    queries: str,
-    points: int,
-    noise: float,
-    method: str,
-    seed: int,
-    traces: int,
-) -> dict[str, float]:
+def regrets(found: Found, seed: int, traces: int) -> dict[str, float]:
     """Mean cost above the oracle's of QMDP (λ = 1) with the types found, and with the true ones."""
-    setting = setting_of(domain, types, seed)
-    observers = SimulatedObservers(points=points, queries=queries, label_noise=noise)  # type: ignore[arg-type]
-    dataset, truth = observers.collect(setting, seed)
-    trainer = LabelerTrainer()
+    setting, dataset, trainer = found.setting, found.dataset, LabelerTrainer()
 
-    def learned(clustering: Clustering) -> Any:
+    def learned(clustering: Clustering) -> UserTypes:
         return learn_types(dataset, clustering, trainer, seed, prior="uniform")
 
-    found = clusterer(method).cluster(dataset, trainer, derived_seed(seed, "clusterer"), None)
-    perfect = learned(Perfect().cluster(dataset, trainer, 0, truth))
-    plans = {"found": learned(found), "true": perfect}
+    perfect = learned(Perfect().cluster(dataset, trainer, 0, found.truth))
+    plans = {"found": learned(found.clustering), "true": perfect}
     cost: dict[str, list[float]] = {"found": [], "true": [], "oracle": []}
     for index in range(traces):
         rng = stream(seed, "traces", index)
@@ -146,18 +162,13 @@ def regrets(
     }
 
 
-def interval(values: pd.Series) -> str:  # type: ignore[type-arg]
-    """Mean and half of its 95 % interval."""
-    half = 1.96 * values.std(ddof=1) / max(len(values), 1) ** 0.5 if len(values) > 1 else np.nan
-    return f"{values.mean():.3f} ± {half:.3f}"
+def goals(seeds: int, traces: int, jobs: int, methods: Sequence[str]) -> pd.DataFrame:
+    """One row a goal, method and seed."""
 
-
-def goals(seeds: int, traces: int, jobs: int, methods: list[str]) -> pd.DataFrame:
-    """One row a goal and method."""
-
-    def one(goal: tuple[Any, ...], method: str, seed: int) -> dict[str, Any]:
-        row = measure(*goal[:5], method, seed)
-        return row | regrets(*goal[:5], method, seed, traces) | {"goal": goal[5]}
+    def one(goal: Any, method: str, seed: int) -> dict[str, Any]:
+        domain, types, queries, points, noise, wanted = goal
+        found = find(domain, types, queries, points, noise, method, seed)
+        return found.row | regrets(found, seed, traces) | {"goal": wanted}
 
     rows = Parallel(n_jobs=jobs)(
         delayed(one)(goal, method, FIRST_SEED + seed)
@@ -166,22 +177,51 @@ def goals(seeds: int, traces: int, jobs: int, methods: list[str]) -> pd.DataFram
     return pd.DataFrame(rows)
 
 
-def grid(seeds: int, jobs: int, quick: bool) -> pd.DataFrame:
-    """Domains × questions × noise × points × types × methods."""
+def grid(
+    seeds: int, jobs: int, quick: bool, domains: Sequence[str], methods: Sequence[str]
+) -> pd.DataFrame:
+    """Domains × questions × noise × points × types × methods; a row done before is not made again.
+
+    Seed by seed, so that every cell has as many whenever it is stopped.
+    """
     cells = product(
-        ("rescue", "four_rooms"),
-        (3,) if quick else (2, 4, 6, 8),
+        range(FIRST_SEED, FIRST_SEED + seeds),
+        domains,
+        (3,) if quick else range(2, 9),
         ("shared", "independent"),
         (100,) if quick else (50, 100, 300),
         (0.0, 0.05) if quick else (0.0, 0.05, 0.1),
-        ("dirichlet", "kmeans"),
+        methods,
     )
-    rows = Parallel(n_jobs=jobs)(
-        delayed(measure)(domain, types, queries, points, noise, method, FIRST_SEED + seed)
-        for domain, types, queries, points, noise, method in cells
-        for seed in range(seeds)
-    )
-    return pd.DataFrame(rows)
+    key = [*DATA, "method", "seed"]
+    known = pd.DataFrame(columns=key)
+    if ROWS.exists() and not quick:
+        known = pd.read_csv(ROWS, dtype={"meant": str})
+        means = zip(known["domain"], known["method"], known["meant"], strict=True)
+        known = known[[meaning(domain, method) == meant for domain, method, meant in means]]
+    done = set(known[key].itertuples(index=False, name=None))
+
+    def one(cell: Any) -> dict[str, Any]:
+        return find(*cell).row | {"meant": meaning(cell[0], cell[5])}
+
+    left = [cell for seed, *rest in cells if (cell := (*rest, seed)) not in done]
+    made = []
+    for row in Parallel(n_jobs=jobs, return_as="generator")(delayed(one)(cell) for cell in left):
+        made.append(row)
+        if not quick:
+            ROWS.parent.mkdir(parents=True, exist_ok=True)
+            line = pd.DataFrame([row])
+            line.to_csv(ROWS, mode="a", header=not ROWS.exists(), index=False, float_format="%.5g")
+    return pd.concat([known, pd.DataFrame(made)]) if len(known) else pd.DataFrame(made)
+
+
+@cache
+def meaning(domain: str, method: str) -> str:
+    """Changes with the values of the domain and of the method: rows of other values are stale."""
+    cfg = compose_for("observe", [f"domain={domain}"]).domain
+    chosen = compose_for("discover", [f"clusterer={method}"]).clusterer
+    text = OmegaConf.to_yaml(cfg) + OmegaConf.to_yaml(chosen)
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
 def growth(quick: bool) -> pd.DataFrame:
@@ -193,53 +233,87 @@ def growth(quick: bool) -> pd.DataFrame:
         dataset, truth = crowd.collect(setting, FIRST_SEED)
         joined = observers + np.arange(observers - 2)
         merges = np.stack([np.concatenate([[0], joined]), np.arange(1, observers)], axis=1)
-        began = time.perf_counter()
+        began = time.process_time()
         Cells.of(dataset).along(merges)
-        curve = time.perf_counter() - began
+        curve = time.process_time() - began
         for method in ("dirichlet", "hierarchy_share", "kmeans"):
-            began = time.perf_counter()
+            # With as many starts for each of 10^4 values of k, the paper's way takes hours.
+            if method == "kmeans" and observers > 1000:
+                continue
+            began = time.process_time()
             found = clusterer(method).cluster(dataset, LabelerTrainer(), 0, None)
+            learn_types(dataset, found, LabelerTrainer(), 0)
             rows.append(
                 {
                     "observers": observers,
                     "labels": len(dataset),
                     "method": method,
-                    "curve_seconds": curve,
-                    "seconds": time.perf_counter() - began,
-                    "ari": _score(truth, found.assignment),
+                    "curve_cpu_seconds": curve,
+                    "cpu_seconds": time.process_time() - began,
+                    "ari": score(truth, found.assignment),
+                    "found": found.n_types,
                 }
             )
     return pd.DataFrame(rows)
 
 
-def _score(truth: np.ndarray, assignment: np.ndarray) -> float:
-    from sklearn.metrics import adjusted_rand_score
-
+def score(truth: NDArray[np.int64], assignment: NDArray[np.int64]) -> float:
+    """Adjusted Rand index: 1 where the partitions are the same, 0 on average by chance."""
     return float(adjusted_rand_score(truth, assignment))
 
 
-def picture(rows: pd.DataFrame, path: Path) -> None:
-    """Adjusted Rand index by noise, one panel a domain and kind of question, one line a method and
-    number of points; mean over types and seeds with its 95 % interval."""
+def picture(rows: pd.DataFrame) -> Figure:
+    """Adjusted Rand index by points (above; lines: noise, mean over types) and by number of types
+    (below; lines: points, mean over noise), mean over seeds with its 95 % interval."""
     panels = list(product(("rescue", "four_rooms"), ("shared", "independent")))
-    figure, axes = plt.subplots(1, len(panels), figsize=(12, 3.4), sharey=True)
-    for axis, (domain, queries) in zip(axes, panels, strict=True):
-        part = rows[(rows["domain"] == domain) & (rows["queries"] == queries)]
-        for index, ((method, points), own) in enumerate(part.groupby(["method", "points"])):
-            stats = own.groupby("noise")["ari"].agg(["mean", "sem"])
-            axis.errorbar(
-                100 * stats.index + 0.15 * index,
-                stats["mean"],
-                1.96 * stats["sem"],
-                capsize=2,
-                label=f"{method}, {points} points",
-                **series_style(index),
-            )
-        axis.set(title=f"{domain}, {queries}", xlabel="labels flipped (%)", ylim=(-0.05, 1.05))
-    axes[0].set_ylabel("adjusted Rand index")
-    axes[-1].legend(fontsize=7, loc="lower left")
-    figure.savefig(path)
-    plt.close(figure)
+    figure, axes = plt.subplots(
+        2, len(panels), figsize=(12, 6.4), sharey=True, layout="constrained"
+    )
+    methods = list(dict.fromkeys(rows["method"]))
+    for line, (x, second, unit) in enumerate(
+        [("points", "noise", "{:.0%} flipped"), ("types", "points", "{} labels")]
+    ):
+        for axis, (domain, queries) in zip(axes[line], panels, strict=True):
+            part = rows[(rows["domain"] == domain) & (rows["queries"] == queries)]
+            for (method, value), own in part.groupby(["method", second]):
+                at = sorted(rows[second].unique()).index(value)
+                stats = own.groupby(x)["ari"].agg(["mean", "sem"])
+                axis.errorbar(
+                    stats.index,
+                    stats["mean"],
+                    1.96 * stats["sem"],
+                    capsize=2,
+                    markersize=4,
+                    label=f"{method}, {unit.format(value)}",
+                    color=COLOURS[methods.index(method)],
+                    marker=MARKERS[at],
+                    linestyle=STYLES[at],
+                )
+            axis.set(title=f"{domain}, {queries} questions", ylim=(-0.1, 1.05))
+            axis.set_xlabel("labels an observer" if x == "points" else "user types")
+            if x == "points":
+                axis.set_xscale("log")
+                axis.set_xticks(sorted(part[x].unique()), sorted(part[x].unique()))
+                axis.minorticks_off()
+        axes[line, 0].set_ylabel("adjusted Rand index")
+        handles, labels = axes[line, 0].get_legend_handles_labels()
+        axes[line, -1].legend(handles, labels, fontsize=7, bbox_to_anchor=(1, 1), loc="upper left")
+    return figure
+
+
+def interval(values: pd.Series) -> str:
+    """Mean and half of its 95 % interval."""
+    half = 1.96 * values.std(ddof=1) / max(len(values), 1) ** 0.5 if len(values) > 1 else np.nan
+    return f"{values.mean():.3f} ± {half:.3f}"
+
+
+def by_cell(rows: pd.DataFrame) -> pd.DataFrame:
+    """One row a cell of the grid: means over its seeds, and half the 95 % interval of the score."""
+    cells = rows.groupby([*DATA, "method"])
+    table = cells[FIGURES].mean()
+    table.insert(0, "seeds", cells.size())
+    table.insert(2, "ari_half_interval", 1.96 * cells["ari"].sem())
+    return table.reset_index()
 
 
 def shown(rows: pd.DataFrame, by: list[str], measures: list[str]) -> str:
@@ -261,27 +335,30 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--traces", type=int, default=5, help="for the regret of each seed")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument(
+        "--domains", nargs="+", default=["rescue", "four_rooms"], help="of the grid"
+    )
+    parser.add_argument("--methods", nargs="+", default=["dirichlet", "kmeans"], help="of the grid")
     arguments = parser.parse_args()
-    quick = arguments.quick
+    quick, jobs = arguments.quick, arguments.jobs
     seeds = 2 if quick else arguments.seeds
-    data = ["domain", "types", "queries", "points", "noise", "method"]
-    figures = ["ari", "found", "held_out", "seconds"]
+    traces = 1 if quick else arguments.traces
+    compared = ["dirichlet"] if quick else ["dirichlet", "em", "kmeans"]
     parts: dict[str, tuple[Callable[[], pd.DataFrame], list[str], list[str]]] = {
         "goals": (
-            lambda: goals(
-                seeds,
-                1 if quick else arguments.traces,
-                arguments.jobs,
-                ["dirichlet"] if quick else ["dirichlet", "em", "kmeans"],
-            ),
-            [*data, "goal"],
-            [*figures, "regret_found", "regret_true"],
+            lambda: goals(seeds, traces, jobs, compared),
+            [*DATA, "method", "goal"],
+            [*FIGURES, "regret_found", "regret_true"],
         ),
-        "grid": (lambda: grid(seeds, arguments.jobs, quick), data, figures),
+        "grid": (
+            lambda: grid(seeds, jobs, quick, arguments.domains, arguments.methods),
+            ["domain", "queries", "points", "noise", "method"],
+            FIGURES,
+        ),
         "growth": (
             lambda: growth(quick),
             ["observers", "labels", "method"],
-            ["curve_seconds", "seconds", "ari"],
+            ["curve_cpu_seconds", "cpu_seconds", "ari", "found"],
         ),
     }
     for name in [arguments.part] if arguments.part else list(parts):
@@ -291,10 +368,11 @@ def main() -> None:
         print(f"## {name}\n\n{text}\n")
         if not quick:
             RESULTS.mkdir(exist_ok=True)
-            rows.to_csv(RESULTS / f"discovery_{name}.csv", index=False, float_format="%.5g")
+            kept = by_cell(rows) if name == "grid" else rows
+            kept.to_csv(RESULTS / f"discovery_{name}.csv", index=False, float_format="%.4g")
             (RESULTS / f"discovery_{name}.md").write_text(text + "\n", encoding="utf-8")
             if name == "grid":
-                picture(rows, RESULTS / "discovery_grid.png")
+                picture(rows).savefig(RESULTS / "discovery_grid.png")
 
 
 if __name__ == "__main__":
