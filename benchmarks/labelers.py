@@ -23,6 +23,7 @@ import numpy as np
 import pandas as pd
 from discovery import FIRST_SEED, RESULTS, setting_of, shown
 from joblib import Parallel, delayed
+from matplotlib.figure import Figure
 from sklearn.calibration import CalibratedClassifierCV
 from sklearn.ensemble import GradientBoostingClassifier, RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
@@ -137,7 +138,7 @@ def measure(
     return row | costs(setting, learned, traces, seed), reliability
 
 
-def picture(names: list[str], reliability: dict[str, np.ndarray]) -> plt.Figure:
+def picture(names: list[str], reliability: dict[str, np.ndarray]) -> Figure:
     """Share of labels that are 1 against the probability foretold, and how many labels."""
     figure, axes = plt.subplots(1, 2, figsize=(10, 4))
     axes[0].plot([0, 1], [0, 1], color="0.6", linewidth=1)

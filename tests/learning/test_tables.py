@@ -1,3 +1,4 @@
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,7 @@ def test_one_hot_columns_are_text_again_when_written(tmp_path: Path) -> None:
         ({"row": None, "action": None}, "describes the transition"),
         ({"label": [0, 1, 2, 0, 1, 1]}, "row 3: a label is 0 or 1"),
         ({"label": ["yes", 1, 1, 0, 1, 1]}, "data='yes'"),
+        ({"label": [0.5, 1, 1, 0, 1, 1]}, "^data=0.5: label in row 1"),
         ({"label": [0, 1, None, 0, 1, 1]}, "missing in 1 rows, first in row 3"),
         ({"label": [1] * 6}, "all labels are equal"),
         ({"observer": ["a"] * 6}, "one observer only"),
@@ -109,6 +111,26 @@ def test_files_that_are_no_tables(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"")
     with pytest.raises(InputError, match="not a readable table"):
         read_table(tmp_path / name)
+
+
+def test_a_file_cut_short(tmp_path: Path) -> None:
+    whole = gzip.compress(table(tmp_path).read_bytes())
+    (tmp_path / "cut.csv.gz").write_bytes(whole[:-12])
+    with pytest.raises(InputError, match="not a readable table"):
+        read_table(tmp_path / "cut.csv.gz")
+
+
+def test_two_columns_of_one_name(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    path.write_text(path.read_text().replace("row,action", "label,action", 1))
+    with pytest.raises(InputError, match="data='label': two columns"):
+        read_table(path)
+
+
+def test_a_column_without_a_name_is_left_out_by_the_name_that_pandas_gives(tmp_path: Path) -> None:
+    pd.read_csv(table(tmp_path)).to_csv(tmp_path / "labels.csv")
+    names = read_table(tmp_path / "labels.csv", ignore=["Unnamed: 0"]).feature_names
+    assert names == ("row", "action=left", "action=up")
 
 
 def test_named_features_and_columns_left_out(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ or fewer than four distinct (transition, message set) is an error.
 from __future__ import annotations
 
 import logging
+import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -142,18 +143,24 @@ def _load(path: Path, features: Sequence[str] | None, ignore: Sequence[str]) -> 
     kind = check_format(path, "data")
     if not path.is_file():
         raise InputError("data", str(path), "no such file")
+    repeated: list[str] = []
     try:
         if kind == "parquet":
             table = pd.read_parquet(path)
         else:
             header = pd.read_csv(path, nrows=0).columns
+            # pandas would number the second of two columns of one name.
+            first = pd.read_csv(path, header=None, nrows=1, dtype=str, keep_default_na=False)
+            repeated = [name for name in first.iloc[0][first.iloc[0].duplicated()] if name]
             # An observer may be called "NA"; a feature that says so is missing.
             missing = {name: [""] if name in COLUMNS[:2] else MISSING for name in header}
             text = dict.fromkeys(COLUMNS[:2], str)
             table = pd.read_csv(path, keep_default_na=False, na_values=missing, dtype=text)
-    except (OSError, ValueError, pd.errors.ParserError) as error:
+    except (OSError, EOFError, zlib.error, ValueError, pd.errors.ParserError) as error:
         reason = str(error).strip().splitlines()[0] if str(error) else type(error).__name__
         raise InputError("data", str(path), f"not a readable table ({reason})") from None
+    if repeated:
+        raise InputError("data", repeated[0], "two columns of this name; each column once")
     columns = [str(name) for name in table.columns]
     for name in (*COLUMNS, *(features or ()), *ignore):
         if name not in columns:
@@ -227,7 +234,9 @@ def _labels(column: pd.Series[Any]) -> NDArray[np.uint8]:
     bad = ~numbers.isin([0, 1])
     if bad.any():
         raise InputError(
-            "data", column[bad].iloc[0], f"label in row {_row(bad)}: a label is 0 or 1"
+            "data",
+            column.astype(object)[bad].iloc[0],
+            f"label in row {_row(bad)}: a label is 0 or 1",
         )
     return np.asarray(numbers, dtype=np.uint8)
 
