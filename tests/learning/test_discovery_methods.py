@@ -11,7 +11,7 @@ from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
 from xplain.errors import InputError, TooLargeError
-from xplain.learning import facts
+from xplain.learning import facts, sampler
 from xplain.learning.clustering import Clusterer, Perfect, Single
 from xplain.learning.dirichlet import DirichletMixture
 from xplain.learning.disagreements import disagreements
@@ -95,6 +95,14 @@ def test_many_messages() -> None:
     wide = replace(dataset, messages=tuple(f"m{j}" for j in range(40)))
     with pytest.raises(TooLargeError, match="depth"):
         DirichletMixture(depth=6).cluster(wide, LabelerTrainer(), 0, None)
+
+
+@pytest.mark.parametrize("n", [20, 30])
+def test_more_messages_than_are_tried_at_once(n: int) -> None:
+    assert n > sampler.WIDE
+    dataset, truth = made(np.random.default_rng(8), [[0, 7], [3], [2, 5], [1, 4]], n=n, size=200)
+    found = DirichletMixture(depth=2).cluster(dataset, LabelerTrainer(), 0, None)
+    assert adjusted_rand_score(truth, found.assignment) == 1
 
 
 def log_evidence(ones: int, zeros: int, noise: float, prior: float) -> float:
