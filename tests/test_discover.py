@@ -60,6 +60,9 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path, name:
     assert types.names == ("type_0", "type_1", "type_2", "type_3", "type_4", "none of these")
     summary = json.loads((tmp_path / "found" / "summary.json").read_text())
     assert sum(one["labels"] for one in summary["types"]) == told["labels"]
+    wrong = [{"fire", "rubble"}, {"first_aid", "fence"}, {"fire", "puddle"}]  # types A to E
+    wrong += [{"first_aid", "rubble"}, {"refuel", "puddle"}]
+    assert [set(one["needs"]) for one in summary["types"]] == wrong
     assert pd.read_csv(tmp_path / "found" / "assignment.csv")["type"].tolist() == found
     for picture in ("posterior", "messages"):
         assert (tmp_path / "found" / f"{picture}.png").stat().st_size > 1000

@@ -125,6 +125,7 @@ def summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
     from xplain.message_sets import names_of
 
     rows: list[Row] = []
+    known = types.clustering.needs
     for t in range(types.clustering.n_types):
         own = dataset.of(types.clustering.members(t))
         labeler = types.labelers[t]
@@ -137,7 +138,10 @@ def summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
         }
         shown = dataset.features[sorted(set(own.transition.tolist()))]
         try:
-            needed = smallest(labeler.classifier, shown, dataset.n_messages)
+            if known is not None:  # by all observers' labels, not by this type's alone
+                needed = int(known[t])
+            else:
+                needed = smallest(labeler.classifier, shown, dataset.n_messages)
             row["needs"] = list(names_of(needed, dataset.messages))
         except TooLargeError:  # no tree, and too many messages to try them all
             row["needs"] = None

@@ -41,6 +41,8 @@ class Clustering:
         curve: [K] disagreements for k = 1 … K; None where the method draws no such curve.
         vectors: [O] int64 smallest message set of each observer; None where not computed.
         posterior: P(number of types = k) by k; None where the method gives no posterior.
+        needs: [N] int64 messages that people of each type need to be told; None where the method
+            does not say.
         model: what the method learned, where it can place a new observer (see :class:`Places`).
     """
 
@@ -50,6 +52,7 @@ class Clustering:
     curve: NDArray[np.int64] | None = None
     vectors: NDArray[np.int64] | None = None
     posterior: Mapping[int, float] | None = None
+    needs: NDArray[np.int64] | None = None
     model: Places | None = None
 
     def __post_init__(self) -> None:

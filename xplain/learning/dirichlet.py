@@ -106,12 +106,9 @@ class DirichletMixture:
             types,
             100 * posterior.get(types, 0.0),
         )
+        model = FactsModel.of(dataset, answers, tables, best, held, self.concentration)
         return Clustering(
-            held,
-            "dirichlet",
-            "posterior",
-            posterior=posterior,
-            model=FactsModel.of(dataset, answers, tables, best, held, self.concentration),
+            held, "dirichlet", "posterior", posterior=posterior, needs=model.types, model=model
         )
 
     def _first(self, observers: int, n: int, chain: int, seed: int) -> NDArray[np.int64]:

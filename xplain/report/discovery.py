@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from xplain.learning.clustering import Clustering
@@ -21,14 +22,17 @@ def posterior(probability: Mapping[int, float], found: int) -> Figure:
     numbers = np.arange(1, max(*probability, found) + 2)
     heights = [probability.get(int(k), 0.0) for k in numbers]
     bars = axes.bar(numbers, heights, color=COLOURS[5], edgecolor="black")
-    bars[found - 1].set(color=COLOURS[0], hatch="//", edgecolor="white")
+    taken = bars[found - 1]
+    taken.set_facecolor(COLOURS[0])
+    taken.set_hatch("//")
+    taken.set_edgecolor("white")
     axes.set(
         xlabel="number of user types",
         ylabel="posterior probability",
         title=f"{found} types taken (hatched)",
         ylim=(0, 1),
-        xticks=numbers,
     )
+    axes.xaxis.set_major_locator(MaxNLocator(12, integer=True))
     plt.close(figure)
     return figure
 
