@@ -88,6 +88,30 @@ def test_observers_may_be_unequal(run, tmp_path: Path) -> None:
     assert sizes.nunique() > 1
 
 
+METHODS = ("dirichlet", "em", "kmeans", "agglomerative", "single")
+METHODS += ("hierarchy_gap", "hierarchy_heldout", "hierarchy_share")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_bears_what_people_do(run, tmp_path: Path, caplog, method: str) -> None:
+    """One label only, always the same label, the same question answered both ways."""
+    assert run("observe", "domain=rescue", "points=40", "observers.per_type=1")[0] == 0
+    table = pd.read_csv(tmp_path / "labels.csv", keep_default_na=False)
+    own = [part for _, part in table.groupby("observer")]
+    own[0] = own[0].head(1)
+    own[1] = own[1].assign(label=1)
+    own[2] = pd.concat([own[2], own[2].assign(label=1 - own[2]["label"])])
+    pd.concat(own).to_csv(tmp_path / "labels.csv", index=False)
+    code, out, err = run("discover", "data=labels.csv", f"clusterer={method}")
+    assert code == 0, err
+    assert "1 observers gave one label only" in caplog.text
+    assert "answered both ways by one observer" in caplog.text
+    answer = json.loads(out.splitlines()[-1])
+    assert len(answer["assignment"]) == 5
+    assert 1 <= answer["n_types"] <= 5
+    assert answer["held_out_log_likelihood"] < 0
+
+
 @pytest.mark.parametrize(
     ("command", "arguments", "said"),
     [
