@@ -237,9 +237,6 @@ def growth(quick: bool) -> pd.DataFrame:
         Cells.of(dataset).along(merges)
         curve = time.process_time() - began
         for method in ("dirichlet", "hierarchy_share", "kmeans"):
-            # With as many starts for each of 10^4 values of k, the paper's way takes hours.
-            if method == "kmeans" and observers > 1000:
-                continue
             began = time.process_time()
             found = clusterer(method).cluster(dataset, LabelerTrainer(), 0, None)
             learn_types(dataset, found, LabelerTrainer(), 0)
