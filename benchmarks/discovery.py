@@ -299,9 +299,10 @@ def picture(rows: pd.DataFrame) -> Figure:
 
 
 def interval(values: pd.Series) -> str:
-    """Mean and half of its 95 % interval."""
-    half = 1.96 * values.std(ddof=1) / max(len(values), 1) ** 0.5 if len(values) > 1 else np.nan
-    return f"{values.mean():.3f} ± {half:.3f}"
+    """Mean and, of more than one, half of its 95 % interval."""
+    if len(values) == 1:
+        return f"{values.iloc[0]:.3f}"
+    return f"{values.mean():.3f} ± {1.96 * values.sem():.3f}"
 
 
 def by_cell(rows: pd.DataFrame) -> pd.DataFrame:
