@@ -13,6 +13,7 @@ from tests.learning.conftest import made
 from xplain.errors import InputError, TooLargeError
 from xplain.learning import facts, sampler
 from xplain.learning.clustering import Clusterer, Perfect, Single
+from xplain.learning.dataset import Dataset
 from xplain.learning.dirichlet import DirichletMixture
 from xplain.learning.disagreements import disagreements
 from xplain.learning.heldout import folds, held_out_log_likelihood
@@ -103,6 +104,35 @@ def test_more_messages_than_are_tried_at_once(n: int) -> None:
     dataset, truth = made(np.random.default_rng(8), [[0, 7], [3], [2, 5], [1, 4]], n=n, size=200)
     found = DirichletMixture(depth=2).cluster(dataset, LabelerTrainer(), 0, None)
     assert adjusted_rand_score(truth, found.assignment) == 1
+
+
+@pytest.mark.parametrize("concentration", [0.3, 1.0, 4.0])
+def test_many_observers_whose_answers_say_nothing_share_types_as_the_process_has_it(
+    concentration: float,
+) -> None:
+    """Told everything, nobody's label depends on the type: the sampler draws from the prior, an urn
+    with α / 4 balls of each of the four fact sets."""
+    observers = sampler.CROWD + 20
+    everybody = np.arange(observers)
+    dataset = Dataset(
+        features=np.arange(24.0)[:, None],
+        feature_names=("place",),
+        messages=("m0", "m1"),
+        observers=tuple(f"o{o}" for o in everybody),
+        observer=everybody,
+        transition=everybody % 24,
+        message_set=np.full(observers, 3),
+        label=(everybody % 5 > 1).astype(np.uint8),
+    )
+    answers, tables = facts.Answers.of(dataset), facts.Tables.of(2, 2)
+    first = np.zeros(observers, dtype=np.int64)
+    rng = np.random.default_rng(1)
+    found = facts.sample(answers, tables, concentration, first, 6000, 1.0, rng).types
+    step = np.arange(observers)
+    not_one = np.log((step + 0.75 * concentration) / (step + concentration)).sum()
+    batches = found.reshape(20, -1).mean(axis=1)
+    error = batches.std(ddof=1) / 20**0.5
+    assert batches.mean() == pytest.approx(4 * (1 - np.exp(not_one)), abs=4 * error + 0.005)
 
 
 def log_evidence(ones: int, zeros: int, noise: float, prior: float) -> float:

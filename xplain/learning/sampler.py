@@ -6,6 +6,8 @@ The arguments are the arrays that :class:`~xplain.learning.facts.Answers` and
 
 from __future__ import annotations
 
+from math import lgamma
+
 import numpy as np
 from numba import njit
 
@@ -13,6 +15,11 @@ REACH = 64
 """Ones − zeros beyond which a cell's value is beyond doubt."""
 BLOCK = 8
 """Facts whose combinations are tried at once for an observer."""
+CROWD = 100
+"""From so many observers on, types are moved whole too: two types that answer alike become one by
+moves of one observer only in as many sweeps as they have observers."""
+MOVES = 20
+"""So many of them are tried in a sweep."""
 WIDE = 12
 """Up to so many facts every S_τ is tried at once; with more, those among so many facts: the ones
 that matter now, and others at random."""
@@ -166,6 +173,73 @@ def _count_in(first, last, tau, mended, label, facts, subsets, subset, count, si
     for p in range(first, last):
         t = tau[p]
         count[t, _local(subsets, subset[t], facts) & ~mended[p], label[p]] += sign
+
+
+@njit(cache=True, nogil=True)
+def _evidence(count, noise, marginal, flip):  # type: ignore[no-untyped-def]
+    """log P(all labels | M of every answer, S, ε)."""
+    total = 0.0
+    for t in range(len(count)):
+        for c in range(count.shape[1]):
+            zeros, ones = count[t, c, 0], count[t, c, 1]
+            if zeros + ones > 0:
+                right, wrong = flip[noise[t], 0], flip[noise[t], 1]
+                total += ones * right + zeros * wrong
+                total += marginal[int(c == 0), noise[t], _lead(ones - zeros)]
+                if ones - zeros < -REACH:
+                    total += (ones - zeros + REACH) * (wrong - right)
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _log_ways(whole, part):  # type: ignore[no-untyped-def]
+    """log of the ways to choose a part of 1 … whole − 1, all sizes equally likely."""
+    choose = lgamma(whole + 1.0) - lgamma(part + 1.0) - lgamma(whole - part + 1.0)
+    return np.log(whole - 1.0) + choose
+
+
+@njit(cache=True, nogil=True)
+def _move_type(  # type: ignore[no-untyped-def]
+    start, tau, mended, label, n, subsets, subset, noise, count, marginal, flip, log_new,
+    temperature, rng, facts
+):  # fmt: skip
+    """Metropolis-Hastings: all of a type take the fact set of another, or a part of it, of random
+    size, takes one that nobody holds."""
+    used = np.unique(facts)
+    number = len(used)
+    a = rng.integers(0, number)
+    old = used[a]
+    members = np.flatnonzero(facts == old)
+    size = len(members)
+    urn = np.exp(log_new)  # Pólya's, with a colour a fact set
+    if rng.random() < 0.5:
+        if number == 1:
+            return
+        new = used[(a + rng.integers(1, number)) % number]
+        others = (facts == new).sum()
+        whole = size + others
+        change = lgamma(whole + urn) + lgamma(urn) - lgamma(size + urn) - lgamma(others + urn)
+        back = np.log(number) - n * np.log(2.0) - _log_ways(whole, size)
+    else:
+        new = rng.integers(0, np.int64(1) << n)
+        if size == 1 or (facts == new).any():
+            return
+        part = rng.integers(1, size)
+        change = lgamma(part + urn) + lgamma(size - part + urn) - lgamma(size + urn) - lgamma(urn)
+        back = _log_ways(size, part) + n * np.log(2.0) - np.log(number + 1.0)
+        rng.shuffle(members)
+        members = members[:part]
+    change -= _evidence(count, noise, marginal, flip)
+    for go in range(2):
+        for o in members:
+            first, last = start[o], start[o + 1]
+            _count_in(first, last, tau, mended, label, facts[o], subsets, subset, count, -1)
+            facts[o] = old if go else new
+            _count_in(first, last, tau, mended, label, facts[o], subsets, subset, count, 1)
+        if go == 0:
+            change += _evidence(count, noise, marginal, flip)
+            if np.log(rng.random()) < change / temperature + back:
+                break
 
 
 @njit(cache=True, nogil=True)
@@ -361,4 +435,23 @@ def run_chain(  # type: ignore[no-untyped-def]
                 members[number] = 1
                 number += 1
             _count_in(first, last, tau, mended, label, facts[o], subsets, subset, count, 1)
+        if observers >= CROWD:
+            for _ in range(MOVES):
+                _move_type(
+                    start,
+                    tau,
+                    mended,
+                    label,
+                    n,
+                    subsets,
+                    subset,
+                    noise,
+                    count,
+                    marginal,
+                    flip,
+                    log_new,
+                    temperature,
+                    rng,
+                    facts,
+                )
     return best_score
