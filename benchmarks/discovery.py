@@ -301,8 +301,8 @@ def picture(rows: pd.DataFrame) -> Figure:
 def interval(values: pd.Series) -> str:
     """Mean and, of more than one, half of its 95 % interval."""
     if len(values) == 1:
-        return f"{values.iloc[0]:.3f}"
-    return f"{values.mean():.3f} ± {1.96 * values.sem():.3f}"
+        return f"{values.mean():.3f}"
+    return f"{values.mean():.3f} ± {1.96 * values.std() / len(values) ** 0.5:.3f}"
 
 
 def by_cell(rows: pd.DataFrame) -> pd.DataFrame:

@@ -106,7 +106,7 @@ def test_more_messages_than_are_tried_at_once(n: int) -> None:
     assert adjusted_rand_score(truth, found.assignment) == 1
 
 
-@pytest.mark.parametrize("concentration", [0.3, 1.0, 4.0])
+@pytest.mark.parametrize("concentration", [0.3, 4.0])
 def test_many_observers_whose_answers_say_nothing_share_types_as_the_process_has_it(
     concentration: float,
 ) -> None:
