@@ -286,7 +286,8 @@ def picture(rows: pd.DataFrame) -> Figure:
                     marker=MARKERS[at],
                     linestyle=STYLES[at],
                 )
-            axis.set(title=f"{domain}, {queries} questions", ylim=(-0.1, 1.05))
+            axis.set(ylim=(-0.1, 1.05))
+            axis.set_title(f"{domain.replace('_', ' ')}, {queries} questions", fontsize=9)
             axis.set_xlabel("labels an observer" if x == "points" else "user types")
             if x == "points":
                 axis.set_xscale("log")
