@@ -11,7 +11,7 @@ from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
 from xplain.errors import InputError, TooLargeError
-from xplain.learning import facts, sampler
+from xplain.learning import crowds, facts, sampler
 from xplain.learning.clustering import Clusterer, Perfect, Single
 from xplain.learning.dataset import Dataset
 from xplain.learning.dirichlet import DirichletMixture
@@ -106,13 +106,22 @@ def test_more_messages_than_are_tried_at_once(n: int) -> None:
     assert adjusted_rand_score(truth, found.assignment) == 1
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_no_type_stays_split_in_a_crowd(seed: int) -> None:
+    dataset, truth = made(
+        np.random.default_rng(seed), [[0], [1, 2], [3]], per_type=80, size=60, noise=0.05
+    )
+    found = DirichletMixture(chains=2, sweeps=30).cluster(dataset, LabelerTrainer(), 0, None)
+    assert adjusted_rand_score(truth, found.assignment) == 1
+
+
 @pytest.mark.parametrize("concentration", [0.3, 4.0])
 def test_many_observers_whose_answers_say_nothing_share_types_as_the_process_has_it(
     concentration: float,
 ) -> None:
     """Told everything, nobody's label depends on the type: the sampler draws from the prior, an urn
     with α / 4 balls of each of the four fact sets."""
-    observers = sampler.CROWD + 20
+    observers = crowds.CROWD + 20
     everybody = np.arange(observers)
     dataset = Dataset(
         features=np.arange(24.0)[:, None],

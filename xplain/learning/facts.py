@@ -26,8 +26,9 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.learning.counts import REACH
 from xplain.learning.dataset import Dataset
-from xplain.learning.sampler import REACH, WIDE, run_chain
+from xplain.learning.sampler import WIDE, run_chain
 
 NOISE = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
 """ε_τ is one of these; how often each occurs is learned."""

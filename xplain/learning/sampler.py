@@ -6,37 +6,20 @@ The arguments are the arrays that :class:`~xplain.learning.facts.Answers` and
 
 from __future__ import annotations
 
-from math import lgamma
-
 import numpy as np
 from numba import njit
 
-REACH = 64
-"""Ones − zeros beyond which a cell's value is beyond doubt."""
+from xplain.learning.counts import REACH, count_in, packed, table_row
+from xplain.learning.crowds import CROWD, MOVES, join_types, move_type
+
 BLOCK = 8
 """Facts whose combinations are tried at once for an observer."""
-CROWD = 100
-"""From so many observers on, types are moved whole too: two types that answer alike become one by
-moves of one observer only in as many sweeps as they have observers."""
-MOVES = 20
-"""So many of them are tried in a sweep."""
 WIDE = 12
 """Up to so many facts every S_τ is tried at once; with more, those among so many facts: the ones
 that matter now, and others at random."""
 
 # The kernels below index arrays in full: a row taken out of an array is counted by numba, and that
 # costs more than the work in the innermost loops.
-
-
-@njit(cache=True, nogil=True)
-def _local(subsets, z, mask):  # type: ignore[no-untyped-def]
-    """The bits of ``mask`` at the positions of subset z, packed."""
-    packed = 0
-    for i in range(subsets.shape[1]):
-        if subsets[z, i] < 0:
-            break
-        packed |= (mask >> subsets[z, i] & 1) << i
-    return packed
 
 
 @njit(cache=True, nogil=True)
@@ -57,12 +40,6 @@ def _draw(log_weight, temperature, rng):  # type: ignore[no-untyped-def]
             chosen = i
             break
     return chosen, top + np.log(total)
-
-
-@njit(cache=True, nogil=True)
-def _lead(ahead):  # type: ignore[no-untyped-def]
-    """Where ones − zeros is in the tables."""
-    return min(max(ahead, -REACH), REACH) + REACH
 
 
 @njit(cache=True, nogil=True)
@@ -115,7 +92,7 @@ def _weigh_subsets(  # type: ignore[no-untyped-def]
         z = among[a]
         count[:] = 0
         for i in range(size):
-            c = _local(subsets, z, distinct[i])
+            c = packed(subsets, z, distinct[i])
             count[c, 0] += times[i, 0]
             count[c, 1] += times[i, 1]
         for e in range(len(log_noise)):
@@ -125,7 +102,7 @@ def _weigh_subsets(  # type: ignore[no-untyped-def]
                 if count[c, 0] + count[c, 1] > 0:
                     ahead = count[c, 1] - count[c, 0]
                     value += count[c, 1] * right + count[c, 0] * wrong
-                    value += marginal[int(c == 0), e, _lead(ahead)]
+                    value += marginal[int(c == 0), e, table_row(ahead)]
                     if ahead < -REACH:  # beyond the table it is a straight line
                         value += (ahead + REACH) * (wrong - right)
             out[a, e] = value
@@ -157,89 +134,15 @@ def _weigh_facts(  # type: ignore[no-untyped-def]
                 value = 0.0
                 for p in range(begin, end):
                     c = held & ~mended[p]
-                    lead = _lead(count[t, c, 1] - count[t, c, 0])
+                    lead = table_row(count[t, c, 1] - count[t, c, 0])
                     value += table[int(c == 0), noise[t], lead, label[p]]
                     count[t, c, label[p]] += 1
                 for p in range(begin, end):
                     count[t, held & ~mended[p], label[p]] -= 1
                 local[held] = value
             for i in range(len(masks)):
-                values[i] += local[_local(subsets, z, masks[i])]
+                values[i] += local[packed(subsets, z, masks[i])]
         begin = end
-
-
-@njit(cache=True, nogil=True)
-def _count_in(first, last, tau, mended, label, facts, subsets, subset, count, sign):  # type: ignore[no-untyped-def]
-    for p in range(first, last):
-        t = tau[p]
-        count[t, _local(subsets, subset[t], facts) & ~mended[p], label[p]] += sign
-
-
-@njit(cache=True, nogil=True)
-def _evidence(count, noise, marginal, flip):  # type: ignore[no-untyped-def]
-    """log P(all labels | M of every answer, S, ε)."""
-    total = 0.0
-    for t in range(len(count)):
-        for c in range(count.shape[1]):
-            zeros, ones = count[t, c, 0], count[t, c, 1]
-            if zeros + ones > 0:
-                right, wrong = flip[noise[t], 0], flip[noise[t], 1]
-                total += ones * right + zeros * wrong
-                total += marginal[int(c == 0), noise[t], _lead(ones - zeros)]
-                if ones - zeros < -REACH:
-                    total += (ones - zeros + REACH) * (wrong - right)
-    return total
-
-
-@njit(cache=True, nogil=True)
-def _log_ways(whole, part):  # type: ignore[no-untyped-def]
-    """log of the ways to choose a part of 1 … whole − 1, all sizes equally likely."""
-    choose = lgamma(whole + 1.0) - lgamma(part + 1.0) - lgamma(whole - part + 1.0)
-    return np.log(whole - 1.0) + choose
-
-
-@njit(cache=True, nogil=True)
-def _move_type(  # type: ignore[no-untyped-def]
-    start, tau, mended, label, n, subsets, subset, noise, count, marginal, flip, log_new,
-    temperature, rng, facts
-):  # fmt: skip
-    """Metropolis-Hastings: all of a type take the fact set of another, or a part of it, of random
-    size, takes one that nobody holds."""
-    used = np.unique(facts)
-    number = len(used)
-    a = rng.integers(0, number)
-    old = used[a]
-    members = np.flatnonzero(facts == old)
-    size = len(members)
-    urn = np.exp(log_new)  # Pólya's, with a colour a fact set
-    if rng.random() < 0.5:
-        if number == 1:
-            return
-        new = used[(a + rng.integers(1, number)) % number]
-        others = (facts == new).sum()
-        whole = size + others
-        change = lgamma(whole + urn) + lgamma(urn) - lgamma(size + urn) - lgamma(others + urn)
-        back = np.log(number) - n * np.log(2.0) - _log_ways(whole, size)
-    else:
-        new = rng.integers(0, np.int64(1) << n)
-        if size == 1 or (facts == new).any():
-            return
-        part = rng.integers(1, size)
-        change = lgamma(part + urn) + lgamma(size - part + urn) - lgamma(size + urn) - lgamma(urn)
-        back = _log_ways(size, part) + n * np.log(2.0) - np.log(number + 1.0)
-        rng.shuffle(members)
-        members = members[:part]
-    change -= _evidence(count, noise, marginal, flip)
-    for go in range(2):
-        for o in members:
-            first, last = start[o], start[o + 1]
-            _count_in(first, last, tau, mended, label, facts[o], subsets, subset, count, -1)
-            facts[o] = old if go else new
-            _count_in(first, last, tau, mended, label, facts[o], subsets, subset, count, 1)
-        if go == 0:
-            change += _evidence(count, noise, marginal, flip)
-            if np.log(rng.random()) < change / temperature + back:
-                break
 
 
 @njit(cache=True, nogil=True)
@@ -326,8 +229,8 @@ def run_chain(  # type: ignore[no-untyped-def]
             seen[noise[t]] += 1
             count[t] = 0
             for i in range(len(own)):
-                count[t, _local(subsets, subset[t], held[i]), label[own[i]]] += 1
-                mended[own[i]] = _local(subsets, subset[t], given[own[i]])
+                count[t, packed(subsets, subset[t], held[i]), label[own[i]]] += 1
+                mended[own[i]] = packed(subsets, subset[t], given[own[i]])
         log_noise = np.log(seen / seen.sum())
         # The types in use, and the score of the state.
         used = np.unique(facts)
@@ -356,7 +259,7 @@ def run_chain(  # type: ignore[no-untyped-def]
         # R of each observer, given the answers of all others.
         for o in range(observers):
             first, last = start[o], start[o + 1]
-            _count_in(first, last, tau, mended, label, facts[o], subsets, subset, count, -1)
+            count_in(first, last, tau, mended, label, facts[o], subsets, subset, count, -1)
             for k in range(number):
                 if kinds[k] == facts[o]:
                     members[k] -= 1
@@ -434,10 +337,10 @@ def run_chain(  # type: ignore[no-untyped-def]
                 kinds[number] = facts[o]
                 members[number] = 1
                 number += 1
-            _count_in(first, last, tau, mended, label, facts[o], subsets, subset, count, 1)
+            count_in(first, last, tau, mended, label, facts[o], subsets, subset, count, 1)
         if observers >= CROWD:
             for _ in range(MOVES):
-                _move_type(
+                move_type(
                     start,
                     tau,
                     mended,
@@ -454,4 +357,25 @@ def run_chain(  # type: ignore[no-untyped-def]
                     rng,
                     facts,
                 )
+    if observers >= CROWD:
+        count[:] = 0
+        for p in range(len(tau)):
+            mended[p] = packed(subsets, best_subset[tau[p]], given[p])
+        for o in range(observers):
+            first, last = start[o], start[o + 1]
+            count_in(first, last, tau, mended, label, best[o], subsets, best_subset, count, 1)
+        best_score += join_types(
+            start,
+            tau,
+            mended,
+            label,
+            subsets,
+            best_subset,
+            best_noise,
+            count,
+            marginal,
+            flip,
+            log_new,
+            best,
+        )
     return best_score
