@@ -111,15 +111,15 @@ def draw_trace(scene: Scene | None, story: Story) -> Figure:
         figure, axes = plt.subplots(figsize=(4.6 + 0.34 * m, max(3.4, 0.34 * m + 2.6)))
         _draw_steps(axes, story)
         return figure
-    width = 3.6 + 0.34 * m
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(5.2 + width, max(4.6, 0.34 * m + 2.6)), width_ratios=[5.2, width]
-    )
+    # Long phrases at the right must not make the map small: each half is laid out by itself.
+    widths = [5.2, max(6.6, 3.6 + 0.34 * m)]
+    figure = plt.figure(figsize=(sum(widths), max(5.4, 0.34 * m + 2.6)), layout="constrained")
+    map_half, steps_half = figure.subfigures(1, 2, width_ratios=widths)
+    left, right = map_half.subplots(), steps_half.subplots()
     draw_map(left, scene, story.positions)
     left.set_title("What the robot did, step by step", loc="left", weight="bold")
-    _draw_steps(right, story)
-    figure.tight_layout()
     left.set_anchor("N")
+    _draw_steps(right, story)
     return figure
 
 
