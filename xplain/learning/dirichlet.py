@@ -16,6 +16,7 @@ from xplain.learning import facts
 from xplain.learning.clustering import Clustering, by_first_appearance
 from xplain.learning.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.sampler import WIDE
 from xplain.randomness import stream
 
 log = logging.getLogger(__name__)
@@ -33,7 +34,8 @@ class DirichletMixture:
 
     Attributes:
         concentration: α > 0 of the Chinese restaurant process; more makes new types likelier.
-        depth: facts that may matter together at one transition.
+        depth: facts that may matter together at one transition; None: 5, or 4 where there are
+            more than 12 messages.
         chains: independent runs; half start from one type, half from types at random.
         sweeps: of each chain, the first half of them heated. Large data need few:
         updates: a chain stops at this many updates of an observer (but makes 20 sweeps).
@@ -42,7 +44,7 @@ class DirichletMixture:
     """
 
     concentration: float = 1.0
-    depth: int = 4
+    depth: int | None = None
     chains: int = 4
     sweeps: int = 100
     updates: int = 300_000
@@ -55,7 +57,7 @@ class DirichletMixture:
         if not self.heat >= 1:
             raise InputError("clusterer.heat", self.heat, "a number ≥ 1")
         for key in ("depth", "chains", "updates"):
-            if getattr(self, key) < 1:
+            if getattr(self, key) is not None and getattr(self, key) < 1:
                 raise InputError(f"clusterer.{key}", getattr(self, key), "a number ≥ 1")
         if self.sweeps < FEWEST_SWEEPS:
             raise InputError("clusterer.sweeps", self.sweeps, f"a number ≥ {FEWEST_SWEEPS}")
@@ -75,10 +77,10 @@ class DirichletMixture:
         from joblib import Parallel, delayed
 
         observers, n = len(dataset.observers), dataset.n_messages
-        depth = min(self.depth, n)
+        depth = min(self.depth or (5 if n <= WIDE else 4), n)
         if n**depth > 64 * MAX_SUBSETS:
             raise TooLargeError(
-                f"clusterer.depth={self.depth}: too many sets of {n} messages; use a smaller depth"
+                f"clusterer.depth={depth}: too many sets of {n} messages; use a smaller depth"
             )
         answers, tables = facts.Answers.of(dataset), facts.Tables.of(n, depth)
         sweeps = min(self.sweeps, max(self.updates // observers, FEWEST_SWEEPS))

@@ -32,8 +32,9 @@ from xplain.learning.sampler import WIDE, run_chain
 
 NOISE = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
 """ε_τ is one of these; how often each occurs is learned."""
-CELL = np.array([0.5, 0.98])
-"""P(f_τ = 1) before any answer: where a fact that matters is held wrong, and where none is."""
+CELL = np.array([0.25, 0.98])
+"""P(f_τ = 1) before any answer: where a fact that matters is held wrong, which mostly makes people
+wonder, and where none is."""
 SUBSET = 0.5
 """Each further fact that matters at a transition halves the prior of S_τ."""
 

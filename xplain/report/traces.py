@@ -114,8 +114,8 @@ def draw_trace(scene: Scene | None, story: Story) -> Figure:
     # Long phrases at the right must not make the map small: each half is laid out by itself.
     widths = [5.2, max(6.6, 3.6 + 0.34 * m)]
     figure = plt.figure(figsize=(sum(widths), max(5.4, 0.34 * m + 2.6)), layout="constrained")
-    map_half, steps_half = figure.subfigures(1, 2, width_ratios=widths)
-    left, right = map_half.subplots(), steps_half.subplots()
+    halves = figure.subfigures(1, 2, width_ratios=widths, squeeze=False)
+    left, right = (half.subplots() for half in halves[0])
     draw_map(left, scene, story.positions)
     left.set_title("What the robot did, step by step", loc="left", weight="bold")
     left.set_anchor("N")
