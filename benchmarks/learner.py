@@ -2,7 +2,7 @@
 
     python benchmarks/learner.py                 20 seeds a setting, minutes
     python benchmarks/learner.py --quick         2 seeds
-    python benchmarks/learner.py --first 100     other seeds
+    python benchmarks/learner.py --first 300 --seeds 100     other seeds, more
 
 Shared queries, the paper's numbers of labels, k-means and the elbow of disagreements. A data set
 counts as found when the adjusted Rand index to the behaviourally distinct true types is 1.
@@ -43,9 +43,10 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--quick", action="store_true", help="2 seeds")
     arguments.add_argument("--first", type=int, default=0, help="first seed")
+    arguments.add_argument("--seeds", type=int, default=20, help="data sets a setting")
     arguments.add_argument("--jobs", type=int, default=2, help="processes")
     chosen = arguments.parse_args()
-    seeds = range(chosen.first, chosen.first + (2 if chosen.quick else 20))
+    seeds = range(chosen.first, chosen.first + (2 if chosen.quick else chosen.seeds))
     table = Table(
         "setting", "found", "mean ARI", "accuracy, perfect clustering", "least of a data set"
     )
