@@ -302,7 +302,10 @@ def evaluate(
                 # A user's type changes the plan only of a solver that knows it.
                 if policy is None or problem is None or not shared:
                     problem = problem_for(prepared, case, costs, solver, user)
-                    policy = Remembered(solver.plan(problem, trace_seed(seed, index)))
+                    planned = solver.plan(problem, trace_seed(seed, index))
+                    if index == 0:  # kernels load at the first question: no decision's time
+                        planned.messages(0, 0, problem.prior)
+                    policy = Remembered(planned)
                 episode = explain(problem, policy, SimulatedUser(case.labels[user]), belief_update)
                 right = np.ones(problem.n_types, dtype=bool)
                 if solver.knows == "types":
