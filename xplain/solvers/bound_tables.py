@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.solvers.dynamic_programming import message_discount, message_price, optimal_values
+from xplain.solvers.pair_bounds import Pairs, make_pairs
 
 
 class Tables(NamedTuple):
@@ -29,6 +30,7 @@ class Tables(NamedTuple):
             *explain* after it.
         message_price: [n] λ C_e.
         discount, message_discount: γ, γ'.
+        pairs: what bounds above more tightly than ``values``.
     """
 
     p: NDArray[np.float64]
@@ -40,6 +42,7 @@ class Tables(NamedTuple):
     message_price: NDArray[np.float64]
     discount: float
     message_discount: float
+    pairs: Pairs
 
 
 def table_bytes(problem: Problem) -> int:
@@ -61,7 +64,8 @@ def make_tables(problem: Problem) -> Tables:
     for k in reversed(range(steps)):
         _plan_step(p, k, values, prices, *costs, explain, plans)
     price, factor = set_prices(problem)
-    return Tables(p, values, explain, plans, price, factor, prices, problem.discount, per_message)
+    scalars = problem.discount, per_message
+    return Tables(p, values, explain, plans, price, factor, prices, *scalars, make_pairs(problem))
 
 
 def set_prices(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

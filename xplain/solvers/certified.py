@@ -31,7 +31,7 @@ from xplain.solvers.dynamic_programming import (
     messages_worth_giving,
     restrict,
 )
-from xplain.solvers.gap_search import DONE, FULL, TAIL, add_node, search
+from xplain.solvers.gap_search import DONE, FULL, TAIL, NEWS, add_node, search, sweep
 from xplain.solvers.gap_store import NODES, Store, grown, make_store, store_bytes
 from xplain.solvers.lattice import make_room
 
@@ -41,6 +41,8 @@ CHUNK = 100_000
 """Work between two looks at the clock and at Ctrl-C: some hundredths of a second."""
 COARSER = 2
 """A search asks for a gap this much smaller than the last that it closed."""
+GROWTH = 1.5
+"""All nodes are backed up once their number has grown by this factor."""
 SAME = 1e-9
 """Beliefs that differ by less in every entry are the same belief."""
 
@@ -112,7 +114,11 @@ def explore(
     room = 256
     # Coarse before fine: a trial for the final gap would first refine what is ruled out later.
     asked = max(effort.gap, (store.upper[root] - store.lower[root]) / COARSER)
+    swept = 0
     while True:
+        if store.used[NODES] > GROWTH * swept:
+            sweep(tables, store, NEWS * effort.gap)
+            swept = int(store.used[NODES])
         buffers = np.empty((room, types)), np.empty((room, types), dtype=np.int64)
         limits = asked, tail_gap, effort.nodes, CHUNK
         status = search(tables, store, root, *limits, *buffers, *working)
@@ -125,9 +131,12 @@ def explore(
         elif time.perf_counter() - began > effort.seconds:
             break
         elif status == DONE:
+            sweep(tables, store, NEWS * effort.gap)
+            swept = int(store.used[NODES])
+            left = float(store.upper[root] - store.lower[root])
             if asked == effort.gap:
                 break
-            asked = max(effort.gap, asked / COARSER)
+            asked = max(effort.gap, min(asked, left) / COARSER)
     return Found(store, root)
 
 

@@ -26,6 +26,7 @@ from xplain.solvers.compilation import inlined
 from xplain.solvers.gap_sharing import ROUNDING, learn, list_candidates, teach
 from xplain.solvers.gap_store import ACTIONS, ANSWERS, NODES, OPENED, WORK, copy, dot, find
 from xplain.solvers.lattice import branch
+from xplain.solvers.pair_bounds import SWEEPS, mix, mixed
 
 DONE, WORKING, FULL = 0, 1, 2
 CLOSED, NO_ROOM = -1, -2
@@ -80,6 +81,8 @@ def _add_node(tables, store, step, given, weight, evidence):  # type: ignore[no-
         if more != given:
             later = tables.message_discount * dot(belief, tables.values[step, more])
             upper = max(upper, later - tables.message_price[j])
+    if mix(tables.pairs, step, given, belief, 0):
+        upper = min(upper, mixed(tables.pairs, tables.pairs.optimal[step], given))
     store.upper[node] = upper
     plans = tables.plans[step, given]
     u = _best_plan(plans, belief)
@@ -103,23 +106,28 @@ def _open(tables, store, node):  # type: ignore[no-untyped-def]
     end = begin
     best = -np.inf
     lower = store.lower[node]
+    in_pairs = mix(tables.pairs, step, given, belief, SWEEPS)
     for c in range(store.listed[step, given, 0], store.listed[step, given, 0] + candidates):
         chosen = store.candidates[c]
         value = tables.factor[chosen] * dot(belief, tables.explain[step, given | chosen])
         value -= tables.price[chosen]
+        shown = given | chosen
+        later = tables.factor[chosen] * tables.discount
+        base = value - later * dot(belief, tables.values[step + 1, shown])
+        if in_pairs:
+            paired = mixed(tables.pairs, tables.pairs.explain[step], shown)
+            value = min(value, tables.factor[chosen] * paired - tables.price[chosen])
         # The best is kept even where rounding puts it below the best plan.
         if value >= lower or value > best:
             store.action_set[end] = chosen
             store.action_upper[end] = value
+            store.action_base[end] = base
             end += 1
         best = max(best, value)
     for a in range(begin, end):
         chosen = store.action_set[a]
         shown = given | chosen
         later = tables.factor[chosen] * tables.discount
-        store.action_base[a] = store.action_upper[a] - later * dot(
-            belief, tables.values[step + 1, shown]
-        )
         store.action_lower[a] = store.action_upper[a]
         if not last:
             plans = tables.plans[step + 1, shown]
@@ -296,6 +304,24 @@ def search(  # type: ignore[no-untyped-def]
         if not moved:
             return DONE  # rounding is all that is left
     return DONE
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def sweep(tables, store, news):  # type: ignore[no-untyped-def]
+    """Backs up all that is open, the last step first, and lets every node learn what others at its
+    (k, H) found since it was last visited: a trial visits one node a step. ``news`` as in
+    :func:`teach`."""
+    for step in range(tables.p.shape[1] - 1, -1, -1):
+        for node in range(store.used[NODES]):
+            if store.step[node] != step:
+                continue
+            upper, lower = store.upper[node], store.lower[node]
+            learn(tables, store, node)
+            for a in range(store.first[node], store.first[node] + store.n_actions[node]):
+                if store.action_first[a] >= 0:
+                    _back_up(store, node, a)
+            if store.first[node] >= 0:
+                teach(tables, store, node, upper, lower, news)
 
 
 @inlined
