@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.solvers.dynamic_programming import message_discount, message_price, optimal_values
-from xplain.solvers.pair_bounds import Pairs, make_pairs
+from xplain.solvers.pair_bounds import Pairs, no_pairs
 
 
 class Tables(NamedTuple):
@@ -30,7 +30,7 @@ class Tables(NamedTuple):
             *explain* after it.
         message_price: [n] λ C_e.
         discount, message_discount: γ, γ'.
-        pairs: what bounds above more tightly than ``values``.
+        pairs: tighter above than ``values``, where a search found them worth making.
     """
 
     p: NDArray[np.float64]
@@ -65,7 +65,7 @@ def make_tables(problem: Problem) -> Tables:
         _plan_step(p, k, values, prices, *costs, explain, plans)
     price, factor = set_prices(problem)
     scalars = problem.discount, per_message
-    return Tables(p, values, explain, plans, price, factor, prices, *scalars, make_pairs(problem))
+    return Tables(p, values, explain, plans, price, factor, prices, *scalars, no_pairs(problem))
 
 
 def set_prices(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

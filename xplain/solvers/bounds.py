@@ -61,7 +61,7 @@ def bounds(problem: Problem, effort: Effort = DEFAULT) -> Bounds:
         looking = Lookahead(memory_gib=effort.memory_gib).plan(small)
         known = float(small.prior @ looking.policy.table[0, 0])
         return Bounds(looking.lower, looking.upper, known)
-    found = explore(tables, 0, 0, small.prior, effort)
+    found = explore(tables, 0, 0, small.prior, effort, small)
     known = float(small.prior @ tables.values[0, 0])
     return Bounds(found.lower, found.upper, known)
 

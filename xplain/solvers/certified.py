@@ -31,9 +31,10 @@ from xplain.solvers.dynamic_programming import (
     messages_worth_giving,
     restrict,
 )
-from xplain.solvers.gap_search import DONE, FULL, TAIL, NEWS, add_node, search, sweep
-from xplain.solvers.gap_store import NODES, Store, grown, make_store, store_bytes
+from xplain.solvers.gap_search import DONE, FULL, NEWS, TAIL, add_node, search, sweep, tighten
+from xplain.solvers.gap_store import NODES, OPENED, WORK, Store, grown, make_store, store_bytes
 from xplain.solvers.lattice import make_room
+from xplain.solvers.pair_bounds import PairTables
 
 log = logging.getLogger(__name__)
 
@@ -41,8 +42,10 @@ CHUNK = 100_000
 """Work between two looks at the clock and at Ctrl-C: some hundredths of a second."""
 COARSER = 2
 """A search asks for a gap this much smaller than the last that it closed."""
-GROWTH = 1.5
+GROWTH = 1.2
 """All nodes are backed up once their number has grown by this factor."""
+WORTH = 4
+"""Tables of pairs may cost this many times what was spent."""
 SAME = 1e-9
 """Beliefs that differ by less in every entry are the same belief."""
 
@@ -76,8 +79,15 @@ class Effort:
 
 @dataclass(frozen=True)
 class Found:
-    """What a search found: its nodes, and the bounds at its root."""
+    """What a search found.
 
+    Attributes:
+        tables: those it ended with.
+        store: its nodes.
+        root: one of them.
+    """
+
+    tables: Tables
     store: Store
     root: int
 
@@ -100,25 +110,30 @@ class Found:
 
 
 def explore(
-    tables: Tables, step: int, given: int, belief: NDArray[np.float64], effort: Effort
+    tables: Tables,
+    step: int,
+    given: int,
+    belief: NDArray[np.float64],
+    effort: Effort,
+    problem: Problem | None = None,
 ) -> Found:
-    """Searches from a belief at (k, H), within the effort. Ctrl-C is heard throughout."""
+    """Searches from a belief at (k, H), within the effort. Ctrl-C is heard throughout.
+
+    With the ``problem`` of the tables, a search that has worked for as long as it takes to make
+    those of pairs makes them, so that short searches do not pay for them.
+    """
     began = time.perf_counter()
-    types = tables.p.shape[0]
+    types, steps, _ = tables.p.shape
     store = make_store(tables)
     root = add_node(tables, store, step, given, belief, np.zeros(types, dtype=np.int64))
-    tail_gap = effort.gap * TAIL / tables.p.shape[1]
-    steps = tables.p.shape[1]
+    tail_gap = effort.gap * TAIL / steps
     path, gaps = np.empty((2, steps), dtype=np.int64), np.empty(steps)
     working = path, gaps, np.empty(types), make_room(steps, types)
-    room = 256
+    room, swept = 256, 1
+    pairs = PairTables(problem) if problem else None
     # Coarse before fine: a trial for the final gap would first refine what is ruled out later.
     asked = max(effort.gap, (store.upper[root] - store.lower[root]) / COARSER)
-    swept = 0
     while True:
-        if store.used[NODES] > GROWTH * swept:
-            sweep(tables, store, NEWS * effort.gap)
-            swept = int(store.used[NODES])
         buffers = np.empty((room, types)), np.empty((room, types), dtype=np.int64)
         limits = asked, tail_gap, effort.nodes, CHUNK
         status = search(tables, store, root, *limits, *buffers, *working)
@@ -128,16 +143,25 @@ def explore(
                 log.warning("the search stops at solver.memory_gib=%g", effort.memory_gib)
                 break
             store = grown(store)
-        elif time.perf_counter() - began > effort.seconds:
+            continue
+        if (status == DONE and asked == effort.gap) or store.used[OPENED] >= effort.nodes:
             break
-        elif status == DONE:
+        if time.perf_counter() - began > effort.seconds:
+            break
+        if pairs and CHUNK <= store.used[WORK] >= pairs.work / WORTH:
+            if pairs.bytes < effort.memory_gib * GIB / 4:
+                tables = tables._replace(pairs=pairs.make())
+                tighten(tables, store)
+                swept = 0
+            pairs = None
+        if status == DONE or store.used[NODES] > GROWTH * swept:
             sweep(tables, store, NEWS * effort.gap)
             swept = int(store.used[NODES])
-            left = float(store.upper[root] - store.lower[root])
-            if asked == effort.gap:
-                break
-            asked = max(effort.gap, min(asked, left) / COARSER)
-    return Found(store, root)
+        if status == DONE:
+            asked = max(effort.gap, min(asked, store.upper[root] - store.lower[root]) / COARSER)
+    if store.upper[root] - store.lower[root] > effort.gap:
+        sweep(tables, store, NEWS * effort.gap)
+    return Found(tables, store, root)
 
 
 @dataclass(frozen=True)
@@ -173,9 +197,9 @@ class Certified:
         kept = messages_worth_giving(problem)
         small = restrict(problem, kept)
         tables = tables_within(small, self.memory_gib)
-        found = explore(tables, 0, 0, small.prior, self._effort)
+        found = explore(tables, 0, 0, small.prior, self._effort, small)
         brief = Effort(self.gap, self.decision_nodes, math.inf, self.memory_gib)
-        return CertifiedPolicy(Searched(tables, found, brief), kept)
+        return CertifiedPolicy(Searched(found, brief), kept)
 
 
 def tables_within(problem: Problem, memory_gib: float) -> Tables:
@@ -215,12 +239,10 @@ class Searched:
     """Acts on certified lower bounds.
 
     Attributes:
-        tables: of the problem.
         found: by the search from the prior.
         brief: the effort for a belief not found there.
     """
 
-    tables: Tables
     found: Found
     brief: Effort
 
@@ -236,7 +258,7 @@ class Searched:
             nearest = int(distance.argmin())
             if distance[nearest] < SAME:
                 return self.found.values(int(nodes[nearest]))
-        here = explore(self.tables, step, given, belief, self.brief)
+        here = explore(self.found.tables, step, given, belief, self.brief)
         return here.values(here.root)
 
     @cached_property

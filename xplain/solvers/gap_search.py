@@ -6,7 +6,8 @@ choice of a message set, the cheapest messages first, then *explain*; its answer
 k + 1. Every node carries an upper and a lower bound of its optimal value:
 
 - above, QMDP: Σ_t b(t) V*_t, at a visited node the best set's Σ_t b(t) Q*_t. (The fast informed
-  bound is the same here: with a type that never changes it has nothing to add.)
+  bound is the same here: with a type that never changes it has nothing to add.) Long searches
+  have a tighter one: :mod:`xplain.solvers.pair_bounds`.
 - below, the exact value of the best of N + 1 plans that heed no answer: each type's optimal one,
   and silence.
 
@@ -14,7 +15,8 @@ What is learned at one belief serves all at its (k, H): :mod:`xplain.solvers.gap
 
 A trial walks from the root: at each node it takes the set with the best upper bound, then the
 answer with the largest probability-weighted gap, until the gap is small enough there, and backs
-both bounds up. Unlikely answers stay coarse, and the unlikeliest are not even told apart.
+both bounds up. Unlikely answers stay coarse, and the unlikeliest are not even told apart. Now and
+then everything is backed up: many nodes can then profit by what was learned since their last visit.
 """
 
 from __future__ import annotations
@@ -115,8 +117,7 @@ def _open(tables, store, node):  # type: ignore[no-untyped-def]
         later = tables.factor[chosen] * tables.discount
         base = value - later * dot(belief, tables.values[step + 1, shown])
         if in_pairs:
-            paired = mixed(tables.pairs, tables.pairs.explain[step], shown)
-            value = min(value, tables.factor[chosen] * paired - tables.price[chosen])
+            value = min(value, _in_pairs(tables, step, given, chosen))
         # The best is kept even where rounding puts it below the best plan.
         if value >= lower or value > best:
             store.action_set[end] = chosen
@@ -322,6 +323,29 @@ def sweep(tables, store, news):  # type: ignore[no-untyped-def]
                     _back_up(store, node, a)
             if store.first[node] >= 0:
                 teach(tables, store, node, upper, lower, news)
+
+
+@njit(cache=True, nogil=True, _nrt=False)
+def tighten(tables, store):  # type: ignore[no-untyped-def]
+    """Lowers upper bounds made before there were tables of pairs."""
+    for node in range(store.used[NODES]):
+        step, given = store.step[node], store.given[node]
+        sweeps = SWEEPS if store.first[node] >= 0 else 0
+        if not mix(tables.pairs, step, given, store.belief[node], sweeps):
+            continue
+        upper = mixed(tables.pairs, tables.pairs.optimal[step], given)
+        store.upper[node] = max(min(store.upper[node], upper), store.lower[node])
+        for a in range(store.first[node], store.first[node] + store.n_actions[node]):
+            upper = _in_pairs(tables, step, given, store.action_set[a])
+            upper = min(store.action_upper[a], upper)
+            store.action_upper[a] = max(upper, store.action_lower[a])
+
+
+@inlined
+def _in_pairs(tables, step, given, chosen):  # type: ignore[no-untyped-def]
+    """Bounds a set of messages from above, at the belief last mixed."""
+    explain = mixed(tables.pairs, tables.pairs.explain[step], given | chosen)
+    return tables.factor[chosen] * explain - tables.price[chosen]
 
 
 @inlined

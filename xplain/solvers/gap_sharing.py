@@ -138,5 +138,5 @@ def list_candidates(tables, store, step, given):  # type: ignore[no-untyped-def]
     store.listed[step, given, 2] = place
     store.used[PLACES] += 1
     store.used[CANDIDATES] = end
-    store.used[WORK] += sets
+    store.used[WORK] += sets * types
     return True

@@ -12,6 +12,8 @@ shifted between two of its pairs as long as that lowers the bound.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple
 
@@ -27,12 +29,14 @@ from xplain.solvers.dynamic_programming import (
     messages_worth_giving,
     restrict,
 )
-from xplain.solvers.lattice import Room, branch, make_room
+from xplain.solvers.lattice import branch, make_room
 
 GRID = np.concatenate([[0.0], 1 / (1 + np.exp(-np.linspace(-7, 7, 15))), [1.0]])
 """Beliefs in the first of two types, in equal steps of evidence."""
 NEGLIGIBLE = 1e-7
 """Answers rarer than this are taken to tell the type, which can only raise the bound."""
+LIGHT = 1e-4
+"""Types less likely than this stay as they were split."""
 SWEEPS = 3
 """Over all shifts of weight, each smaller than the last."""
 
@@ -64,24 +68,57 @@ def no_pairs(problem: Problem) -> Pairs:
     return _joined(problem, [], [], [])
 
 
-def make_pairs(problem: Problem) -> Pairs:
-    """By dynamic programming, pair by pair."""
-    rows, optimal, explain = [], [], []
-    first = 0
-    sets = np.arange(1 << problem.n_messages)
-    for pair in combinations(range(problem.n_types), 2):
-        p = problem.p_explicable[list(pair)]
-        two = problem.with_types(p, tuple(problem.type_names[t] for t in pair))
-        kept = messages_worth_giving(two)
-        row = np.full(len(sets), first)
-        for i, j in enumerate(kept):
-            row += (sets >> j & 1) << i
-        tables = _pair_tables(restrict(two, kept))
-        rows.append(row)
-        optimal.append(tables[0])
-        explain.append(tables[1])
-        first += 1 << len(kept)
-    return _joined(problem, rows, optimal, explain)
+@dataclass(frozen=True)
+class PairTables:
+    """Tables yet to be made, by dynamic programming, pair by pair.
+
+    Attributes:
+        problem: of N types.
+    """
+
+    problem: Problem
+
+    @cached_property
+    def _two(self) -> list[tuple[Problem, tuple[int, ...]]]:
+        """Every pair's problem, with the messages that are worth giving in it."""
+        problem, found = self.problem, []
+        for pair in combinations(range(problem.n_types), 2):
+            p, names = problem.p_explicable[list(pair)], problem.type_names
+            two = problem.with_types(p, tuple(names[t] for t in pair))
+            kept = messages_worth_giving(two)
+            found.append((restrict(two, kept), kept))
+        return found
+
+    @property
+    def _entries(self) -> int:
+        rows = sum(1 << len(kept) for _, kept in self._two)
+        return rows * self.problem.n_steps * len(GRID)
+
+    @property
+    def bytes(self) -> int:
+        """What they take."""
+        return 2 * 8 * self._entries
+
+    @property
+    def work(self) -> int:
+        """What making them costs, about, in answers looked at."""
+        return self._entries * self.problem.n_steps
+
+    def make(self) -> Pairs:
+        """Makes them."""
+        rows, optimal, explain = [], [], []
+        first = 0
+        sets = np.arange(1 << self.problem.n_messages)
+        for two, kept in self._two:
+            row = np.full(len(sets), first)
+            for i, j in enumerate(kept):
+                row += (sets >> j & 1) << i
+            first += 1 << len(kept)
+            rows.append(row)
+            tables = _pair_tables(two)
+            optimal.append(tables[0])
+            explain.append(tables[1])
+        return _joined(self.problem, rows, optimal, explain)
 
 
 def _joined(
@@ -148,7 +185,7 @@ def _pair_step(  # type: ignore[no-untyped-def]
     out_weight,
     out_evidence,
     tail,
-    room: Room,
+    room,
 ):
     """One step backwards in k; False where there are more answers than room."""
     sets, points = optimal.shape[1:]
@@ -252,7 +289,8 @@ def mix(pairs, step, given, belief, sweeps):  # type: ignore[no-untyped-def]
         for t in range(types):
             for u in range(types):
                 for v in range(types):
-                    if u == t or v == t or u == v or share[t, u] * share[v, t] == 0.0:
+                    light = min(belief[t], belief[u], belief[v]) < LIGHT
+                    if light or u in (t, v) or v == t:
                         continue
                     shift = part * share[t, u]
                     now = _shared(pairs, table, given, t, u, share[t, u], share[u, t])
