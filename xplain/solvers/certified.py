@@ -34,7 +34,7 @@ from xplain.solvers.dynamic_programming import (
 from xplain.solvers.gap_search import DONE, FULL, NEWS, TAIL, add_node, search, sweep, tighten
 from xplain.solvers.gap_store import NODES, OPENED, WORK, Store, grown, make_store, store_bytes
 from xplain.solvers.lattice import make_room
-from xplain.solvers.pair_bounds import PairTables
+from xplain.solvers.pair_bounds import PairTables, with_own_room
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +45,7 @@ COARSER = 2
 GROWTH = 1.2
 """All nodes are backed up once their number has grown by this factor."""
 WORTH = 4
-"""Tables of pairs may cost this many times what was spent."""
+"""Tables of pairs are made once they cost at most this many times what was spent."""
 SAME = 1e-9
 """Beliefs that differ by less in every entry are the same belief."""
 
@@ -119,10 +119,11 @@ def explore(
 ) -> Found:
     """Searches from a belief at (k, H), within the effort. Ctrl-C is heard throughout.
 
-    With the ``problem`` of the tables, a search that has worked for as long as it takes to make
-    those of pairs makes them, so that short searches do not pay for them.
+    With the ``problem`` of the tables, a long search makes those of pairs; a short one does not
+    pay for them.
     """
     began = time.perf_counter()
+    tables = tables._replace(pairs=with_own_room(tables.pairs))
     types, steps, _ = tables.p.shape
     store = make_store(tables)
     root = add_node(tables, store, step, given, belief, np.zeros(types, dtype=np.int64))
@@ -146,10 +147,12 @@ def explore(
             continue
         if (status == DONE and asked == effort.gap) or store.used[OPENED] >= effort.nodes:
             break
-        if time.perf_counter() - began > effort.seconds:
+        spent = time.perf_counter() - began
+        if spent > effort.seconds:
             break
         if pairs and CHUNK <= store.used[WORK] >= pairs.work / WORTH:
-            if pairs.bytes < effort.memory_gib * GIB / 4:
+            in_time = spent < effort.seconds / (1 + WORTH)
+            if in_time and pairs.bytes < effort.memory_gib * GIB / 4:
                 tables = tables._replace(pairs=pairs.make())
                 tighten(tables, store)
                 swept = 0

@@ -63,6 +63,12 @@ class Pairs(NamedTuple):
     weight: NDArray[np.float64]
 
 
+def with_own_room(pairs: Pairs) -> Pairs:
+    """The same tables for another thread."""
+    room = {name: np.empty_like(getattr(pairs, name)) for name in ("share", "cell", "weight")}
+    return pairs._replace(**room)
+
+
 def no_pairs(problem: Problem) -> Pairs:
     """Bounds nothing."""
     return _joined(problem, [], [], [])
@@ -97,7 +103,8 @@ class PairTables:
     @property
     def bytes(self) -> int:
         """What they take."""
-        return 2 * 8 * self._entries
+        row = len(self._two) << self.problem.n_messages
+        return 8 * (2 * self._entries + row)
 
     @property
     def work(self) -> int:
