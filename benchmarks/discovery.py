@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import importlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -375,4 +376,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    # Workers find what is cached by the module's name; "__main__" is another module there.
+    importlib.import_module("discovery").main()
