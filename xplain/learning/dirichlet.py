@@ -35,7 +35,8 @@ class DirichletMixture:
     Attributes:
         concentration: α > 0 of the Chinese restaurant process; more makes new types likelier.
         depth: facts that may matter together at one transition; None: 5, or 4 where there are
-            more than 12 messages.
+            more than 12 messages, or so many observers that chains stop early (``updates``):
+            among more sets of facts they have not settled by then.
         chains: independent runs; half start from one type, half from types at random.
         sweeps: of each chain, the first half of them heated. Large data need few:
         updates: a chain stops at this many updates of an observer (but makes 20 sweeps).
@@ -77,7 +78,8 @@ class DirichletMixture:
         from joblib import Parallel, delayed
 
         observers, n = len(dataset.observers), dataset.n_messages
-        depth = min(self.depth or (5 if n <= WIDE else 4), n)
+        long = observers * self.sweeps <= self.updates
+        depth = min(self.depth or (5 if n <= WIDE and long else 4), n)
         if n**depth > 64 * MAX_SUBSETS:
             raise TooLargeError(
                 f"clusterer.depth={depth}: too many sets of {n} messages; use a smaller depth"
