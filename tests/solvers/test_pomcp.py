@@ -201,9 +201,10 @@ def _draw_many(draws, model, tree, prior):  # type: ignore[no-untyped-def]
         )
         for i in range(steps):
             labels[d, i] = not code >> np.uint64(i) & np.uint64(1)
+        beliefs[d] = prior
         pomcp_kernel._update(
             model.likeliest, steps, steps - 1, 0, 0, model.p, code, tree.zero, tree.seen,
-            tree.likelihoods, prior, beliefs[d],
+            tree.likelihoods, beliefs[d],
         )  # fmt: skip
     return labels, beliefs
 

@@ -99,10 +99,10 @@ def _draw_labels(likeliest, count, step, given, t, p, weight, counter, zero):  #
 
 @inlined
 def _update(  # type: ignore[no-untyped-def]
-    likeliest, count, step, given, t, p, code, zero, seen, likelihoods, belief, posterior
+    likeliest, count, step, given, t, p, code, zero, seen, likelihoods, belief
 ):
-    """posterior ∝ belief × likelihood of the labels just drawn, for type t. The two may be one
-    array. The likelihoods of labels met before are remembered."""
+    """belief ∝ itself × likelihood of the labels just drawn, for type t. The likelihoods of labels
+    met before are remembered."""
     key = mix(code + uint64(given * likeliest.shape[1] + step + 1) * GOLDEN)
     slot = np.int64(key & uint64(len(seen) - 1))
     if seen[slot] != key:
@@ -118,11 +118,11 @@ def _update(  # type: ignore[no-untyped-def]
             likelihoods[slot, other] = likelihood
     total = 0.0
     for other in range(len(belief)):
-        posterior[other] = belief[other] * likelihoods[slot, other]
-        total += posterior[other]
+        belief[other] *= likelihoods[slot, other]
+        total += belief[other]
     scale = 1.0 / total
     for other in range(len(belief)):
-        posterior[other] *= scale
+        belief[other] *= scale
 
 
 @inlined
@@ -237,20 +237,7 @@ def _roll_qmdp(model, tree, step, given, t, belief, counter, zero, now):  # type
                     code, counter = _draw_labels(
                         likeliest, count, step, given, t, p, weight, counter, zero
                     )
-                    _update(
-                        likeliest,
-                        count,
-                        step,
-                        given,
-                        t,
-                        p,
-                        code,
-                        zero,
-                        seen,
-                        likelihoods,
-                        now,
-                        now,
-                    )
+                    _update(likeliest, count, step, given, t, p, code, zero, seen, likelihoods, now)
             step += 1
     return value, counter
 
@@ -442,7 +429,6 @@ def simulate(simulations, model, options, tree, log_root, inverse_root):  # type
                             zero,
                             seen,
                             likelihoods,
-                            beliefs[child],
                             beliefs[child],
                         )
                     base = child
