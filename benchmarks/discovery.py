@@ -38,23 +38,23 @@ from numpy.typing import NDArray
 from omegaconf import OmegaConf
 from sklearn.metrics import adjusted_rand_score
 
-from xplain.command_line import compose_for
+from xplain.config import compose_for
+from xplain.data.dataset import Dataset
+from xplain.data.observers import SimulatedObservers
+from xplain.data.rollouts import sample_trace
 from xplain.domains.base import transition_features
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.learning.clustering import Clustering, Perfect
-from xplain.learning.dataset import Dataset
+from xplain.learning.cross_validation import log_likelihoods
 from xplain.learning.disagreements import Cells
-from xplain.learning.heldout import log_likelihoods
 from xplain.learning.labelers import LabelerTrainer, split
-from xplain.learning.types import UserTypes, learn_types
+from xplain.learning.user_types import UserTypes, learn_types
 from xplain.randomness import derived_seed, stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
 from xplain.solvers.qmdp import QMDP
-from xplain.users.observers import SimulatedObservers
 from xplain.users.setting import Setting
-from xplain.users.traces import sample_trace
 from xplain.users.types import RandomCover
 
 RESULTS = Path(__file__).parent / "results"

@@ -17,7 +17,7 @@ import numpy as np
 
 from xplain import Explainer, GivenTypes
 from xplain.solvers.base import Solver
-from xplain.solvers.pomcp import POMCP
+from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
 

@@ -31,20 +31,20 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import MinMaxScaler, PolynomialFeatures
 from sklearn.tree import DecisionTreeClassifier
 
+from xplain.data.dataset import Dataset
+from xplain.data.observers import SimulatedObservers
+from xplain.data.rollouts import sample_trace
 from xplain.domains.base import transition_features
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.learning.clustering import Perfect
-from xplain.learning.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.types import UserTypes, learn_types
+from xplain.learning.user_types import UserTypes, learn_types
 from xplain.randomness import stream
 from xplain.report.plots import series_style
 from xplain.solvers.qmdp import QMDP
-from xplain.users.observers import SimulatedObservers
 from xplain.users.setting import Setting
-from xplain.users.traces import sample_trace
 
 LABELERS = {
     "tree (paper)": LabelerTrainer(),

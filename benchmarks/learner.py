@@ -18,9 +18,9 @@ from joblib import Parallel, delayed
 from rich.console import Console
 from rich.table import Table
 
-from xplain.command_line import CONF, prepare
-from xplain.experiment import prepare as prepared
-from xplain.run import source_of
+from xplain.config import CONF, prepare
+from xplain.experiment.pipeline import prepare as prepared
+from xplain.runs.job import source_of
 
 SETTINGS = {
     "rescue, 5 types": ["domain=rescue"],

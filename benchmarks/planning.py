@@ -21,9 +21,9 @@ from rich.console import Console
 from rich.table import Table
 
 from xplain.explanation.problem import Problem
-from xplain.solvers.certified import Certified, CertifiedPolicy
 from xplain.solvers.dynamic_programming import GIB, optimal_values, table_bytes
-from xplain.solvers.policy_value import evaluate
+from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
+from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.qmdp import QMDP
 
 

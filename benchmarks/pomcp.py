@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from xplain.explanation.problem import Problem
-from xplain.solvers.pomcp import POMCP
+from xplain.solvers.pomcp.solver import POMCP
 
 DEPTHS = (2, 5, 20)
 EXPLORATION = 10.0
@@ -247,7 +247,7 @@ FRESH = """
 import time; start = time.perf_counter()
 import numpy as np
 from xplain.explanation.problem import Problem
-from xplain.solvers.pomcp import POMCP
+from xplain.solvers.pomcp.solver import POMCP
 rng = np.random.default_rng(0)
 problem = Problem(rng.random((5, 20, 1024)), np.ones(10))
 POMCP(simulations=2000).plan(problem).messages(0, 0, problem.prior)

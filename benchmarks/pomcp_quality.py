@@ -15,11 +15,11 @@ import numpy as np
 from omegaconf import OmegaConf
 from pomcp import problem_of
 
-from xplain.command_line import CONF
+from xplain.config import CONF
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
-from xplain.solvers.certified import Effort
-from xplain.solvers.policy_value import evaluate
+from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.policy_evaluation import evaluate
 
 
 def solver_of(choice: str) -> Solver:

@@ -24,13 +24,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from tests.study.server import ServerProcess
-from xplain.study.bots import Researcher
-from xplain.study.command_line import composed
-from xplain.study.people import Habits, Person
-from xplain.study.plan import StudyPlan
+from xplain.participants.server.store import Store
+from xplain.participants.simulation.bots import Researcher
+from xplain.participants.simulation.http_client import Browser, Page, fill
 from xplain.study.prepare import study_of, study_plan
-from xplain.study.store import Store
-from xplain.study.visitor import Browser, Page, fill
+from xplain.study.protocol.plan import StudyPlan
+from xplain.study.settings import composed
+from xplain.study.simulation.participant import Habits, Person
 
 Times = list[float]
 

@@ -65,7 +65,7 @@ class SweepSearchPath(SearchPathPlugin):
 
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
         """Called by Hydra once at start."""
-        from xplain.command_line import CONF, SWEEPS
+        from xplain.config import CONF, SWEEPS
 
         main = [entry.path for entry in search_path.get_path() if entry.provider == "main"]
         if any(path and Path(path.removeprefix("file://")) == CONF for path in main):
@@ -98,7 +98,7 @@ class ResumingSweeper(Sweeper):
 
     def sweep(self, arguments: list[str]) -> Any:
         """Runs the sweep; ends the process with exit code 1 when jobs failed."""
-        from xplain.sweep.run import run_sweep
+        from xplain.runs.sweep import run_sweep
 
         settings = [{**self.params, **plain(setting)} for setting in self.settings]
         return run_sweep(

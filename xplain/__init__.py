@@ -8,16 +8,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from xplain.learning.learned import LearnedTypes as LearnedTypes
-    from xplain.online.explainer import Explainer as Explainer
-    from xplain.online.explainer import GivenTypes as GivenTypes
+    from xplain.learning.saved_types import LearnedTypes as LearnedTypes
+    from xplain.sessions.explainer import Explainer as Explainer
+    from xplain.sessions.explainer import GivenTypes as GivenTypes
 
 __version__ = "0.1.0"
 
 _WHERE = {
-    "Explainer": "xplain.online.explainer",
-    "GivenTypes": "xplain.online.explainer",
-    "LearnedTypes": "xplain.learning.learned",
+    "Explainer": "xplain.sessions.explainer",
+    "GivenTypes": "xplain.sessions.explainer",
+    "LearnedTypes": "xplain.learning.saved_types",
 }
 
 

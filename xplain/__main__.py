@@ -1,7 +1,7 @@
 """One run, or a sweep of them: ``python -m xplain solver=pomcp domain=rescue lambda=1.5``.
 
 Thin on purpose: joblib ships the decorated function to workers by value, and ``--help`` must not
-wait for the heavy packages, which :mod:`xplain.run` brings.
+wait for the heavy packages, which :mod:`xplain.runs.job` brings.
 """
 
 from __future__ import annotations
@@ -9,12 +9,12 @@ from __future__ import annotations
 import hydra
 from omegaconf import DictConfig
 
-from xplain.command_line import CONF, prepare, report_errors
+from xplain.config import CONF, prepare, report_errors
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")
 def _job(cfg: DictConfig) -> float | None:
-    from xplain.run import run_job
+    from xplain.runs.job import run_job
 
     return run_job(cfg)
 

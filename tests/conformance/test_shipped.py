@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 import pytest
 
-from xplain.command_line import CONF
+from xplain.config import CONF
 from xplain.testing import (
     Chosen,
     ClustererConformance,

@@ -11,7 +11,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from xplain.command_line import CONF
+from xplain.config import CONF
 from xplain.domains.base import Domain
 from xplain.randomness import stream
 from xplain.users.setting import Setting

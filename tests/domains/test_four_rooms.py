@@ -10,11 +10,11 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.domains.configs import configured, domain_of, setting_of
-from xplain import mdp
+from xplain.data.rollouts import sample_trace
+from xplain.domains import mdp
 from xplain.domains.four_rooms import FourRooms
 from xplain.errors import InputError
 from xplain.randomness import stream
-from xplain.users.traces import sample_trace
 
 FOUR_ROOMS = "domain=four_rooms"
 

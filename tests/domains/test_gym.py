@@ -11,10 +11,10 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.domains.configs import configured, domain_of, setting_of
-from xplain import mdp
+from xplain.data.rollouts import sample_trace
+from xplain.domains import mdp
 from xplain.errors import InputError, XplainError
 from xplain.randomness import stream
-from xplain.users.traces import sample_trace
 
 gymnasium = pytest.importorskip("gymnasium", reason="pip install 'xplain[gym]'")
 from xplain.domains.gym import Gymnasium  # noqa: E402

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from tests.domains.configs import domain_of, setting_of
-from xplain import mdp
+from xplain.data.rollouts import sample_trace
+from xplain.domains import mdp
 from xplain.domains.rescue import Rescue
 from xplain.errors import InputError
 from xplain.message_sets import indices
 from xplain.randomness import stream
 from xplain.users.setting import Setting
-from xplain.users.traces import sample_trace
 
 RESCUE = "domain=rescue"
 REWARD = {"A": "first_aid", "F": "fire", "U": "refuel", "r": "rubble", "p": "puddle", "f": "fence"}

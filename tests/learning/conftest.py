@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
-from xplain.learning.dataset import Dataset
+from xplain.data.dataset import Dataset
 
 
 def made(
@@ -52,8 +51,3 @@ def made(
         label=label,
     )
     return dataset, truth
-
-
-@pytest.fixture
-def rng() -> np.random.Generator:
-    return np.random.default_rng(20)

@@ -15,7 +15,7 @@ from xplain.learning.clustering import (
     Single,
 )
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.types import learn_types
+from xplain.learning.user_types import learn_types
 
 
 class ClustererSuite:

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 
 from tests.learning.conftest import made
-from xplain.learning.dataset import Dataset
+from xplain.data.dataset import Dataset
 from xplain.learning.disagreements import Cells, disagreements
 
 

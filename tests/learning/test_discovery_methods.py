@@ -10,17 +10,19 @@ from hypothesis import strategies as st
 from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
+from xplain.data.dataset import Dataset
 from xplain.errors import InputError, TooLargeError
-from xplain.learning import crowds, facts, sampler
 from xplain.learning.clustering import Clusterer, Perfect, Single
-from xplain.learning.dataset import Dataset
-from xplain.learning.dirichlet import DirichletMixture
+from xplain.learning.cross_validation import folds, held_out_log_likelihood
 from xplain.learning.disagreements import disagreements
-from xplain.learning.heldout import folds, held_out_log_likelihood
+from xplain.learning.em_mixture import Mixture
+from xplain.learning.fact_model import gibbs as sampler
+from xplain.learning.fact_model import model as facts
+from xplain.learning.fact_model import split_merge as crowds
+from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.learning.hierarchy import Gap, HeldOut, Hierarchy, Share
 from xplain.learning.labelers import LabelerTrainer, points
-from xplain.learning.mixture import Mixture
-from xplain.learning.types import base_rate, learn_types
+from xplain.learning.user_types import base_rate, learn_types
 
 TYPES = [[0, 1], [2], [1, 3]]
 

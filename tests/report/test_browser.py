@@ -17,8 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.sweep import sweeps
-from xplain.study.chromium import browser, missing
+from tests.runs import sweeps
+from xplain.participants.simulation.chromium import browser, missing
 
 pytestmark = pytest.mark.browser
 

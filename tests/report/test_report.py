@@ -14,7 +14,7 @@ import pytest
 from scipy import stats
 
 from xplain.report import tables
-from xplain.report.sweep import Summary
+from xplain.report.summary import Summary
 from xplain.report.write import write_report
 
 METHODS = ("qmdp", "qhr", "baseline")

@@ -12,11 +12,11 @@ import pytest
 from flask.testing import FlaskClient
 
 from tests.study.stand_in import street_study
-from xplain.study.people import Habits, Person
-from xplain.study.plan import Study
-from xplain.study.store import Store
-from xplain.study.visitor import Browser
-from xplain.study.web import Server, create_app
+from xplain.participants.server.participant_pages import Server, create_app
+from xplain.participants.server.store import Store
+from xplain.participants.simulation.http_client import Browser
+from xplain.study.protocol.plan import Study
+from xplain.study.simulation.participant import Habits, Person
 
 FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
 GENEROUS = Server(("invitation", "prolific", "open"), burst=1e9, visitor_burst=1e9)

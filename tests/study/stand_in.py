@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from xplain.domains.base import Item, Parameter, Scene
-from xplain.mdp import MDP
-from xplain.study.plan import Study, StudyPlan
+from xplain.domains.mdp import MDP
 from xplain.study.prepare import assemble, study_of
+from xplain.study.protocol.plan import Study, StudyPlan
 from xplain.users.setting import Setting, UserType
 
 PLACES = ("bridge", "market", "school", "tunnel")

@@ -21,9 +21,9 @@ import pytest
 from tests.study.conftest import FAULTLESS
 from tests.study.server import ROOT, ServerProcess
 from tests.study.stand_in import street_study
-from xplain.study import replay
-from xplain.study.bots import Researcher
-from xplain.study.chromium import (
+from xplain.participants.server.store import Store
+from xplain.participants.simulation.bots import Researcher
+from xplain.participants.simulation.chromium import (
     Driver,
     answer,
     browser,
@@ -35,11 +35,11 @@ from xplain.study.chromium import (
     take_part,
     wait,
 )
-from xplain.study.people import Habits, Person
-from xplain.study.plan import Study
+from xplain.participants.simulation.http_client import Page, fill
+from xplain.study.analysis.table2 import replay
 from xplain.study.prepare import study_of, study_plan
-from xplain.study.store import Store
-from xplain.study.visitor import Page, fill
+from xplain.study.protocol.plan import Study
+from xplain.study.simulation.participant import Habits, Person
 
 By = pytest.importorskip("selenium.webdriver.common.by", reason="selenium is not installed").By
 Keys = pytest.importorskip("selenium.webdriver.common.keys").Keys
@@ -81,7 +81,7 @@ def axe(request: pytest.FixtureRequest) -> str:
 @pytest.fixture(scope="module")
 def rescue() -> Study:
     """The rescue study with every kind of question, learned from few labels to save time."""
-    from xplain.study.command_line import composed
+    from xplain.study.settings import composed
 
     questions = (
         "questions=[{name: age, label: Your age, kind: number, low: 18, high: 110},"

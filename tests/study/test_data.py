@@ -14,15 +14,15 @@ import pytest
 
 from tests.study.conftest import Visitor
 from xplain.errors import InputError
-from xplain.study import analyse, export, replay
-from xplain.study.analysis import analyse as analysis_of
-from xplain.study.analysis import paper_table, read
-from xplain.study.codebook import CODEBOOK
-from xplain.study.people import Habits, Person
-from xplain.study.protocol import State
-from xplain.study.store import Store
-from xplain.study.timing import hidden, interaction
-from xplain.study.visitor import visit
+from xplain.participants.server.store import Store
+from xplain.participants.simulation.http_client import visit
+from xplain.study.analysis.codebook import CODEBOOK
+from xplain.study.analysis.table2 import analyse as analysis_of
+from xplain.study.analysis.table2 import export, paper_table, read, replay
+from xplain.study.analysis.table2 import main as analyse
+from xplain.study.analysis.timing import hidden, interaction
+from xplain.study.protocol.machine import State
+from xplain.study.simulation.participant import Habits, Person
 
 
 @pytest.fixture

@@ -16,14 +16,14 @@ import pytest
 
 from tests.study.conftest import FAULTLESS, GENEROUS, Visitor, consent
 from tests.study.server import ServerProcess
-from xplain.study import replay
-from xplain.study.bots import Researcher
-from xplain.study.guard import Keys
-from xplain.study.people import Person
-from xplain.study.plan import Study
-from xplain.study.store import Store
-from xplain.study.visitor import Page, fill
-from xplain.study.web import create_app
+from xplain.participants.server.participant_pages import create_app
+from xplain.participants.server.security import Keys
+from xplain.participants.server.store import Store
+from xplain.participants.simulation.bots import Researcher
+from xplain.participants.simulation.http_client import Page, fill
+from xplain.study.analysis.table2 import replay
+from xplain.study.protocol.plan import Study
+from xplain.study.simulation.participant import Person
 
 Send = Callable[[str, str, dict[str, str], bytes], int]
 ROUTES = (

@@ -16,16 +16,18 @@ from tests.study.conftest import FAULTLESS
 from tests.study.stand_in import street_plan, street_study
 from xplain.errors import XplainError
 from xplain.evaluation.episode import SimulatedUser, explain
-from xplain.study import content, prepare, protocol
-from xplain.study.people import take_part
-from xplain.study.plan import Study, StudyPlan
-from xplain.study.protocol import Refused, State
+from xplain.study import prepare
+from xplain.study.protocol import content
+from xplain.study.protocol import machine as protocol
+from xplain.study.protocol.machine import Refused, State
+from xplain.study.protocol.plan import Study, StudyPlan
+from xplain.study.simulation.participant import take_part
 
 ORDERS = {"eligibility": (2, 0, 1, 3), "quiz": (3, 2, 1, 0)}
 
 
 def test_the_protocol_knows_no_web_no_store_no_configuration() -> None:
-    script = "import sys, xplain.study.protocol; print(*sys.modules)"
+    script = "import sys, xplain.study.protocol.machine; print(*sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )

@@ -19,14 +19,16 @@ from tests.study.conftest import FAULTLESS, GENEROUS, Visitor
 from tests.study.server import ServerProcess
 from tests.study.stand_in import street_study
 from xplain.errors import InputError
-from xplain.study import analyse, bots, replay
-from xplain.study.bots import Researcher
-from xplain.study.export import export
-from xplain.study.people import Habits, Person
-from xplain.study.plan import Study
-from xplain.study.store import Store
-from xplain.study.visitor import Browser, Page, Refusal, fill, visit
-from xplain.study.web import create_app
+from xplain.participants.server.participant_pages import create_app
+from xplain.participants.server.store import Store
+from xplain.participants.simulation import bots
+from xplain.participants.simulation.bots import Researcher
+from xplain.participants.simulation.http_client import Browser, Page, Refusal, fill, visit
+from xplain.study.analysis.export import export
+from xplain.study.analysis.table2 import main as analyse
+from xplain.study.analysis.table2 import replay
+from xplain.study.protocol.plan import Study
+from xplain.study.simulation.participant import Habits, Person
 
 RATE = ("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6")
 
@@ -211,8 +213,8 @@ def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFix
 
 @pytest.mark.slow
 def test_forty_bots_in_the_rescue_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from xplain.study.command_line import composed
     from xplain.study.prepare import study_of, study_plan
+    from xplain.study.settings import composed
 
     study = study_of(study_plan(composed(["rules.per_cell=4", "rules.timeout_minutes=0.05"])))
     path = tmp_path / "study.sqlite"
@@ -257,11 +259,15 @@ def test_a_running_study_keeps_its_plan(database: Path, study: Study) -> None:
         ("xplain.study", ["rules.per_cell=0"], "rules.per_cell=0"),
         ("xplain.study", ["trace.start=[99,99]"], "trace.start=[99, 99]"),
         ("xplain.study", ["trace.candidates=0"], "trace.candidates=0"),
-        ("xplain.study.export", ["nothing.sqlite", "out"], "nothing.sqlite"),
-        ("xplain.study.replay", ["broken.sqlite"], "not a study's database"),
-        ("xplain.study.analyse", ["nowhere"], "participants.csv"),
-        ("xplain.study.bots", ["--key", "k", "--url", "http://127.0.0.1:9"], "a running study"),
-        ("xplain.study.power", ["--people", "1"], "--people=1"),
+        ("xplain.study.analysis.export", ["nothing.sqlite", "out"], "nothing.sqlite"),
+        ("xplain.study.analysis.replay", ["broken.sqlite"], "not a study's database"),
+        ("xplain.study.analysis.main", ["nowhere"], "participants.csv"),
+        (
+            "xplain.participants.simulation.bots",
+            ["--key", "k", "--url", "http://127.0.0.1:9"],
+            "a running study",
+        ),
+        ("xplain.study.simulation.power", ["--people", "1"], "--people=1"),
     ],
 )
 def test_what_is_wrong_is_one_line(
@@ -278,8 +284,8 @@ def test_what_is_wrong_is_one_line(
 
 
 def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
-    from xplain.study.command_line import composed
     from xplain.study.prepare import study_of, study_plan
+    from xplain.study.settings import composed
 
     cfg = composed(["observers.points=150", "trace.candidates=40"])
     plan = study_plan(cfg)
@@ -299,8 +305,8 @@ def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
 
 
 def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) -> None:
-    from xplain.study.command_line import composed
     from xplain.study.prepare import study_of, study_plan
+    from xplain.study.settings import composed
 
     cfg = composed(["domain=four_rooms", "observers.points=150", "trace.candidates=40"])
     plan = study_plan(cfg)

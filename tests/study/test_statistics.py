@@ -12,10 +12,7 @@ from scipy import stats
 
 from tests.study.stand_in import street_study
 from xplain.errors import InputError
-from xplain.study.analysis import MEASURES, paper_table
-from xplain.study.people import Habits
-from xplain.study.power import Pool, power, simulate
-from xplain.study.statistics import (
+from xplain.study.analysis.statistics import (
     compare,
     d_from_p,
     hedges,
@@ -24,6 +21,9 @@ from xplain.study.statistics import (
     student_p,
     t_power,
 )
+from xplain.study.analysis.table2 import MEASURES, paper_table
+from xplain.study.simulation.participant import Habits
+from xplain.study.simulation.power import Pool, power, simulate
 
 
 def test_the_papers_p_values_imply_these_effects_and_sizes() -> None:

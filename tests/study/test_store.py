@@ -14,14 +14,14 @@ import pytest
 from tests.study.conftest import GENEROUS, Visitor, consent
 from tests.study.stand_in import street_plan, street_study
 from xplain.errors import XplainError
-from xplain.study.database import Clock, read_plan
-from xplain.study.people import Habits, Person
-from xplain.study.plan import Study
-from xplain.study.protocol import Refused
-from xplain.study.slots import Full
-from xplain.study.store import MAX_TAB_EVENTS, Store, Unknown
-from xplain.study.visitor import visit
-from xplain.study.web import create_app
+from xplain.participants.server.database import Clock, read_plan
+from xplain.participants.server.participant_pages import create_app
+from xplain.participants.server.slots import Full
+from xplain.participants.server.store import MAX_TAB_EVENTS, Store, Unknown
+from xplain.participants.simulation.http_client import visit
+from xplain.study.protocol.machine import Refused
+from xplain.study.protocol.plan import Study
+from xplain.study.simulation.participant import Habits, Person
 
 
 class Time:

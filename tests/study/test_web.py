@@ -15,13 +15,13 @@ from flask.testing import FlaskClient
 from tests.study.conftest import FAULTLESS, GENEROUS, Visitor, enter, field
 from tests.study.stand_in import street_plan
 from xplain.errors import InputError
-from xplain.study.guard import Keys, RateLimit
-from xplain.study.people import Person
-from xplain.study.picture import legend, picture
-from xplain.study.plan import Study
-from xplain.study.store import Store
-from xplain.study.visitor import Page, fill, visit
-from xplain.study.web import Server, create_app
+from xplain.participants.server.map_svg import legend, picture
+from xplain.participants.server.participant_pages import Server, create_app
+from xplain.participants.server.security import Keys, RateLimit
+from xplain.participants.server.store import Store
+from xplain.participants.simulation.http_client import Page, fill, visit
+from xplain.study.protocol.plan import Study
+from xplain.study.simulation.participant import Person
 
 
 @pytest.fixture

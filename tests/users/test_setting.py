@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.domains.configs import domain_of, setting_of
-from xplain import mdp
+from xplain.domains import mdp
 from xplain.errors import InputError, TooLargeError
 from xplain.users import setting as module
 from xplain.users.setting import Setting, UserType

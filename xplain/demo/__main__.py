@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import NoReturn
 
-from xplain.command_line import report_errors
+from xplain.config import report_errors
 from xplain.errors import InputError
 
 TEXT = """Plays one explanation session: the robot shows its trace step by step and says what this

@@ -9,15 +9,15 @@ from typing import Any, Protocol
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from xplain.command_line import CONF, prepare
+from xplain.config import CONF, prepare
 from xplain.errors import InputError
-from xplain.experiment import Case, Prepared
-from xplain.experiment import prepare as prepare_stages
+from xplain.experiment.pipeline import Case, Prepared
+from xplain.experiment.pipeline import prepare as prepare_stages
 from xplain.message_sets import mask_of
-from xplain.online.explainer import Explainer, GivenTypes
-from xplain.online.session import Session, Why
 from xplain.randomness import stream
-from xplain.run import costs_of, source_of
+from xplain.runs.job import costs_of, source_of
+from xplain.sessions.explainer import Explainer, GivenTypes
+from xplain.sessions.session import Session, Why
 
 
 @dataclass(frozen=True)

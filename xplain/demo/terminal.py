@@ -13,7 +13,7 @@ from rich.text import Text
 
 from xplain.demo.play import Stage, Step
 from xplain.errors import InputError
-from xplain.online.session import Session
+from xplain.sessions.session import Session
 
 BAR = 24
 PATH, ROBOT = "·", "@"

@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.mdp import MDP
+from xplain.domains.mdp import MDP
 
 
 @dataclass(frozen=True)

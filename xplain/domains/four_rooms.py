@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import MOVES, Cell, Grid, discount_factor, number, parameters_of
+from xplain.domains.mdp import MDP
 from xplain.errors import InputError
-from xplain.mdp import MDP
 
 PARAMETERS = ("goals", "discount", "step_cost", "penalty_cells", "penalty")
 

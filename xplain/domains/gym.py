@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import Cell, discount_factor, number, parameters_of
+from xplain.domains.mdp import MDP
 from xplain.errors import InputError, XplainError
-from xplain.mdp import MDP
 
 EFFECTS = ("add", "like", "to", "arguments")
 CHANGES = ("when", "actions", "next", *EFFECTS)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
 from xplain.message_sets import indices
-from xplain.online.interaction import Interaction
+from xplain.sessions.interaction import Interaction
 from xplain.solvers.base import Policy
-from xplain.solvers.remembered import Remembered
+from xplain.solvers.cached_policy import Remembered
 
 
 class User(Protocol):

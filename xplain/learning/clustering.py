@@ -18,12 +18,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.data.dataset import Dataset
 from xplain.errors import InputError
-from xplain.learning.dataset import Dataset
 from xplain.learning.disagreements import Cells
 from xplain.learning.elbow import elbow
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.smallest import vectors
+from xplain.learning.message_vectors import vectors
 from xplain.message_sets import bits_of
 from xplain.randomness import derived_seed
 

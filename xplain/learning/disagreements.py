@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from xplain.learning.dataset import Dataset
+from xplain.data.dataset import Dataset
 from xplain.learning.labelers import points
 
 

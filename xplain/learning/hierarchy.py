@@ -10,13 +10,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.data.dataset import Dataset
 from xplain.errors import InputError
 from xplain.learning.clustering import Clustering
-from xplain.learning.dataset import Dataset
+from xplain.learning.cross_validation import folds, log_likelihoods
 from xplain.learning.disagreements import Cells
-from xplain.learning.heldout import folds, log_likelihoods
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.smallest import vectors
+from xplain.learning.message_vectors import vectors
 from xplain.message_sets import bits_of
 from xplain.randomness import stream
 

@@ -8,9 +8,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.data.dataset import Dataset, inputs
 from xplain.errors import InputError
-from xplain.learning.dataset import Dataset, inputs
-from xplain.learning.trees import cubes
+from xplain.learning.tree_leaves import cubes
 from xplain.randomness import derived_seed, stream
 
 CHUNK = 1 << 20

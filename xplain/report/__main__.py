@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from xplain.command_line import report_errors
+from xplain.config import report_errors
 from xplain.errors import InputError
 
 

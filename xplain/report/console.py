@@ -10,7 +10,7 @@ from rich.table import Table
 
 from xplain.report import tables
 from xplain.report.paper import title
-from xplain.report.sweep import Summary
+from xplain.report.summary import Summary
 from xplain.report.tables import Entry, interval, number
 
 

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from xplain.data.dataset import Dataset
 from xplain.learning.clustering import Clustering
-from xplain.learning.dataset import Dataset
 from xplain.message_sets import bits_of
 from xplain.report.plots import COLOURS
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from xplain.report import tables
 from xplain.report.paper import title
-from xplain.report.sweep import Summary
+from xplain.report.summary import Summary
 from xplain.report.tables import Entry, interval, number, signed
 
 CLAIMS = (

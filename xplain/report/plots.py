@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from xplain.report.paper import table1, title
 
 if TYPE_CHECKING:
-    from xplain.report.sweep import Summary
+    from xplain.report.summary import Summary
 
 # Okabe and Ito's palette; each series also has a marker and a line style of its own.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from xplain.evaluation.statistics import Estimate
 from xplain.report.paper import table1, title
-from xplain.report.sweep import Summary
+from xplain.report.summary import Summary
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from xplain.experiment.results import write_atomically
 from xplain.report import tables
 from xplain.report.page import Picture, Pictures, page
 from xplain.report.paper import title
-from xplain.report.sweep import Summary
-from xplain.storage import write_atomically
+from xplain.report.summary import Summary
 
 REPORT = "report"
 

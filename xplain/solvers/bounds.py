@@ -8,7 +8,6 @@ import numpy as np
 
 from xplain.errors import TooLargeError
 from xplain.explanation.problem import Problem
-from xplain.solvers.certified import Effort, explore, tables_within
 from xplain.solvers.dynamic_programming import (
     check_memory,
     messages_worth_giving,
@@ -16,6 +15,7 @@ from xplain.solvers.dynamic_programming import (
     restrict,
     table_bytes,
 )
+from xplain.solvers.hsvi.solver import Effort, explore, tables_within
 from xplain.solvers.lookahead import Lookahead
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
-from xplain.solvers.compilation import tell_when_compiling
+from xplain.solvers.numba_kernels import tell_when_compiling
 
 log = logging.getLogger(__name__)
 

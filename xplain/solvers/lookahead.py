@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge
-from xplain.solvers.bound_tables import set_prices
-from xplain.solvers.compilation import inlined
+from xplain.solvers.count_lattice import branch, make_room
 from xplain.solvers.dynamic_programming import (
     Greedy,
     Restricted,
@@ -32,7 +31,8 @@ from xplain.solvers.dynamic_programming import (
     restrict,
     table_bytes,
 )
-from xplain.solvers.lattice import branch, make_room
+from xplain.solvers.hsvi.initial_bounds import set_prices
+from xplain.solvers.numba_kernels import inlined
 
 
 @dataclass(frozen=True)

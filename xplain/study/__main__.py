@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xplain.errors import InputError
-from xplain.study.command_line import composed, one_clear_line
+from xplain.study.settings import composed, one_clear_line
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -38,7 +38,7 @@ def serve(cfg: DictConfig) -> None:
     Raises:
         XplainError: the configuration or the database cannot be used.
     """
-    from xplain.study.web import Server
+    from xplain.participants.server.participant_pages import Server
 
     check_address(cfg)
     path = Path(cfg.database).absolute()
@@ -66,9 +66,9 @@ def check_address(cfg: DictConfig) -> None:
 
 def running_study(cfg: DictConfig, path: Path) -> tuple[Any, list[str]]:
     """The study in the database, or a new one; and the keys of ``cfg`` that it does not follow."""
-    from xplain.study.command_line import fixed
-    from xplain.study.database import read_plan
+    from xplain.participants.server.database import read_plan
     from xplain.study.prepare import study_of, study_plan
+    from xplain.study.settings import fixed
 
     plan = read_plan(path)
     if plan is None:
@@ -82,8 +82,8 @@ def running_study(cfg: DictConfig, path: Path) -> tuple[Any, list[str]]:
 def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
     from gunicorn.app.base import BaseApplication  # type: ignore[import-untyped]
 
-    from xplain.study.store import Store
-    from xplain.study.web import create_app
+    from xplain.participants.server.participant_pages import create_app
+    from xplain.participants.server.store import Store
 
     class Application(BaseApplication):  # type: ignore[misc]
         def load_config(self) -> None:
@@ -126,7 +126,7 @@ def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
 
 
 def _researcher_key(store: Any) -> str:
-    from xplain.study.guard import Keys
+    from xplain.participants.server.security import Keys
 
     return Keys(store.keyed).researcher
 

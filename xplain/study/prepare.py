@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.data.rollouts import sample_trace
 from xplain.domains.base import Domain, Scene, transition_features
 from xplain.errors import InputError, XplainError
-from xplain.experiment import Costs
+from xplain.experiment.pipeline import Costs
 from xplain.randomness import derived_seed, stream
-from xplain.study import content, protocol
-from xplain.study.command_line import fixed
-from xplain.study.plan import Asked, Rules, Study, StudyPlan, Texts, Training
+from xplain.study.protocol import content
+from xplain.study.protocol import machine as protocol
+from xplain.study.protocol.plan import Asked, Rules, Study, StudyPlan, Texts, Training
+from xplain.study.settings import fixed
 from xplain.users.setting import Setting
-from xplain.users.traces import sample_trace
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -38,7 +39,7 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     """
     from hydra.utils import instantiate
 
-    from xplain.learning.types import learn_types
+    from xplain.learning.user_types import learn_types
 
     config = fixed(cfg)
     Rules(**config["rules"])  # refused before the work, not after it

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from xplain.command_line import CONF, prepare
+from xplain.config import CONF, prepare
 
 
 class Chosen:

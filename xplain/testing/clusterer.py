@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.data.dataset import Dataset
 from xplain.learning.clustering import Clustering, by_first_appearance
-from xplain.learning.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
 from xplain.testing.data import rule_data
 

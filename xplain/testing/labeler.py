@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.learning.dataset import Dataset
+from xplain.data.dataset import Dataset
 from xplain.testing.data import rule_data
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain import mdp
+from xplain.domains import mdp
 from xplain.domains.base import Domain
 from xplain.errors import InputError, TooLargeError
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from xplain.domains.base import Item, Parameter, Scene
+from xplain.domains.mdp import MDP
 from xplain.errors import InputError
-from xplain.mdp import MDP
 
 WALK, RAIL, WATER = range(3)
 

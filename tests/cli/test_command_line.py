@@ -1,0 +1,172 @@
+"""The command as a person meets it: help, one-line errors, nothing half-written."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+
+from tests.conftest import ROOT
+from xplain.__main__ import main
+from xplain.config import CONF, prepare
+
+HEAVY = ("mlflow", "sklearn", "kneed", "numba", "scipy", "pandas", "matplotlib")
+
+
+@pytest.fixture
+def xplain(tmp_path, monkeypatch, capsys):
+    """``xplain("lambda=2")`` runs the command in this process, in an empty folder; returns
+    (exit code, standard output, standard error)."""
+
+    def run(*arguments: str):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", ["xplain", f"outputs={tmp_path / 'outputs'}", *arguments])
+        GlobalHydra.instance().clear()
+        code = 0
+        try:
+            main()
+        except SystemExit as error:
+            code = error.code if isinstance(error.code, int) else 1
+        out = capsys.readouterr()
+        return code, out.out, out.err
+
+    return run
+
+
+def test_help_imports_nothing_heavy_and_lists_the_choices(tmp_path):
+    code = (
+        "import sys, runpy\n"
+        "sys.argv = ['xplain', '--help']\n"
+        "try:\n    runpy.run_module('xplain', run_name='__main__', alter_sys=True)\n"
+        f"finally:\n    print('HEAVY', sorted(set({HEAVY!r}) & set(sys.modules)))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert "HEAVY []" in done.stdout
+    for word in ("qmdp", "pomcp", "rescue", "four_rooms", "lambda"):
+        assert word in done.stdout
+
+
+RAGGED = "domain.map='S..V\n...'"
+
+BAD = [
+    (["solver=nonsense"], ["solver", "nonsense", "qmdp"]),
+    (["lamda=2"], ["lamda", "lambda"]),
+    (["solver.memory=5"], ["solver.memory"]),
+    (["lambda=-1"], ["lambda", "-1", "≥ 0"]),
+    (["lambda=nan"], ["lambda", "nan"]),
+    (["lambda=much"], ["lambda", "much"]),
+    (["discount=0"], ["discount", "0", "(0, 1]"]),
+    (["discount=1.01"], ["discount", "1.01", "(0, 1]"]),
+    (["discount_per=week"], ["discount_per", "week", "action"]),
+    (["prior=mine"], ["prior", "mine", "uniform"]),
+    (["traces=0"], ["traces", "0"]),
+    (["seed=-3"], ["seed", "-3"]),
+    (["message_cost=-1"], ["message_cost", "-1"]),
+    (["inexplicability_cost=-2"], ["inexplicability_cost", "-2"]),
+    ([RAGGED], ["domain.map"]),
+    (["domain.map='SVSAFUrpfs'"], ["domain.map", "shelter"]),
+    (["domain.map='SV?'"], ["domain.map", "?"]),
+    (["domain.map='SVAFUrpf#s'"], ["domain.map", "path"]),
+    (["domain.discount=1"], ["domain.discount", "1"]),
+    (["observers.points=1"], ["points", "1"]),
+    (["observers=file", "observers.path=absent.csv"], ["absent.csv"]),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), BAD, ids=[" ".join(b[0])[:40] for b in BAD])
+def test_bad_input_is_one_line_and_leaves_nothing_behind(xplain, tmp_path, arguments, words):
+    code, out, err = xplain(*arguments)
+    assert code == 2
+    assert out == ""
+    lines = err.strip().splitlines()
+    assert len(lines) == 1, err
+    for word in words:
+        assert word in lines[0]
+    assert_nothing_written(tmp_path)
+
+
+def assert_nothing_written(folder):
+    """No file, but for locks: they hold nothing, and to remove one would race."""
+    assert not [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock"]
+
+
+HEAD = "observer,messages,label,row,column"
+TABLES = {
+    "missing column": ("observer,label,row\na,1,0\nb,0,0\n", ["messages"]),
+    "unknown message": (f"{HEAD}\na,lava,1,0,0\nb,,0,0,0\n", ["lava"]),
+    "label 2": (f"{HEAD}\na,,2,0,0\nb,,0,0,0\n", ["label", "2"]),
+    "one observer": (f"{HEAD}\na,,1,0,0\na,fire,0,0,0\n", ["observer"]),
+    "labels all equal": (f"{HEAD}\na,,1,0,0\nb,fire,1,0,0\n", ["label"]),
+    "no rows": (f"{HEAD}\n", ["labels.csv"]),
+    "not a table": ("\x00\x01", ["labels.csv"]),
+    "other features": (
+        f"{HEAD}\na,,1,0,0\na,,1,0,1\nb,fire,0,0,0\nb,fire,0,0,1\n",
+        ["action=up", "missing"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_bad_file_of_labels_is_one_line(xplain, tmp_path, name):
+    text, words = TABLES[name]
+    (tmp_path / "labels.csv").write_text(text)
+    code, _, err = xplain("observers=file", "observers.path=labels.csv")
+    assert code == 2
+    assert len(err.strip().splitlines()) == 1, err
+    for word in words:
+        assert word in err
+    (tmp_path / "labels.csv").unlink()
+    assert_nothing_written(tmp_path)
+
+
+def test_a_type_that_names_an_unknown_parameter_and_no_types(xplain):
+    for users, words in [
+        ("users.groups={}", ["users", "at least one"]),
+        ("users.groups={A: [lava]}", ["lava", "first_aid"]),
+    ]:
+        code, _, err = xplain("users=explicit", users)
+        assert code == 2
+        assert len(err.strip().splitlines()) == 1
+        for word in words:
+            assert word in err
+
+
+def test_an_output_folder_that_cannot_be_written_is_one_line(tmp_path, xplain):
+    (tmp_path / "outputs").write_text("a file, where a folder is wanted")
+    code, _, err = xplain("tracking=none")
+    assert code == 2
+    assert len(err.strip().splitlines()) == 1
+    assert "outputs" in err
+
+
+def choices():
+    """(group, choice) of every component's config file that ships."""
+    groups = ("domain", "users", "observers", "labeler", "clusterer", "solver", "belief")
+    files = [(group, path) for group in groups for path in sorted((CONF / group).glob("*.yaml"))]
+    return [(group, path.stem) for group, path in files]
+
+
+@pytest.mark.parametrize(("group", "choice"), choices())
+def test_every_choice_composes_and_instantiates(group, choice):
+    from hydra.utils import instantiate
+
+    if choice in ("taxi", "cliff_walking", "frozen_lake"):
+        pytest.importorskip("gymnasium", reason="pip install 'xplain[gym]'")
+    prepare()
+    GlobalHydra.instance().clear()
+    filled = {"file": ["observers.path=labels.csv"], "explicit": ["users.groups={A: [fire]}"]}
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("config", [f"{group}={choice}", *filled.get(choice, [])])
+    assert instantiate(cfg[group]) is not None

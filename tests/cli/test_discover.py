@@ -1,0 +1,155 @@
+"""``python -m xplain.cli.observe`` and ``python -m xplain.cli.discover`` as a person meets them."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from hydra.core.global_hydra import GlobalHydra
+from sklearn.metrics import adjusted_rand_score
+
+from tests.conftest import Command
+from xplain.cli import discover as discovering
+from xplain.cli import observe as observing
+from xplain.learning.saved_types import LearnedTypes
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """``run("discover", "data=x.csv")``: (exit code, standard output, standard error)."""
+
+    def command(name: str, *arguments: str) -> tuple[int, str, str]:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", [name, *arguments])
+        GlobalHydra.instance().clear()
+        code = 0
+        try:
+            {"observe": observing, "discover": discovering}[name].main()
+        except SystemExit as error:
+            code = error.code if isinstance(error.code, int) else 1
+        out = capsys.readouterr()
+        return code, out.out, out.err
+
+    return command
+
+
+@pytest.mark.parametrize("name", ["labels.csv", "labels.parquet"])
+def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path, name: str) -> None:
+    options = ("observers.queries=independent", "observers.label_noise=0.02", f"output={name}")
+    code, out, _ = run("observe", "domain=rescue", *options)
+    assert code == 0
+    told = json.loads(out.splitlines()[-1])
+    known = pd.read_csv(tmp_path / told["truth"])
+    assert list(known.columns) == ["observer", "type", "behaves_like"]
+
+    code, out, err = run("discover", f"data={name}", "output=found", "none_of_these=1")
+    assert code == 0, err
+    answer = json.loads(out.splitlines()[-1])
+    wanted = {"n_types", "assignment", "method", "rule", "held_out_log_likelihood", "seconds"}
+    assert wanted == set(answer)
+    assert answer["assignment"].keys() == set(known["observer"])
+    found = [answer["assignment"][observer] for observer in known["observer"]]
+    assert adjusted_rand_score(known["behaves_like"], found) == 1
+    assert answer["n_types"] == 5
+    assert answer["held_out_log_likelihood"] < 0
+
+    types = LearnedTypes.load(tmp_path / "found" / "types.npz")
+    assert types.names == ("type_0", "type_1", "type_2", "type_3", "type_4", "none of these")
+    summary = json.loads((tmp_path / "found" / "summary.json").read_text())
+    assert sum(one["labels"] for one in summary["types"]) == told["labels"]
+    wrong = [{"fire", "rubble"}, {"first_aid", "fence"}, {"fire", "puddle"}]  # types A to E
+    wrong += [{"first_aid", "rubble"}, {"refuel", "puddle"}]
+    assert [set(one["needs"]) for one in summary["types"]] == wrong
+    assert pd.read_csv(tmp_path / "found" / "assignment.csv")["type"].tolist() == found
+    for picture in ("posterior", "messages"):
+        assert (tmp_path / "found" / f"{picture}.png").stat().st_size > 1000
+
+
+def test_the_papers_learner_draws_its_curve(run, tmp_path: Path) -> None:
+    run("observe", "domain=rescue")
+    code, out, _ = run("discover", "data=labels.csv", "clusterer=kmeans", "held_out=false")
+    assert code == 0
+    answer = json.loads(out.splitlines()[-1])
+    assert answer["held_out_log_likelihood"] is None
+    assert answer["method"] == "kmeans"
+    assert (tmp_path / "outputs" / "discover" / "curve.png").is_file()
+
+
+def test_observers_may_be_unequal(run, tmp_path: Path) -> None:
+    options = ("observers.points=[5,40]", "observers.per_type=[1,2,3,1,1]")
+    assert run("observe", "domain=rescue", *options)[0] == 0
+    table = pd.read_csv(tmp_path / "labels.csv")
+    sizes = table.groupby("observer").size()
+    assert len(sizes) == 8
+    assert sizes.between(5, 40).all()
+    assert sizes.nunique() > 1
+
+
+METHODS = ("dirichlet", "em", "kmeans", "agglomerative", "single")
+METHODS += ("hierarchy_gap", "hierarchy_heldout", "hierarchy_share")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_bears_what_people_do(run, tmp_path: Path, caplog, method: str) -> None:
+    """One label only, always the same label, the same question answered both ways."""
+    assert run("observe", "domain=rescue", "points=40", "observers.per_type=1")[0] == 0
+    table = pd.read_csv(tmp_path / "labels.csv", keep_default_na=False)
+    own = [part for _, part in table.groupby("observer")]
+    own[0] = own[0].head(1)
+    own[1] = own[1].assign(label=1)
+    own[2] = pd.concat([own[2], own[2].assign(label=1 - own[2]["label"])])
+    pd.concat(own).to_csv(tmp_path / "labels.csv", index=False)
+    code, out, err = run("discover", "data=labels.csv", f"clusterer={method}")
+    assert code == 0, err
+    assert "1 observers gave one label only" in caplog.text
+    assert "answered both ways by one observer" in caplog.text
+    answer = json.loads(out.splitlines()[-1])
+    assert len(answer["assignment"]) == 5
+    assert 1 <= answer["n_types"] <= 5
+    assert answer["held_out_log_likelihood"] < 0
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "said"),
+    [
+        ("discover", (), "data"),
+        ("discover", ("data=none.csv",), "no such file"),
+        ("discover", ("data=bad.csv",), "lacks the column observer"),
+        ("discover", ("dat=bad.csv",), "dat"),
+        ("discover", ("data=good.csv", "clusterer=perfect"), "clusterer"),
+        ("discover", ("data=good.csv", "clusterer=magic"), "unknown choice"),
+        ("discover", ("data=good.csv", "messages=[m0]"), "unknown message"),
+        ("discover", ("data=good.csv", "features=[colour]"), "colour"),
+        ("discover", ("data=good.csv", "output=good.csv"), "output"),
+        ("discover", ("data=good.csv", "seed=-1"), "seed"),
+        ("discover", ("data=good.csv", "none_of_these=-1"), "none_of_these"),
+        ("observe", ("output=x.txt",), "output"),
+        ("observe", ("truth=labels.csv",), "truth"),
+        ("observe", ("observers.points=0",), "observers.points"),
+        ("observe", ("observers.label_noise=2",), "observers.label_noise"),
+        ("observe", ("domain=mars",), "unknown choice"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(
+    run, tmp_path: Path, command: str, arguments: tuple[str, ...], said: str
+) -> None:
+    (tmp_path / "bad.csv").write_text("who,label\na,1\n")
+    rows = [f"{o},m{i % 3},{i},{(i + (o == 'b')) % 2}" for o in "ab" for i in range(9)]
+    (tmp_path / "good.csv").write_text("observer,messages,place,label\n" + "\n".join(rows))
+    code, out, err = run(command, *arguments)
+    assert code == 2
+    assert out == ""
+    assert said in err
+    last = err.splitlines()[-1]
+    assert last.startswith("xplain: ")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.csv", "good.csv"]
+
+
+def test_help_needs_no_library(command: Command) -> None:
+    for module in ("xplain.cli.discover", "xplain.cli.observe"):
+        done = command(module, "--help")
+        assert done.returncode == 0
+        assert "JSON" in done.stdout

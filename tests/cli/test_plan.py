@@ -1,0 +1,150 @@
+"""``python -m xplain.cli.plan`` and ``xplain.cli.export`` as a person or a program meets them."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from xplain.cli import export, plan
+from xplain.config import CONF
+from xplain.explanation.literal_pomdp import reduced_optimal_value
+from xplain.explanation.pomdp_file import read
+from xplain.explanation.problem import Problem
+
+KEYS = {"solver", "first_messages", "value", "value_is", "optimal_lower", "optimal_upper"}
+
+
+@pytest.fixture
+def file(tmp_path):
+    rng = np.random.default_rng(8)
+    path = tmp_path / "problem.npz"
+    Problem(rng.random((2, 3, 4)), np.array([0.5, 0.8])).save(path)
+    return path
+
+
+@pytest.fixture
+def command(monkeypatch, capsys):
+    def run(module, *arguments: object):
+        monkeypatch.setattr(sys, "argv", ["xplain", *map(str, arguments)])
+        code = 0
+        try:
+            module.main()
+        except SystemExit as error:
+            code = error.code
+        out = capsys.readouterr()
+        return code, out.out, out.err
+
+    return run
+
+
+@pytest.mark.parametrize("solver", sorted(path.stem for path in (CONF / "solver").glob("*.yaml")))
+def test_the_last_line_is_the_plan(command, file, solver) -> None:
+    code, out, err = command(plan, f"problem={file}", f"solver={solver}", "seed=0")
+    assert (code, err) == (0, "") or "compiling" in err
+    row = json.loads(out.splitlines()[-1])
+    assert set(row) >= KEYS | {"seconds"}
+    assert row["solver"] == solver
+    optimum = reduced_optimal_value(Problem.load(file))
+    assert row["optimal_lower"] - 1e-9 <= optimum <= row["optimal_upper"] + 1e-9
+    if solver in ("oracle", "clairvoyant"):
+        assert row["first_messages"] is None
+        assert row["value"] >= optimum - 1e-9
+    else:
+        assert row["value_is"] == "exact"
+        assert row["value"] <= optimum + 1e-9
+        assert all(isinstance(j, int) for j in row["first_messages"])
+
+
+def test_all_prints_a_comparison_and_one_list(command, file) -> None:
+    _, out, _ = command(plan, f"problem={file}", "solver=all")
+    rows = json.loads(out.splitlines()[-1])
+    assert [row["solver"] for row in rows] == sorted(row["solver"] for row in rows)
+    assert all(row["solver"] in out.split("[{")[0] for row in rows)
+
+
+def test_options_of_the_solver_and_simulated_values(command, file) -> None:
+    arguments = [f"problem={file}", "solver=certified", "solver.gap=0.5", "value.beliefs=1"]
+    _, out, _ = command(plan, *arguments, "bounds.nodes=0")
+    row = json.loads(out.splitlines()[-1])
+    assert row["value_is"] == "simulated"
+    assert row["value_se"] > 0
+    _, out, _ = command(plan, f"problem={file}", "bounds.nodes=0")
+    row = json.loads(out.splitlines()[-1])
+    assert (row["optimal_lower"], row["optimal_upper"]) == (None, None)
+
+
+def broken(tmp_path, **changes: object) -> str:
+    good = {"p_explicable": np.full((2, 3, 4), 0.5), "message_cost": np.ones(2)}
+    arrays = {key: value for key, value in (good | changes).items() if value is not None}
+    np.savez(tmp_path / "broken.npz", **arrays)
+    return f"problem={tmp_path / 'broken.npz'}"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"p_explicable": np.full((2, 3, 4), 1.5)}, "p_explicable=1.5"),
+        ({"p_explicable": np.full((2, 3, 4), np.nan)}, "p_explicable=nan"),
+        ({"p_explicable": np.full((2, 3, 5), 0.5)}, "power of two"),
+        ({"p_explicable": np.full((3, 4), 0.5)}, "p_explicable=(3, 4)"),
+        ({"p_explicable": np.full((1, 1, 1 << 21), 0.5)}, "at most 2**20"),
+        ({"p_explicable": np.array([[["a", "b"]]])}, "numbers"),
+        ({"p_explicable": None}, "lacks p_explicable"),
+        ({"message_cost": np.ones(3)}, "message_cost"),
+        ({"message_cost": np.array([-1.0, 1.0])}, "message_cost"),
+        ({"prior": np.array([0.5, 0.6])}, "prior"),
+        ({"discount": 1.5}, "discount=1.5"),
+        ({"discount": np.nan}, "discount"),
+        ({"trade_off": -1.0}, "lambda=-1.0"),
+        ({"discount_per": "minute"}, "discount_per='minute'"),
+        ({"surprise": 1.0}, "unknown array"),
+    ],
+)
+def test_bad_files_are_one_line(command, tmp_path, changes, said) -> None:
+    code, out, err = command(plan, broken(tmp_path, **changes))
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert said in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["problem=nowhere.npz"], "No such file"),
+        ([], "problem"),
+        (["problem=x.npz", "nonsense=1"], "nonsense"),
+        (["problem=x.npz", "solver=nonsense"], "solver=nonsense"),
+        (["x.npz"], "key=value"),
+    ],
+)
+def test_bad_arguments_are_one_line(command, arguments, said) -> None:
+    for module in (plan, export):
+        if module is plan or said in ("No such file", "nonsense", "key=value"):
+            more = [] if module is plan else ["output=x.pomdp"]
+            code, out, err = command(module, *arguments, *more)
+            assert (code, out, err.count("\n")) == (2, "", 1)
+            assert said in err
+
+
+def test_bad_seed(command, file) -> None:
+    code, _, err = command(plan, f"problem={file}", "seed=x")
+    assert (code, err.count("\n")) == (2, 1)
+
+
+def test_a_solver_too_small_for_the_problem_says_who_can(command, file) -> None:
+    code, _, err = command(plan, f"problem={file}", "solver=certified", "solver.memory_gib=1e-7")
+    assert code == 2
+    assert "lookahead" in err
+
+
+def test_export_writes_the_file_whole(command, file, tmp_path) -> None:
+    code, _, _ = command(export, f"problem={file}", f"output={tmp_path / 'p.pomdp'}")
+    assert code == 0
+    assert read((tmp_path / "p.pomdp").read_text()).states == 2 * 3 * 4 + 1
+    code, _, err = command(
+        export, f"problem={file}", f"output={tmp_path / 'q.pomdp'}", "format=word"
+    )
+    assert (code, err) == (2, "xplain: format='word': pomdp\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["p.pomdp", "problem.npz"]

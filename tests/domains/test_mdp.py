@@ -1,0 +1,154 @@
+"""Solving and labels against brute force: every policy of small random MDPs, by linear algebra."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xplain.domains import mdp
+from xplain.domains.mdp import MDP
+from xplain.errors import DomainError
+
+
+@st.composite
+def small_mdps(draw: st.DrawFn) -> MDP:
+    """Up to 5 states, 3 actions, 3 outcomes; some actions unavailable, some states terminal.
+
+    Rewards are small whole numbers and probabilities are coarse, so that exact ties are common.
+    """
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    states, actions, slots = (int(x) for x in rng.integers([2, 1, 1], [6, 4, 4]))
+    weight = rng.integers(0, 3, (states, actions, slots)).astype(float)
+    weight[:, :, 0] += weight.sum(axis=2) == 0
+    available = rng.random((states, actions)) < 0.8
+    available[np.arange(states), rng.integers(actions, size=states)] = True
+    probability = weight / weight.sum(axis=2, keepdims=True) * available[:, :, None]
+    return MDP(
+        rng.integers(0, states, weight.shape),
+        probability,
+        rng.integers(-2, 3, weight.shape).astype(float),
+        draw(st.sampled_from([0.0, 0.5, 0.9, 0.99, 0.999])),
+        rng.random(states) < 0.2,
+    )
+
+
+def best_by_enumeration(model: MDP) -> np.ndarray:
+    """Q* [S, A] by solving (I − γ P) v = r for every deterministic policy; −inf: unavailable."""
+    available = model.probability.sum(axis=2) > 0
+    expected = (model.probability * model.reward).sum(axis=2)
+    kernel = np.zeros((model.n_states, model.n_actions, model.n_states))
+    for s, a, k in np.ndindex(model.successor.shape):
+        kernel[s, a, model.successor[s, a, k]] += model.probability[s, a, k]
+    best = np.full(model.n_states, -np.inf)
+    for policy in product(*(np.flatnonzero(row) for row in available | model.terminal[:, None])):
+        rows = np.arange(model.n_states), list(policy)
+        p = kernel[rows] * ~model.terminal[:, None]
+        r = expected[rows] * ~model.terminal
+        best = np.maximum(best, np.linalg.solve(np.eye(len(p)) - model.discount * p, r))
+    q = np.where(available, expected + model.discount * kernel @ best, -np.inf)
+    q[model.terminal] = 0
+    return q
+
+
+def scale(model: MDP) -> float:
+    """The largest value that a policy could have."""
+    return max(np.abs(model.reward[model.probability > 0]).max(), 1e-12) / (1 - model.discount)
+
+
+@settings(max_examples=150, deadline=None)
+@given(small_mdps())
+def test_values_are_those_of_the_best_policy(model: MDP) -> None:
+    solved, true = mdp.q_values([model])[0], best_by_enumeration(model)
+    finite = np.isfinite(true)
+    live = ~model.terminal
+    assert np.array_equal(np.isfinite(solved)[live], finite[live])
+    # Twice the promise: the reference is rounded as well.
+    assert np.abs(solved[finite] - true[finite]).max(initial=0) <= 2 * mdp.SOLVED * scale(model)
+
+
+@settings(max_examples=150, deadline=None)
+@given(small_mdps())
+def test_optimal_actions_are_those_within_the_tie_tolerance(model: MDP) -> None:
+    true = best_by_enumeration(model)
+    gap = (true.max(axis=1, keepdims=True) - true)[~model.terminal] / scale(model)
+    if ((gap > mdp.TIE / 2) & (gap < 2 * mdp.CLEAR)).any():
+        return
+    optimal = mdp.optimal_actions([model])[0]
+    assert np.array_equal(optimal[~model.terminal], gap < mdp.TIE)
+    assert not optimal[model.terminal].any()
+
+
+@settings(max_examples=60, deadline=None)
+@given(small_mdps(), st.integers(0, 2**32 - 1))
+def test_labels_follow_the_definition(model: MDP, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    transitions = rng.integers(0, [model.n_states, model.n_actions, model.n_states], (30, 3))
+    optimal = rng.random((1, model.n_states, model.n_actions)) < 0.5
+    got = mdp.labels([model], optimal, transitions)[0]
+    for (s, a, after), label in zip(transitions, got, strict=True):
+        happens = any(
+            model.successor[s, a, k] == after and model.probability[s, a, k] > 0
+            for k in range(model.successor.shape[2])
+        )
+        assert label == (optimal[0, s, a] and happens)
+
+
+def choice(gain: float, discount: float = 0.9) -> MDP:
+    """One state with two actions to a terminal one, worth 1 and 1 + gain."""
+    return MDP(
+        np.ones((2, 2, 1), dtype=np.int64),
+        np.ones((2, 2, 1)),
+        np.array([[[1.0], [1.0 + gain]], [[0.0], [0.0]]]),
+        discount,
+        np.array([False, True]),
+    )
+
+
+@pytest.mark.parametrize("gain", [0.0, 1e-12, -1e-12])
+def test_a_gap_of_rounding_size_is_a_tie(gain: float) -> None:
+    assert mdp.optimal_actions([choice(gain)])[0, 0].tolist() == [True, True]
+
+
+def test_a_clear_gap_is_none() -> None:
+    assert mdp.optimal_actions([choice(0.01)])[0, 0].tolist() == [False, True]
+
+
+def test_an_ambiguous_gap_is_refused_and_names_the_model() -> None:
+    gain = 10 * np.sqrt(mdp.TIE * mdp.CLEAR)
+    with pytest.raises(DomainError, match="ambiguous tie in the second, state 0, action 0"):
+        mdp.optimal_actions([choice(1), choice(gain)], ["the first", "the second"])
+
+
+def test_ties_do_not_depend_on_the_unit_of_rewards() -> None:
+    for unit in (1e-6, 1.0, 1e6):
+        model = choice(0.01)
+        scaled = MDP(model.successor, model.probability, model.reward * unit, 0.9, model.terminal)
+        assert mdp.optimal_actions([scaled])[0, 0].tolist() == [False, True]
+
+
+def test_models_are_solved_alike_alone_and_together() -> None:
+    models = [choice(gain) for gain in (0.0, 0.5, -0.5)]
+    together = mdp.q_values(models)
+    assert all(np.array_equal(together[i], mdp.q_values([m])[0]) for i, m in enumerate(models))
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"discount": 1.0}, "discount"),
+        ({"probability": np.full((2, 2, 1), 0.5)}, "sum to 1"),
+        ({"reward": np.full((2, 2, 1), np.nan)}, "finite"),
+        ({"successor": np.full((2, 2, 1), 2)}, "does not exist"),
+        ({"terminal": np.zeros(3, dtype=bool)}, "terminal"),
+        ({"reward": np.zeros((2, 2, 2))}, "share"),
+        ({"probability": np.zeros((2, 2, 1))}, "needs an action"),
+    ],
+)
+def test_contradictions_are_refused(change: dict, text: str) -> None:
+    fields = {k: getattr(choice(1), k) for k in MDP.__dataclass_fields__}
+    with pytest.raises(DomainError, match=text):
+        MDP(**fields | change)

@@ -1,0 +1,84 @@
+"""A stamp changes with everything that may change a number, and with nothing else."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from xplain.experiment import fingerprint as stamps
+from xplain.experiment.fingerprint import component_code, stamp
+
+
+@pytest.fixture
+def plugin(tmp_path, monkeypatch):
+    """A package of someone else's, which imports a module beside it."""
+    (tmp_path / "their_solver").mkdir()
+    (tmp_path / "their_solver" / "__init__.py").write_text("from .best import Best\n")
+    (tmp_path / "their_solver" / "best.py").write_text("import their_helper\nclass Best: ...\n")
+    (tmp_path / "their_helper.py").write_text("ANSWER = 42\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    stamps._package.cache_clear()
+    yield tmp_path
+    stamps._package.cache_clear()
+
+
+CONFIG = {"solver": {"_target_": "their_solver.best.Best"}, "lambda": 1.0}
+
+
+def test_values_count_and_order_does_not():
+    assert stamp({"a": 1, "b": [1, 2]}) == stamp({"b": [1, 2], "a": 1})
+    assert stamp({"a": 1}) != stamp({"a": 2})
+    assert stamp({"a": [1, 2]}) != stamp({"a": [2, 1]})
+
+
+@pytest.mark.parametrize(
+    "path", ["their_solver/best.py", "their_solver/__init__.py", "their_helper.py"]
+)
+def test_code_plugged_in_counts_with_all_that_it_imports(plugin, path):
+    before = stamp(CONFIG)
+    file = plugin / path
+    file.write_text(file.read_text() + "# changed\n")
+    stamps._package.cache_clear()
+    assert stamp(CONFIG) != before
+
+
+def test_plugged_in_code_is_not_run(plugin):
+    (plugin / "their_solver" / "__init__.py").write_text("raise SystemExit('ran')\n")
+    assert set(component_code(CONFIG)) == {"their_solver", "their_helper"}
+    assert "their_solver" not in sys.modules
+
+
+def test_targets_are_found_at_any_depth(plugin):
+    nested = {"labeler": {"models": [{"inner": {"_target_": "their_helper.Model"}}]}}
+    assert set(component_code(nested)) == {"their_helper"}
+
+
+def test_an_installed_package_counts_without_reading_it():
+    assert set(component_code({"_target_": "hydra.utils.get_class"})) == {"hydra"}
+
+
+def test_our_own_and_the_standard_library_are_covered_elsewhere():
+    config = {"a": {"_target_": "xplain.solvers.qmdp.QMDP"}, "b": {"_target_": "sklearn.tree.X"}}
+    assert component_code(config) == {}
+    assert component_code({"_target_": "collections.OrderedDict"}) == {}
+
+
+def test_the_content_of_files_counts(tmp_path):
+    data = tmp_path / "labels.csv"
+    data.write_text("1")
+    config = {"observers": {"path": str(data)}}
+    before = stamp(config)
+    data.write_text("2")
+    assert stamp(config) != before
+    data.write_text("1")
+    assert stamp(config) == before
+
+
+def test_code_and_libraries_count(monkeypatch):
+    before = stamp({})
+    monkeypatch.setattr(stamps, "code_version", lambda: "other")
+    other = stamp({})
+    assert other != before
+    monkeypatch.setattr(stamps, "library_versions", lambda: {"numpy": "0.1"})
+    assert stamp({}) not in (before, other)

@@ -1,0 +1,105 @@
+"""The exported file, read back and solved as any POMDP, is the same problem."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from tests.explanation.problems import tiny_problems
+from xplain.errors import InputError, TooLargeError
+from xplain.explanation import pomdp_file as cassandra
+from xplain.explanation.literal_pomdp import reduced_optimal_value
+from xplain.explanation.pomdp_file import Flat, lines, read
+from xplain.explanation.problem import Problem
+
+
+def text_of(problem: Problem) -> str:
+    return "\n".join(lines(problem))
+
+
+def expectimax(flat: Flat, belief: dict[int, float], horizon: int) -> float:
+    """Of a general POMDP, knowing nothing of explanations."""
+    if horizon == 0:
+        return 0.0
+    best = -np.inf
+    for action in range(flat.actions):
+        reward, seen = 0.0, {}
+        for state, weight in belief.items():
+            for after, p in flat.transition[action, state].items():
+                for o, q in flat.observation[action, after].items():
+                    reward += weight * p * q * flat.reward.get((action, state, after, o), 0.0)
+                    joint = seen.setdefault(o, {})
+                    joint[after] = joint.get(after, 0.0) + weight * p * q
+        later = 0.0
+        for joint in seen.values():
+            total = sum(joint.values())
+            if set(joint) != {flat.states - 1}:  # the end is worth nothing
+                posterior = {state: weight / total for state, weight in joint.items()}
+                later += total * expectimax(flat, posterior, horizon - 1)
+        best = max(best, reward + flat.discount * later)
+    return best
+
+
+@settings(deadline=None, max_examples=40)
+@given(tiny_problems(max_types=2, max_steps=2))
+def test_the_file_has_the_optimum_of_the_problem(problem: Problem) -> None:
+    if problem.discount_per == "step" and problem.discount < 1:
+        with pytest.raises(InputError, match="discount_per"):
+            text_of(problem)
+        return
+    flat = read(text_of(problem))
+    start = {state: p for state, p in enumerate(flat.start) if p > 0}
+    horizon = problem.n_steps + problem.n_messages
+    optimum = reduced_optimal_value(problem)
+    assert expectimax(flat, start, horizon) == pytest.approx(optimum, abs=1e-9)
+
+
+@settings(deadline=None, max_examples=40)
+@given(tiny_problems())
+def test_the_file_is_a_pomdp(problem: Problem) -> None:
+    """Every row of T and O is there and sums to 1; numbers alone, no wildcards."""
+    if problem.discount_per == "step" and problem.discount < 1:
+        return
+    text = text_of(problem)
+    assert not re.search(r"[A-Za-z*]", re.sub(r"(?m)^(\w+|T|O|R):|reward|e-\d+", "", text))
+    flat = read(text)
+    assert sum(flat.start) == pytest.approx(1)
+    for action, state in product(range(flat.actions), range(flat.states)):
+        assert sum(flat.transition[action, state].values()) == pytest.approx(1)
+        assert sum(flat.observation[action, state].values()) == pytest.approx(1)
+        assert max(flat.observation[action, state]) < flat.observations
+
+
+def test_reader_refuses_what_it_does_not_know() -> None:
+    text = text_of(Problem(np.full((1, 1, 2), 0.5), np.ones(1)))
+    with pytest.raises(InputError, match="line 7"):
+        read(text.replace("T: 0 : 0 :", "T: * : 0 :", 1))
+
+
+def test_too_many_lines_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cassandra, "MAX_LINES", 100)
+    with pytest.raises(TooLargeError, match="lines"):
+        text_of(Problem(np.full((2, 3, 8), 0.5), np.ones(3)))
+
+
+@pytest.mark.skipif("POMDPSOL_PATH" not in os.environ, reason="POMDPSOL_PATH names no pomdpsol")
+def test_an_outside_solver_agrees(tmp_path) -> None:
+    """SARSOP's bounds enclose the brute-force optimum."""
+    rng = np.random.default_rng(2)
+    problem = Problem(rng.random((2, 3, 4)), np.array([0.4, 0.7]))
+    file = tmp_path / "problem.pomdp"
+    file.write_text(text_of(problem) + "\n")
+    command = [os.environ["POMDPSOL_PATH"], "--precision", "1e-4", "--timeout", "60"]
+    command += ["--output", str(tmp_path / "policy"), str(file)]
+    out = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
+    rows = [line.split() for line in out.splitlines()]
+    *_, last = (row for row in rows if len(row) >= 5 and row[0].replace(".", "").isdigit())
+    optimum = reduced_optimal_value(problem)
+    lower, upper = float(last[3]), float(last[4])
+    assert lower - 1e-3 <= optimum <= upper + 1e-3

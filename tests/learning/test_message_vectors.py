@@ -1,0 +1,111 @@
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import Bounds, LinearConstraint, milp
+from sklearn.ensemble import RandomForestClassifier
+from sklearn.linear_model import LogisticRegression
+from sklearn.tree import DecisionTreeClassifier
+
+from tests.learning.conftest import made
+from xplain.data.dataset import inputs
+from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.message_vectors import smallest, vectors
+from xplain.learning.tree_leaves import cubes
+
+
+def enumerated(classifier: object, features: NDArray[np.float64], n: int) -> int:
+    """The definition: fewest inexplicable, then smallest, then message order."""
+    best: tuple[int, int] | None = None
+    answer = 0
+    for size in range(n + 1):
+        for members in combinations(range(n), size):
+            mask = sum(1 << j for j in members)
+            x = inputs(features, np.full(len(features), mask), n)
+            cost = int((classifier.predict(x) == 0).sum())  # type: ignore[attr-defined]
+            if best is None or (cost, size) < best:
+                best, answer = (cost, size), mask
+    return answer
+
+
+def fitted(model: object, seed: int, n: int, ones: float, rows: int = 80) -> tuple[object, NDArray]:
+    """A classifier fitted to labels at random: harder than any data, no message set helps all."""
+    rng = np.random.default_rng(seed)
+    features = rng.random((8, 2)).round(2)
+    x = inputs(features[rng.integers(8, size=rows)], rng.integers(1 << n, size=rows), n)
+    y = (rng.random(rows) < ones).astype(int)
+    y[:2] = 0, 1
+    return model.fit(x, y), features  # type: ignore[attr-defined]
+
+
+@given(seed=st.integers(0, 10_000), n=st.integers(1, 8), ones=st.floats(0.2, 0.95))
+@settings(max_examples=60, deadline=None)
+def test_tree_search_is_enumeration(seed: int, n: int, ones: float) -> None:
+    classifier, features = fitted(DecisionTreeClassifier(random_state=0), seed, n, ones)
+    assert smallest(classifier, features, n) == enumerated(classifier, features, n)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("model", [LogisticRegression(), RandomForestClassifier(5, random_state=0)])
+def test_search_by_predictions_is_enumeration(model: object, seed: int) -> None:
+    classifier, features = fitted(model, seed, 5, 0.7)
+    assert smallest(classifier, features, 5) == enumerated(classifier, features, 5)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_thirty_messages_as_integer_programming_says(seed: int) -> None:
+    n = 30
+    classifier, features = fitted(DecisionTreeClassifier(random_state=0), seed, n, 0.8, rows=300)
+    found = smallest(classifier, features, n)
+    x = inputs(features, np.full(len(features), found), n)
+    cost = int((classifier.predict(x) == 0).sum())  # type: ignore[attr-defined]
+    assert (cost, found.bit_count()) == programmed(classifier, features, n)
+
+
+def programmed(classifier: object, features: NDArray[np.float64], n: int) -> tuple[int, int]:
+    """(inexplicable, messages) by scipy's MILP: x_j message given, y_c its cube is reached, u_t
+    transition stays inexplicable."""
+    tree = classifier.tree_  # type: ignore[attr-defined]
+    every = cubes(tree, features, n)
+    label = classifier.classes_[tree.value[:, 0, :].argmax(axis=1)]  # type: ignore[attr-defined]
+    keep = np.flatnonzero(label[every.leaf] == 1)
+    count, width = len(features), n + len(keep) + len(features)
+    rows, low, high = [], [], []
+    for t in range(count):
+        row = np.zeros(width)
+        row[n : n + len(keep)] = every.transition[keep] == t
+        row[n + len(keep) + t] = 1
+        rows.append(row)
+        low.append(1.0)
+        high.append(np.inf)
+    for i, c in enumerate(keep):
+        for j in range(n):
+            if every.ones[c] >> j & 1:  # y ≤ x
+                bound = 0.0, np.inf, 1.0
+            elif every.zeros[c] >> j & 1:  # y ≤ 1 − x
+                bound = -1.0, np.inf, -1.0
+            else:
+                continue
+            row = np.zeros(width)
+            row[j], row[n + i] = bound[2], -1
+            rows.append(row)
+            low.append(bound[0])
+            high.append(bound[1])
+    cost = np.concatenate([np.ones(n), np.zeros(len(keep)), np.full(count, n + 1.0)])
+    answer = milp(
+        cost,
+        constraints=LinearConstraint(np.array(rows), low, high),
+        integrality=np.ones(width),
+        bounds=Bounds(0, 1),
+    )
+    assert answer.success
+    return divmod(round(answer.fun), n + 1)
+
+
+def test_observers_vectors_are_what_their_type_needs(rng: np.random.Generator) -> None:
+    dataset, truth = made(rng, [[0, 2], [1], []], size=400)
+    needed = np.array([0b0101, 0b0010, 0])
+    assert vectors(dataset, LabelerTrainer(), 0).tolist() == needed[truth].tolist()

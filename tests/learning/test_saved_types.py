@@ -1,0 +1,194 @@
+"""Saved types say what they said before saving; a doctored file is refused, never run."""
+
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from sklearn.ensemble import RandomForestClassifier
+from sklearn.linear_model import LogisticRegression
+from sklearn.tree import DecisionTreeClassifier
+
+from xplain import Explainer, LearnedTypes
+from xplain.data.dataset import Dataset
+from xplain.errors import InputError
+from xplain.learning.clustering import Clustering
+from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.user_types import learn_types
+
+
+def dataset(seed=0, points=400, messages=3):
+    rng = np.random.default_rng(seed)
+    features = rng.integers(0, 4, (40, 2)).astype(float)
+    transition = rng.integers(0, 40, points)
+    message_set = rng.integers(0, 1 << messages, points)
+    observer = rng.integers(0, 4, points)
+    # Two types: one needs message 0 where the first feature is large, the other message 1.
+    needed = (features[transition, 0] > 1) & (message_set >> (observer // 2) & 1 == 0)
+    return Dataset(
+        features,
+        ("row", "column"),
+        tuple("abc"[:messages]),
+        ("o0", "o1", "o2", "o3"),
+        observer,
+        transition,
+        message_set,
+        1 - needed.astype(np.uint8),
+    )
+
+
+def learned(classifier, confidence="accuracy"):
+    data = dataset()
+    clustering = Clustering(np.array([0, 0, 1, 1]), "given", "given")
+    trainer = LabelerTrainer(classifier, confidence=confidence)
+    types = learn_types(data, clustering, trainer, 0)
+    return LearnedTypes.of(types, data, {"a": "All is well."}), data
+
+
+@pytest.mark.parametrize("confidence", ["accuracy", "leaf"])
+@pytest.mark.parametrize(
+    "classifier",
+    [
+        DecisionTreeClassifier(),
+        DecisionTreeClassifier(max_depth=2, min_samples_leaf=7),
+        RandomForestClassifier(5),
+        LogisticRegression(),
+    ],
+    ids=lambda c: type(c).__name__,
+)
+def test_what_was_saved_says_the_same(tmp_path, classifier, confidence):
+    if not isinstance(classifier, DecisionTreeClassifier):
+        pytest.importorskip("skops.io", reason="pip install 'xplain[skops]'")
+    types, data = learned(classifier, confidence)
+    # skops vouches for no compiled tree inside a forest; who trusts the file says so.
+    trusted = ["sklearn.tree._tree.Tree"] if isinstance(classifier, RandomForestClassifier) else []
+    types.save(tmp_path / "types")
+    again = LearnedTypes.load(tmp_path / "types", trusted)
+    rows = np.vstack([data.features, np.random.default_rng(1).normal(0, 9, (50, 2))])
+    np.testing.assert_array_equal(types.p_explicable(rows), again.p_explicable(rows))
+    sets = np.arange(len(rows)) % 8
+    for before, after in zip(types.labelers, again.labelers, strict=True):
+        for ask in ("predict", "probability"):
+            np.testing.assert_array_equal(
+                getattr(before, ask)(rows, sets), getattr(after, ask)(rows, sets)
+            )
+    assert (again.names, again.messages, again.feature_names, again.sentences) == (
+        types.names,
+        ("a", "b", "c"),
+        ("row", "column"),
+        {"a": "All is well."},
+    )
+    again.save(tmp_path / "types")
+    twice = LearnedTypes.load(tmp_path / "types", trusted)
+    np.testing.assert_array_equal(twice.p_explicable(rows), again.p_explicable(rows))
+
+
+def test_an_explainer_tells_the_learned_types_apart():
+    types, _ = learned(DecisionTreeClassifier())
+    session = Explainer(types, trade_off=2.0).session([[3.0, 0.0]] * 4)
+    session.messages()
+    session.observe([0])  # nothing said, or the other type's message: this user needs more
+    assert max(session.belief.values()) > 0.5
+    with pytest.raises(InputError, match="rows of 2 numbers: row, column"):
+        session.extend([[1.0]])
+    with pytest.raises(InputError, match=r"finite"):
+        session.extend([[1.0, float("nan")]])
+
+
+def test_a_tree_needs_no_scikit_learn_to_speak(tmp_path):
+    types, _ = learned(DecisionTreeClassifier())
+    types.save(tmp_path / "types.npz")
+    code = (
+        "import sys; sys.modules['sklearn'] = None\n"
+        "from xplain import LearnedTypes\n"
+        f"print(LearnedTypes.load({str(tmp_path / 'types.npz')!r}).p_explicable([[3, 0]]).shape)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "(2, 1, 8)"
+
+
+def test_without_skops_another_classifier_is_refused_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "skops", None)
+    monkeypatch.setitem(sys.modules, "skops.io", None)
+    types, _ = learned(LogisticRegression())
+    with pytest.raises(InputError, match=r"LogisticRegression.*decision tree.*skops"):
+        types.save(tmp_path / "types.npz")
+    assert not list(tmp_path.iterdir())
+
+
+class Mine(LogisticRegression):
+    """A class that is not scikit-learn's."""
+
+
+def test_a_class_that_nobody_vouched_for_is_not_built(tmp_path):
+    pytest.importorskip("skops.io", reason="pip install 'xplain[skops]'")
+    types, data = learned(Mine())
+    types.save(tmp_path / "types.npz")
+    with pytest.raises(InputError, match=r"Mine.*trusted="):
+        LearnedTypes.load(tmp_path / "types.npz")
+    name = f"{Mine.__module__}.Mine"
+    again = LearnedTypes.load(tmp_path / "types.npz", trusted=[name])
+    np.testing.assert_array_equal(
+        again.p_explicable(data.features), types.p_explicable(data.features)
+    )
+
+
+def doctored(path, **changes):
+    with np.load(path) as file:
+        arrays = {key: file[key] for key in file.files}
+    for key, change in changes.items():
+        key = key.replace("__", "/").removeprefix("t")
+        arrays[key] = change(arrays[key])
+    with path.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+def put(value):
+    def change(array):
+        array = array.copy()
+        array.flat[0] = value
+        return array
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"t0__children_left": put(0)},  # a circle, on which a walk would never end
+        {"t0__children_right": put(10**6)},  # outside the arrays
+        {"t0__children_left": put(-1)},
+        {"t0__feature": put(99)},
+        {"t0__feature": put(-5)},
+        {"t0__value": lambda a: a[:-1]},
+        {"t0__value": put(np.nan)},
+        {"t0__classes": lambda a: a + 5},
+        {"t0__threshold": lambda a: a[:2]},
+        {"format": lambda a: np.array(77)},
+        {"names": lambda a: np.append(a, "one more")},
+        {"prior": lambda a: a[:1]},
+        {"messages": lambda a: np.array([f"m{j}" for j in range(70)])},
+        {"confidence": lambda a: a.astype(object)},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_a_doctored_file_is_refused_in_one_line(tmp_path, changes):
+    path = tmp_path / "types.npz"
+    learned(DecisionTreeClassifier())[0].save(path)
+    doctored(path, **changes)
+    with pytest.raises(InputError) as error:
+        LearnedTypes.load(path)
+    assert "\n" not in str(error.value)
+
+
+def test_files_of_another_kind_are_refused_in_one_line(tmp_path):
+    (tmp_path / "text").write_text("hello")
+    (tmp_path / "pickle").write_bytes(pickle.dumps({"a": 1}))
+    (tmp_path / "empty").touch()
+    np.save(tmp_path / "one.npy", np.ones(3))
+    np.savez(tmp_path / "other.npz", a=np.ones(3))
+    for name in ("text", "pickle", "empty", "one.npy", "other.npz", "absent", "."):
+        with pytest.raises(InputError) as error:
+            LearnedTypes.load(tmp_path / name)
+        assert "\n" not in str(error.value)

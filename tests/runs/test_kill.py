@@ -1,0 +1,84 @@
+"""kill -9 at random moments: whatever was hit, the same command again completes the sweep."""
+
+from __future__ import annotations
+
+import os
+import random
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.runs import sweeps
+
+KILLS = int(os.environ.get("XPLAIN_KILLS", "0"))
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """Folder of a sweep that nothing happened to, and how long it took."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    before = time.monotonic()
+    code, output = sweeps.run(folder, *sweeps.TINY)
+    assert code == 0, output
+    return folder, time.monotonic() - before
+
+
+def disturb(folder: Path, whom: str, moment: float) -> None:
+    """Starts the sweep and kills the main process, one worker, or all of them."""
+    process = sweeps.start(folder, *sweeps.TINY)
+    deadline = time.monotonic() + moment
+    if whom == "worker":
+        while not sweeps.workers(process) and process.poll() is None:
+            time.sleep(0.05)
+        deadline = time.monotonic() + moment / 3
+    while time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.02)
+    if whom == "all":
+        sweeps.kill_group(process)
+        process.wait()
+    elif whom == "main":
+        # Its workers live on for a moment, and may end jobs while the rerun begins.
+        process.kill()
+        process.wait()
+    else:
+        for worker in sweeps.workers(process)[:1]:
+            sweeps.kill(worker)
+        code, output = sweeps.wait(folder, process)
+        assert code == 0, output
+
+
+def check(folder: Path, undisturbed: Path) -> None:
+    code, output = sweeps.run(folder, *sweeps.TINY)
+    assert code == 0, output
+    assert sweeps.tables(folder) == sweeps.tables(undisturbed)
+    with sweeps.database(folder) as database:
+        assert database.execute("pragma integrity_check").fetchone() == ("ok",)
+    # One parent, one child a job: none doubled, none lost, all closed.
+    assert sorted((n, s, p is None) for n, s, p in sweeps.runs(folder)) == sorted(
+        (n, s, p is None) for n, s, p in sweeps.runs(undisturbed)
+    )
+    assert {status for _, status, _ in sweeps.runs(folder)} == {"FINISHED"}
+
+
+def rounds(count: int, seed: int) -> list[tuple[str, float]]:
+    """(whom, share of the undisturbed time), every kind of kill in turn."""
+    rng = random.Random(seed)
+    return [(("main", "worker", "all")[i % 3], rng.uniform(0.1, 0.95)) for i in range(count)]
+
+
+def test_a_sweep_killed_again_and_again_completes(tmp_path, undisturbed):
+    reference, seconds = undisturbed
+    for whom, share in rounds(3, seed=time.time_ns()):
+        disturb(tmp_path, whom, share * seconds)
+    check(tmp_path, reference)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not KILLS, reason="XPLAIN_KILLS=20 kills twenty sweeps: ten minutes")
+def test_kills_each_on_a_fresh_sweep(tmp_path, undisturbed):
+    reference, seconds = undisturbed
+    for index, (whom, share) in enumerate(rounds(KILLS, seed=time.time_ns())):
+        folder = tmp_path / f"{index}-{whom}"
+        disturb(folder, whom, share * seconds)
+        check(folder, reference)

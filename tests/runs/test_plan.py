@@ -1,0 +1,95 @@
+"""Which jobs a sweep has, what they are called, and when two sweeps are the same."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+
+import pytest
+
+from xplain.errors import InputError
+from xplain.runs.plan import in_launch_order, make_plan
+
+SETTINGS = [
+    {"domain": "rescue", "solver": "qmdp,qhr", "lambda": "0.5,1"},
+    {"domain": "rooms", "users.count": "2,3", "solver": "qmdp,qhr", "lambda": "0.5,1"},
+]
+
+
+def stamps(resolved):
+    content = str(sorted(resolved.items()))
+    return hashlib.sha256(content.encode()).hexdigest(), str(resolved.get("domain"))
+
+
+def compose(overrides):
+    return dict(override.split("=", 1) for override in overrides)
+
+
+def plan(settings=SETTINGS, arguments=(), name="sweep", stamps=stamps):
+    return make_plan(name, settings, list(arguments), compose, stamps)
+
+
+def test_jobs_are_the_union_of_the_settings_products():
+    jobs = plan().jobs
+    values = {tuple(sorted(job.values.items())) for job in jobs}
+    wanted = set()
+    for solver, trade_off in itertools.product(("qmdp", "qhr"), ("0.5", "1")):
+        own = {"solver": solver, "lambda": trade_off}
+        wanted.add(tuple(sorted((own | {"domain": "rescue"}).items())))
+        for count in ("2", "3"):
+            rooms = own | {"domain": "rooms", "users.count": count}
+            wanted.add(tuple(sorted(rooms.items())))
+    assert values == wanted
+    assert len(jobs) == len(wanted)
+
+
+def test_the_command_line_replaces_what_is_swept():
+    jobs = plan(arguments=["lambda=3", "seed=range(2)"]).jobs
+    assert {job.values["seed"] for job in jobs} == {"0", "1"}
+    assert all("lambda=3" in job.overrides for job in jobs)
+    assert len(jobs) == 3 * 2 * 2
+
+
+def test_the_command_line_chooses_among_settings():
+    assert {job.values.get("users.count") for job in plan(arguments=["users.count=3"]).jobs} == {
+        None
+    }
+    only = plan(arguments=["domain=rescue"]).jobs
+    assert len(only) == 4
+    assert not any("users.count" in override for job in only for override in job.overrides)
+
+
+def test_a_choice_that_no_setting_has_is_named():
+    with pytest.raises(InputError, match=r"domain='taxi'.*rescue.*rooms"):
+        plan(arguments=["domain=taxi"])
+
+
+def test_a_sweep_without_end_is_refused():
+    with pytest.raises(InputError, match="lambda"):
+        plan([{}], ["lambda=interval(0,1)"])
+
+
+def test_jobs_that_compute_the_same_are_one():
+    assert len(plan([{"lambda": "1,1"}]).jobs) == 1
+
+
+def test_names_are_distinct_and_safe_in_paths():
+    jobs = plan([{"path": "'a/b','a b','a:b'"}]).jobs
+    names = [job.name for job in jobs]
+    assert len(set(names)) == 3
+    assert not any(set(name) & set("/ :'\"") for name in names)
+
+
+def test_identity_follows_what_jobs_compute_and_nothing_else():
+    one = plan()
+    assert plan().identity == one.identity
+    assert plan(name="other").identity != one.identity
+    assert plan(arguments=["lambda=0.5"]).identity != one.identity
+    changed = plan(stamps=lambda resolved: (stamps(resolved)[0] + "new code", ""))
+    assert changed.identity != one.identity
+
+
+def test_one_job_of_each_source_is_launched_first():
+    jobs = in_launch_order(plan().jobs)
+    assert {job.source for job in jobs[:2]} == {"rescue", "rooms"}
+    assert sorted(job.name for job in jobs) == sorted(job.name for job in plan().jobs)

@@ -1,0 +1,267 @@
+"""Sweeps from the command line: what runs, what is skipped, what a failure does."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import sqlite3
+import time
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+
+from tests.runs import sweeps
+from xplain.config import CONF, SWEEPS, prepare
+
+SERIAL = "hydra/launcher=basic"
+QUICK = (*sweeps.TINY[:-1], "lambda=1", SERIAL)
+"""Two jobs in one process."""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A finished sweep of six jobs, on all cores; its folder and output."""
+    folder = tmp_path_factory.mktemp("finished")
+    code, output = sweeps.run(folder, *sweeps.TINY)
+    assert code == 0, output
+    return folder, output
+
+
+def results(folder):
+    """``{job: (time of its results, results without times)}``."""
+    found = {}
+    for path in sorted((sweeps.sweep_folder(folder) / "jobs").glob("*/results.json")):
+        content = json.loads(path.read_text())
+        for key in ("seconds", "started"):
+            del content[key]
+        del content["metrics"]["decision_ms"]
+        found[path.parent.name] = (path.stat().st_mtime_ns, content)
+    return found
+
+
+def test_the_end_tells_the_table_the_share_and_the_links(finished):
+    _, output = finished
+    assert "6 of 6 jobs finished" in output
+    assert re.search(r"\d+% in the method itself, \d+% in all else", output)
+    for part in ("Oracle's cost", "QMDP", "QHR", "/#/compare-runs?runs=", "searchFilter="):
+        assert part in output
+    assert "\x1b" not in output  # clean where the output is no terminal
+    assert "\r" not in output
+
+
+def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
+    folder, _ = finished
+    found = sweeps.runs(folder)
+    parents = [name for name, _, parent in found if parent is None]
+    assert len(parents) == 1
+    assert parents[0].startswith("multirun-")
+    children = sorted(name for name, _, parent in found if parent is not None)
+    assert children == sorted(
+        f"{solver} λ={trade_off}" for solver in ("qmdp", "qhr") for trade_off in ("0.5", "1", "2")
+    )
+    assert {status for _, status, _ in found} == {"FINISHED"}
+    with sweeps.database(folder) as database:
+        curve = database.execute(
+            "select step from metrics join runs using (run_uuid) where runs.name = ? and "
+            "key = 'regret/four_rooms/qmdp' order by step",
+            (parents[0],),
+        ).fetchall()
+        note = database.execute(
+            "select value from tags where key = 'mlflow.note.content'"
+        ).fetchone()
+    assert curve == [(50,), (100,), (200,)]
+    assert note[0].startswith("| Domain | λ |")
+
+
+def test_the_same_command_again_runs_nothing_and_says_the_same(finished):
+    folder, _ = finished
+    before, tables, runs = results(folder), sweeps.tables(folder), sweeps.runs(folder)
+    code, output = sweeps.run(folder, *sweeps.TINY)
+    assert code == 0, output
+    assert "nothing is missing" in output
+    assert (results(folder), sweeps.tables(folder), sweeps.runs(folder)) == (before, tables, runs)
+
+
+def test_only_what_is_missing_or_damaged_runs(finished):
+    folder, _ = finished
+    before = results(folder)
+    lost, damaged = "solver=qmdp,lambda=1", "solver=qhr,lambda=2"
+    jobs = sweeps.sweep_folder(folder) / "jobs"
+    (jobs / lost / "results.json").unlink()
+    (jobs / damaged / "results.json").write_text('{"metrics": ')
+    code, output = sweeps.run(folder, *sweeps.TINY)
+    assert code == 0, output
+    assert "2 jobs to run, 4 finished before" in output
+    after = results(folder)
+    again = {name for name in after if after[name][0] != before[name][0]}
+    assert again == {lost, damaged}
+    # The same numbers, whoever computed them.
+    assert {n: c for n, (_, c) in after.items()} == {n: c for n, (_, c) in before.items()}
+
+
+def test_all_anew_on_demand(tmp_path):
+    code, output = sweeps.run(tmp_path, *QUICK)
+    assert code == 0, output
+    before, tables = results(tmp_path), sweeps.tables(tmp_path)
+    code, output = sweeps.run(tmp_path, *QUICK, "resume=none")
+    assert code == 0, output
+    after = results(tmp_path)
+    assert all(after[name][0] != before[name][0] for name in before)
+    assert sweeps.tables(tmp_path) == tables
+    assert len(sweeps.runs(tmp_path)) == 3
+
+
+def test_a_way_to_resume_that_does_not_exist_is_one_line(tmp_path):
+    code, output = sweeps.run(tmp_path, *QUICK, "resume=maybe")
+    assert code == 2
+    assert output.strip().splitlines() == [
+        "xplain: resume='maybe': one of missing, failed, none",
+    ]
+    assert not (tmp_path / "outputs").exists()
+
+
+def test_every_launcher_gives_the_same_table(finished, tmp_path):
+    folder, _ = finished
+    code, output = sweeps.run(tmp_path, *sweeps.TINY, SERIAL, "tracking=none")
+    assert code == 0, output
+    assert sweeps.tables(tmp_path) == sweeps.tables(folder)
+    assert not (tmp_path / "outputs" / "mlflow.db").exists()
+
+
+@pytest.mark.parametrize(
+    ("package", "launcher"),
+    [
+        ("hydra_plugins.hydra_submitit_launcher", ["hydra/launcher=submitit_local"]),
+        ("hydra_plugins.hydra_ray_launcher", ["hydra/launcher=ray"]),
+    ],
+)
+def test_launchers_of_the_extras_give_the_same_table(finished, tmp_path, package, launcher):
+    pytest.importorskip(package, reason="an extra: pip install 'xplain[ray]' or 'xplain[submitit]'")
+    folder, _ = finished
+    code, output = sweeps.run(tmp_path, *sweeps.TINY, *launcher, "tracking=none")
+    assert code == 0, output
+    assert sweeps.tables(tmp_path) == sweeps.tables(folder)
+
+
+def test_a_job_that_raises_lets_the_others_go_on(tmp_path):
+    arguments = (*QUICK, "discount=0.95,7")
+    code, output = sweeps.run(tmp_path, *arguments)
+    assert code == 1
+    assert "2 of 4 jobs finished" in output
+    summary = output[output.index("2 of 4 jobs finished") :]
+    assert "InputError: discount=7.0" in summary
+    states = {name: status for name, status, _ in sweeps.runs(tmp_path)}
+    assert {s for name, s in states.items() if "discount=7" in name} == {"FAILED"}
+    assert {s for name, s in states.items() if "discount=0.95" in name} == {"FINISHED"}
+    assert {s for name, s in states.items() if name.startswith("multirun")} == {"FAILED"}
+
+    # Only what failed runs again; jobs that were lost besides do not.
+    jobs = sweeps.sweep_folder(tmp_path) / "jobs"
+    (lost,) = jobs.glob("*discount=0.95*qmdp*/results.json")
+    lost.unlink()
+    code, output = sweeps.run(tmp_path, *arguments, "resume=failed")
+    assert code == 1
+    assert "2 jobs to run" in output
+    assert not lost.exists()
+    assert len(sweeps.runs(tmp_path)) == 5
+
+
+def test_a_worker_that_always_dies_fails_its_job_alone(tmp_path):
+    (tmp_path / "deadly.py").write_text(
+        "import os\n"
+        "from dataclasses import dataclass\n"
+        "from xplain.solvers.qmdp import QMDP\n"
+        "@dataclass(frozen=True)\n"
+        "class Deadly(QMDP):\n"
+        "    deadly: bool = False\n"
+        "    def plan(self, problem, seed=0):\n"
+        "        if self.deadly:\n"
+        "            os._exit(9)\n"
+        "        return super().plan(problem, seed)\n"
+    )
+    group = tmp_path / "conf" / "solver"
+    group.mkdir(parents=True)
+    (group / "deadly.yaml").write_text("_target_: deadly.Deadly\ndeadly: false\n")
+    code, output = sweeps.run(
+        tmp_path,
+        f"--config-dir={tmp_path / 'conf'}",
+        *sweeps.TINY[:-2],
+        "solver=deadly",
+        "solver.deadly=true,false",
+        "lambda=0.5,1",
+        "hydra.launcher.n_jobs=2",
+        "tracking=none",
+    )
+    assert code == 1
+    assert "2 of 4 jobs finished" in output
+    summary = output[output.index("2 of 4 jobs finished") :]
+    assert summary.count("its worker died") == 2
+    assert "deadly=False" not in summary.split("report:")[0]
+
+
+def test_ctrl_c_leaves_no_run_open(tmp_path):
+    process = sweeps.start(tmp_path, *sweeps.TINY[:-1], "lambda=range(0,15)", SERIAL)
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline:
+        try:
+            if any(status == "FINISHED" for _, status, _ in sweeps.runs(tmp_path)):
+                break
+        except sqlite3.OperationalError:
+            pass
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    code, output = sweeps.wait(tmp_path, process)
+    assert code == 130, output
+    states = {name: status for name, status, _ in sweeps.runs(tmp_path)}
+    assert {s for name, s in states.items() if name.startswith("multirun")} == {"KILLED"}
+    assert set(states.values()) <= {"FINISHED", "KILLED"}
+    assert "Traceback" not in output
+
+
+def test_four_at_once_on_an_empty_folder(tmp_path):
+    """Two of one sweep, one of another, and a single run."""
+    single = ("domain=four_rooms", "users.count=2", "traces=1", "max_steps=5", "certify.traces=0")
+    commands = [QUICK, QUICK, (*QUICK, "seed=1"), single]
+    processes = []
+    for index, arguments in enumerate(commands):
+        own = tmp_path / str(index)
+        processes.append((own, sweeps.start(own, *arguments, f"outputs={tmp_path / 'outputs'}")))
+    for own, process in processes:
+        code, output = sweeps.wait(own, process)
+        assert code == 0, output
+        assert "MLflow d" not in output  # it did take everything
+    found = sweeps.runs(tmp_path)
+    assert {status for _, status, _ in found} == {"FINISHED"}
+    assert len(found) == (1 + 2) + (1 + 2) + 1
+    with sweeps.database(tmp_path) as database:
+        assert database.execute("pragma integrity_check").fetchone() == ("ok",)
+
+
+def test_sync_sends_a_sweep_once(finished, tmp_path):
+    folder, _ = finished
+    reference = sweeps.runs(folder)
+    outputs = f"outputs={tmp_path / 'outputs'}"
+    for _ in range(2):
+        code, output = sweeps.run_module(
+            tmp_path, "xplain.cli.sync", str(sweeps.sweep_folder(folder)), outputs
+        )
+        assert code == 0, output
+        assert "6 results in MLflow" in output
+    sent = sweeps.runs(tmp_path)
+    assert [(n, s, p is None) for n, s, p in sent] == [(n, s, p is None) for n, s, p in reference]
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in SWEEPS.glob("*.yaml")))
+def test_sweep_files_set_known_keys_and_open_with_their_command(name):
+    prepare()
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        plain = compose("config")
+        chosen = compose("config", [f"sweeps={name}"], return_hydra_config=True)
+    assert set(chosen) - {"hydra"} == set(plain)
+    assert set(chosen.certify) == set(plain.certify)
+    first = (SWEEPS / f"{name}.yaml").read_text().splitlines()[:2]
+    assert first == ["# @package _global_", f"# python -m xplain sweeps={name}"]
+    assert chosen.hydra.mode.name == "MULTIRUN"

@@ -1,0 +1,112 @@
+"""Certified bounds against brute force, and the policy against its own certificate."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from xplain.errors import InputError, TooLargeError
+from xplain.explanation.literal_pomdp import reduced_optimal_value
+from xplain.explanation.problem import Problem
+from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
+from xplain.solvers.policy_evaluation import evaluate
+from xplain.testing.problems import random_problem
+
+PROBLEMS = 1000
+
+
+def planned(problem: Problem, **options: float) -> CertifiedPolicy:
+    policy = Certified(**options).plan(problem)  # type: ignore[arg-type]
+    assert isinstance(policy, CertifiedPolicy)
+    return policy
+
+
+def test_bounds_hold_and_close_on_a_thousand_problems() -> None:
+    """Lower ≤ optimum ≤ upper, coarse or fine; fine ones are within 1e-6."""
+    rng = np.random.default_rng(20)
+    for _ in range(PROBLEMS):
+        problem = random_problem(rng)
+        optimum = reduced_optimal_value(problem)
+        for options in ({"gap": 1e-6}, {"gap": 0.3}, {"gap": 1e-6, "nodes": 1}):
+            policy = planned(problem, **options)
+            assert policy.lower <= optimum + 1e-9
+            assert policy.upper >= optimum - 1e-9
+            if len(options) == 1:
+                assert policy.upper - policy.lower <= options["gap"]
+
+
+def test_the_policy_earns_its_lower_bound() -> None:
+    """Its exact value lies in the certified interval, and within 1e-6 of brute force."""
+    rng = np.random.default_rng(21)
+    for _ in range(200):
+        problem = random_problem(rng)
+        policy = planned(problem, gap=1e-7)
+        worth = evaluate(problem, policy)
+        assert worth.value_is == "exact"
+        assert policy.lower - 1e-6 <= worth.value <= policy.upper + 1e-9
+
+
+def medium_problem() -> Problem:
+    """Types that lack two of eight facts each; far too large for brute force."""
+    rng = np.random.default_rng(4)
+    p = np.empty((5, 12, 256))
+    for t in range(5):
+        facts = set(rng.choice(8, 2, replace=False))
+        confidence = rng.uniform(0.9, 0.98)
+        for i in range(12):
+            needed = sum(1 << int(j) for j in facts & set(rng.choice(8, 3, replace=False)))
+            p[t, i] = np.where(np.arange(256) & needed == needed, confidence, 1 - confidence)
+    return Problem(p, np.ones(8))
+
+
+def test_more_effort_only_tightens() -> None:
+    problem = medium_problem()
+    runs = [planned(problem, gap=1e-6, nodes=nodes) for nodes in (1, 30, 300, 1000)]
+    assert all(a.lower <= b.lower + 1e-12 for a, b in pairwise(runs))
+    assert all(a.upper >= b.upper - 1e-12 for a, b in pairwise(runs))
+    assert runs[-1].upper - runs[-1].lower < runs[0].upper - runs[0].lower
+
+
+def test_the_same_question_gets_the_same_answer() -> None:
+    problem = medium_problem()
+    a, b = (planned(problem, gap=0.05, nodes=100) for _ in range(2))
+    rng = np.random.default_rng(0)
+    asked = [
+        (int(rng.integers(12)), int(rng.integers(256)), rng.dirichlet(np.ones(5)))
+        for _ in range(20)
+    ]
+    first = [a.messages(*question) for question in asked]
+    assert first == [b.messages(*question) for question in reversed(asked)][::-1]
+    assert all(not new & given for new, (_, given, _) in zip(first, asked, strict=True))
+
+
+def test_refuses_tables_that_do_not_fit() -> None:
+    with pytest.raises(TooLargeError, match=r"GiB.*memory_gib.*lookahead"):
+        Certified(memory_gib=1e-4).plan(medium_problem())
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("gap", 0.0), ("gap", float("nan")), ("nodes", 0), ("seconds", -1.0),
+                       ("decision_nodes", 0), ("memory_gib", 0.0)]
+)  # fmt: skip
+def test_bad_options(key: str, value: float) -> None:
+    with pytest.raises(InputError, match=key):
+        Certified(**{key: value})  # type: ignore[arg-type]
+
+
+def test_ctrl_c_ends_a_search() -> None:
+    """The search would go on for minutes; the signal ends it within a second or so."""
+    rng = np.random.default_rng(0)
+    hard = Problem(rng.random((6, 14, 256)), np.full(8, 0.5))
+    planned(hard, nodes=1)  # compiled before the clock starts
+    threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    began = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        Certified(gap=1e-9, seconds=60).plan(hard)
+    assert time.perf_counter() - began < 30

@@ -1,0 +1,85 @@
+"""The bound by pairs of types against brute force and QMDP, alone and in the search."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from xplain.explanation.literal_pomdp import reduced_optimal_value
+from xplain.explanation.problem import Problem
+from xplain.solvers.dynamic_programming import optimal_values
+from xplain.solvers.hsvi import solver as certified
+from xplain.solvers.hsvi.pair_bounds import SWEEPS, Pairs, PairTables, mix, mixed
+from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
+from xplain.testing.problems import random_problem
+
+
+def bounded(pairs: Pairs, table: np.ndarray, belief: np.ndarray, sweeps: int) -> float | None:
+    """A table [rows, G] at the mixture for a belief at (0, ∅); None where the type is known."""
+    if not mix.py_func(pairs, 0, 0, belief, sweeps):
+        return None
+    return float(mixed.py_func(pairs, table, 0))
+
+
+def test_lies_between_the_optimum_and_qmdp() -> None:
+    """Before any shift of weight, and after; shifts only tighten."""
+    rng = np.random.default_rng(30)
+    compared = 0
+    for _ in range(300):
+        problem = random_problem(rng, max_types=4)
+        pairs = PairTables(problem).make()
+        qmdp = float(problem.prior @ optimal_values(problem)[0, 0])
+        first = bounded(pairs, pairs.optimal[0], problem.prior, 0)
+        second = bounded(pairs, pairs.optimal[0], problem.prior, SWEEPS)
+        if first is None or second is None:
+            assert np.count_nonzero(problem.prior) == 1
+            continue
+        optimum = reduced_optimal_value(problem)
+        assert optimum - 1e-9 <= second <= first + 1e-9
+        assert first <= qmdp + 1e-9
+        compared += second < qmdp - 1e-6
+    assert compared > 20  # it is tighter often enough for the test to mean something
+
+
+def test_explain_is_bounded_too() -> None:
+    """Without messages, *explain* is all that there is."""
+    rng = np.random.default_rng(31)
+    for _ in range(100):
+        problem = random_problem(rng, max_types=4, max_messages=0)
+        pairs = PairTables(problem).make()
+        bound = bounded(pairs, pairs.explain[0], problem.prior, SWEEPS)
+        if bound is not None:
+            assert bound == pytest.approx(reduced_optimal_value(problem), abs=1e-6)
+
+
+def test_the_mixture_is_the_belief() -> None:
+    """The pairs' shares add up to each type's weight, however small some are."""
+    rng = np.random.default_rng(32)
+    p = rng.random((5, 3, 4))
+    pairs = PairTables(Problem(p, np.full(2, 0.1))).make()
+    for _ in range(100):
+        belief = rng.dirichlet(np.full(5, 0.2))
+        belief[rng.integers(5)] = 0
+        belief /= belief.sum()
+        assert mix.py_func(pairs, 0, 0, belief, SWEEPS)
+        assert pairs.share.sum(axis=1) == pytest.approx(belief, abs=1e-12)
+        assert (pairs.share >= 0).all()
+
+
+def test_a_search_that_makes_them_midway_stays_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At once, which long searches alone would do: bounds hold, and close to 1e-6."""
+    monkeypatch.setattr(certified, "CHUNK", 1)
+    monkeypatch.setattr(certified, "WORTH", 1e9)
+    rng = np.random.default_rng(33)
+    made = 0
+    for _ in range(300):
+        problem = random_problem(rng, max_types=4)
+        optimum = reduced_optimal_value(problem)
+        for gap in (1e-6, 0.1):
+            policy = Certified(gap=gap).plan(problem)
+            assert isinstance(policy, CertifiedPolicy)
+            assert policy.upper - policy.lower <= gap
+            assert policy.lower <= optimum + 1e-9
+            assert policy.upper >= optimum - 1e-9
+            made += policy.policy.found.tables.pairs.row.shape[1] > 0
+    assert made > 20

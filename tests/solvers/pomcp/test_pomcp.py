@@ -1,0 +1,352 @@
+"""POMCP: against a plain reference on the same random words, brute force, and its own limits."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+from numba import njit
+from numba.core import event
+
+from tests.solvers.pomcp.plain_pomcp import PlainPOMCP
+from xplain.errors import InputError, TooLargeError
+from xplain.explanation.literal_pomdp import reduced_optimal_value
+from xplain.explanation.problem import Problem
+from xplain.solvers.numba_kernels import _Listener
+from xplain.solvers.policy_evaluation import evaluate
+from xplain.solvers.pomcp.solver import POMCP, Search, _roots
+from xplain.solvers.pomcp.solver import kernel as pomcp_kernel
+from xplain.solvers.pomcp.tree import Tree, model_of
+from xplain.testing.problems import random_problem
+
+
+def soft_problem(seed: int, types: int = 3, steps: int = 4, n: int = 3, **kwargs: Any) -> Problem:
+    """Every message has an effect, and no two values are alike."""
+    rng = np.random.default_rng(seed)
+    settings = {"trade_off": 0.7, "discount": 0.9, "prior": rng.dirichlet(np.ones(types))} | kwargs
+    return Problem(rng.random((types, steps, 1 << n)), 0.2 + rng.random(n), **settings)
+
+
+def search_of(solver: POMCP, problem: Problem, seed: int = 0) -> Search:
+    """The search behind the policy, where no message is left out."""
+    restricted: Any = solver.plan(problem, seed)
+    assert len(restricted.kept) == problem.n_messages
+    search: Search = restricted.policy
+    return search
+
+
+def first_values(solver: POMCP, problem: Problem, seed: int = 0) -> dict[int, float]:
+    return dict(solver.plan(problem, seed).values(0, 0, problem.prior))
+
+
+@pytest.mark.parametrize("backup", ["mean", "max"])
+@pytest.mark.parametrize("rollout", ["random", "qmdp", "silent"])
+@pytest.mark.parametrize(
+    ("depth", "depth_unit", "leaf"),
+    [(1, "steps", "max_of_mean"), (2, "actions", "mean_of_max"), (3, "actions", "max_of_mean"),
+     (None, "actions", "max_of_mean")],
+)  # fmt: skip
+def test_is_the_plain_search(
+    backup: Any, rollout: Any, depth: int | None, depth_unit: Any, leaf: Any
+) -> None:
+    """Same words, same visits and values, from the start and in the middle, for random tables and
+    one with exchangeable and uninformative labels, for every discounting. (Where messages do not
+    discount, their orders tie, and rounding decides: one message then.)"""
+    solver = POMCP(
+        simulations=700, depth=depth, depth_unit=depth_unit, exploration=1.5, leaf=leaf,
+        rollout=rollout, backup=backup,
+    )  # fmt: skip
+    repeated = soft_problem(3)
+    p = repeated.p_explicable.copy()
+    p[:, 2], p[:, 1] = p[:, 0], p[:1, 1]
+    problems = [
+        soft_problem(1),
+        soft_problem(2, n=1, discount_per="step", prior=np.array([0.5, 0.5, 0.0])),
+        soft_problem(4, n=1, discount=1.0),
+        replace(repeated, p_explicable=p),
+    ]
+    for problem, middle in product(problems, [False, True]):
+        step, given = (2, 4 if problem.n_messages > 1 else 0) if middle else (0, 0)
+        search = search_of(solver, problem)
+        tree = Tree.rooted(700, problem.n_messages, problem.n_steps, step, given, problem.prior, 99)
+        pomcp_kernel.simulate(700, search.model, search.options, tree, *_roots(702))
+        expected = PlainPOMCP(solver, problem, 99, step, given, problem.prior).run()
+        for action, edge in enumerate(tree.root_edges()):
+            visits, value = expected.get(action, [0, -np.inf])
+            assert edge["visits"] == visits
+            assert edge["value"] == pytest.approx(value, rel=1e-9)
+
+
+def test_approaches_the_optimum() -> None:
+    """Full depth and many simulations: the value of the root, and the exact worth of the policy,
+    come close to brute force on problems of every kind."""
+    rng = np.random.default_rng(5)
+    solver = POMCP(simulations=20_000, depth=None, exploration=4.0, rollout="random")
+    for _ in range(25):
+        problem = random_problem(rng)
+        optimum = reduced_optimal_value(problem)
+        policy = solver.plan(problem)
+        allowed = 0.02 * (0.1 + abs(optimum))
+        best = max(policy.values(0, 0, problem.prior).values())
+        assert best == pytest.approx(optimum, abs=allowed)
+        assert evaluate(problem, policy).value == pytest.approx(optimum, abs=allowed)
+
+
+def test_the_mean_approaches_the_optimum_too() -> None:
+    """As the paper's POMCP does; more slowly, as the mean remembers what was tried."""
+    rng = np.random.default_rng(6)
+    for _ in range(8):
+        problem = random_problem(rng)
+        optimum = reduced_optimal_value(problem)
+        solver = POMCP(simulations=200_000, depth=None, rollout="random", backup="mean",
+                       exploration=1.0)  # fmt: skip
+        best = max(first_values(solver, problem).values())
+        assert best == pytest.approx(optimum, abs=0.05 * (0.1 + abs(optimum)))
+
+
+@pytest.mark.parametrize("leaf", ["max_of_mean", "mean_of_max"])
+@pytest.mark.parametrize("discount_per", ["action", "step"])
+def test_a_history_at_the_depth_is_rolled_out_once_then_worth_qmdp(
+    leaf: Any, discount_per: Any
+) -> None:
+    """d = 1, a message: the mean is that of one rollout and N − 1 values of QMDP."""
+    problem = soft_problem(8, steps=3, n=2, discount_per=discount_per)
+    solver = POMCP(simulations=500, depth=1, leaf=leaf, rollout="silent", backup="mean")
+    search = search_of(solver, problem)
+    value, visits = search.search(0, 0, problem.prior)
+    plain = PlainPOMCP(solver, problem, 0, 0, 0, problem.prior)
+    per_message = problem.discount if discount_per == "action" else 1.0
+    for j in range(2):
+        belief, after = plain.root.belief, 1 << j
+        silent = sum(
+            problem.discount**k * -problem.prior @ (1 - problem.p_explicable[:, : k + 1, after])
+            .sum(axis=1) for k in range(3)
+        )  # fmt: skip
+        each = [plain.optimal(0, after, t) for t in range(3)]
+        known = float(problem.prior @ each)
+        qmdp = plain.qmdp(0, after, belief)[0] if leaf == "max_of_mean" else known
+        future = (silent + (visits[j] - 1) * qmdp) / visits[j]
+        assert value[j] == pytest.approx(per_message * future - plain.price[j], rel=1e-9)
+
+
+def test_steps_do_not_count_messages() -> None:
+    """With depth 1 in steps, all messages can come before the leaf; in actions only one."""
+    problem = soft_problem(9, steps=2, n=2)
+    opened = {}
+    for unit in ("actions", "steps"):
+        search = search_of(POMCP(depth=1, depth_unit=unit, rollout="silent"), problem)
+        tree = Tree.rooted(2000, 2, 2, 0, 0, problem.prior, 1)
+        pomcp_kernel.simulate(2000, search.model, search.options, tree, *_roots(2002))
+        nodes = tree.nodes[: tree.used[0]]
+        opened[unit] = {int(node["given"]) for node in nodes if node["edges"]}
+    assert opened == {"actions": {0}, "steps": {0, 1, 2, 3}}
+
+
+def test_without_messages_the_value_is_the_cost() -> None:
+    """Nothing to decide: the exact expectation, whatever is drawn."""
+    problem = soft_problem(10, n=0, steps=3)
+    zeros = np.cumsum(problem.prior @ (1 - problem.p_explicable[:, :, 0]))
+    cost = sum(0.9**k * z for k, z in enumerate(zeros))
+    value = first_values(POMCP(simulations=4000, depth=None, exploration=1.0), problem)
+    assert value[0] == pytest.approx(-cost, rel=0.03)
+    known = replace(problem, prior=np.array([0.0, 1.0, 0.0]))
+    value = first_values(POMCP(simulations=400, depth=None), known)
+    zeros = np.cumsum(1 - problem.p_explicable[1, :, 0])
+    assert value[0] == pytest.approx(-sum(0.9**k * z for k, z in enumerate(zeros)))
+
+
+def test_labels_are_drawn_with_their_probabilities() -> None:
+    """Within 5 standard errors each, certain ones always, neighbours independent; and the
+    posterior is Bayes' for them, whether or not the labels were met before."""
+    p = np.array([0.0, 1.0, 0.5, 0.02, 0.98, 0.3, 1e-4, 0.9999])
+    draws, count = 40_000, len(p)
+    other = np.random.default_rng(3).uniform(0.1, 0.9, count)
+    problem = Problem(np.stack([p, other])[:, :, None], np.empty(0))
+    model = model_of(problem)
+    tree = Tree.rooted(draws, 0, count, 0, 0, problem.prior, 1)
+    model.weight[0] = 1 << np.arange(count, dtype=np.uint64)
+    for t in range(2):
+        usual = model.p[0, :, t] < 0.5
+        model.likeliest["code"][0, :, t] = np.cumsum(usual * model.weight[0])
+    labels, beliefs = _draw_many(draws, model, tree, problem.prior)
+    error = np.sqrt(p * (1 - p) / draws)
+    assert np.all(np.abs(labels.mean(axis=0) - p) <= 5 * error)
+    soft = labels[:, [2, 3, 4, 5]]
+    off_diagonal = np.corrcoef(soft.T)[~np.eye(4, dtype=bool)]
+    assert np.abs(off_diagonal).max() < 5 / np.sqrt(draws)
+    likelihood = np.where(labels[:, None], [p, other], [1 - p, 1 - other]).prod(axis=2)
+    expected = likelihood / likelihood.sum(axis=1, keepdims=True)
+    assert beliefs == pytest.approx(expected, rel=1e-9)
+
+
+@njit
+def _draw_many(draws, model, tree, prior):  # type: ignore[no-untyped-def]
+    """Labels [draws, m] of a user of the first type after all is shown, and beliefs after them."""
+    steps = model.p.shape[1]
+    labels, beliefs = np.empty((draws, steps), np.bool_), np.empty((draws, 2))
+    counter = tree.counter[0]
+    for d in range(draws):
+        code, counter = pomcp_kernel._draw_labels(
+            model.likeliest, steps, steps - 1, 0, 0, model.p, model.weight, counter, tree.zero
+        )
+        for i in range(steps):
+            labels[d, i] = not code >> np.uint64(i) & np.uint64(1)
+        beliefs[d] = prior
+        pomcp_kernel._update(
+            model.likeliest, steps, steps - 1, 0, 0, model.p, code, tree.zero, tree.seen,
+            tree.likelihoods, beliefs[d],
+        )  # fmt: skip
+    return labels, beliefs
+
+
+def test_exchangeable_labels_share_a_history() -> None:
+    """Six equal transitions that tell the types apart, one that does not: 7 counts, not 2^7."""
+    p = np.full((2, 8, 1), 0.5)
+    p[0, :6], p[1, :6] = 0.6, 0.4
+    problem = Problem(p, np.empty(0))
+    search = search_of(POMCP(), problem)
+    tree = Tree.rooted(5000, 0, 8, 6, 0, problem.prior, 1)
+    options = search.options._replace(depth=1)
+    pomcp_kernel.simulate(5000, search.model, options, tree, *_roots(5002))
+    assert tree.used[0] == 1 + 7
+    assert len(np.unique(tree.beliefs[1:8, 0])) == 7
+
+
+def test_a_decision_goes_on_in_the_middle_as_from_the_start() -> None:
+    """After the first message, the same search follows: a policy of (step, given, belief)."""
+    for seed in range(6):
+        problem = soft_problem(seed, trade_off=0.05)
+        policy = POMCP(simulations=500).plan(problem, 3)
+        whole = policy.messages(1, 0, problem.prior)
+        values = policy.values(1, 0, problem.prior)
+        first = max(values, key=values.__getitem__)
+        assert whole & first == first
+        assert first == 0 or whole == first | policy.messages(1, first, problem.prior)
+
+
+def test_the_unit_of_cost_does_not_matter() -> None:
+    """All costs times 2^7: the same visits, values times 2^7, exactly."""
+    problem = soft_problem(12)
+    dear = replace(problem, message_cost=problem.message_cost * 128, inexplicability_cost=128.0)
+    value, visits = search_of(POMCP(), problem).search(0, 0, problem.prior)
+    dear_value, dear_visits = search_of(POMCP(), dear).search(0, 0, problem.prior)
+    assert np.array_equal(visits, dear_visits)
+    assert np.array_equal(value * 128, dear_value)
+
+
+def test_merged_trees_are_weighted_by_visits_and_have_own_streams() -> None:
+    """Three trees give the sum of three searches of a third; all differ."""
+    problem = soft_problem(13)
+    whole = search_of(POMCP(simulations=1000, trees=3), problem)
+    value, visits = whole.search(0, 0, problem.prior)
+    assert visits.sum() == 1000
+    one, _ = search_of(POMCP(simulations=334), problem).search(0, 0, problem.prior)
+    assert not np.allclose(value, one)
+
+
+PRINT_SEARCH = """
+import json, sys, numpy as np
+from xplain.explanation.problem import Problem
+from xplain.solvers.pomcp.solver import POMCP
+rng = np.random.default_rng(1)
+problem = Problem(rng.random((3, 4, 8)), np.ones(3), trade_off=0.3)
+policy = POMCP(simulations=3000, trees=4, threads=int(sys.argv[1])).plan(problem, 5)
+values = policy.values(1, 2, problem.prior)
+print(json.dumps([[*values.items()], policy.messages(0, 0, problem.prior)]))
+"""
+
+
+def test_the_same_on_one_and_two_threads_and_in_another_process() -> None:
+    """Seed, step, given and belief alone decide."""
+    outputs = [
+        subprocess.run(
+            [sys.executable, "-c", PRINT_SEARCH, threads],
+            check=True, capture_output=True, text=True,
+        ).stdout
+        for threads in ("1", "2")
+    ]  # fmt: skip
+    assert outputs[0] == outputs[1]
+    rng = np.random.default_rng(1)
+    problem = Problem(rng.random((3, 4, 8)), np.ones(3), trade_off=0.3)
+    policies = [POMCP(simulations=3000, trees=4, threads=2).plan(problem, s) for s in (5, 6)]
+    values = [policy.values(1, 2, problem.prior) for policy in policies]
+    here = [[[k, v] for k, v in values[0].items()], policies[0].messages(0, 0, problem.prior)]
+    assert json.loads(outputs[0]) == here
+    assert values[0] != values[1]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_ctrl_c_ends_the_search_and_breaks_nothing(threads: int) -> None:
+    """KeyboardInterrupt reaches the caller; the same policy answers afterwards as before."""
+    problem = soft_problem(14, types=5, steps=12, n=6)
+    policy = POMCP(simulations=8_000_000, depth=None, trees=2, threads=threads).plan(problem)
+    short = POMCP(simulations=500).plan(problem)
+    before = short.values(0, 0, problem.prior)
+    timer = threading.Timer(0.3, os.kill, [os.getpid(), signal.SIGINT])
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        policy.values(0, 0, problem.prior)
+    timer.join()
+    assert threading.active_count() == 1
+    assert short.values(0, 0, problem.prior) == before
+
+
+def test_too_large_is_refused_with_the_size_before_memory_is_taken() -> None:
+    """For tables and for trees."""
+    wide = Problem(np.repeat([[[0.5, 0.6]]], 1 << 15, axis=2).reshape(1, 1, -1), np.zeros(16))
+    with pytest.raises(TooLargeError, match=r"pomcp needs 0.\d+ GiB .* qhr"):
+        POMCP(memory_gib=0.001).plan(wide)
+    with pytest.raises(TooLargeError, match=r"pomcp needs \d+.\d+ GiB"):
+        POMCP(simulations=10**9).plan(soft_problem(1))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("simulations", 0), ("simulations", 2.5), ("simulations", True), ("depth", 0),
+     ("depth_unit", "metres"), ("exploration", -1.0), ("exploration", float("nan")),
+     ("exploration", "high"), ("leaf", "mean"), ("rollout", "none"), ("backup", "sum"),
+     ("trees", 0), ("trees", 20_000), ("threads", 0), ("memory_gib", -1)],
+)  # fmt: skip
+def test_names_the_setting_that_is_wrong(key: str, value: object) -> None:
+    """Key, value and what is allowed."""
+    with pytest.raises(InputError, match=f"solver.{key}="):
+        POMCP(**{key: value})  # type: ignore[arg-type]
+
+
+def test_tells_of_a_compilation_once(caplog: pytest.LogCaptureFixture) -> None:
+    """One line for the first kernel of ours; none for another package's."""
+
+    def kernel(x):  # type: ignore[no-untyped-def]
+        return x + 1
+
+    caplog.set_level(logging.WARNING)
+    with event.install_listener("numba:compile", _Listener()):
+        njit(kernel)(1)
+        assert not caplog.messages
+        kernel.__module__ = "xplain.somewhere"
+        njit(kernel)(1)
+        njit(kernel)(1.5)
+    assert len(caplog.messages) == 1
+    assert "compiling" in caplog.messages[0]
+
+
+def test_trees_take_no_more_than_told() -> None:
+    """What the refusal counts is what is allocated."""
+    from xplain.solvers.pomcp.tree import model_bytes, tree_bytes
+
+    problem = soft_problem(15)
+    tree = Tree.rooted(1000, 3, 4, 0, 0, problem.prior, 0)
+    model = model_of(problem)
+    assert sum(a.nbytes for a in tree) == pytest.approx(tree_bytes(problem, 1000), rel=0.01)
+    held = sum(a.nbytes for a in model if isinstance(a, np.ndarray))
+    assert held <= model_bytes(problem) + 100

@@ -1,0 +1,59 @@
+"""A remembered policy is asked once a question, and says how long that took."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from xplain.explanation.problem import Problem
+from xplain.solvers.cached_policy import Remembered
+from xplain.solvers.pomcp.solver import POMCP
+
+
+class Slow:
+    """Takes 20 ms, and counts the questions."""
+
+    asked = 0
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+        self.asked += 1
+        time.sleep(0.02)
+        return 1 << self.asked
+
+    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> dict[int, float]:
+        return {0: -1.0}
+
+
+def test_the_same_question_is_asked_once() -> None:
+    """Rounding makes no new question; another step, set or belief does. Time is the first's."""
+    slow, belief = Slow(), np.array([0.3, 0.7])
+    policy = Remembered(slow)
+    first = policy.messages(1, 2, belief)
+    took = policy.seconds
+    assert took >= 0.02
+    assert policy.messages(1, 0, belief) != first
+    assert policy.messages(1, 2, belief + 1e-15) == first
+    assert policy.seconds == took
+    assert policy.messages(0, 2, belief) != first
+    assert policy.messages(1, 2, belief[::-1]) != first
+    assert slow.asked == 4
+    assert policy.values(1, 2, belief) == {0: -1.0}
+
+
+def test_what_was_asked_before_makes_no_difference() -> None:
+    """Searches draw from a stream of their question: any order gives the same decisions, and they
+    are those of the policy itself."""
+    rng = np.random.default_rng(1)
+    problem = Problem(rng.random((3, 5, 8)), np.ones(3), trade_off=0.3)
+    questions = [(k, g, rng.dirichlet(np.ones(3))) for k in range(5) for g in (0, 3)]
+    policy = POMCP(simulations=300).plan(problem, 7)
+    forth, back = Remembered(policy), Remembered(policy)
+    there = [forth.messages(*question) for question in questions]
+    assert [back.messages(*question) for question in reversed(questions)] == there[::-1]
+    assert [policy.messages(*question) for question in questions] == there
+    step, given, belief = questions[0]
+    apart = policy.values(step, given, belief * (1 + 1e-15))
+    assert apart == pytest.approx(policy.values(step, given, belief), rel=1e-15)

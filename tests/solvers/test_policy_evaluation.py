@@ -1,0 +1,126 @@
+"""The exact worth of policies against brute force over every label, and against simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from numpy.typing import NDArray
+
+from tests.explanation.problems import tiny_problems
+from xplain.explanation.belief import update
+from xplain.explanation.literal_pomdp import reduced_optimal_value
+from xplain.explanation.problem import Problem
+from xplain.solvers.base import Policy
+from xplain.solvers.known_type import Conformant
+from xplain.solvers.policy_evaluation import evaluate, simulate
+from xplain.solvers.qhr import QHR
+from xplain.solvers.qmdp import QMDP
+
+
+def worth_by_enumeration(
+    problem: Problem,
+    policy: Policy,
+    step: int = 0,
+    shown: int = 0,
+    belief: NDArray[np.float64] | None = None,
+) -> tuple[float, float]:
+    """Discounted return and undiscounted cost, over every label vector."""
+    if belief is None:
+        belief = problem.prior
+    if step == problem.n_steps:
+        return 0.0, 0.0
+    per_message = problem.discount if problem.discount_per == "action" else 1.0
+    new = policy.messages(step, shown, belief)
+    value, cost, factor = 0.0, 0.0, 1.0
+    prices = [
+        problem.trade_off * float(problem.message_cost[j])
+        for j in range(problem.n_messages)
+        if new >> j & 1
+    ]
+    for price in sorted(prices):
+        value -= factor * price
+        cost += price
+        factor *= per_message
+    shown |= new
+    p = problem.p_explicable[:, : step + 1, shown]
+    for labels in product((0, 1), repeat=step + 1):
+        answer = np.array(labels, dtype=np.uint8)
+        likelihood = np.where(answer == 1, p, 1 - p).prod(axis=1)
+        probability = float(belief @ likelihood)
+        if probability > 0:
+            after = update(problem, belief, shown, answer)
+            zeros = problem.inexplicability_cost * labels.count(0)
+            later_value, later_cost = worth_by_enumeration(problem, policy, step + 1, shown, after)
+            value += factor * probability * (problem.discount * later_value - zeros)
+            cost += probability * (zeros + later_cost)
+    return value, cost
+
+
+@settings(deadline=None, max_examples=60)
+@given(tiny_problems())
+def test_exact_worth_is_the_enumerated_one(problem: Problem) -> None:
+    for solver in (QMDP(), QHR(), Conformant()):
+        policy = solver.plan(problem)
+        worth = evaluate(problem, policy)
+        value, cost = worth_by_enumeration(problem, policy)
+        assert worth.value_is == "exact"
+        assert worth.value == pytest.approx(value, abs=1e-8)
+        assert worth.cost == pytest.approx(cost, abs=1e-8)
+        assert worth.value <= reduced_optimal_value(problem) + 1e-8
+
+
+def confident_problem() -> Problem:
+    rng = np.random.default_rng(7)
+    labels = rng.random((3, 6, 8)) < 0.6
+    confidence = np.array([0.9, 0.95, 0.85])[:, None, None]
+    return Problem(np.where(labels, confidence, 1 - confidence), np.full(3, 0.7))
+
+
+def test_simulation_agrees_with_the_exact_worth() -> None:
+    problem = confident_problem()
+    policy = QMDP().plan(problem)
+    exact, simulated = evaluate(problem, policy), simulate(problem, policy, 4000, seed=1)
+    assert (exact.value_is, simulated.value_is) == ("exact", "simulated")
+    assert abs(exact.value - simulated.value) < 4 * simulated.value_se
+    assert abs(exact.cost - simulated.cost) < 4 * simulated.cost_se
+
+
+def test_says_simulated_where_too_many_beliefs_are_reachable() -> None:
+    problem = confident_problem()
+    worth = evaluate(problem, QMDP().plan(problem), beliefs=5, episodes=50)
+    assert worth.value_is == "simulated"
+    assert worth.value_se > 0
+
+
+@dataclass
+class Counting:
+    """Silence, and how often it was asked."""
+
+    asked: int = 0
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+        self.asked += 1
+        return 0
+
+    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> dict[int, float]:
+        return {}
+
+
+def test_exchangeable_transitions_are_merged() -> None:
+    """Four equal transitions and two types: a belief is how many of the labels so far were 1."""
+    p = np.array([0.9, 0.4])[:, None, None] * np.ones((1, 4, 1))
+    policy = Counting()
+    worth = evaluate(Problem(p, np.empty(0), discount=1.0), policy)
+    assert policy.asked == 1 + 2 + 4 + 7  # 0, 1, 3 and 6 labels seen
+    assert worth.cost == pytest.approx((1 + 2 + 3 + 4) * (0.1 + 0.6) / 2)
+
+
+def test_labels_that_all_types_give_alike_teach_nothing() -> None:
+    p = np.array([0.3, 0.8, 0.5])[None, :, None] * np.ones((4, 1, 1))
+    policy = Counting()
+    evaluate(Problem(p, np.empty(0)), policy)
+    assert policy.asked == 3

@@ -1,0 +1,185 @@
+"""Finds the user types in people's labels: ``python -m xplain.cli.discover data=FILE``.
+
+The file is read as :mod:`xplain.data.label_table` says. Into the folder ``output`` go
+
+- ``types.npz``: the types and their labelers, as :class:`xplain.learning.saved_types.LearnedTypes`
+  loads them (for ``xplain.Explainer``);
+- ``assignment.csv``: the type of each observer;
+- ``summary.json``: what is known of each type, and how it was found;
+- ``curve.png`` (disagreements by number of types) or ``posterior.png`` (probability of each number
+  of types), as the method has them, and ``messages.png``: what each message does for each type.
+
+The last line on standard output is one JSON object: ``n_types``, ``assignment`` {observer: type},
+``method``, ``rule``, ``held_out_log_likelihood`` (mean natural logarithm of the probability of a
+held-out label; null where ``held_out=false``), ``seconds``.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hydra.utils import instantiate
+
+from xplain.config import CONF, compose_for, report_errors
+from xplain.errors import InputError, TooLargeError
+
+if TYPE_CHECKING:
+    from xplain.data.dataset import Dataset
+    from xplain.learning.user_types import UserTypes
+
+Row = dict[str, Any]
+
+
+def discover(arguments: list[str]) -> Row:
+    """Finds the types and writes the files; returns what the command prints. ``arguments``
+    override conf/discover.yaml."""
+    from xplain.data.label_table import read_table
+    from xplain.learning.cross_validation import held_out_log_likelihood
+    from xplain.learning.user_types import learn_types
+    from xplain.randomness import derived_seed
+
+    began = time.perf_counter()
+    cfg = compose_for("discover", arguments)
+    if not isinstance(cfg.seed, int) or cfg.seed < 0:
+        raise InputError("seed", cfg.seed, "a whole number ≥ 0")
+    folder = Path(cfg.output)
+    require_writable(folder)
+    trainer, clusterer = instantiate(cfg.labeler), instantiate(cfg.clusterer)
+    dataset = read_table(cfg.data, cfg.messages, cfg.features, cfg.ignore)
+    clustering = clusterer.cluster(dataset, trainer, derived_seed(cfg.seed, "clusterer"), None)
+    types = learn_types(
+        dataset,
+        clustering,
+        trainer,
+        derived_seed(cfg.seed, "labelers"),
+        none_of_these=cfg.none_of_these,
+    )
+    foretold = None
+    if cfg.held_out:
+        foretold = held_out_log_likelihood(dataset, clusterer, trainer, cfg.seed)
+    row: Row = {
+        "n_types": clustering.n_types,
+        "assignment": {
+            name: types.names[t]
+            for name, t in zip(dataset.observers, clustering.assignment, strict=True)
+        },
+        "method": clustering.method,
+        "rule": clustering.rule,
+        "held_out_log_likelihood": foretold,
+        "seconds": time.perf_counter() - began,
+    }
+    _write(folder, dataset, types, row)
+    return row
+
+
+def require_writable(folder: Path) -> None:
+    """Refuses a folder that cannot be written, before any work is done and without making it.
+
+    Raises:
+        InputError: see above.
+    """
+    above = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    if not above.is_dir() or not os.access(above, os.W_OK):
+        raise InputError("output", str(folder), "a folder that can be written")
+
+
+def _write(folder: Path, dataset: Dataset, types: UserTypes, row: Row) -> None:
+    import pandas as pd
+
+    from xplain.learning.saved_types import LearnedTypes
+    from xplain.report import discovery, plots
+
+    clustering = types.clustering
+    figures = {"messages": discovery.effects(dataset, clustering, types.names)}
+    if clustering.curve is not None and len(clustering.curve) > 1:
+        curve = clustering.curve[: max(4 * clustering.n_types, 20)].tolist()
+        figures["curve"] = plots.disagreements(curve, clustering.n_types, clustering.rule)
+    if clustering.posterior is not None:
+        figures["posterior"] = discovery.posterior(clustering.posterior, clustering.n_types)
+    folder.mkdir(parents=True, exist_ok=True)
+    LearnedTypes.of(types, dataset).save(folder / "types.npz")
+    pd.DataFrame(row["assignment"].items(), columns=["observer", "type"]).to_csv(
+        folder / "assignment.csv", index=False
+    )
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png")
+    known = summarised(dataset, types)
+    summary = {key: value for key, value in row.items() if key != "assignment"}
+    summary |= {"labels": len(dataset), "types": known}
+    if clustering.posterior is not None:
+        summary["posterior"] = clustering.posterior
+    text = json.dumps(summary, indent=2)
+    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+    _show(row, known, folder)
+
+
+def summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
+    """What is known of each type."""
+    from xplain.learning.message_vectors import smallest
+    from xplain.message_sets import names_of
+
+    rows: list[Row] = []
+    known = types.clustering.needs
+    for t in range(types.clustering.n_types):
+        own = dataset.of(types.clustering.members(t))
+        labeler = types.labelers[t]
+        row: Row = {
+            "name": types.names[t],
+            "observers": len(types.clustering.members(t)),
+            "labels": len(own),
+            "explicable": float(own.label.mean()),
+            "confidence": labeler.confidence,
+        }
+        shown = dataset.features[sorted(set(own.transition.tolist()))]
+        try:
+            if known is not None:  # by all observers' labels, not by this type's alone
+                needed = int(known[t])
+            else:
+                needed = smallest(labeler.classifier, shown, dataset.n_messages)
+            row["needs"] = list(names_of(needed, dataset.messages))
+        except TooLargeError:  # no tree, and too many messages to try them all
+            row["needs"] = None
+        rows.append(row)
+    return rows
+
+
+def _show(row: Row, known: list[Row], folder: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("type", "observers", "labels", "explicable", "confidence", "needs to be told")
+    for one in known:
+        table.add_row(
+            one["name"],
+            str(one["observers"]),
+            str(one["labels"]),
+            f"{one['explicable']:.1%}",
+            f"{one['confidence']:.3f}",
+            "?" if one["needs"] is None else ", ".join(one["needs"]) or "nothing",
+        )
+    console = Console()
+    console.print(
+        f"{row['n_types']} user types ({row['method']}, {row['rule']}); files in {folder}"
+    )
+    console.print(table)
+
+
+def main() -> None:
+    """The command."""
+    if "--help" in sys.argv[1:]:
+        print(__doc__)
+        print((CONF / "discover.yaml").read_text(encoding="utf-8"))
+        return
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    with report_errors():
+        print(json.dumps(discover(sys.argv[1:])))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""Plans for a saved problem: ``python -m xplain.cli.plan problem=FILE.npz solver=NAME seed=0``.
+
+The last line on standard output is one JSON object:
+
+- ``solver``;
+- ``first_messages``: indices of the messages given before the first *explain*; null where they
+  depend on a type that only the solver is told (oracle, clairvoyant);
+- ``value``: expected discounted return of the executed policy under the model; for a solver that
+  is told the type, Σ_t prior(t) V*_t;
+- ``value_is``: "exact", or "simulated" with ``value_se``;
+- ``optimal_lower``, ``optimal_upper``: bounds of the optimal value; null where not computed;
+- ``seconds``: time to plan and to take the first decision.
+
+``solver=all`` prints a comparison first, and the line is a list of such objects.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+
+from xplain.config import CONF, compose_for, report_errors
+from xplain.errors import InputError
+
+if TYPE_CHECKING:
+    from xplain.explanation.problem import Problem
+    from xplain.solvers.bounds import Bounds
+
+Row = dict[str, Any]
+
+
+def plan(arguments: list[str]) -> Row | list[Row]:
+    """What the command prints, by overrides of conf/plan.yaml."""
+    from xplain.explanation.problem import Problem
+
+    if "solver=all" not in arguments:
+        return _plan_one(compose_for("plan", arguments))
+    rest = [argument for argument in arguments if argument != "solver=all"]
+    names = sorted(path.stem for path in (CONF / "solver").glob("*.yaml"))
+    configs = [compose_for("plan", [*rest, f"solver={name}"]) for name in names]
+    known = _bounds(Problem.load(configs[0].problem), configs[0])
+    return [_plan_one(cfg, known) for cfg in configs]
+
+
+def _plan_one(cfg: DictConfig, known: Bounds | None = None) -> Row:
+    from xplain.explanation.problem import Problem
+    from xplain.message_sets import indices
+    from xplain.solvers.bounds import known_type_value
+    from xplain.solvers.hsvi.solver import CertifiedPolicy
+    from xplain.solvers.policy_evaluation import evaluate
+
+    if not isinstance(cfg.seed, int) or cfg.seed < 0:
+        raise InputError("seed", cfg.seed, "a whole number ≥ 0")
+    problem = Problem.load(cfg.problem)
+    solver = instantiate(cfg.solver)
+    told = solver.knows in ("type", "labels") and problem.n_types > 1
+    began = time.perf_counter()
+    policy = solver.plan(problem, cfg.seed)
+    first = None if told else indices(policy.messages(0, 0, problem.prior))
+    seconds = time.perf_counter() - began
+
+    row: Row = {"solver": cfg.hydra.runtime.choices.solver, "first_messages": first}
+    if told:
+        row |= {"value": known_type_value(problem), "value_is": "exact"}
+    else:
+        worth = evaluate(problem, policy, cfg.value.beliefs, cfg.value.episodes, cfg.seed)
+        row |= {"value": worth.value, "value_is": worth.value_is}
+        if worth.value_is == "simulated":
+            row["value_se"] = worth.value_se
+    lower, upper = None, None
+    if isinstance(policy, CertifiedPolicy):
+        lower, upper = policy.lower, policy.upper
+    elif (found := known or _bounds(problem, cfg)) is not None:
+        lower, upper = found.lower, found.upper
+    return row | {"optimal_lower": lower, "optimal_upper": upper, "seconds": seconds}
+
+
+def _bounds(problem: Problem, cfg: DictConfig) -> Bounds | None:
+    from xplain.solvers.bounds import bounds
+    from xplain.solvers.hsvi.solver import Effort
+
+    if cfg.bounds.nodes == 0:
+        return None
+    effort = Effort(cfg.bounds.gap, cfg.bounds.nodes, memory_gib=cfg.bounds.memory_gib)
+    return bounds(problem, effort)
+
+
+def _compare(rows: list[Row]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("solver", "first messages", "value", "", "optimum", "seconds")
+    for row in rows:
+        first, lower, upper = row["first_messages"], row["optimal_lower"], row["optimal_upper"]
+        error = f"{row['value_is']}" + (f" ± {row['value_se']:.4f}" if "value_se" in row else "")
+        table.add_row(
+            row["solver"],
+            "by type" if first is None else " ".join(map(str, first)) or "none",
+            f"{row['value']:.4f}",
+            error,
+            "" if lower is None else f"{lower:.4f} … {upper:.4f}",
+            f"{row['seconds']:.3f}",
+        )
+    Console().print(table)
+
+
+def main() -> None:
+    """The command."""
+    if "--help" in sys.argv[1:]:
+        print(__doc__)
+        print((CONF / "plan.yaml").read_text(encoding="utf-8"))
+        return
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    with report_errors():
+        found = plan(sys.argv[1:])
+        if isinstance(found, list):
+            _compare(found)
+        print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,321 @@
+"""Tables of labels, CSV or Parquet: one row a label (SPEC §2).
+
+Columns: ``observer``; ``messages``, names joined by ``;``, empty for none; ``label``, 0 or 1; every
+other column is a feature of the transition unless a list names them. Numbers stay numbers, text
+becomes one 0/1 feature a value (``action=left``). Rows with equal features show the same
+transition.
+
+Stated rules. An observer may give few labels, even one: it is kept, and said so. An observer who
+answers the same question twice, differently, is kept too: both labels count, as people do err.
+Anything missing, a label other than 0 or 1, fewer than two observers, labels that are all equal,
+or fewer than four distinct (transition, message set) is an error.
+"""
+
+from __future__ import annotations
+
+import logging
+import zlib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.data.dataset import Dataset
+from xplain.errors import InputError
+from xplain.learning.labelers import points
+from xplain.message_sets import mask_of, names_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+log = logging.getLogger(__name__)
+
+COLUMNS = ("observer", "messages", "label")
+MISSING = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "<NA>", "#N/A"]
+MAX_MASK = 62
+"""Messages a table may name; a message set is the bits of one integer."""
+MIN_POINTS = 4
+"""Distinct (transition, message set) below which no part of a split would mean anything."""
+
+
+def read_table(
+    path: str | Path,
+    messages: Sequence[str] | None = None,
+    features: Sequence[str] | None = None,
+    ignore: Sequence[str] = (),
+) -> Dataset:
+    """Reads a table of labels.
+
+    Args:
+        path: ends in ``.csv``, ``.csv.gz`` or ``.parquet``.
+        messages: the names that may occur, in order; None takes those that occur, sorted.
+        features: columns that describe the transition; None is every other column.
+        ignore: columns that do not, where ``features`` is None.
+
+    Raises:
+        InputError: see the module's rules; one line, with the column, the first bad value and
+            its row (1 is the first row of data).
+    """
+    table = _load(Path(path), features, ignore)
+    observer, observers = _factorized(_text(table["observer"], "observer"))
+    message_set, known = _message_sets(table["messages"], messages)
+    described, names = _features(table.drop(columns=list(COLUMNS)))
+    distinct, transition = _distinct(described)
+    dataset = Dataset(
+        features=distinct,
+        feature_names=names,
+        messages=known,
+        observers=observers,
+        observer=observer,
+        transition=transition,
+        message_set=message_set,
+        label=_labels(table["label"]),
+    )
+    _check(dataset)
+    return dataset
+
+
+def write_table(dataset: Dataset, path: str | Path) -> None:
+    """Writes a table that :func:`read_table` reads back. One-hot features become one column of
+    text again."""
+    import pandas as pd
+
+    distinct, mask = np.unique(dataset.message_set, return_inverse=True)
+    names = np.array([";".join(names_of(int(one), dataset.messages)) for one in distinct])
+    columns: dict[str, Any] = {
+        "observer": np.array(dataset.observers)[dataset.observer],
+        "messages": names[mask],
+    }
+    for name, values in _columns(dataset).items():
+        columns[name] = values[dataset.transition]
+    columns["label"] = dataset.label
+    table = pd.DataFrame(columns)
+    if check_format(Path(path), "data") == "parquet":
+        table.to_parquet(path, index=False)
+    else:
+        table.to_csv(path, index=False)
+
+
+def align(dataset: Dataset, names: tuple[str, ...]) -> Dataset:
+    """The same labels with exactly these features, in this order.
+
+    A value of a text column that never occurs in the data (``action=left`` where ``action`` has
+    other values) is a feature that is 0 throughout.
+
+    Raises:
+        InputError: another feature is missing, or one is not among ``names``.
+    """
+    have = {name: j for j, name in enumerate(dataset.feature_names)}
+    for name in dataset.feature_names:
+        if name not in names:
+            raise InputError("data", name, f"unknown feature; known: {', '.join(names)}")
+    text = {name.split("=")[0] for name in have if "=" in name}
+    columns = []
+    for name in names:
+        if name not in have and name.split("=")[0] not in text:
+            raise InputError("data", name, "this feature of the domain is missing in the table")
+        columns.append(
+            dataset.features[:, have[name]] if name in have else np.zeros(len(dataset.features))
+        )
+    return replace(dataset, features=np.stack(columns, axis=1), feature_names=names)
+
+
+def check_format(path: Path, key: str) -> str:
+    """``csv`` or ``parquet``, by the name's end; ``key`` is what the user set.
+
+    Raises:
+        InputError: another end.
+    """
+    name = path.name.lower()
+    if name.endswith((".csv", ".csv.gz")):
+        return "csv"
+    if name.endswith(".parquet"):
+        return "parquet"
+    raise InputError(key, str(path), "a file that ends in .csv, .csv.gz or .parquet")
+
+
+def _load(path: Path, features: Sequence[str] | None, ignore: Sequence[str]) -> pd.DataFrame:
+    import pandas as pd
+
+    kind = check_format(path, "data")
+    if not path.is_file():
+        raise InputError("data", str(path), "no such file")
+    repeated: list[str] = []
+    try:
+        if kind == "parquet":
+            table = pd.read_parquet(path)
+        else:
+            header = pd.read_csv(path, nrows=0).columns
+            # pandas would number the second of two columns of one name.
+            first = pd.read_csv(path, header=None, nrows=1, dtype=str, keep_default_na=False)
+            repeated = [name for name in first.iloc[0][first.iloc[0].duplicated()] if name]
+            # An observer may be called "NA"; a feature that says so is missing.
+            missing = {name: [""] if name in COLUMNS[:2] else MISSING for name in header}
+            text = dict.fromkeys(COLUMNS[:2], str)
+            table = pd.read_csv(path, keep_default_na=False, na_values=missing, dtype=text)
+    except (OSError, EOFError, zlib.error, ValueError, pd.errors.ParserError) as error:
+        reason = str(error).strip().splitlines()[0] if str(error) else type(error).__name__
+        raise InputError("data", str(path), f"not a readable table ({reason})") from None
+    if repeated:
+        raise InputError("data", repeated[0], "two columns of this name; each column once")
+    columns = [str(name) for name in table.columns]
+    for name in (*COLUMNS, *(features or ()), *ignore):
+        if name not in columns:
+            raise InputError("data", str(path), f"lacks the column {name}; it has {columns}")
+    if features is not None:
+        wanted = [*COLUMNS, *features]
+    else:
+        wanted = [name for name in columns if name not in set(ignore) - set(COLUMNS)]
+    if len(wanted) == len(COLUMNS):
+        raise InputError("data", str(path), "needs a column that describes the transition")
+    if len(set(wanted)) < len(wanted):
+        raise InputError("data", wanted, "each column once")
+    if not len(table):
+        raise InputError("data", str(path), "has no rows")
+    return table[wanted]
+
+
+def _row(bad: Any) -> int:
+    """The number of the first bad row, as a person counts them."""
+    return int(np.flatnonzero(np.asarray(bad))[0]) + 1
+
+
+def _text(column: pd.Series[Any], name: str) -> pd.Series[Any]:
+    missing = column.isna()
+    if missing.any():
+        raise InputError(
+            "data", name, f"missing in {int(missing.sum())} rows, first in row {_row(missing)}"
+        )
+    return column.astype(str).str.strip()
+
+
+def _factorized(column: pd.Series[Any]) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    import pandas as pd
+
+    code, names = pd.factorize(column, sort=True)
+    return code.astype(np.int64), tuple(str(name) for name in names)
+
+
+def _message_sets(
+    column: pd.Series[Any], messages: Sequence[str] | None
+) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    code, cells = _factorized(column.fillna("").astype(str))
+    given = [[name.strip() for name in cell.split(";") if name.strip()] for cell in cells]
+    found = sorted({name for names in given for name in names})
+    known = tuple(messages) if messages is not None else tuple(found)
+    if len(known) > MAX_MASK:
+        raise InputError("data", len(known), f"at most {MAX_MASK} different messages")
+    if not known:
+        raise InputError("data", "messages", "no row was given any message")
+    for at, names in enumerate(given):
+        unknown = [name for name in names if name not in known]
+        if unknown:
+            raise InputError(
+                "data",
+                unknown[0],
+                f"unknown message in row {_row(code == at)}; known: {', '.join(known)}",
+            )
+    masks = np.array([mask_of(names, known, "data") for names in given], dtype=np.int64)
+    return masks[code], known
+
+
+def _labels(column: pd.Series[Any]) -> NDArray[np.uint8]:
+    import pandas as pd
+
+    missing = column.isna()
+    if missing.any():
+        raise InputError(
+            "data", "label", f"missing in {int(missing.sum())} rows, first in row {_row(missing)}"
+        )
+    numbers = pd.to_numeric(column.astype(object), errors="coerce")
+    bad = ~numbers.isin([0, 1])
+    if bad.any():
+        raise InputError(
+            "data",
+            column.astype(object)[bad].iloc[0],
+            f"label in row {_row(bad)}: a label is 0 or 1",
+        )
+    return np.asarray(numbers, dtype=np.uint8)
+
+
+def _features(table: pd.DataFrame) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """[P, F], text columns one-hot in alphabetical order of their values."""
+    from pandas.api.types import is_bool_dtype, is_numeric_dtype
+
+    columns: list[NDArray[np.float64]] = []
+    names: list[str] = []
+    for name in table.columns:
+        column = table[name]
+        missing = column.isna()
+        if missing.any():
+            raise InputError(
+                "data",
+                str(name),
+                f"missing in {int(missing.sum())} rows, first in row "
+                f"{_row(missing)}; leave those rows out, or the column by ignore=[{name}]",
+            )
+        if is_numeric_dtype(column) or is_bool_dtype(column):
+            number = column.to_numpy(dtype=np.float64)
+            if not np.isfinite(number).all():
+                raise InputError("data", str(name), f"infinite in row {_row(~np.isfinite(number))}")
+            columns.append(number)
+            names.append(str(name))
+        else:
+            code, values = _factorized(column.astype(str))
+            columns.extend((code == at).astype(np.float64) for at in range(len(values)))
+            names.extend(f"{name}={value}" for value in values)
+    return np.stack(columns, axis=1), tuple(names)
+
+
+def _distinct(
+    features: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Distinct rows and where each row is among them; column by column, so linear in the rows but
+    for a sort of small numbers."""
+    number = np.zeros(len(features), dtype=np.int64)
+    for column in features.T:
+        values, code = np.unique(column, return_inverse=True)
+        _, first, number = np.unique(
+            number * len(values) + code, return_index=True, return_inverse=True
+        )
+    return features[first], number.astype(np.int64)
+
+
+def _check(dataset: Dataset) -> None:
+    if len(dataset.observers) < 2:
+        raise InputError("data", dataset.observers[0], "one observer only; types need at least two")
+    if dataset.label.min() == dataset.label.max():
+        raise InputError("data", int(dataset.label[0]), "all labels are equal; nothing to learn")
+    point = points(dataset)
+    count = int(point.max()) + 1
+    if count < MIN_POINTS:
+        raise InputError(
+            "data", count, f"a split needs at least {MIN_POINTS} distinct (transition, messages)"
+        )
+    single = np.bincount(dataset.observer) == 1
+    if single.any():
+        log.warning("%d observers gave one label only: kept, placed by it", int(single.sum()))
+    own = point * len(dataset.observers) + dataset.observer
+    _, where = np.unique(own, return_inverse=True)
+    ones = np.bincount(where, weights=dataset.label)
+    torn = int(((ones > 0) & (ones < np.bincount(where))).sum())
+    if torn:
+        log.warning("%d questions were answered both ways by one observer: both labels count", torn)
+
+
+def _columns(dataset: Dataset) -> dict[str, NDArray[Any]]:
+    """Columns [T] of the transitions, one-hot features as text again."""
+    groups: dict[str, list[int]] = {}
+    for j, name in enumerate(dataset.feature_names):
+        groups.setdefault(name.split("=")[0] if "=" in name else name, []).append(j)
+    columns: dict[str, NDArray[Any]] = {}
+    for name, members in groups.items():
+        if "=" in dataset.feature_names[members[0]]:
+            values = np.array([dataset.feature_names[j].split("=", 1)[1] for j in members])
+            columns[name] = values[dataset.features[:, members].argmax(axis=1)]
+        else:
+            columns[name] = dataset.features[:, members[0]]
+    return columns

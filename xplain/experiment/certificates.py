@@ -1,0 +1,106 @@
+"""What every run reports of its explanation problems: how good any policy could be, how good the
+one that ran is, and what it costs not to know the type (all under the learned model)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from xplain.errors import InputError
+from xplain.experiment.pipeline import Costs, Prepared, problem_for, trace_seed
+from xplain.explanation.problem import Problem
+from xplain.solvers.base import Solver
+from xplain.solvers.bounds import bounds
+from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.policy_evaluation import evaluate
+from xplain.solvers.qmdp import QMDP
+
+TYPES = QMDP()
+"""Any solver that knows the learned types: :func:`problem_for` gives it their problem."""
+
+
+@dataclass(frozen=True)
+class Certify:
+    """How much work the certificates may be.
+
+    Attributes:
+        traces: certificates are made for the first so many; 0 makes none.
+        gap: the search for the optimum stops once it is known this well.
+        nodes: it opens at most so many beliefs a trace.
+        beliefs: a policy's value is exact where it reaches no more beliefs than this.
+        episodes: and from so many simulated episodes otherwise.
+    """
+
+    traces: int = 3
+    gap: float = 1e-3
+    nodes: int = 2_000
+    beliefs: int = 1_000
+    episodes: int = 100
+
+    def __post_init__(self) -> None:
+        """Checks the numbers."""
+        for key, least in (("traces", 0), ("nodes", 1), ("beliefs", 0), ("episodes", 2)):
+            if getattr(self, key) < least:
+                raise InputError(f"certify.{key}", getattr(self, key), f"a whole number ≥ {least}")
+        if not self.gap > 0:
+            raise InputError("certify.gap", self.gap, "a number > 0")
+
+    def certificates(
+        self, prepared: Prepared, costs: Costs, solver: Solver, seed: int
+    ) -> dict[str, float]:
+        """Means over the traces, of expected discounted returns under the learned model.
+
+        ``optimal_lower`` and ``optimal_upper`` enclose the optimum; ``policy_value`` (with the
+        standard error ``policy_value_se``, and ``policy_value_exact``, the share of traces where
+        it is exact) is what the policy earns; ``policy_cost`` its expected undiscounted cost.
+        Prices have a ``_low`` and a ``_high`` end, 95 % limits where the value is simulated. A
+        solver that is told the user's type has no value of its own here.
+        """
+        rows: list[dict[str, float]] = []
+        seen: dict[bytes, dict[str, float]] = {}
+        for index, case in enumerate(prepared.cases[: self.traces]):
+            problem = problem_for(prepared, case, costs, TYPES, 0)
+            key = problem.p_explicable.tobytes()
+            if key not in seen:
+                own = problem_for(prepared, case, costs, solver, 0)
+                seen[key] = self._one(problem, own, solver, trace_seed(seed, index))
+            rows.append(seen[key])
+        if not rows:
+            return {}
+        means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+        if "policy_value_se" in means:
+            errors = np.array([row["policy_value_se"] for row in rows])
+            means["policy_value_se"] = float(np.sqrt((errors**2).sum()) / len(rows))
+        return means | {"traces": float(len(rows))}
+
+    def _one(self, problem: Problem, own: Problem, solver: Solver, seed: int) -> dict[str, float]:
+        found = bounds(problem, Effort(gap=self.gap, nodes=self.nodes, memory_gib=2.0))
+        low, high = found.price_of_not_knowing
+        row = {
+            "optimal_lower": found.lower,
+            "optimal_upper": found.upper,
+            "known_type_value": found.known_type,
+            "price_of_not_knowing_low": low,
+            "price_of_not_knowing_high": high,
+        }
+        if solver.knows in ("type", "labels"):
+            return row
+        # A policy of a one-type problem has no belief to look at: in a world of several types it
+        # earns what it earns against their mixture.
+        world = problem
+        if own.n_types == 1:
+            mixture = np.tensordot(problem.prior, problem.p_explicable, 1)[None]
+            world = problem.with_types(mixture, own.type_names)
+        worth = evaluate(world, solver.plan(own, seed), self.beliefs, self.episodes, seed)
+        margin = 1.96 * worth.value_se
+        low, _ = found.price_of_approximation(worth.value + margin)
+        _, high = found.price_of_approximation(worth.value - margin)
+        return row | {
+            "policy_value": worth.value,
+            "policy_value_se": worth.value_se,
+            "policy_value_exact": float(worth.value_is == "exact"),
+            "policy_cost": worth.cost,
+            "price_of_approximation_low": low,
+            "price_of_approximation_high": high,
+        }

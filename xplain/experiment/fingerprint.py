@@ -1,0 +1,161 @@
+"""What a number depends on, as a digest: two jobs with one stamp give the same numbers.
+
+A stamp covers the resolved configuration, the sources of this package, the versions of the
+libraries that compute, the sources of every component plugged in from elsewhere with all that
+they import, and the content of every file that the configuration names. Results are taken for
+finished, and cached stages for valid, by their stamp alone, so it errs on the side of change.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import json
+import sys
+from collections.abc import Iterator
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from xplain.experiment.results import code_version
+
+LIBRARIES = ("numpy", "scipy", "scikit-learn", "kneed", "numba", "pandas", "pyarrow")
+"""Distributions whose version may change a number."""
+
+NOT_IN_NUMBERS = ("hydra", "outputs", "tracking", "sweeps", "resume")
+"""Keys of a configuration that cannot change a number."""
+
+_OWN = {"xplain", "numpy", "scipy", "sklearn", "kneed", "numba", "pandas", "pyarrow"}
+
+
+def configuration(cfg: DictConfig) -> dict[str, Any]:
+    """The resolved configuration, without what cannot change a number."""
+    return {
+        str(key): OmegaConf.to_container(cfg[key], resolve=True)
+        if OmegaConf.is_config(cfg[key])
+        else cfg[key]
+        for key in cfg
+        if key not in NOT_IN_NUMBERS
+    }
+
+
+def stamp(config: dict[str, Any]) -> str:
+    """The digest of a resolved configuration and of all that it makes run: 32 hex digits."""
+    content = {
+        "config": config,
+        "code": code_version(),
+        "libraries": library_versions(),
+        "components": component_code(config),
+        "files": {path: _digest(Path(path).read_bytes()) for path in sorted(_files(config))},
+    }
+    return _digest(json.dumps(content, sort_keys=True).encode())
+
+
+@cache
+def library_versions() -> dict[str, str]:
+    """Versions of Python and of LIBRARIES."""
+    versions = {"python": ".".join(map(str, sys.version_info[:2]))}
+    for name in LIBRARIES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            versions[name] = "none"
+    return versions
+
+
+def component_code(config: Any) -> dict[str, str]:
+    """``{top-level package: digest}`` of what ``_target_`` names outside this package, and of
+    what that imports, without running any of it.
+
+    An installed distribution counts by its list of files with their hashes; any other package
+    or module (a checkout, a script beside the experiment) by its sources.
+    """
+    found: dict[str, str] = {}
+    pending = sorted({target.partition(".")[0] for target in _targets(config)})
+    while pending:
+        name = pending.pop()
+        if name in found or name in _OWN or name in sys.stdlib_module_names:
+            continue
+        found[name], imported = _package(name)
+        pending += imported
+    return found
+
+
+def _targets(node: Any) -> Iterator[str]:
+    if isinstance(node, dict):
+        for key, value in node.items():
+            if key == "_target_" and isinstance(value, str):
+                yield value
+            else:
+                yield from _targets(value)
+    elif isinstance(node, list):
+        for value in node:
+            yield from _targets(value)
+
+
+def _files(node: Any) -> set[str]:
+    """Texts of the configuration that name a file."""
+    if isinstance(node, dict):
+        return set().union(*map(_files, node.values()))
+    if isinstance(node, list):
+        return set().union(*map(_files, node))
+    if not isinstance(node, str) or "\n" in node or not 0 < len(node) < 1000:
+        return set()
+    return {node} if Path(node).is_file() else set()
+
+
+@cache
+def _package(name: str) -> tuple[str, tuple[str, ...]]:
+    """Digest of a top-level package, and the top-level names that its sources import."""
+    for distribution in _distributions().get(name, ()):
+        record = metadata.distribution(distribution).read_text("RECORD") or ""
+        # An editable install lists no sources of its own: fall through to them.
+        if f"{name}/" in record or f"{name}.py" in record:
+            return _digest(record.encode()), ()
+    try:
+        spec = importlib.util.find_spec(name)
+    except (ImportError, ValueError):
+        spec = None
+    if spec is None:
+        return "missing", ()  # instantiating it will say so
+    if spec.submodule_search_locations:
+        roots = [Path(folder) for folder in spec.submodule_search_locations]
+        sources = sorted(path for root in roots for path in root.rglob("*.py"))
+    else:
+        sources = [Path(spec.origin)] if spec.origin and Path(spec.origin).is_file() else []
+    digest = hashlib.sha256()
+    imported: set[str] = set()
+    for path in sources:
+        text = path.read_bytes()
+        digest.update(path.name.encode() + b"\0" + text)
+        imported |= _imports(text)
+    return digest.hexdigest()[:32], tuple(sorted(imported))
+
+
+def _imports(source: bytes) -> set[str]:
+    """Top-level names that a source file imports absolutely."""
+    try:
+        tree = ast.parse(source)
+    except (SyntaxError, ValueError):
+        return set()
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            names.add(node.module.partition(".")[0])
+    return names
+
+
+@cache
+def _distributions() -> dict[str, list[str]]:
+    """Installed distributions by the top-level names that they bring (0.1 s: only on need)."""
+    return dict(metadata.packages_distributions())
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]

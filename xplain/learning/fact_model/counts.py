@@ -1,0 +1,33 @@
+"""What the kernels of :mod:`xplain.learning.fact_model.gibbs` share: counting labels by cell."""
+
+from __future__ import annotations
+
+from numba import njit
+
+REACH = 64
+"""Ones − zeros beyond which a cell's value is beyond doubt."""
+
+
+@njit(cache=True, nogil=True)
+def packed(subsets, z, mask):  # type: ignore[no-untyped-def]
+    """The bits of ``mask`` at the positions of subset z, packed."""
+    packed = 0
+    for i in range(subsets.shape[1]):
+        if subsets[z, i] < 0:
+            break
+        packed |= (mask >> subsets[z, i] & 1) << i
+    return packed
+
+
+@njit(cache=True, nogil=True)
+def table_row(ahead):  # type: ignore[no-untyped-def]
+    """Where ones − zeros is in the tables."""
+    return min(max(ahead, -REACH), REACH) + REACH
+
+
+@njit(cache=True, nogil=True)
+def count_in(first, last, tau, mended, label, facts, subsets, subset, count, sign):  # type: ignore[no-untyped-def]
+    """Counts the rows of an observer who holds ``facts`` wrong; sign −1 takes them back."""
+    for p in range(first, last):
+        t = tau[p]
+        count[t, packed(subsets, subset[t], facts) & ~mended[p], label[p]] += sign

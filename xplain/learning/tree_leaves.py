@@ -1,0 +1,106 @@
+"""What a decision tree says about whole families of message sets at once.
+
+A path of the tree fixes some message bits and leaves the others free: for a given transition the
+tree's leaves are disjoint *cubes* of message sets. Whatever must be known for all 2^n message
+sets is read off these cubes, without a prediction for each of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Cubes:
+    """The leaves that each transition can reach, C in all, ordered by transition.
+
+    A message set H reaches leaf c of its transition when ``H & ones[c] == ones[c]`` and
+    ``H & zeros[c] == 0``; for each transition exactly one leaf does.
+
+    Attributes:
+        transition: [C] int64 index of the transition.
+        ones: [C] int64, messages that must be given.
+        zeros: [C] int64, messages that must not be given.
+        leaf: [C] int64 node of the tree.
+    """
+
+    transition: NDArray[np.int64]
+    ones: NDArray[np.int64]
+    zeros: NDArray[np.int64]
+    leaf: NDArray[np.int64]
+
+    def table(self, value: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
+        """``value`` [nodes] of the leaf that each (transition, message set) reaches: [T, 2^n]."""
+        result = np.empty(shape)
+        _fill(self.transition, self.ones, self.zeros, value[self.leaf], result)
+        return result
+
+
+def cubes(tree: Any, features: NDArray[np.float64], n_messages: int) -> Cubes:
+    """The leaves that transitions can reach in a fitted tree (``DecisionTreeClassifier.tree_``).
+
+    Args:
+        tree: fitted on :func:`xplain.data.dataset.inputs`.
+        features: [T, F].
+        n_messages: n ≤ 62.
+    """
+    nodes = (tree.feature, tree.threshold, tree.children_left, tree.children_right)
+    # The tree compares single precision inputs with double precision thresholds.
+    single = np.ascontiguousarray(features, dtype=np.float32)
+    nothing = np.empty((4, 0), dtype=np.int64)
+    found = np.empty((4, _walk(*nodes, tree.max_depth, single, nothing)), dtype=np.int64)
+    _walk(*nodes, tree.max_depth, single, found)
+    return Cubes(*found)
+
+
+@njit(cache=True, nogil=True)
+def _walk(feature, threshold, left, right, max_depth, features, out):  # type: ignore[no-untyped-def]
+    """Counts the cubes; writes them where ``out`` [4, C] has room."""
+    room = out.shape[1]
+    width = features.shape[1]
+    stack = np.empty((max_depth + 2, 3), dtype=np.int64)
+    count = 0
+    for t in range(len(features)):
+        stack[0] = 0
+        top = 1
+        while top > 0:
+            top -= 1
+            node, ones, zeros = stack[top]
+            if left[node] < 0:
+                if count < room:
+                    out[0, count] = t
+                    out[1, count] = ones
+                    out[2, count] = zeros
+                    out[3, count] = node
+                count += 1
+            elif feature[node] < width:
+                below = features[t, feature[node]] <= threshold[node]
+                stack[top] = (left[node] if below else right[node]), ones, zeros
+                top += 1
+            else:
+                bit = np.int64(1) << (feature[node] - width)
+                if not ones & bit:
+                    stack[top] = left[node], ones, zeros | bit
+                    top += 1
+                if not zeros & bit:
+                    stack[top] = right[node], ones | bit, zeros
+                    top += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _fill(transition, ones, zeros, value, table):  # type: ignore[no-untyped-def]
+    everything = table.shape[1] - 1
+    for c in range(len(transition)):
+        free = everything & ~(ones[c] | zeros[c])
+        subset = free
+        while True:
+            table[transition[c], ones[c] | subset] = value[c]
+            if subset == 0:
+                break
+            subset = (subset - 1) & free

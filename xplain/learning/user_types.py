@@ -1,0 +1,97 @@
+"""User types as the explanation problem wants them: one labeler a cluster, and a prior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.data.dataset import Dataset, inputs
+from xplain.errors import InputError
+from xplain.learning.clustering import Clustering
+from xplain.learning.labelers import Labeler, LabelerTrainer
+from xplain.randomness import derived_seed
+
+
+@dataclass(frozen=True)
+class UserTypes:
+    """N learned user types.
+
+    Attributes:
+        labelers: N of them.
+        clustering: the observers' types they were learned from.
+        names: N, for people.
+        prior: [N] P(type) of the next user.
+    """
+
+    labelers: tuple[Labeler, ...]
+    clustering: Clustering
+    names: tuple[str, ...]
+    prior: NDArray[np.float64]
+
+    def p_explicable(self, features: NDArray[np.float64], n_messages: int) -> NDArray[np.float64]:
+        """P(label of transition [m, F] is 1 | type, message set): [N, m, 2^n]."""
+        return np.stack([labeler.table(features, n_messages) for labeler in self.labelers])
+
+
+def learn_types(
+    dataset: Dataset,
+    clustering: Clustering,
+    trainer: LabelerTrainer,
+    seed: int,
+    prior: Literal["share", "uniform"] = "share",
+    none_of_these: float = 0.0,
+) -> UserTypes:
+    """One labeler from the pooled labels of each cluster (paper, section 4.1).
+
+    Args:
+        dataset: the labels.
+        clustering: of its observers.
+        trainer: fits the labelers.
+        seed: of the run.
+        prior: ``share`` of the observers, or ``uniform``.
+        none_of_these: where positive, one more type for users unlike all others, with the prior
+            weight of so many observers (of one type where the prior is uniform, α in a Dirichlet
+            process). It labels at everybody's rate, whatever is shown and said.
+
+    Raises:
+        InputError: another prior, a negative weight.
+    """
+    n = clustering.n_types
+    if not none_of_these >= 0:
+        raise InputError("none_of_these", none_of_these, "a weight ≥ 0")
+    if prior not in ("share", "uniform"):
+        raise InputError("prior", prior, "share or uniform")
+    weight = np.bincount(clustering.assignment, minlength=n).astype(np.float64)
+    if prior == "uniform":
+        weight[:] = 1
+    labelers = [
+        trainer.fit(dataset.of(clustering.members(t)), derived_seed(seed, "type", t))
+        for t in range(n)
+    ]
+    names = [f"type_{t}" for t in range(n)]
+    if none_of_these > 0:
+        labelers.append(base_rate(dataset))
+        names.append("none of these")
+        weight = np.append(weight, none_of_these)
+    return UserTypes(tuple(labelers), clustering, tuple(names), weight / weight.sum())
+
+
+def base_rate(dataset: Dataset) -> Labeler:
+    """Says 1 with the probability with which a label of the dataset is 1, whatever is asked."""
+    from sklearn.tree import DecisionTreeClassifier
+
+    x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
+    # A tree that may not split; a labeler of shares reads its root.
+    root = DecisionTreeClassifier(min_samples_split=len(x) + 2).fit(x, dataset.label)
+    ones = int(dataset.label.sum())
+    return Labeler(
+        classifier=root,
+        n_messages=dataset.n_messages,
+        confidence=(max(ones, len(x) - ones) + 1) / (len(x) + 2),
+        accuracy=max(ones, len(x) - ones) / len(x),
+        n_train=0,
+        n_test=len(x),
+    )

@@ -1,0 +1,117 @@
+"""The researcher's page: who is where, which places are left, invitations, the data."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+import zipfile
+from pathlib import Path
+
+from flask import Blueprint, Response, make_response, redirect, render_template, request, url_for
+from werkzeug.wrappers import Response as AnyResponse
+
+from xplain.participants.server import forms
+from xplain.participants.server.participant_pages import context, error_page, set_cookie
+from xplain.participants.server.store import STREAMS
+from xplain.study.protocol import machine as protocol
+
+pages = Blueprint("researcher", __name__, url_prefix="/researcher")
+COOKIE, WHO = "researcher", "researcher"
+MOST_INVITATIONS = 500
+
+
+def _known() -> bool:
+    keys = context().keys
+    return keys.same(request.cookies.get(COOKIE, ""), keys.researcher_session)
+
+
+def _genuine() -> bool:
+    keys = context().keys
+    return _known() and keys.same(request.form.get("token", ""), keys.form(WHO))
+
+
+@pages.get("")
+def overview() -> AnyResponse:
+    """Everything at a glance, or the way in."""
+    return _overview([]) if _known() else make_response(render_template("login.html"))
+
+
+def _overview(invitations: list[str]) -> Response:
+    own = context()
+    own.store.time_out_stale()
+    people = own.store.query(
+        "SELECT participant.id, stream, json_extract(state, '$.stage') AS stage, "
+        "json_extract(state, '$.step') AS step, json_extract(state, '$.user_type') AS user_type, "
+        "json_extract(state, '$.condition') AS condition, entered, seen, over "
+        "FROM participant ORDER BY over, seen DESC LIMIT 500"
+    )
+    now = own.store.clock.wall()
+    slots = own.store.query(
+        "SELECT stream, user_type, condition, sum(used) AS completed, "
+        "sum(used = 0 AND holder IS NOT NULL) AS held, sum(holder IS NULL) AS free "
+        "FROM slot GROUP BY stream, user_type, condition ORDER BY stream, user_type, condition"
+    )
+    flow = own.store.query(
+        "SELECT stream, json_extract(state, '$.stage') AS stage, count(*) AS number "
+        "FROM participant GROUP BY 1, 2"
+    )
+    return make_response(
+        render_template(
+            "researcher.html",
+            token=own.keys.form(WHO),
+            people=people,
+            now=now,
+            slots=slots,
+            stages=(*protocol.STAGES, *protocol.ENDS),
+            flow={(row["stream"], row["stage"]): row["number"] for row in flow},
+            streams=[name for name in STREAMS if any(row["stream"] == name for row in flow)],
+            roles=own.study.plan.roles,
+            entrance=url_for("entrance", _external=True),
+            invitations=invitations,
+            plan_hash=own.study.plan.hash,
+        )
+    )
+
+
+@pages.post("/login")
+def login() -> AnyResponse:
+    """Trades the token for a cookie."""
+    keys = context().keys
+    if not keys.same(request.form.get("key", ""), keys.researcher):
+        return error_page(403, "This is not the researcher's key. The server prints it at start.")
+    response = redirect(url_for("researcher.overview"), 303)
+    set_cookie(response, COOKIE, keys.researcher_session, "Strict")
+    return response
+
+
+@pages.post("/invitations")
+def invitations() -> AnyResponse:
+    """Makes invitations and shows them, once."""
+    if not _genuine():
+        return error_page(403, "Please log in first.")
+    count, stream = forms.small(request.form.get("count", "")), request.form.get("stream", "")
+    if not count or count > MOST_INVITATIONS or stream not in STREAMS:
+        return error_page(400, f"1 to {MOST_INVITATIONS} invitations: {', '.join(STREAMS)}.")
+    return _overview(context().store.invite(count, stream))
+
+
+@pages.post("/export")
+def export() -> AnyResponse:
+    """All data as one archive, made from a snapshot."""
+    if not _genuine():
+        return error_page(403, "Please log in first.")
+    from xplain.study.analysis.export import export as write
+
+    archive = io.BytesIO()
+    with tempfile.TemporaryDirectory() as folder:
+        snapshot = Path(folder) / "snapshot.sqlite"
+        context().store.snapshot(snapshot)
+        tables = Path(folder) / "tables"
+        write(snapshot, tables)
+        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as out:
+            for file in sorted([snapshot, *tables.iterdir()]):
+                out.write(file, f"study/{file.name}")
+    response = make_response(archive.getvalue())
+    response.headers["Content-Type"] = "application/zip"
+    response.headers["Content-Disposition"] = "attachment; filename=study.zip"
+    return response

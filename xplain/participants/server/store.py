@@ -1,0 +1,321 @@
+"""The study's memory of its participants.
+
+Every change happens in one transaction: the event, the participant's state, the slot, the policy's
+step. An event that comes twice is stored once.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from xplain.errors import InputError
+from xplain.participants.server import slots
+from xplain.participants.server.database import Clock, Database, Do
+from xplain.study.protocol import machine as protocol
+from xplain.study.protocol.machine import Refused, State
+from xplain.study.protocol.plan import Study
+
+STREAMS = ("person", "pilot", "bot")
+MAX_TAB_EVENTS = 5000
+"""Events of a participant's pages that are kept; a study page makes a few dozen."""
+
+
+class Unknown(Exception):
+    """No such participant, invitation or key."""
+
+
+@dataclass(frozen=True)
+class Participant:
+    """A participant as the pages need it."""
+
+    id: str
+    stream: str
+    state: State
+    code: str
+
+
+class Store(Database):
+    """Everything the server knows. Safe to call from several threads."""
+
+    def __init__(self, path: Path, study: Study, clock: Clock | None = None) -> None:
+        """Opens or creates the database.
+
+        Raises:
+            XplainError: another process has it open, it belongs to another plan, or it is broken.
+        """
+        super().__init__(path)
+        self.study, self.clock = study, clock or Clock()
+        plan = study.plan
+        try:
+            with self.transaction() as do:
+                row = do("SELECT value FROM meta WHERE key = 'plan'").fetchone()
+                if row is None:
+                    do("INSERT INTO meta VALUES ('plan', ?)", (plan.text,))
+                    do("INSERT INTO meta VALUES ('plan_hash', ?)", (plan.hash,))
+                    for block in range(plan.rules.per_cell):
+                        slots.add_block(do, plan, "person", block)
+                elif row[0] != plan.text:
+                    raise InputError("database", str(path), "belongs to another study plan")
+        except BaseException:
+            self.close()
+            raise
+
+    # Entry -------------------------------------------------------------------------------------
+
+    def invite(self, count: int, stream_name: str) -> list[str]:
+        """New invitation tokens, shown once: only their keyed hashes are stored."""
+        if stream_name not in STREAMS:
+            raise InputError("stream", stream_name, ", ".join(STREAMS))
+        tokens = [secrets.token_urlsafe(12) for _ in range(count)]
+        with self.transaction() as do:
+            for token in tokens:
+                do(
+                    "INSERT INTO invitation VALUES (?, ?, NULL)",
+                    (self.keyed("token", token), stream_name),
+                )
+        return tokens
+
+    def enter_invited(self, token: str) -> str:
+        """The participant of an invitation, made at its first use.
+
+        Raises:
+            Unknown: no such token.
+        """
+        hashed = self.keyed("token", token)
+        with self.transaction() as do:
+            row = do("SELECT * FROM invitation WHERE token = ?", (hashed,)).fetchone()
+            if row is None:
+                raise Unknown
+            if row["participant"]:
+                return self._resume(do, row["participant"])
+            who = self._enter(do, row["stream"], "invitation", None, None, {})
+            do("UPDATE invitation SET participant = ? WHERE token = ?", (who, hashed))
+            return who
+
+    def enter_prolific(self, person: str, study: str, session: str, keep: bool) -> str:
+        """The participant of a recruiting platform's ids, made at their first use.
+
+        Raises:
+            Unknown: this person came before, in another session.
+        """
+        external, hashed = (
+            self.keyed("prolific", person, study),
+            self.keyed("session", session),
+        )
+        with self.transaction() as do:
+            row = do("SELECT * FROM participant WHERE external = ?", (external,)).fetchone()
+            if row is None:
+                ids = {"PROLIFIC_PID": person, "STUDY_ID": study, "SESSION_ID": session}
+                return self._enter(do, "person", "prolific", external, hashed, ids if keep else {})
+            if row["session"] != hashed:
+                raise Unknown
+            return self._resume(do, row["id"])
+
+    def enter_open(self) -> str:
+        """A new participant without an invitation, where the config allows it."""
+        with self.transaction() as do:
+            return self._enter(do, "pilot", "open", None, None, {})
+
+    def _enter(
+        self,
+        do: Do,
+        stream_name: str,
+        entry: str,
+        external: str | None,
+        session: str | None,
+        kept: Mapping[str, str],
+    ) -> str:
+        who, now = secrets.token_hex(8), self.clock.wall()
+        code = secrets.token_hex(4).upper()
+        do(
+            "INSERT INTO participant VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, 0, ?, ?)",
+            (
+                who,
+                stream_name,
+                entry,
+                external,
+                session,
+                json.dumps(kept),
+                now,
+                now,
+                State().text,
+                code,
+            ),
+        )
+        self._record(do, who, "server", None, "enter", {"entry": entry})
+        return who
+
+    def _resume(self, do: Do, who: str) -> str:
+        self._record(do, who, "server", None, "resume", {})
+        return who
+
+    # The participant's way ---------------------------------------------------------------------
+
+    def participant(self, who: str) -> Participant:
+        """Raises Unknown."""
+        rows = self.query("SELECT id, stream, state, code FROM participant WHERE id = ?", (who,))
+        if not rows:
+            raise Unknown
+        (row,) = rows
+        return Participant(row["id"], row["stream"], State.from_text(row["state"]), row["code"])
+
+    def submit(
+        self,
+        who: str,
+        sequence: int,
+        kind: str,
+        payload: Mapping[str, Any],
+        browser: float | None = None,
+    ) -> State:
+        """Accepts an answer, once.
+
+        Args:
+            who: the participant.
+            sequence: of the answer, ``state.accepted`` of the page that it was given on. A
+                smaller number was accepted before: nothing happens.
+            kind, payload: for the protocol.
+            browser: the page's ``performance.now``, ms.
+
+        Returns:
+            The state to go on with; on the disk when this returns.
+
+        Raises:
+            Unknown, Refused.
+        """
+        with self.transaction() as do:
+            row = do("SELECT * FROM participant WHERE id = ?", (who,)).fetchone()
+            if row is None:
+                raise Unknown
+            state = State.from_text(row["state"])
+            if sequence < state.accepted:
+                return state
+            if sequence > state.accepted:
+                raise Refused("This page is not yours to answer yet.")
+            if state.over:
+                return state
+            if kind == "consent" and payload.get("agree"):
+                self._time_out_stale(do)
+                payload = {**payload, **slots.reserve(do, self.study.plan, row)}
+            return self._accept(do, who, state, kind, payload, browser)
+
+    def _accept(
+        self,
+        do: Do,
+        who: str,
+        state: State,
+        kind: str,
+        payload: Mapping[str, Any],
+        browser: float | None,
+    ) -> State:
+        outcome = protocol.advance(self.study, state, kind, payload)
+        after = outcome.state
+        self._record(do, who, "protocol", state.accepted, kind, payload, browser)
+        if answer := outcome.answer:
+            do(
+                "UPDATE step SET labels = ?, belief_after = ? WHERE participant = ? AND k = ?",
+                (json.dumps(answer.labels), json.dumps(answer.belief), who, answer.step),
+            )
+        if decision := outcome.decision:
+            do(
+                "INSERT INTO step VALUES (?, ?, ?, ?, ?, ?, NULL, NULL)",
+                (
+                    who,
+                    decision.step,
+                    json.dumps(decision.belief),
+                    decision.given,
+                    decision.messages,
+                    json.dumps({str(mask): v for mask, v in decision.values.items()}),
+                ),
+            )
+        do(
+            "UPDATE participant SET state = ?, over = ? WHERE id = ?",
+            (after.text, after.over, who),
+        )
+        if after.over:
+            slots.settle(do, who, after.stage)
+        return after
+
+    def shown(self, who: str, sequence: int, stage: str) -> None:
+        """Notes that a page was rendered for the first time."""
+        # Most repeats are reloads; they need no transaction.
+        known = self.query(
+            "SELECT 1 FROM event WHERE participant = ? AND source = 'shown' "
+            "AND source_sequence = ?",
+            (who, sequence),
+        )
+        if not known:
+            with self.transaction() as do:
+                self._record(do, who, "shown", sequence, "shown", {"stage": stage})
+
+    def from_tab(
+        self, who: str, tab: str, items: Sequence[tuple[int, str, float, dict[str, Any]]]
+    ) -> None:
+        """Keeps a page's own events (number, kind, ms, payload); repeats are dropped.
+
+        Raises:
+            Unknown, Refused: too many.
+        """
+        with self.transaction() as do:
+            row = do(
+                "SELECT count(*) AS c, (SELECT id FROM participant WHERE id = ?) AS id FROM event "
+                "WHERE participant = ? AND source LIKE 'tab:%'",
+                (who, who),
+            ).fetchone()
+            if row["id"] is None:
+                raise Unknown
+            if row["c"] + len(items) > MAX_TAB_EVENTS:
+                raise Refused("Too many events from this page.")
+            for number, kind, browser, payload in items:
+                self._record(do, who, f"tab:{tab}", number, kind, payload, browser)
+
+    def _record(
+        self,
+        do: Do,
+        who: str,
+        source: str,
+        source_sequence: int | None,
+        kind: str,
+        payload: Mapping[str, Any],
+        browser: float | None = None,
+    ) -> None:
+        """Appends an event unless its source sent it before; ``None`` numbers it here."""
+        (sequence,) = do(
+            "SELECT coalesce(max(sequence) + 1, 0) FROM event WHERE participant = ?", (who,)
+        ).fetchone()
+        now = self.clock.wall()
+        do(
+            "INSERT INTO event VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) "
+            "ON CONFLICT (participant, source, source_sequence) DO NOTHING",
+            (
+                who,
+                sequence,
+                source,
+                sequence if source_sequence is None else source_sequence,
+                kind,
+                now,
+                self.clock.monotonic(),
+                self.clock.boot,
+                browser,
+                json.dumps(payload, sort_keys=True),
+            ),
+        )
+        do("UPDATE participant SET seen = ? WHERE id = ?", (now, who))
+
+    def time_out_stale(self) -> int:
+        """Ends the part of everybody silent for too long; returns how many."""
+        with self.transaction() as do:
+            return self._time_out_stale(do)
+
+    def _time_out_stale(self, do: Do) -> int:
+        limit = self.clock.wall() - 60 * self.study.plan.rules.timeout_minutes
+        stale = do(
+            "SELECT id, state FROM participant WHERE over = 0 AND seen < ?", (limit,)
+        ).fetchall()
+        for row in stale:
+            self._accept(do, row["id"], State.from_text(row["state"]), "time_out", {}, None)
+        return len(stale)

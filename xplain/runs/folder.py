@@ -1,0 +1,174 @@
+"""A sweep on disk: what its jobs are, and how far each one is.
+
+The folder is the truth. Each job has a folder of its own below ``jobs/``; where ``results.json``
+is, the job is finished; ``failure.json`` says why it failed; ``started.json`` that a worker took
+it. All three are written whole or not at all, so a kill at any moment leaves one of these states.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import socket
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from xplain.experiment.results import RESULTS, load_results, write_atomically
+from xplain.runs.plan import Job, Plan
+
+SWEEP = "sweep.json"
+FAILURE = "failure.json"
+STARTED = "started.json"
+
+State = Literal["waiting", "running", "finished", "failed"]
+
+
+@dataclass(frozen=True)
+class SweepFolder:
+    """The folder of one sweep."""
+
+    path: Path
+
+    @property
+    def identity(self) -> str:
+        """Name and digest of the sweep."""
+        return self.path.name
+
+    @contextmanager
+    def alone(self, waiting: str) -> Iterator[None]:
+        """Holds the sweep's lock; tells ``waiting`` when another process has it."""
+        import logging
+
+        from filelock import FileLock, Timeout
+
+        self.path.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(self.path / "sweep.lock")
+        try:
+            lock.acquire(timeout=1)
+        except Timeout:
+            logging.getLogger(__name__).info(waiting)
+            lock.acquire()
+        try:
+            yield
+        finally:
+            lock.release()
+
+    def save(self, plan: Plan, about: dict[str, Any]) -> None:
+        """Writes down what the sweep is (once: the first command stays the one on record)."""
+        if not (self.path / SWEEP).exists():
+            content = {"name": plan.name, **about, "jobs": [asdict(job) for job in plan.jobs]}
+            write_atomically(self.path / SWEEP, json.dumps(content, indent=1) + "\n")
+
+    def load(self) -> dict[str, Any]:
+        """What :meth:`save` wrote.
+
+        Raises:
+            OSError, ValueError: this is no sweep's folder.
+        """
+        content: dict[str, Any] = json.loads((self.path / SWEEP).read_text(encoding="utf-8"))
+        return content
+
+    def jobs(self) -> tuple[Job, ...]:
+        """The jobs, in order."""
+        return tuple(
+            Job(**{**job, "overrides": tuple(job["overrides"])}) for job in self.load()["jobs"]
+        )
+
+    def of(self, job: Job) -> Path:
+        """The job's own folder."""
+        return self.path / "jobs" / job.name
+
+    def state(self, job: Job) -> State:
+        """How far the job is."""
+        folder = self.of(job)
+        if (folder / RESULTS).exists():
+            return "finished"
+        if (folder / FAILURE).exists():
+            return "failed"
+        return "running" if (folder / STARTED).exists() else "waiting"
+
+    def trust(self, job: Job) -> State:
+        """The state, after reading the results: those of another stamp, or unreadable ones,
+        are removed."""
+        folder = self.of(job)
+        if self.state(job) == "finished":
+            try:
+                if load_results(folder).get("stamp") == job.stamp:
+                    return "finished"
+            except ValueError:
+                pass
+            self.clear(job)
+        return self.state(job)
+
+    def worker(self, job: Job) -> str:
+        """Host and number of the process that ran the job."""
+        return (self.of(job) / STARTED).read_text(encoding="utf-8")
+
+    def failure(self, job: Job) -> dict[str, str]:
+        """Error and traceback of a failed job."""
+        content: dict[str, str] = json.loads((self.of(job) / FAILURE).read_text(encoding="utf-8"))
+        return content
+
+    def clear(self, job: Job) -> None:
+        """Forgets all that the job left."""
+        shutil.rmtree(self.of(job), ignore_errors=True)
+
+
+@dataclass(frozen=True)
+class JobOfSweep:
+    """What a job's process needs to know of its sweep."""
+
+    label: str
+    stamp: str
+    result: str
+
+
+def job_of(folder: Path) -> JobOfSweep | None:
+    """The job whose folder this is; None for a run on its own."""
+    if folder.parent.name != "jobs" or not (folder.parents[1] / SWEEP).exists():
+        return None
+    sweep = SweepFolder(folder.parents[1])
+    for job in sweep.jobs():
+        if job.name == folder.name:
+            return JobOfSweep(job.label, job.stamp, result_id(sweep.identity, job))
+    return None
+
+
+def result_id(identity: str, job: Job) -> str:
+    """What the job's result is called in MLflow."""
+    return hashlib.sha256(f"{identity} {job.stamp}".encode()).hexdigest()[:32]
+
+
+def mark_started(folder: Path) -> None:
+    """This process took the job."""
+    write_atomically(folder / STARTED, json.dumps(_here()) + "\n")
+
+
+def is_ours(folder: Path) -> bool:
+    """Whether no other process took the job since: the worker of a sweep that was killed may
+    live on while the job runs anew."""
+    try:
+        return bool(json.loads((folder / STARTED).read_text(encoding="utf-8")) == _here())
+    except (OSError, ValueError):
+        return False
+
+
+def _here() -> dict[str, Any]:
+    return {"host": socket.gethostname(), "pid": os.getpid()}
+
+
+def mark_failed(folder: Path, error: BaseException) -> None:
+    """The job raised."""
+    text = " ".join(str(error).split()) or "no message"
+    content = {
+        "error": f"{type(error).__name__}: {text}",
+        "traceback": "".join(traceback.format_exception(error)),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / FAILURE, json.dumps(content, indent=1) + "\n")

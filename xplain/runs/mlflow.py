@@ -1,0 +1,303 @@
+"""Runs in MLflow (SPEC §7): made from a run's folder on disk, so they can be sent later as well.
+
+MLflow is imported when it is used: it takes a second.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import getpass
+import logging
+import os
+import shutil
+import socket
+import sqlite3
+import tempfile
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from xplain.experiment.results import load_results
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+log = logging.getLogger(__name__)
+
+PROCESS_TAG = "xplain.process"
+"""Tag that holds the process which keeps a run: host, pid, its start."""
+
+RESULT_TAG = "xplain.result"
+"""Tag that holds a result's identity; a result is in MLflow once, however often it is sent."""
+
+
+@dataclass(frozen=True)
+class Disk:
+    """Tracks nothing: results stay on disk."""
+
+    def log(self, folder: Path, outputs: Path, parent: str | None = None) -> str | None:
+        """Does nothing."""
+        return None
+
+
+@dataclass(frozen=True)
+class MLflow:
+    """Logs each job as one MLflow run.
+
+    Attributes:
+        uri: of the tracking server or database; None is an SQLite file in the outputs folder.
+        experiment: name of the MLflow experiment.
+    """
+
+    uri: str | None = None
+    experiment: str = "xplain"
+
+    def tracking_uri(self, outputs: Path) -> str:
+        """Where runs go."""
+        return self.uri or f"sqlite:///{outputs.resolve() / 'mlflow.db'}"
+
+    def log(self, folder: Path, outputs: Path, parent: str | None = None) -> str | None:
+        """Sends the results in ``folder``; a result that is there already is not sent again.
+
+        A failure costs nothing but a warning: the results are on disk.
+
+        Args:
+            folder: of a finished run.
+            outputs: where the database is.
+            parent: run id of a sweep.
+
+        Returns:
+            The run's id; None when MLflow could not take it.
+        """
+        try:
+            with self.client(outputs) as (client, experiment_id):
+                return log_folder(client, experiment_id, folder, parent)
+        except Exception as error:  # MLflow raises what SQLAlchemy, requests, the OS do
+            reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+            log.warning(
+                "MLflow did not take this run (%s). The results are safe in %s; send them later "
+                "with: python -m xplain.cli.sync %s",
+                reason[:200],
+                folder,
+                folder,
+            )
+            log.debug("MLflow failed", exc_info=True)
+            return None
+
+    @contextlib.contextmanager
+    def client(self, outputs: Path) -> Iterator[tuple[MlflowClient, str]]:
+        """A client, and the id of the experiment (made when missing).
+
+        Raises:
+            OSError, MlflowException: the store cannot be reached.
+        """
+        uri = self.tracking_uri(outputs)
+        _refuse_unusable(uri)
+        # A person waits for this; the defaults would retry for minutes.
+        os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
+        os.environ.setdefault("MLFLOW_HTTP_REQUEST_TIMEOUT", "20")
+        from filelock import FileLock
+        from mlflow import MlflowClient
+        from mlflow.exceptions import MlflowException
+
+        # After the import, which configures these loggers.
+        logging.getLogger("mlflow").setLevel(logging.CRITICAL)
+        logging.getLogger("alembic").setLevel(logging.ERROR)
+        outputs.mkdir(parents=True, exist_ok=True)
+        # Two processes that create the database at once break it for good.
+        with FileLock(outputs / "mlflow.lock"):
+            _create_whole(uri)
+            client = MlflowClient(tracking_uri=uri)
+            found = client.get_experiment_by_name(self.experiment)
+            if found is None:
+                artifacts = (outputs.resolve() / "artifacts").as_uri()
+                location = None if uri.startswith("http") else artifacts
+                try:
+                    experiment_id = client.create_experiment(self.experiment, location)
+                except MlflowException:
+                    # Another machine was faster; the lock covers this one only.
+                    found = client.get_experiment_by_name(self.experiment)
+                    if found is None:
+                        raise
+                    experiment_id = found.experiment_id
+            else:
+                experiment_id = found.experiment_id
+        yield client, experiment_id
+
+
+def _create_whole(uri: str) -> None:
+    """Creates an SQLite database that is not there, all of it or nothing: one whose creation
+    was cut short cannot be used, nor mended."""
+    path = Path(uri.removeprefix("sqlite:///"))
+    if not uri.startswith("sqlite:///") or path.exists():
+        return
+    from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
+
+    for left in path.parent.glob(".mlflow.*"):
+        shutil.rmtree(left, ignore_errors=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".mlflow.") as folder:
+        new = Path(folder) / path.name
+        artifacts = (path.parent.resolve() / "artifacts").as_uri()
+        SqlAlchemyStore(f"sqlite:///{new}", artifacts).engine.dispose()
+        os.replace(new, path)
+
+
+def log_folder(
+    client: MlflowClient, experiment_id: str, folder: Path, parent: str | None = None
+) -> str:
+    """Logs the results in a folder as one finished run; returns its id."""
+    results = load_results(folder)
+    for run in client.search_runs(
+        [experiment_id], f"tags.`{RESULT_TAG}` = '{results['id']}'", max_results=10
+    ):
+        if run.info.status == "FINISHED":
+            return str(run.info.run_id)
+        client.delete_run(run.info.run_id)  # a sender died half-way
+    tags = {RESULT_TAG: results["id"], **source_tags(results["git"]), **process_tag()}
+    if parent is not None:
+        tags["mlflow.parentRunId"] = parent
+    start = int(1000 * results["started"])
+    run_id = str(client.create_run(experiment_id, start, tags, results["name"]).info.run_id)
+    fill(client, run_id, folder, results)
+    return run_id
+
+
+def fill(client: MlflowClient, run_id: str, folder: Path, results: dict[str, Any]) -> None:
+    """Logs all of a result into its run and marks it finished; doing it twice changes nothing."""
+    from mlflow.entities import Metric, Param, RunTag
+
+    end = int(1000 * (results["started"] + sum(results["seconds"].values())))
+    metrics = [Metric(name, value, end, 0) for name, value in _scalars(results).items()]
+    for name, series in results["steps"].items():
+        metrics += [Metric(f"step/{name}", value, end, step) for step, value in enumerate(series)]
+    for k, value in enumerate(results["elbow"]["disagreements"], start=1):
+        metrics.append(Metric("disagreements", value, end, k))
+    params = [Param(key, str(value)[:6000]) for key, value in _params(results).items()]
+    tags = {
+        "xplain.code": results["code"],
+        "xplain.folder": str(folder),
+        "xplain.rule": results["elbow"]["rule"],
+    }
+    client.log_batch(run_id, metrics, params, [RunTag(*tag) for tag in tags.items()])
+    for path in sorted(folder.iterdir()):
+        if path.is_file() and not path.name.startswith("."):
+            client.log_artifact(run_id, str(path))
+    client.set_terminated(run_id, "FINISHED", end)
+
+
+def source_tags(git: dict[str, str]) -> dict[str, str]:
+    """Who ran what; the client sets none of these by itself."""
+    tags = {
+        "mlflow.user": _user(),
+        "mlflow.source.name": "python -m xplain",
+        "mlflow.source.type": "LOCAL",
+    }
+    if git:
+        tags |= {"mlflow.source.git.commit": git["commit"], "git.dirty": git["dirty"]}
+    return tags
+
+
+def process_tag() -> dict[str, str]:
+    """Which process keeps a run; :func:`retire` ends the runs of processes that died."""
+    return {PROCESS_TAG: f"{socket.gethostname()} {os.getpid()} {_birth(os.getpid())}"}
+
+
+def retire(client: MlflowClient, experiment_id: str) -> int:
+    """Marks the running runs of this host's dead processes as killed; returns how many."""
+    killed = 0
+    for run in all_runs(client, experiment_id, "attributes.status = 'RUNNING'"):
+        host, pid, birth = [*run.data.tags.get(PROCESS_TAG, "").split(" "), "", "", ""][:3]
+        if host == socket.gethostname() and pid.isdigit() and _birth(int(pid)) != birth:
+            client.set_terminated(run.info.run_id, "KILLED")
+            killed += 1
+    return killed
+
+
+def all_runs(client: MlflowClient, experiment_id: str, condition: str) -> Iterator[Any]:
+    """Every run of a search, page after page."""
+    token = None
+    while True:
+        page = client.search_runs([experiment_id], condition, max_results=500, page_token=token)
+        yield from page
+        token = page.token
+        if not token:
+            return
+
+
+def _birth(pid: int) -> str:
+    """When a process began, so that its number used again is not taken for it; "" if it is
+    gone, "0" where the system does not tell."""
+    try:
+        after_name = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2]
+        state, birth = after_name.split()[0], after_name.split()[19]
+        return "" if state == "Z" else birth
+    except OSError:
+        pass
+    if Path("/proc/self/stat").exists():
+        return ""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return ""
+    except OSError:
+        pass
+    return "0"
+
+
+def _scalars(results: dict[str, Any]) -> dict[str, float]:
+    """Figures that make one number each: means, ends of intervals, learning, bounds, times."""
+    flat: dict[str, float] = {}
+    for name, estimate in results["metrics"].items():
+        flat[name] = estimate["mean"]
+        for end in ("low", "high"):
+            if estimate[end] is not None:
+                flat[f"{name}.{end}"] = estimate[end]
+    flat |= {f"learning/{name}": value for name, value in results["learning"].items()}
+    flat |= {f"bounds/{name}": value for name, value in results["bounds"].items()}
+    flat |= {f"seconds/{name}": value for name, value in results["seconds"].items()}
+    return flat
+
+
+def _params(results: dict[str, Any]) -> dict[str, Any]:
+    """The choices by group (``solver = pomcp``) and every key (``solver.simulations = 2000``)."""
+    return {**results["choices"], **_flatten(results["config"])}
+
+
+def _flatten(node: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in node.items():
+        if isinstance(value, dict):
+            flat |= _flatten(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "unknown"
+
+
+def _refuse_unusable(uri: str) -> None:
+    """Raises within seconds, where MLflow would retry for long, when a server does not answer or
+    another process holds the database."""
+    if uri.startswith(("http://", "https://")):
+        try:
+            urllib.request.urlopen(uri.rstrip("/") + "/health", timeout=5).close()
+        except urllib.error.HTTPError:
+            pass  # it answers; some proxies have no such page
+        except (urllib.error.URLError, TimeoutError) as error:
+            reason = getattr(error, "reason", error)
+            raise OSError(f"{uri} is out of reach: {reason}") from error
+    elif uri.startswith("sqlite:///") and Path(uri.removeprefix("sqlite:///")).exists():
+        connection = sqlite3.connect(
+            uri.removeprefix("sqlite:///"), timeout=10, isolation_level=None
+        )
+        with contextlib.closing(connection):
+            connection.execute("BEGIN IMMEDIATE")
+            connection.execute("ROLLBACK")

@@ -1,0 +1,175 @@
+"""Which jobs a sweep consists of, and what each is known by."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+
+from xplain.errors import InputError
+
+Compose = Callable[[list[str]], dict[str, Any]]
+"""From overrides to the resolved configuration of a job."""
+
+GROUPS = ("domain", "users", "observers", "labeler", "clusterer", "solver", "belief")
+"""Groups whose choice says what it is without its key."""
+
+_LAST = ("solver", "lambda", "seed")
+"""Keys that end a job's name, so that names sort by setting."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run of a sweep.
+
+    Attributes:
+        name: of its folder; what tells it from the sweep's other jobs.
+        label: the same for people, in MLflow and in messages.
+        overrides: what Hydra makes its configuration from.
+        values: the swept keys and their values, as text.
+        stamp: digest of all that its numbers depend on (:mod:`xplain.experiment.fingerprint`).
+        source: digest of all that its data, types and traces depend on.
+    """
+
+    name: str
+    label: str
+    overrides: tuple[str, ...]
+    values: dict[str, str]
+    stamp: str
+    source: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A sweep: its jobs in the order of their names' keys, and an identity made of them."""
+
+    name: str
+    jobs: tuple[Job, ...]
+
+    @property
+    def identity(self) -> str:
+        """Name and digest: the same jobs by the same code are the same sweep."""
+        content = json.dumps([[job.name, job.stamp] for job in self.jobs])
+        return f"{self.name}-{hashlib.sha256(content.encode()).hexdigest()[:10]}"
+
+
+def make_plan(
+    name: str,
+    settings: list[dict[str, Any]],
+    arguments: list[str],
+    compose: Compose,
+    stamps: Callable[[dict[str, Any]], tuple[str, str]],
+) -> Plan:
+    """Composes every job, so that a mistake shows before the first one starts.
+
+    Args:
+        name: of the sweep.
+        settings: mappings of keys to values, swept (``choice``, ``range``, commas) or single;
+            each gives the product of its values.
+        arguments: overrides from the command line. One whose key tells settings apart chooses
+            among them; any other replaces the settings' own.
+        compose: makes a job's configuration.
+        stamps: from a configuration to (stamp, source).
+
+    Raises:
+        InputError: a kind of sweep without a finite list of values, or no job is left.
+    """
+    given = _parse(arguments)
+    apart = [key for key in given if len({str(setting.get(key)) for setting in settings}) > 1]
+    chosen: dict[tuple[str, ...], dict[str, str]] = {}
+    for setting in settings:
+        own = _parse([f"{key}={_text(value)}" for key, value in setting.items()])
+        merged = own | {key: values for key, values in given.items() if key not in apart}
+        for combination in itertools.product(*merged.values()):
+            values = dict(zip(merged, combination, strict=True))
+            if all(values.get(key) in given[key] for key in apart):
+                chosen[tuple(f"{key}={value}" for key, value in values.items())] = values
+    if not chosen:
+        has = "; ".join(
+            " ".join(f"{key}={_text(setting[key])}" for key in apart if key in setting) or "none"
+            for setting in settings
+        )
+        asked = ",".join(given[apart[0]])
+        raise InputError(apart[0], asked, f"values of one of the sweep's settings: {has}")
+    swept = _swept(list(chosen.values()))
+    jobs: dict[str, Job] = {}
+    names: set[str] = set()
+    for overrides, values in chosen.items():
+        stamp, source = stamps(compose(list(overrides)))
+        if stamp in jobs:
+            continue
+        shown = {key: values[key] for key in swept if key in values}
+        folder = _folder(shown)
+        if folder in names:
+            folder = f"{folder[:100]},{stamp[:8]}"
+        names.add(folder)
+        jobs[stamp] = Job(folder, _label(shown), overrides, shown, stamp, source)
+    return Plan(name, tuple(jobs.values()))
+
+
+def in_launch_order(jobs: Iterable[Job]) -> list[Job]:
+    """Jobs that share a source wait for the first of them: begin with one of each source."""
+    seen: dict[str, int] = {}
+    order = []
+    for position, job in enumerate(jobs):
+        turn = seen[job.source] = seen.get(job.source, -1) + 1
+        order.append((turn, position, job))
+    return [job for _, _, job in sorted(order, key=lambda item: item[:2])]
+
+
+def _parse(overrides: list[str]) -> dict[str, list[str]]:
+    """``{key: values}`` of overrides, in their order."""
+    parsed: dict[str, list[str]] = {}
+    for override in OverridesParser.create().parse_overrides(overrides):
+        key = override.get_key_element()
+        if not override.is_sweep_override():
+            parsed[key] = [override.get_value_element_as_str()]
+        elif override.is_discrete_sweep():
+            parsed[key] = [str(value) for value in override.sweep_string_iterator()]
+        else:
+            raise InputError(key, _value(override), "a list, choice(...) or range(...)")
+    return parsed
+
+
+def _value(override: Override) -> str:
+    return (override.input_line or "").partition("=")[2]
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return ",".join(map(_text, value))
+    if isinstance(value, bool) or value is None:
+        return json.dumps(value)
+    return str(value)
+
+
+def _swept(jobs: list[dict[str, str]]) -> list[str]:
+    """Keys with more than one value, or that some jobs lack: settings, solver, λ, seed."""
+    keys = list(dict.fromkeys(key for values in jobs for key in values))
+    varying = [key for key in keys if len({values.get(key) for values in jobs}) > 1]
+    varying = varying or [key for key in ("domain", "solver", "lambda") if key in keys]
+    return sorted(varying, key=lambda key: _LAST.index(key) if key in _LAST else -1)
+
+
+def _folder(values: dict[str, str]) -> str:
+    text = ",".join(f"{key}={value}" for key, value in values.items()) or "only"
+    return re.sub(r"[^\w.=,+-]", "_", text)[:120]
+
+
+def _label(values: dict[str, str]) -> str:
+    words = []
+    for key, value in values.items():
+        if key in GROUPS:
+            words.append(value)
+        elif key == "lambda":
+            words.append(f"λ={value}")
+        else:
+            words.append(f"{key.rpartition('.')[2]}={value}")
+    return " ".join(words) or "only job"

@@ -1,0 +1,313 @@
+"""Runs a sweep: what is missing, on the chosen launcher, to a clean end whatever happens."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from hydra.core.plugins import Plugins
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, TaskFunction
+from hydra.utils import instantiate
+from omegaconf import DictConfig, open_dict
+from rich.console import Console
+from rich.style import Style
+
+from xplain.errors import InputError
+from xplain.experiment import results as storage
+from xplain.experiment.cache import source_stamp
+from xplain.experiment.fingerprint import configuration, stamp
+from xplain.report.summary import Summary
+from xplain.runs.folder import SweepFolder, mark_failed
+from xplain.runs.mlflow_mirror import mirror_of
+from xplain.runs.plan import Job, Plan, in_launch_order, make_plan
+from xplain.runs.progress import Watch, duration
+
+log = logging.getLogger(__name__)
+
+RESUME = ("missing", "failed", "none")
+
+
+def run_sweep(
+    context: HydraContext,
+    task: TaskFunction,
+    config: DictConfig,
+    settings: list[dict[str, Any]],
+    arguments: list[str],
+) -> None:
+    """Plans the sweep, runs the jobs that are missing, reports.
+
+    Args:
+        context, task, config: of Hydra.
+        settings: see :func:`xplain.runs.plan.make_plan`.
+        arguments: overrides given on the command line.
+
+    Raises:
+        XplainError: the configuration of some job is wrong; nothing was run.
+        SystemExit: 1 when jobs failed.
+    """
+    began = time.time()
+    if config.resume not in RESUME:
+        raise InputError("resume", config.resume, f"one of {', '.join(RESUME)}")
+
+    def compose(overrides: list[str]) -> dict[str, Any]:
+        composed = context.config_loader.load_sweep_config(config, overrides)
+        return configuration(composed)
+
+    def stamps(resolved: dict[str, Any]) -> tuple[str, str]:
+        return stamp(resolved), source_stamp(resolved)
+
+    choices = config.hydra.runtime.choices
+    name = choices.get("sweeps") or "multirun"
+    plan = make_plan(name, settings, arguments, compose, stamps)
+    outputs = Path(config.outputs).absolute()
+    folder = SweepFolder(outputs / "sweeps" / plan.identity)
+    with folder.alone(f"{plan.identity}: another process runs this sweep; waiting for it"):
+        folder.save(
+            plan,
+            {
+                "started": began,
+                "command": " ".join(["python -m xplain", *sys.argv[1:]]),
+                "code": storage.code_version(),
+                "git": storage.git_state(),
+            },
+        )
+        run = Run(plan, folder, instantiate(config.tracking), outputs, config.resume)
+
+        def launch(jobs: list[Job]) -> None:
+            _launch(jobs, folder, context, task, config)
+
+        run.through(launch)
+    run.tell()
+    if run.failed:
+        raise SystemExit(1)
+
+
+class Run:
+    """One start of a sweep: chooses the jobs, launches them, ends in a clean state.
+
+    Args:
+        plan, folder: of the sweep.
+        tracking: where results go besides the disk.
+        outputs: the outputs folder.
+        resume: which jobs to run: ``missing``, ``failed`` or ``none`` (all of them anew).
+    """
+
+    def __init__(
+        self, plan: Plan, folder: SweepFolder, tracking: Any, outputs: Path, resume: str
+    ) -> None:
+        self._plan, self._folder, self._resume = plan, folder, resume
+        self._mirror = mirror_of(tracking, outputs, folder, plan.jobs, fresh=resume == "none")
+        if resume == "none":
+            for job in plan.jobs:
+                folder.clear(job)
+        states = [(job, folder.trust(job)) for job in plan.jobs]
+        self._todo = [
+            job
+            for job, state in states
+            if (state == "failed" if resume == "failed" else state != "finished")
+        ]
+        for job in self._todo:
+            folder.clear(job)
+        self._done_before = sum(state == "finished" for _, state in states)
+        self._links: list[tuple[str, str]] = []
+        self._summary: Summary | None = None
+
+    def through(self, launch: Callable[[list[Job]], None]) -> None:
+        """Launches what is to be done and brings MLflow and the report to their final state."""
+        plan, folder = self._plan, self._folder
+        self._announce()
+        status = "KILLED"
+        try:
+            with _terminable(), Watch(folder, self._todo, self._mirror, self._done_before):
+                self._attempt(launch)
+            states = [folder.state(job) for job in plan.jobs]
+            if all(state == "finished" for state in states):
+                status = "FINISHED"
+            elif "failed" in states:
+                status = "FAILED"
+        except Exception:
+            status = "FAILED"
+            raise
+        finally:
+            summary, report = None, None
+            if status != "KILLED":
+                from xplain.report.write import write_report
+
+                summary, report = write_report(folder.path)
+            self._links = self._mirror.finish(status, summary, report)
+            self._summary = summary
+
+    def _announce(self) -> None:
+        if not self._todo:
+            log.info("%s: nothing is missing", self._plan.identity)
+            return
+        before = f", {self._done_before} finished before" if self._done_before else ""
+        log.info("%s: %d jobs to run%s", self._plan.identity, len(self._todo), before)
+        log.info("folder: %s", self._folder.path)
+
+    def _attempt(self, launch: Callable[[list[Job]], None]) -> None:
+        """Launches until every job has ended. When a worker dies, launchers give up on all
+        jobs: those not begun are launched again, those it may have died of each on its own."""
+        fresh, suspects, idle = in_launch_order(self._todo), list[Job](), 0
+        while fresh or suspects:
+            alone = not fresh
+            batch = [suspects.pop(0)] if alone else fresh
+            error: Exception | None = None
+            try:
+                launch(batch)
+            except Exception as raised:  # noqa: BLE001  (launchers raise what they like)
+                error = raised
+            fresh = [job for job in batch if self._folder.state(job) == "waiting"]
+            lost = [job for job in batch if self._folder.state(job) == "running"]
+            # A worker may die before it begins a job; when it happens again and again the
+            # launcher itself is at fault.
+            idle = idle + 1 if len(fresh) == len(batch) else 0
+            if idle == 3:
+                raise error or RuntimeError("the launcher ran none of the jobs")
+            for job in lost:
+                self._folder.clear(job)
+                if alone:
+                    words = f"its worker died, twice ({_short(error)})"
+                    mark_failed(self._folder.of(job), RuntimeError(words))
+            if not alone:
+                suspects += lost
+            if fresh or (lost and not alone):
+                log.warning(
+                    "a worker died (%s); %d jobs are launched again",
+                    _short(error),
+                    len(fresh) + len(suspects),
+                )
+
+    def _shares(self) -> str:
+        """How much of the workers' time went into the method, and how much into the rest."""
+        inside, workers = 0.0, set()
+        for job in self._todo:
+            if self._folder.state(job) == "finished":
+                inside += sum(storage.load_results(self._folder.of(job))["seconds"].values())
+                workers.add(self._folder.worker(job))
+        if not workers:
+            return "no job ran"
+        share = min(1.0, inside / (len(workers) * age()))
+        return (
+            f"time of {len(workers)} worker{'s' if len(workers) > 1 else ''}: {share:.0%} in the "
+            f"method itself, {1 - share:.0%} in all else (start, configuration, waiting, MLflow, "
+            "report)"
+        )
+
+    @property
+    def failed(self) -> list[Job]:
+        """Jobs that failed."""
+        return [job for job in self._plan.jobs if self._folder.state(job) == "failed"]
+
+    def tell(self) -> None:
+        """The table, what failed, where to look."""
+        from xplain.report.console import print_sweep
+
+        if self._summary is not None and self._summary.results:
+            print_sweep(self._summary)
+        total = len(self._plan.jobs)
+        finished = sum(self._folder.state(job) == "finished" for job in self._plan.jobs)
+        log.info("%d of %d jobs finished, %s", finished, total, duration(age()))
+        log.info(self._shares())
+        for job in self.failed:
+            log.info("failed: %s: %s", job.label, self._folder.failure(job)["error"])
+            log.info("  %s", self._folder.of(job))
+        if self.failed:
+            log.info("run them again: the same command with resume=failed")
+        elif finished < total:
+            log.info("run the others: the same command without resume=%s", self._resume)
+        log.info("report: %s", self._folder.path / "report" / "index.html")
+        for words, address in self._links:
+            show_link(words, address)
+
+
+def _launch(
+    jobs: list[Job],
+    folder: SweepFolder,
+    context: HydraContext,
+    task: TaskFunction,
+    config: DictConfig,
+) -> None:
+    """Has the configured launcher run the jobs; failures end up in the jobs' folders."""
+    with open_dict(config):
+        config.hydra.sweep.dir = str(folder.path)
+    launcher: Launcher = Plugins.instance().instantiate_launcher(
+        hydra_context=context, task_function=task, config=config
+    )
+    overrides = [
+        [
+            *job.overrides,
+            f"hydra.sweep.dir='{folder.path}'",
+            f"hydra.sweep.subdir='jobs/{job.name}'",
+            # On the terminal the sweep speaks as a whole; what a job says is in its folder.
+            "hydra.job_logging.root.handlers=[file]",
+            "hydra.output_subdir=null",  # config.yaml is beside the results
+        ]
+        for job in jobs
+    ]
+    returns = launcher.launch(overrides, initial_job_idx=0)
+    for job, returned in zip(jobs, returns, strict=True):
+        _note_failure(folder, job, returned)
+
+
+def _note_failure(folder: SweepFolder, job: Job, returned: JobReturn) -> None:
+    """A job that failed outside of its own code (a worker that cannot import the package)."""
+    if returned.status == JobStatus.FAILED and folder.state(job) != "failed":
+        try:
+            returned.return_value  # noqa: B018  (raises what the job raised)
+        except Exception as error:  # noqa: BLE001  (whatever it raised is its result)
+            mark_failed(folder.of(job), error)
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """SIGTERM ends the sweep like Ctrl-C, so that its runs do not stay open."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    try:
+        before = signal.signal(signal.SIGTERM, interrupt)
+    except ValueError:  # not the main thread: someone embeds this
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def age() -> float:
+    """Seconds since this process started, imports and all; where the system does not tell,
+    since this module was imported."""
+    try:
+        birth = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
+        return time.clock_gettime(time.CLOCK_BOOTTIME) - birth / os.sysconf("SC_CLK_TCK")
+    except (OSError, AttributeError):
+        return time.time() - _IMPORTED
+
+
+_IMPORTED = time.time()
+
+
+def show_link(words: str, address: str) -> None:
+    """A link behind its words where the terminal can, else written out."""
+    if sys.stderr.isatty():
+        Console(stderr=True).print(words, style=Style(link=address))
+    else:
+        log.info("%s: %s", words, address)
+
+
+def _short(error: BaseException | None) -> str:
+    if error is None:
+        return "no word from it"
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:160]

@@ -1,0 +1,193 @@
+"""The count lattice: what labels can teach, with all that teaches the same merged.
+
+After *explain* with k + 1 transitions shown and message set H, the user answers k + 1 labels.
+Labels that every type predicts alike carry no news; transitions with the same column P[:, i, H]
+are exchangeable, so the number of their 1s is enough. 2^(k+1) answers become Π (n_g + 1) counts.
+
+A belief is what its log-likelihoods are. They are summed as integers (multiples of 2^-40), so
+equal evidence in any order gives equal integers, and these are an exact key of the belief.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.solvers.numba_kernels import inlined
+
+SCALE = float(1 << 40)
+IMPOSSIBLE = -(1 << 62)
+"""The log-likelihood of a type that could not have answered so, or only with e^-1024 of the
+likeliest type's probability."""
+FAINT = -(1 << 50)
+
+
+class Room(NamedTuple):
+    """Room for :func:`branch` to work in, for m steps and N types.
+
+    Attributes:
+        groups: [4, m + 1] first transition, size, first row and count of a group.
+        likelihood, news: [2 m, N] probability and evidence of a group's counts.
+        weights, logs: [m + 1, N] joint probability and evidence of a prefix of counts.
+    """
+
+    groups: NDArray[np.int64]
+    likelihood: NDArray[np.float64]
+    news: NDArray[np.int64]
+    weights: NDArray[np.float64]
+    logs: NDArray[np.int64]
+
+
+def make_room(steps: int, types: int) -> Room:
+    """Room of the right size."""
+    return Room(
+        np.empty((4, steps + 1), dtype=np.int64),
+        np.empty((2 * steps, types)),
+        np.empty((2 * steps, types), dtype=np.int64),
+        np.empty((steps + 1, types)),
+        np.empty((steps + 1, types), dtype=np.int64),
+    )
+
+
+@inlined
+def branch(  # type: ignore[no-untyped-def]
+    p, step, given, weight, evidence, negligible, out_weight, out_evidence, tail, room
+):
+    """The distinguishable answers to *explain*.
+
+    Args:
+        p: [N, m, 2^n] P(label 1).
+        step: k; k + 1 transitions are shown.
+        given: H.
+        weight: [N] joint probability of the past and each type; needs not sum to 1.
+        evidence: [N] int64 log-likelihoods of the past, 0 for the likeliest type.
+        negligible: answers (and whole families of them) with less joint probability than this
+            are not listed.
+        out_weight, out_evidence: [capacity, N] receive ``weight`` and ``evidence`` after each
+            answer.
+        tail: [N] receives the joint weight of all that was not listed.
+        room: to work in.
+
+    Returns:
+        The number of answers listed; −1 where they are more than the capacity.
+    """
+    types = len(weight)
+    first, size, start, count = room.groups[0], room.groups[1], room.groups[2], room.groups[3]
+    likelihood, news, weights, logs = room.likelihood, room.news, room.weights, room.logs
+    groups = 0
+    for i in range(step + 1):
+        if not _informative(p, i, given, weight):
+            continue
+        for g in range(groups + 1):
+            if g == groups:
+                first[g], size[g] = i, 0
+                groups += 1
+            if _same_column(p, first[g], i, given, weight):
+                size[g] += 1
+                break
+
+    start[0] = 0
+    for g in range(groups):
+        start[g + 1] = start[g] + size[g] + 1
+    for g in range(groups):
+        for t in range(types):
+            if weight[t] > 0.0:
+                yes = p[t, first[g], given]
+                _binomial(yes, size[g], start[g], t, likelihood, news)
+            else:
+                for row in range(start[g], start[g + 1]):
+                    likelihood[row, t], news[row, t] = 0.0, 0
+
+    # Depth first through the groups' counts; a prefix's weight is the sum over its completions,
+    # so a negligible prefix is a negligible family.
+    for g in range(groups):
+        count[g] = 0
+    for t in range(types):
+        weights[0, t] = weight[t]
+        logs[0, t] = evidence[t]
+        tail[t] = 0.0
+    found = 0
+    level = 0
+    while level >= 0:
+        if level == groups:
+            if found == len(out_weight):
+                return -1
+            for t in range(types):
+                out_weight[found, t] = weights[level, t]
+            _normalise(weights[level], logs[level], out_evidence[found])
+            found += 1
+            level -= 1
+        elif count[level] > size[level]:
+            count[level] = 0
+            level -= 1
+        else:
+            row = start[level] + count[level]
+            count[level] += 1
+            total = 0.0
+            for t in range(types):
+                w = weights[level, t] * likelihood[row, t]
+                weights[level + 1, t] = w
+                logs[level + 1, t] = logs[level, t] + news[row, t] if w > 0.0 else IMPOSSIBLE
+                total += w
+            if total > negligible:
+                level += 1
+            else:
+                for t in range(types):
+                    tail[t] += weights[level + 1, t]
+    return found
+
+
+@inlined
+def _informative(p, i, given, weight):  # type: ignore[no-untyped-def]
+    first = -1
+    for t in range(len(weight)):
+        if weight[t] > 0.0:
+            if first < 0:
+                first = t
+            elif p[t, i, given] != p[first, i, given]:
+                return True
+    return False
+
+
+@inlined
+def _same_column(p, i, other, given, weight):  # type: ignore[no-untyped-def]
+    for t in range(len(weight)):
+        if weight[t] > 0.0 and p[t, i, given] != p[t, other, given]:
+            return False
+    return True
+
+
+@inlined
+def _binomial(yes, size, start, t, likelihood, news):  # type: ignore[no-untyped-def]
+    """Of ``size`` labels, each 1 with probability ``yes``: P(c ones), and their evidence."""
+    log_yes = round(np.log(yes) * SCALE) if yes > 0.0 else 0
+    log_no = round(np.log1p(-yes) * SCALE) if yes < 1.0 else 0
+    choose = 1.0
+    for ones in range(size + 1):
+        probability = choose * yes**ones * (1.0 - yes) ** (size - ones)
+        likelihood[start + ones, t] = probability
+        news[start + ones, t] = ones * log_yes + (size - ones) * log_no
+        choose *= (size - ones) / (ones + 1)
+
+
+@inlined
+def _normalise(weight, logs, out):  # type: ignore[no-untyped-def]
+    top = IMPOSSIBLE
+    for t in range(len(weight)):
+        if weight[t] > 0.0 and logs[t] > top:
+            top = logs[t]
+    for t in range(len(weight)):
+        out[t] = logs[t] - top if weight[t] > 0.0 and logs[t] - top > FAINT else IMPOSSIBLE
+
+
+@inlined
+def hash_key(step, given, evidence):  # type: ignore[no-untyped-def]
+    """A 64-bit hash of (k, H, evidence)."""
+    h = np.uint64(step) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(given)
+    for t in range(len(evidence)):
+        h = (h ^ (h >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
+        h ^= np.uint64(evidence[t])
+    h = (h ^ (h >> np.uint64(32))) * np.uint64(0x94D049BB133111EB)
+    return h ^ (h >> np.uint64(29))

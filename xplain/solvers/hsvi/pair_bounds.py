@@ -1,0 +1,331 @@
+"""An upper bound tighter than QMDP's: told not the type, but a pair of types that holds it.
+
+The optimum V* is convex in the belief b, so for any mixture b = Σ_q w_q b_q of beliefs in two types
+each, V*(b) ≤ Σ_q w_q V*(b_q); QMDP is the mixture of certain beliefs. With two types the belief is
+one number. V* is tabulated on a grid of it, backwards in k; between the grid's points the line
+through them lies above V*, so the tables bound it from above. They are small: a message that
+neither of the two needs does not matter to them.
+
+The mixture: every type's weight is first split among the others in proportion to theirs, then
+shifted between two of its pairs as long as that lowers the bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from xplain.explanation.problem import Problem
+from xplain.solvers.count_lattice import branch, make_room
+from xplain.solvers.dynamic_programming import (
+    message_discount,
+    message_price,
+    messages_worth_giving,
+    restrict,
+)
+from xplain.solvers.numba_kernels import inlined
+
+GRID = np.concatenate([[0.0], 1 / (1 + np.exp(-np.linspace(-7, 7, 15))), [1.0]])
+"""Beliefs in the first of two types, in equal steps of evidence."""
+NEGLIGIBLE = 1e-7
+"""Answers rarer than this are taken to tell the type, which can only raise the bound."""
+LIGHT = 1e-4
+"""Types less likely than this stay as they were split."""
+SWEEPS = 3
+"""Over all shifts of weight, each smaller than the last."""
+
+
+class Pairs(NamedTuple):
+    """Tables for all P pairs of types, side by side, and room to work in.
+
+    Attributes:
+        row: [2^n, P] where a pair's values for H are.
+        optimal: [m + 1, rows, G] upper bounds of V* at the grid's beliefs.
+        explain: [m, rows, G] of Q* of *explain*.
+        grid: [G].
+        share: [N, N] of type t's weight, what its pair with u has.
+        cell: [P] the last grid point below a pair's belief.
+        weight: [P, 2] how much there and at the next point.
+    """
+
+    row: NDArray[np.int64]
+    optimal: NDArray[np.float64]
+    explain: NDArray[np.float64]
+    grid: NDArray[np.float64]
+    share: NDArray[np.float64]
+    cell: NDArray[np.int64]
+    weight: NDArray[np.float64]
+
+
+def with_own_room(pairs: Pairs) -> Pairs:
+    """The same tables for another thread."""
+    room = {name: np.empty_like(getattr(pairs, name)) for name in ("share", "cell", "weight")}
+    return pairs._replace(**room)
+
+
+def no_pairs(problem: Problem) -> Pairs:
+    """Bounds nothing."""
+    return _joined(problem, [], [], [])
+
+
+@dataclass(frozen=True)
+class PairTables:
+    """Tables yet to be made, by dynamic programming, pair by pair.
+
+    Attributes:
+        problem: of N types.
+    """
+
+    problem: Problem
+
+    @cached_property
+    def _two(self) -> list[tuple[Problem, tuple[int, ...]]]:
+        """Every pair's problem, with the messages that are worth giving in it."""
+        problem, found = self.problem, []
+        for pair in combinations(range(problem.n_types), 2):
+            p, names = problem.p_explicable[list(pair)], problem.type_names
+            two = problem.with_types(p, tuple(names[t] for t in pair))
+            kept = messages_worth_giving(two)
+            found.append((restrict(two, kept), kept))
+        return found
+
+    @property
+    def _entries(self) -> int:
+        rows = sum(1 << len(kept) for _, kept in self._two)
+        return rows * self.problem.n_steps * len(GRID)
+
+    @property
+    def bytes(self) -> int:
+        """What they take."""
+        row = len(self._two) << self.problem.n_messages
+        return 8 * (2 * self._entries + row)
+
+    @property
+    def work(self) -> int:
+        """What making them costs, about, in answers looked at."""
+        return self._entries * self.problem.n_steps
+
+    def make(self) -> Pairs:
+        """Makes them."""
+        rows, optimal, explain = [], [], []
+        first = 0
+        sets = np.arange(1 << self.problem.n_messages)
+        for two, kept in self._two:
+            row = np.full(len(sets), first)
+            for i, j in enumerate(kept):
+                row += (sets >> j & 1) << i
+            first += 1 << len(kept)
+            rows.append(row)
+            tables = _pair_tables(two)
+            optimal.append(tables[0])
+            explain.append(tables[1])
+        return _joined(self.problem, rows, optimal, explain)
+
+
+def _joined(
+    problem: Problem,
+    rows: list[NDArray[np.int64]],
+    optimal: list[NDArray[np.float64]],
+    explain: list[NDArray[np.float64]],
+) -> Pairs:
+    types, steps, sets = problem.p_explicable.shape
+    pairs = len(rows)
+    return Pairs(
+        np.stack(rows, 1) if rows else np.empty((sets, 0), dtype=np.int64),
+        np.concatenate([np.empty((steps + 1, 0, len(GRID))), *optimal], axis=1),
+        np.concatenate([np.empty((steps, 0, len(GRID))), *explain], axis=1),
+        GRID,
+        np.zeros((types, types)),
+        np.zeros(pairs, dtype=np.int64),
+        np.zeros((pairs, 2)),
+    )
+
+
+def _pair_tables(two: Problem) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``optimal`` and ``explain`` of one pair."""
+    _, steps, sets = two.p_explicable.shape
+    optimal, explain = np.zeros((steps + 1, sets, len(GRID))), np.empty((steps, sets, len(GRID)))
+    prices, per_message = message_price(two), message_discount(two)
+    costs = two.inexplicability_cost, two.discount, per_message
+    working = np.empty(2), make_room(steps, 2)
+    capacity = 64
+    # One call a step, so that Ctrl-C is heard between them.
+    for k in reversed(range(steps)):
+        while True:
+            buffers = np.empty((capacity, 2)), np.empty((capacity, 2), dtype=np.int64)
+            last = k == steps - 1
+            if _pair_step(
+                two.p_explicable,
+                k,
+                last,
+                prices,
+                *costs,
+                GRID,
+                optimal,
+                explain,
+                *buffers,
+                *working,
+            ):
+                break
+            capacity *= 4
+    return optimal, explain
+
+
+@njit(cache=True, nogil=True)
+def _pair_step(  # type: ignore[no-untyped-def]
+    p,
+    k,
+    last,
+    prices,
+    inexplicability,
+    discount,
+    message_discount,
+    grid,
+    optimal,
+    explain,
+    out_weight,
+    out_evidence,
+    tail,
+    room,
+):
+    """One step backwards in k; False where there are more answers than room."""
+    sets, points = optimal.shape[1:]
+    even, nothing, zeros = np.full(2, 0.5), np.zeros(2, dtype=np.int64), np.empty(2)
+    for given in range(sets - 1, -1, -1):
+        for t in range(2):
+            zeros[t] = 0.0
+            for i in range(k + 1):
+                zeros[t] += inexplicability * (1.0 - p[t, i, given])
+        after = optimal[k + 1, given]
+        answers = 0
+        if not last:
+            answers = branch(
+                p, k, given, even, nothing, NEGLIGIBLE, out_weight, out_evidence, tail, room
+            )
+            if answers < 0:
+                return False
+        for g in range(points):
+            # The even prior of the answers, made this belief.
+            one, two = 2.0 * grid[g], 2.0 * (1.0 - grid[g])
+            value = 0.0
+            if not last:
+                value = one * tail[0] * after[points - 1] + two * tail[1] * after[0]
+            for o in range(answers):
+                x, y = one * out_weight[o, 0], two * out_weight[o, 1]
+                value += _value(grid, after, x, y)
+            explain[k, given, g] = discount * value
+            explain[k, given, g] -= 0.5 * (one * zeros[0] + two * zeros[1])
+            best = explain[k, given, g]
+            for j in range(len(prices)):
+                more = given | 1 << j
+                if more != given:
+                    best = max(best, message_discount * optimal[k, more, g] - prices[j])
+            optimal[k, given, g] = best
+    return True
+
+
+@inlined
+def _cell(grid, belief):  # type: ignore[no-untyped-def]
+    """The last grid point at or below a belief, but never the very last."""
+    low, high = 0, len(grid) - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if grid[middle] <= belief:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@inlined
+def _value(grid, table, x, y):  # type: ignore[no-untyped-def]
+    """A pair's value [G] where its types weigh x and y, times x + y."""
+    total = x + y
+    if total <= 0.0:
+        return 0.0
+    belief = x / total
+    g = _cell(grid, belief)
+    further = (belief - grid[g]) / (grid[g + 1] - grid[g])
+    return total * (table[g] + further * (table[g + 1] - table[g]))
+
+
+@inlined
+def _pair(t, u, types):  # type: ignore[no-untyped-def]
+    """The index of a pair t < u, in the order of ``combinations``."""
+    return t * (2 * types - t - 1) // 2 + u - t - 1
+
+
+@inlined
+def _shared(pairs, table, given, t, u, x, y):  # type: ignore[no-untyped-def]
+    """The value of the pair {t, u} where t weighs x and u weighs y."""
+    if t > u:
+        t, u, x, y = u, t, y, x
+    q = _pair(t, u, pairs.share.shape[0])
+    return _value(pairs.grid, table[pairs.row[given, q]], x, y)
+
+
+@inlined
+def mix(pairs, step, given, belief, sweeps):  # type: ignore[no-untyped-def]
+    """Makes the mixture for a belief at (k, H), in the room of ``pairs``.
+
+    Returns:
+        Whether there is one: not without tables, nor where the type is known.
+    """
+    types = len(belief)
+    if pairs.row.shape[1] == 0:
+        return False
+    table, share = pairs.optimal[step], pairs.share
+    possible = 0
+    for t in range(types):
+        others = 0.0
+        for u in range(types):
+            others += belief[u] if u != t else 0.0
+        possible += belief[t] > 0.0
+        for u in range(types):
+            share[t, u] = belief[t] * belief[u] / others if u != t and others > 0.0 else 0.0
+    if possible < 2:
+        return False
+    part = 1.0
+    for _ in range(sweeps if possible > 2 else 0):
+        for t in range(types):
+            for u in range(types):
+                for v in range(types):
+                    light = min(belief[t], belief[u], belief[v]) < LIGHT
+                    if light or u in (t, v) or v == t:
+                        continue
+                    shift = part * share[t, u]
+                    now = _shared(pairs, table, given, t, u, share[t, u], share[u, t])
+                    now += _shared(pairs, table, given, t, v, share[t, v], share[v, t])
+                    then = _shared(pairs, table, given, t, u, share[t, u] - shift, share[u, t])
+                    then += _shared(pairs, table, given, t, v, share[t, v] + shift, share[v, t])
+                    if then < now:
+                        share[t, u] -= shift
+                        share[t, v] += shift
+        part *= 0.6
+    for t in range(types):
+        for u in range(t + 1, types):
+            q = _pair(t, u, types)
+            total = share[t, u] + share[u, t]
+            at = share[t, u] / total if total > 0.0 else 0.0
+            g = _cell(pairs.grid, at)
+            further = (at - pairs.grid[g]) / (pairs.grid[g + 1] - pairs.grid[g])
+            pairs.cell[q] = g
+            pairs.weight[q, 0] = total * (1.0 - further)
+            pairs.weight[q, 1] = total * further
+    return True
+
+
+@inlined
+def mixed(pairs, table, given):  # type: ignore[no-untyped-def]
+    """A table [rows, G] at the last mixture."""
+    value = 0.0
+    for q in range(len(pairs.cell)):
+        row, g = pairs.row[given, q], pairs.cell[q]
+        value += pairs.weight[q, 0] * table[row, g] + pairs.weight[q, 1] * table[row, g + 1]
+    return value

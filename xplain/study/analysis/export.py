@@ -1,0 +1,242 @@
+"""Tidy tables from a snapshot of the database: ``study export``.
+
+One CSV and one Parquet file a table, the codebook of every column, and the study's plan. Bots and
+pilots are in the tables too, marked in the column ``stream`` as they have been from their first
+request on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from filelock import FileLock, Timeout
+
+from xplain.errors import InputError
+from xplain.message_sets import names_of
+from xplain.study.analysis.codebook import CODEBOOK
+from xplain.study.analysis.timing import Interaction, interaction
+from xplain.study.protocol.machine import State
+from xplain.study.protocol.plan import StudyPlan
+from xplain.study.settings import one_clear_line
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[sqlite3.Connection]:
+    """A read-only connection to a study's database that no server has open.
+
+    Raises:
+        InputError: there is none, it is in use, or it is no study's database.
+    """
+    if not path.is_file():
+        raise InputError("database", str(path), "a study's database or a snapshot of one")
+    lock = FileLock(f"{path}.lock")
+    guarded = Path(f"{path}.lock").exists()
+    try:
+        if guarded:
+            lock.acquire(timeout=0)
+    except Timeout:
+        raise InputError(
+            "database",
+            str(path),
+            "in use by a server; take the snapshot that the researcher's page offers",
+        ) from None
+    connection = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+    connection.row_factory = sqlite3.Row
+    try:
+        connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()[0]
+        yield connection
+    except sqlite3.DatabaseError as error:
+        raise InputError("database", str(path), f"not a study's database ({error})") from None
+    finally:
+        connection.close()
+        if guarded:
+            lock.release()
+
+
+def plan_of(connection: sqlite3.Connection) -> StudyPlan:
+    """The plan that the data was collected under."""
+    (text,) = connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()
+    return StudyPlan.from_text(text)
+
+
+def export(database: Path, folder: Path) -> None:
+    """Writes all tables of a database (better: of a snapshot) into a folder.
+
+    Raises:
+        InputError: it is no study's database.
+    """
+    with reading(database) as connection:
+        plan, found = plan_of(connection), tables(connection)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, table in found.items():
+        table.to_csv(folder / f"{name}.csv", index=False)
+        table.to_parquet(folder / f"{name}.parquet", index=False)
+    (folder / "plan.json").write_text(
+        json.dumps(json.loads(plan.text), indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
+    )
+
+
+def tables(connection: sqlite3.Connection) -> dict[str, pd.DataFrame]:
+    """Every table by name; columns as in the codebook, which is a table too."""
+    import pandas as pd
+
+    plan = plan_of(connection)
+    people = [dict(r) for r in connection.execute("SELECT * FROM participant ORDER BY number")]
+    events = [
+        dict(r) for r in connection.execute("SELECT * FROM event ORDER BY participant, sequence")
+    ]
+    steps = [dict(r) for r in connection.execute("SELECT * FROM step ORDER BY participant, k")]
+    of: dict[str, list[dict[str, Any]]] = {person["id"]: [] for person in people}
+    for event in events:
+        of[event["participant"]].append(event | {"payload": json.loads(event["payload"])})
+    states = {person["id"]: State.from_text(person["state"]) for person in people}
+    rows = {
+        "participants": [
+            _participant(plan, person, states[person["id"]], interaction(of[person["id"]]))
+            for person in people
+        ],
+        "steps": [_step(plan, step) for step in steps],
+        "labels": [row for step in steps for row in _labels(plan, step)],
+        "eligibility": [r for p in people for r in _eligibility(plan, states, p["id"], of)],
+        "quiz": [row for p in people for row in _quiz(plan, states, p["id"], of)],
+        "answers": [
+            {"participant": e["participant"], "question": name, "answer": value}
+            for p in people
+            for e in of[p["id"]]
+            if e["kind"] == "answers" and e["source"] == "protocol"
+            for name, value in e["payload"].items()
+        ],
+        "events": events,
+        "codebook": [
+            {"table": table, "column": column, "meaning": meaning}
+            for table, columns in CODEBOOK.items()
+            for column, meaning in columns.items()
+        ],
+    }
+    return {name: pd.DataFrame(rows[name], columns=list(CODEBOOK[name])) for name in CODEBOOK}
+
+
+def _participant(
+    plan: StudyPlan, person: dict[str, Any], state: State, took: Interaction
+) -> dict[str, Any]:
+    role = None if state.user_type is None else plan.roles[state.user_type].name
+    finished = state.stage in ("quiz", "questions", "done")
+    return {
+        "participant": person["id"],
+        "stream": person["stream"],
+        "entry": person["entry"],
+        "stage": state.stage,
+        "type": role,
+        "condition": state.condition,
+        "eligibility_attempts": state.attempts,
+        "eligible": int(bool(state.belief)),
+        "steps_labelled": len(state.labels),
+        "messages_given": state.given.bit_count(),
+        "inexplicable_transitions": state.labels.count(0) if finished else None,
+        "quiz_score": state.score,
+        "interaction_time_s": took.wall if finished else None,
+        "interaction_time_monotonic_s": took.monotonic if finished else None,
+        "hidden_s": took.hidden if finished else None,
+        "visible_time_s": took.visible if finished else None,
+        "entered": person["entered"],
+        "last_seen": person["seen"],
+        "consent_hash": took.consent_hash,
+        "completion_code": person["code"] if state.stage == "done" else None,
+        "outside_ids": person["kept"] if person["kept"] != "{}" else None,
+    }
+
+
+def _step(plan: StudyPlan, step: dict[str, Any]) -> dict[str, Any]:
+    names = plan.problem.message_names
+    return {
+        "participant": step["participant"],
+        "k": step["k"],
+        "transition": plan.trace[step["k"]],
+        "given_before": ";".join(names_of(step["given"], names)),
+        "messages": ";".join(names_of(step["messages"], names)),
+        "belief_before": step["belief_before"],
+        "belief_after": step["belief_after"],
+        "action_values": step["action_values"],
+        "labels": step["labels"],
+    }
+
+
+def _labels(plan: StudyPlan, step: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    names = plan.problem.message_names
+    shown = step["given"] | step["messages"]
+    for i, label in enumerate(json.loads(step["labels"] or "[]")):
+        yield {
+            "participant": step["participant"],
+            "k": step["k"],
+            "i": i,
+            "transition": plan.trace[i],
+            "messages_shown": ";".join(names_of(shown, names)),
+            "label": label,
+        }
+
+
+def _eligibility(
+    plan: StudyPlan, states: dict[str, State], who: str, of: dict[str, list[dict[str, Any]]]
+) -> Iterator[dict[str, Any]]:
+    tests = [e for e in of[who] if e["kind"] == "eligibility" and e["source"] == "protocol"]
+    user_type = states[who].user_type
+    if user_type is None:
+        return
+    for attempt, event in enumerate(tests, 1):
+        for j, question in enumerate(plan.roles[user_type].eligibility):
+            answer = event["payload"]["answers"][j]
+            yield {
+                "participant": who,
+                "attempt": attempt,
+                "fact": plan.facts[j].name,
+                "question": question.text,
+                "answer": question.options[answer],
+                "correct": int(answer == question.answer),
+            }
+
+
+def _quiz(
+    plan: StudyPlan, states: dict[str, State], who: str, of: dict[str, list[dict[str, Any]]]
+) -> Iterator[dict[str, Any]]:
+    user_type = states[who].user_type
+    for event in of[who]:
+        if event["kind"] != "quiz" or event["source"] != "protocol" or user_type is None:
+            continue
+        for i, statement in enumerate(plan.roles[user_type].quiz):
+            ticked = i in event["payload"]["chosen"]
+            yield {
+                "participant": who,
+                "fact": statement.fact,
+                "statement": statement.text,
+                "true": int(statement.true),
+                "ticked": int(ticked),
+                "correct": int(ticked == statement.true),
+            }
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(
+        prog="python -m xplain.study.analysis.export",
+        description="CSV and Parquet tables, and their codebook, from a study's database that no "
+        "server has open (or from a snapshot).",
+    )
+    parser.add_argument("database", type=Path)
+    parser.add_argument("folder", type=Path)
+    given = parser.parse_args(arguments)
+    with one_clear_line():
+        export(given.database, given.folder)
+        print(f"tables and codebook in {given.folder}")
+
+
+if __name__ == "__main__":
+    main()

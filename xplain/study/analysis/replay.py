@@ -1,0 +1,128 @@
+"""Replays a study from its log: ``python -m xplain.study.analysis.replay database``.
+
+From the events and the plan alone, read-only, every state, belief, message and value is computed
+again and compared with what was stored, to the last bit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sqlite3
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from xplain.study.analysis.export import plan_of, reading
+from xplain.study.prepare import study_of
+from xplain.study.protocol import machine as protocol
+from xplain.study.protocol.machine import Refused, State
+from xplain.study.protocol.plan import Study
+from xplain.study.settings import one_clear_line
+
+
+@dataclass
+class Findings:
+    """How much was compared, and what differs."""
+
+    participants: int = 0
+    events: int = 0
+    steps: int = 0
+    differences: list[str] = field(default_factory=list)
+
+
+def replay(connection: sqlite3.Connection, study: Study) -> Findings:
+    """Compares everything that can be computed from the events with what is stored."""
+    found = Findings()
+    for person in connection.execute("SELECT * FROM participant ORDER BY number"):
+        found.participants += 1
+        _replay_one(connection, study, person, found)
+    for slot in connection.execute(
+        "SELECT slot.*, participant.state AS state, participant.stream AS whose FROM slot "
+        "JOIN participant ON participant.id = slot.holder"
+    ):
+        state = State.from_text(slot["state"])
+        cell = (state.user_type, state.condition, slot["whose"])
+        ended_early = state.over and state.stage != "done"
+        if (
+            cell != (slot["user_type"], slot["condition"], slot["stream"])
+            or bool(slot["used"]) != (state.stage == "done")
+            or ended_early
+        ):
+            found.differences.append(f"slot {slot['stream']} {slot['position']}: {slot['holder']}")
+    return found
+
+
+def _replay_one(
+    connection: sqlite3.Connection, study: Study, person: sqlite3.Row, found: Findings
+) -> None:
+    who, state = person["id"], State()
+    steps: dict[int, dict[str, str | int | None]] = {}
+    for event in connection.execute(
+        "SELECT * FROM event WHERE participant = ? AND source = 'protocol' ORDER BY sequence",
+        (who,),
+    ):
+        found.events += 1
+        if event["source_sequence"] != state.accepted:
+            found.differences.append(f"{who}: event {event['sequence']} is out of order")
+            return
+        try:
+            outcome = protocol.advance(study, state, event["kind"], json.loads(event["payload"]))
+        except Refused as error:
+            found.differences.append(f"{who}: event {event['sequence']} is refused: {error}")
+            return
+        if answer := outcome.answer:
+            steps[answer.step] |= {
+                "labels": json.dumps(answer.labels),
+                "belief_after": json.dumps(answer.belief),
+            }
+        if decision := outcome.decision:
+            steps[decision.step] = {
+                "belief_before": json.dumps(decision.belief),
+                "given": decision.given,
+                "messages": decision.messages,
+                "action_values": json.dumps({str(m): v for m, v in decision.values.items()}),
+                "labels": None,
+                "belief_after": None,
+            }
+        state = outcome.state
+    if state.text != person["state"] or state.over != bool(person["over"]):
+        found.differences.append(f"{who}: the stored state differs")
+    stored = {
+        row["k"]: row
+        for row in connection.execute("SELECT * FROM step WHERE participant = ?", (who,))
+    }
+    if stored.keys() != steps.keys():
+        found.differences.append(f"{who}: steps {sorted(stored)} are stored, not {sorted(steps)}")
+    for k in stored.keys() & steps.keys():
+        found.steps += 1
+        for column, value in steps[k].items():
+            if stored[k][column] != value:
+                found.differences.append(
+                    f"{who}: step {k}: {column} is {stored[k][column]}, replayed {value}"
+                )
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The command; exit code 1 if anything differs."""
+    parser = argparse.ArgumentParser(
+        prog="python -m xplain.study.analysis.replay",
+        description="Recomputes every belief and message of a study from its log and compares.",
+    )
+    parser.add_argument("database", type=Path, help="a database that no server has open")
+    given = parser.parse_args(arguments)
+    with one_clear_line(), reading(given.database) as connection:
+        found = replay(connection, study_of(plan_of(connection)))
+    for difference in found.differences:
+        print(difference, file=sys.stderr)
+    verdict = f"{len(found.differences)} differences" if found.differences else "all equal"
+    print(
+        f"{found.participants} participants, {found.events} answers, {found.steps} steps "
+        f"replayed: {verdict}"
+    )
+    if found.differences:
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

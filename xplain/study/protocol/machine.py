@@ -1,0 +1,334 @@
+"""The protocol of the study, from consent to the completion code: a pure state machine.
+
+``advance(study, state, kind, payload)`` is the whole of it. No clock, no storage, no web; chance
+is passed in (the slot and the orders of questions come with the consent event). The same events
+give the same states, which is what the replay checks.
+
+    consent → briefing → training → eligibility → evaluation → quiz → questions → done
+                  ↑__________________|  (a failed attempt, while some are left)
+
+and from anywhere to an end: declined, ineligible, withdrawn, timed_out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from xplain.explanation import belief as beliefs
+from xplain.message_sets import indices
+from xplain.study.protocol.plan import Study
+
+STAGES = (
+    "consent",
+    "briefing",
+    "training",
+    "eligibility",
+    "evaluation",
+    "quiz",
+    "questions",
+    "done",
+)
+ENDS = ("declined", "ineligible", "withdrawn", "timed_out")
+KINDS = {
+    "consent": "consent",
+    "briefing": "read",
+    "training": "example",
+    "eligibility": "eligibility",
+    "evaluation": "labels",
+    "quiz": "quiz",
+    "questions": "answers",
+}
+"""The kind of event that each stage waits for; ``withdraw`` and ``time_out`` are always heard."""
+
+
+class Refused(Exception):
+    """An event that the protocol does not accept here; the text is for the participant."""
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a participant is. The first value is the start.
+
+    Attributes:
+        stage: one of STAGES or ENDS.
+        accepted: events accepted so far, which is the sequence number of the next one.
+        user_type, condition: the slot; None before consent.
+        orders: {"eligibility" | "quiz": the order in which questions are shown}.
+        part: which half of the training example.
+        wrong: whether the last answer of the training or the eligibility test was wrong.
+        attempts: eligibility tests taken.
+        step: k of the evaluation.
+        given: bitmask of the messages on the page, the new ones among them.
+        new: bitmask of the messages that are new at this step.
+        previous: bitmask of the messages at the step before; None at the first.
+        belief: [N].
+        labels: of the transitions 0 … k − 1, as answered last.
+        score: of the quiz.
+    """
+
+    stage: str = "consent"
+    accepted: int = 0
+    user_type: int | None = None
+    condition: str | None = None
+    orders: Mapping[str, tuple[int, ...]] | None = None
+    part: int = 0
+    wrong: bool = False
+    attempts: int = 0
+    step: int = 0
+    given: int = 0
+    new: int = 0
+    previous: int | None = None
+    belief: tuple[float, ...] = ()
+    labels: tuple[int, ...] = ()
+    score: int | None = None
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more can happen."""
+        return self.stage == "done" or self.stage in ENDS
+
+    @property
+    def text(self) -> str:
+        """As JSON, for the store."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @classmethod
+    def from_text(cls, text: str) -> State:
+        """Reads :attr:`text`."""
+        value = json.loads(text)
+        orders = value["orders"]
+        return cls(
+            **value
+            | {
+                "belief": tuple(value["belief"]),
+                "labels": tuple(value["labels"]),
+                "orders": orders and {key: tuple(order) for key, order in orders.items()},
+            }
+        )
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What the policy did at a step: the messages, and the values behind them."""
+
+    step: int
+    belief: tuple[float, ...]
+    given: int
+    messages: int
+    values: Mapping[int, float]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The labels of a step and the belief after them."""
+
+    step: int
+    labels: tuple[int, ...]
+    belief: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A new state, with what belongs into the step table."""
+
+    state: State
+    decision: Decision | None = None
+    answer: Answer | None = None
+
+
+def advance(study: Study, state: State, kind: str, payload: Mapping[str, Any]) -> Outcome:
+    """The state after an event.
+
+    Args:
+        study: the plan and its policies.
+        state: before.
+        kind: of the event.
+        payload: what came with it.
+
+    Raises:
+        Refused: the event does not fit the stage, or its payload is not what the stage asks for.
+    """
+    if state.over:
+        raise Refused("Your part in this study has ended.")
+    if kind == "withdraw":
+        return _to(state, stage="withdrawn")
+    if kind == "time_out":
+        return _to(state, stage="timed_out")
+    if kind != KINDS[state.stage]:
+        raise Refused("This answer belongs to another page.")
+    return _STEPS[state.stage](study, state, payload)
+
+
+def _to(state: State, **changes: Any) -> Outcome:
+    return Outcome(replace(state, accepted=state.accepted + 1, **changes))
+
+
+def _consent(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
+    agreed = _choice(payload.get("agree"), 2, "Please choose whether you want to take part.")
+    if payload.get("text") != study.plan.texts.consent_hash:
+        raise Refused("The consent text has changed; please read it again.")
+    if not agreed:
+        return _to(state, stage="declined")
+    orders = {name: tuple(order) for name, order in payload["orders"].items()}
+    return _to(
+        state,
+        stage="briefing",
+        user_type=payload["user_type"],
+        condition=payload["condition"],
+        orders=orders,
+    )
+
+
+def _briefing(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
+    # After a failed attempt the example is known; only the facts need another look.
+    return _to(state, stage="eligibility" if state.attempts else "training", wrong=False)
+
+
+def _training(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
+    label = _choice(payload.get("label"), 2, "Please choose expected or unexpected.")
+    right = label == state.part  # unexpected without the message, expected with it
+    if not right:
+        return _to(state, wrong=True)
+    if state.part == 0:
+        return _to(state, part=1, wrong=False)
+    return _to(state, stage="eligibility", wrong=False)
+
+
+def _eligibility(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
+    questions = study.plan.roles[_type(state)].eligibility
+    answers = payload.get("answers")
+    if not isinstance(answers, list) or len(answers) != len(questions):
+        raise Refused("Please answer every question.")
+    chosen = [
+        _choice(answer, len(question.options), "Please answer every question.")
+        for answer, question in zip(answers, questions, strict=True)
+    ]
+    attempts = state.attempts + 1
+    if all(c == question.answer for c, question in zip(chosen, questions, strict=True)):
+        belief = tuple(study.plan.problem.prior.tolist())
+        return _decide(study, replace(state, attempts=attempts, wrong=False, belief=belief), None)
+    if attempts >= study.plan.rules.max_attempts:
+        return _to(state, stage="ineligible", attempts=attempts)
+    return _to(state, stage="briefing", attempts=attempts, wrong=True)
+
+
+def _evaluation(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
+    labels = payload.get("labels")
+    missing = "Please label the robot's new step as expected or unexpected."
+    if not isinstance(labels, list) or len(labels) != state.step + 1:
+        raise Refused(missing)
+    chosen = tuple(_choice(label, 2, missing) for label in labels)
+    problem = study.plan.problem
+    evidence = study.belief.evidence(state.given, state.previous, len(chosen))
+    after = beliefs.update(
+        problem,
+        np.array(state.belief),
+        state.given,
+        np.array(chosen, dtype=np.uint8),
+        evidence,
+    )
+    answer = Answer(state.step, chosen, tuple(after.tolist()))
+    labelled = replace(state, labels=chosen, belief=answer.belief, previous=state.given)
+    if state.step + 1 == study.plan.n_steps:
+        return replace(_to(labelled, stage="quiz", new=0), answer=answer)
+    return _decide(study, replace(labelled, step=state.step + 1), answer)
+
+
+def _decide(study: Study, state: State, answer: Answer | None) -> Outcome:
+    """The policy's messages at the state's step."""
+    policy = study.policies[state.condition or ""]
+    belief = np.array(state.belief)
+    new = int(policy.messages(state.step, state.given, belief))
+    values = {
+        int(mask): float(value)
+        for mask, value in policy.values(state.step, state.given, belief).items()
+    }
+    decision = Decision(state.step, state.belief, state.given, new, values)
+    outcome = _to(state, stage="evaluation", given=state.given | new, new=new)
+    return replace(outcome, decision=decision, answer=answer)
+
+
+def _quiz(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
+    statements = study.plan.roles[_type(state)].quiz
+    chosen = payload.get("chosen")
+    if not isinstance(chosen, list) or len(chosen) > len(statements):
+        raise Refused("Please tick the statements that are true.")
+    ticked = {_choice(c, len(statements), "There is no such statement.") for c in chosen}
+    score = sum(statement.true == (i in ticked) for i, statement in enumerate(statements))
+    return _to(state, stage="questions" if study.plan.asked else "done", score=score)
+
+
+def _questions(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
+    for asked in study.plan.asked:
+        value = payload.get(asked.name, "")
+        if not isinstance(value, str) or len(value) > asked.max_length:
+            raise Refused(f"{asked.label}: at most {asked.max_length} characters, please.")
+        if value and asked.kind == "choice" and value not in asked.choices:
+            raise Refused(f"{asked.label}: please choose one of the answers given.")
+        if value and asked.kind == "number":
+            whole = value.isascii() and value.isdigit() and len(value) < 10
+            if not whole or not asked.low <= int(value) <= asked.high:
+                raise Refused(f"{asked.label}: a whole number from {asked.low} to {asked.high}.")
+    if payload.keys() - {asked.name for asked in study.plan.asked}:
+        raise Refused("There is no such question.")
+    return _to(state, stage="done")
+
+
+def _type(state: State) -> int:
+    assert state.user_type is not None, "every stage after consent has a slot"
+    return state.user_type
+
+
+def _choice(value: object, count: int, otherwise: str) -> int:
+    """An integer 0 … count − 1 (true booleans count as what they are)."""
+    if not isinstance(value, int) or not 0 <= value < count:
+        raise Refused(otherwise)
+    return int(value)
+
+
+_STEPS = {
+    "consent": _consent,
+    "briefing": _briefing,
+    "training": _training,
+    "eligibility": _eligibility,
+    "evaluation": _evaluation,
+    "quiz": _quiz,
+    "questions": _questions,
+}
+
+
+def page(study: Study, state: State) -> dict[str, Any]:
+    """What the participant sees now, in plain values: sentences, questions in their order.
+
+    Nothing of the type, the condition, the belief or the right answers is in it.
+    """
+    plan = study.plan
+    view: dict[str, Any] = {"stage": state.stage, "sequence": state.accepted, "wrong": state.wrong}
+    if state.stage in ("briefing", "evaluation"):
+        view["briefing"] = plan.roles[_type(state)].briefing
+    if state.stage == "briefing":
+        view["attempts_left"] = plan.rules.max_attempts - state.attempts
+    elif state.stage == "training":
+        view |= {"training": plan.training, "part": state.part}
+    elif state.stage == "eligibility":
+        questions = plan.roles[_type(state)].eligibility
+        view["questions"] = [(i, questions[i]) for i in (state.orders or {})["eligibility"]]
+    elif state.stage == "evaluation":
+        view |= {
+            "step": state.step,
+            "trace": plan.trace[: state.step + 1],
+            "labels": state.labels,
+            "old": [plan.facts[j].message for j in indices(state.given & ~state.new)],
+            "new": [plan.facts[j].message for j in indices(state.new)],
+        }
+    elif state.stage == "quiz":
+        statements = plan.roles[_type(state)].quiz
+        view["statements"] = [(i, statements[i].text) for i in (state.orders or {})["quiz"]]
+    elif state.stage == "questions":
+        view["asked"] = plan.asked
+    return view

@@ -1,0 +1,261 @@
+"""How many participants? ``study power``: dry runs in the bare protocol.
+
+Simulated participants of every type take part under both conditions; planned studies of n a
+condition are drawn from them, and analysed as the real one will be (Student's t, Holm). Beside
+these curves stands the power for the effects that the paper's p values imply. What the simulated
+participants are like is an assumption: the second plot shows how much each assumption matters.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.errors import InputError
+from xplain.randomness import stream
+from xplain.study.analysis.statistics import d_from_p, student_p, t_power
+from xplain.study.analysis.table2 import CONDITIONS, MEASURES, paper_table
+from xplain.study.protocol.plan import Study
+from xplain.study.settings import composed, one_clear_line
+from xplain.study.simulation.participant import Habits, take_part
+
+SIZES = (10, 20, 30, 40, 50, 60, 80)
+SWEEPS: dict[str, tuple[float, ...]] = {
+    "label_noise": (0.0, 0.03, 0.1, 0.2),
+    "forgetting": (0.0, 0.05, 0.15, 0.3),
+    "overload": (0.0, 0.03, 0.08, 0.15),
+    "fading": (0.0, 0.1, 0.2, 0.4),
+    "message_seconds": (0.0, 2.5, 5.0, 10.0),
+    "spread": (0.1, 0.35, 0.7),
+}
+"""Assumptions that are varied one at a time, the others at their defaults."""
+MARKS = {
+    "interaction_time_s": ("#0072B2", "o", "-"),
+    "inexplicable_transitions": ("#D55E00", "s", "--"),
+    "quiz_score": ("#00795A", "^", "-."),
+}
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Simulated participants.
+
+    Attributes:
+        values: {condition: [N, participants, 3] the measures in the order of MEASURES}.
+    """
+
+    values: dict[str, NDArray[np.float64]]
+
+    def effect(self) -> NDArray[np.float64]:
+        """[3] standardized difference, conformant − personalized."""
+        a, b = (self.values[c].reshape(-1, len(MEASURES)) for c in CONDITIONS)
+        spread = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 2)
+        difference = a.mean(axis=0) - b.mean(axis=0)
+        found: NDArray[np.float64] = np.zeros(len(MEASURES))
+        np.divide(difference, spread, out=found, where=spread > 0)
+        return found
+
+
+def simulate(study: Study, habits: Habits, a_cell: int, seed: int) -> Pool:
+    """``a_cell`` participants of each type under each condition, who reach the end.
+
+    Raises:
+        InputError: hardly anybody gets to the end with these habits.
+    """
+    values = {}
+    for condition in CONDITIONS:
+        of_types = []
+        for user_type in range(len(study.plan.roles)):
+            found: list[tuple[float, float, float]] = []
+            for index in range(20 * a_cell):
+                rng = stream(seed, "people", condition, user_type, index)
+                measures = take_part(study, user_type, condition, habits, rng)
+                if measures:
+                    found.append((measures.seconds, measures.inexplicable, measures.score))
+                if len(found) == a_cell:
+                    break
+            else:
+                raise InputError("habits", habits, "that let at least 1 in 20 get to the end")
+            of_types.append(found)
+        values[condition] = np.array(of_types, dtype=float)
+    return Pool(values)
+
+
+def power(
+    pool: Pool, n: int, studies: int, rng: np.random.Generator, alpha: float = 0.05
+) -> NDArray[np.float64]:
+    """Share of planned studies with n a condition (types as even as n allows) in which each
+    measure is significant: [2, 3], plain and after Holm's correction."""
+    drawn = []
+    for condition in CONDITIONS:
+        values = pool.values[condition]
+        # n participants over N types: the remainder goes to types drawn anew in each study.
+        order = rng.permuted(np.tile(np.arange(len(values)), (studies, 1)), axis=1)
+        types = order[:, np.arange(n) % len(values)]
+        drawn.append(values[types, rng.integers(values.shape[1], size=(studies, n))])
+    p = student_p(drawn[0], drawn[1])
+    ranked = np.sort(p, axis=1)
+    steps = ranked * (len(MEASURES) - np.arange(len(MEASURES)))
+    adjusted = np.maximum.accumulate(steps, axis=1)
+    holm = np.take_along_axis(adjusted, np.argsort(np.argsort(p, axis=1), axis=1), axis=1)
+    return np.stack([(p < alpha).mean(axis=0), (holm < alpha).mean(axis=0)])
+
+
+def curves(pool: Pool, sizes: Sequence[int], studies: int, seed: int) -> list[dict[str, Any]]:
+    """Power by n and measure: simulated, and for the paper's effects."""
+    rows: list[dict[str, Any]] = []
+    for n in sizes:
+        plain, holm = power(pool, n, studies, stream(seed, "studies", n))
+        for index, measure in enumerate(MEASURES):
+            paper = paper_table()[measure]
+            d = d_from_p(paper["p_value"], int(paper["n_per_arm"]))
+            rows.append(
+                {
+                    "n_per_condition": n,
+                    "measure": measure,
+                    "simulated": plain[index],
+                    "simulated_holm": holm[index],
+                    "paper_effect": t_power(d, n),
+                    # The hardest step of Holm's procedure, if the other two are no help.
+                    "paper_effect_holm": t_power(d, n, 0.05 / len(MEASURES)),
+                }
+            )
+    return rows
+
+
+def sensitivity(
+    study: Study, habits: Habits, a_cell: int, n: int, studies: int, seed: int
+) -> list[dict[str, Any]]:
+    """Effect and power (Holm, n a condition) when one assumption is varied."""
+    rows: list[dict[str, Any]] = []
+    for assumption, settings in SWEEPS.items():
+        for value in settings:
+            pool = simulate(study, replace(habits, **{assumption: value}), a_cell, seed)
+            effect = pool.effect()
+            _, holm = power(pool, n, studies, stream(seed, "studies", n))
+            rows += [
+                {
+                    "assumption": assumption,
+                    "value": value,
+                    "measure": measure,
+                    "effect": effect[index],
+                    "power_holm": holm[index],
+                }
+                for index, measure in enumerate(MEASURES)
+            ]
+    return rows
+
+
+def draw_curves(rows: list[dict[str, Any]], path: Path) -> None:
+    """Power against n; full lines simulated, thin grey the paper's effects."""
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, len(MEASURES), figsize=(10.5, 3.8), sharey=True)
+    for axis, (measure, title) in zip(axes, MEASURES.items(), strict=True):
+        own = [row for row in rows if row["measure"] == measure]
+        sizes = [row["n_per_condition"] for row in own]
+        for key, colour, style, label in (
+            ("simulated", "#0072B2", "o-", "simulated"),
+            ("simulated_holm", "#0072B2", "o--", "simulated, Holm"),
+            ("paper_effect", "#D55E00", "s-", "paper's effect"),
+            ("paper_effect_holm", "#D55E00", "s--", "paper's effect, α/3"),
+        ):
+            hollow = {"markerfacecolor": "white"} if "holm" in key else {}
+            axis.plot(
+                sizes, [row[key] for row in own], style, color=colour, label=label, ms=5, **hollow
+            )
+        axis.axhline(0.8, color="#888888", linewidth=1, linestyle=":")
+        axis.axvline(20, color="#888888", linewidth=1, linestyle=":")
+        axis.set_title(title, fontsize=10)
+        axis.set_xlabel("participants a condition (paper: 20)")
+        axis.set_ylim(0, 1.03)
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylabel("power (α = .05, two-sided)")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper center", ncols=4, frameon=False, fontsize=9)
+    figure.tight_layout(rect=(0, 0, 1, 0.93))
+    figure.savefig(path, dpi=160)
+    plt.close(figure)
+
+
+def draw_sensitivity(rows: list[dict[str, Any]], path: Path) -> None:
+    """The effect of each measure against each assumption."""
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(2, 3, figsize=(10.5, 6), sharey=True)
+    for axis, assumption in zip(axes.flat, SWEEPS, strict=True):
+        for measure, title in MEASURES.items():
+            own = [r for r in rows if r["assumption"] == assumption and r["measure"] == measure]
+            colour, mark, style = MARKS[measure]
+            axis.plot(
+                [r["value"] for r in own],
+                [r["effect"] for r in own],
+                color=colour,
+                marker=mark,
+                linestyle=style,
+                label=title,
+            )
+        axis.axhline(0, color="#888888", linewidth=1, linestyle=":")
+        unit = " (s)" if assumption.endswith("seconds") else ""
+        axis.set_xlabel(assumption.replace("_", " ") + unit)
+        axis.spines[["top", "right"]].set_visible(False)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("d (conformant − personalized)")
+    axes[0, 0].legend(frameon=False, fontsize=8)
+    figure.tight_layout()
+    figure.savefig(path, dpi=160)
+    plt.close(figure)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(
+        prog="python -m xplain.study.simulation.power",
+        description="Power curves for the planned study, and what they hang on.",
+    )
+    parser.add_argument("overrides", nargs="*", metavar="key=value", help="over conf/study.yaml")
+    parser.add_argument("--out", type=Path, default=Path("outputs/study/power"))
+    parser.add_argument("--people", type=int, default=200, help="simulated ones a cell")
+    parser.add_argument("--studies", type=int, default=2000, help="planned studies a point")
+    parser.add_argument("--n", type=int, default=50, help="a condition, for the sensitivity")
+    given = parser.parse_args(arguments)
+    with one_clear_line():
+        for key in ("people", "studies", "n"):
+            if getattr(given, key) < 2:
+                raise InputError(f"--{key}", getattr(given, key), "a whole number ≥ 2")
+        from xplain.study.prepare import study_of, study_plan
+
+        study = study_of(study_plan(composed(given.overrides)))
+        seed, habits = study.plan.seed, Habits()
+        rows = curves(simulate(study, habits, given.people, seed), SIZES, given.studies, seed)
+        swept = sensitivity(study, habits, max(2, given.people // 2), given.n, given.studies, seed)
+        given.out.mkdir(parents=True, exist_ok=True)
+        _write(rows, given.out / "power.csv")
+        _write(swept, given.out / "sensitivity.csv")
+        draw_curves(rows, given.out / "power.png")
+        draw_sensitivity(swept, given.out / "sensitivity.png")
+        print(f"power.csv, sensitivity.csv and their plots in {given.out}")
+
+
+def _write(rows: list[dict[str, Any]], path: Path) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,1 +1,0 @@
-"""Many jobs as one sweep: planned, run on any launcher, resumed, watched, mirrored in MLflow."""
