@@ -19,8 +19,8 @@ from rich.console import Console
 from rich.table import Table
 
 from xplain.config import CONF, prepare
+from xplain.experiment.from_config import components_of
 from xplain.experiment.pipeline import prepare as prepared
-from xplain.runs.job import source_of
 
 SETTINGS = {
     "rescue, 5 types": ["domain=rescue"],
@@ -35,7 +35,7 @@ def learning(overrides: list[str], seed: int) -> dict[str, float]:
     prepare()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         cfg = compose("config", [*overrides, f"seed={seed}", "traces=1"])
-    return prepared(source_of(cfg)).learning
+    return prepared(components_of(cfg)).learning
 
 
 def main() -> None:

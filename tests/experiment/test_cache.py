@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from xplain.domains.base import Item, Scene
-from xplain.experiment.cache import SOURCE, prepared_once, source_stamp
+from xplain.experiment.cache import SOURCE, prepared_once, source_fingerprint
 from xplain.experiment.pipeline import Case, Prepared
 
 
@@ -30,9 +30,9 @@ def made(perfect: bool = True, seed: int = 0) -> Prepared:
         "sentences": ("A is 1.", "B is 2."),
         "types": ("T1", "T2", "T3"),
         "distinct": np.array([0, 1, 1]),
-        "found": ("F1", "F2"),
-        "stands_for": np.array([0, 1]),
-        "shares": np.array([1 / 3, 2 / 3]),
+        "learned_types": ("F1", "F2"),
+        "matched_true_type": np.array([0, 1]),
+        "type_shares": np.array([1 / 3, 2 / 3]),
         "learning": {"types_found": 2.0, "unknown": float("nan")},
         "curve": np.array([5.0, 0.1, 0.0]),
         "rule": "kneedle",
@@ -122,7 +122,7 @@ CONFIG = {
 
 
 def test_the_key_covers_what_decides_data_and_types_and_nothing_else():
-    before = source_stamp(CONFIG)
+    before = source_fingerprint(CONFIG)
     for key in CONFIG:
-        changed = source_stamp(CONFIG | {key: "something else"})
+        changed = source_fingerprint(CONFIG | {key: "something else"})
         assert (changed != before) == (key in SOURCE), key

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from xplain.experiment import fingerprint as stamps
-from xplain.experiment.fingerprint import component_code, stamp
+from xplain.experiment.fingerprint import component_code, fingerprint
 
 
 @pytest.fixture
@@ -27,20 +27,20 @@ CONFIG = {"solver": {"_target_": "their_solver.best.Best"}, "lambda": 1.0}
 
 
 def test_values_count_and_order_does_not():
-    assert stamp({"a": 1, "b": [1, 2]}) == stamp({"b": [1, 2], "a": 1})
-    assert stamp({"a": 1}) != stamp({"a": 2})
-    assert stamp({"a": [1, 2]}) != stamp({"a": [2, 1]})
+    assert fingerprint({"a": 1, "b": [1, 2]}) == fingerprint({"b": [1, 2], "a": 1})
+    assert fingerprint({"a": 1}) != fingerprint({"a": 2})
+    assert fingerprint({"a": [1, 2]}) != fingerprint({"a": [2, 1]})
 
 
 @pytest.mark.parametrize(
     "path", ["their_solver/best.py", "their_solver/__init__.py", "their_helper.py"]
 )
 def test_code_plugged_in_counts_with_all_that_it_imports(plugin, path):
-    before = stamp(CONFIG)
+    before = fingerprint(CONFIG)
     file = plugin / path
     file.write_text(file.read_text() + "# changed\n")
     stamps._package.cache_clear()
-    assert stamp(CONFIG) != before
+    assert fingerprint(CONFIG) != before
 
 
 def test_plugged_in_code_is_not_run(plugin):
@@ -68,17 +68,17 @@ def test_the_content_of_files_counts(tmp_path):
     data = tmp_path / "labels.csv"
     data.write_text("1")
     config = {"observers": {"path": str(data)}}
-    before = stamp(config)
+    before = fingerprint(config)
     data.write_text("2")
-    assert stamp(config) != before
+    assert fingerprint(config) != before
     data.write_text("1")
-    assert stamp(config) == before
+    assert fingerprint(config) == before
 
 
 def test_code_and_libraries_count(monkeypatch):
-    before = stamp({})
+    before = fingerprint({})
     monkeypatch.setattr(stamps, "code_version", lambda: "other")
-    other = stamp({})
+    other = fingerprint({})
     assert other != before
     monkeypatch.setattr(stamps, "library_versions", lambda: {"numpy": "0.1"})
-    assert stamp({}) not in (before, other)
+    assert fingerprint({}) not in (before, other)

@@ -13,6 +13,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from xplain.domains.base import Item, Scene
+from xplain.experiment.results import (
+    ElbowFigures,
+    EpisodeFigures,
+    Results,
+    TypeNames,
+    save_results,
+)
 from xplain.report import tables
 from xplain.report.summary import Summary
 from xplain.report.write import write_report
@@ -32,15 +40,17 @@ def regret(method, trade_off, seed, trace):
 
 
 def episode(solver, trace, kind, cost):
-    return {
-        "solver": solver,
-        "trace": trace,
-        "type": kind,
-        "cost": cost,
-        "messages": 1,
-        "inexplicable_labels": 2,
-        "steps_until_sure": 1,
-    }
+    return EpisodeFigures(
+        solver=solver,
+        trace=trace,
+        type=kind,
+        cost=cost,
+        communication=1.0,
+        inexplicability=2.0,
+        messages=1,
+        inexplicable_labels=2,
+        steps_until_sure=1,
+    )
 
 
 def line(solver, trace, kind):
@@ -80,25 +90,28 @@ def sweep(tmp_path):
                 ("solver", oracle(trade_off, seed, trace) + regret(method, trade_off, seed, trace)),
             ]
         ]
-        results = {
-            "choices": {"domain": setting["domain"], "solver": method},
-            "config": {"lambda": trade_off, "seed": seed},
-            "episodes": episodes,
-            "learning": {"types_found": 2.0, "adjusted_rand_index": 1.0},
-            "elbow": {"disagreements": [40.0, 3.0, 1.0], "rule": "kneedle"},
-            "types": {"found": ["1", "2"]},
-            "steps": {"belief_in_true_type": [0.5, 0.8, 0.9], "episodes": [8, 8, 8]},
-            "messages": {"fire": "The robot likes <fire>."},
-            "scene": {
-                "rows": 1,
-                "columns": 3,
-                "walls": [],
-                "items": [{"name": "goal", "symbol": "G", "cells": [[0, 2]]}],
-            },
-        }
+        results = Results(
+            name=name,
+            xplain="0",
+            code="0",
+            git={},
+            started=0.0,
+            seconds={},
+            choices={"domain": setting["domain"], "solver": method},
+            config={"lambda": trade_off, "seed": seed},
+            metrics={},
+            bounds={},
+            learning={"types_found": 2.0, "adjusted_rand_index": 1.0},
+            elbow=ElbowFigures("kneedle", (40.0, 3.0, 1.0)),
+            messages={"fire": "The robot likes <fire>."},
+            scene=Scene(1, 3, (), (Item("goal", "G", ((0, 2),)),)),
+            types=TypeNames(TYPES, ("1", "2"), (0, 1), (0, 1)),
+            steps={"belief_in_true_type": (0.5, 0.8, 0.9), "episodes": (8, 8, 8)},
+            episodes=tuple(episodes),
+        )
         folder = tmp_path / "jobs" / name
         folder.mkdir(parents=True)
-        (folder / "results.json").write_text(json.dumps(results))
+        save_results(folder, results)
         (folder / "episodes.jsonl").write_text("\n".join(line("solver", 0, kind) for kind in TYPES))
     about = {"name": "many", "command": "python -m xplain", "code": "c0de", "git": {}, "jobs": jobs}
     (tmp_path / "sweep.json").write_text(json.dumps(about))

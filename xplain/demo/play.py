@@ -11,11 +11,11 @@ from hydra.utils import instantiate
 
 from xplain.config import CONF, prepare
 from xplain.errors import InputError
+from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Case, Prepared
 from xplain.experiment.pipeline import prepare as prepare_stages
 from xplain.message_sets import mask_of
 from xplain.randomness import stream
-from xplain.runs.job import costs_of, source_of
 from xplain.sessions.explainer import Explainer, GivenTypes
 from xplain.sessions.session import Session, Why
 
@@ -61,7 +61,9 @@ class Stage:
         if user is None or len(found) < 2:
             return []
         alike = prepared.distinct[prepared.types.index(user)]
-        return [name for name, of in zip(found, prepared.stands_for, strict=True) if of == alike]
+        return [
+            name for name, of in zip(found, prepared.matched_true_type, strict=True) if of == alike
+        ]
 
 
 @dataclass(frozen=True)
@@ -124,21 +126,21 @@ def stage(overrides: Sequence[str], trace: int) -> Stage:
     with initialize_config_dir(str(CONF), version_base="1.3"):
         cfg = compose("config", [*overrides, f"traces={trace + 1}"], return_hydra_config=True)
     choices = cfg.hydra.runtime.choices
-    source, costs = source_of(cfg), costs_of(cfg)
+    components, costs = components_of(cfg), costs_of(cfg)
     solver, update = instantiate(cfg.solver), instantiate(cfg.belief)
     if solver.knows not in ("types", "everyone"):
         raise InputError("solver", str(choices.solver), "one that need not know the user's type")
-    prepared = prepare_stages(source)
+    prepared = prepare_stages(components)
     case = prepared.cases[trace]
     alone = solver.knows == "everyone"
     types = GivenTypes(
         case.everyone if alone else case.learned,
         prepared.messages,
-        ("everyone",) if alone else prepared.found,
-        prepared.shares if costs.prior == "observers" and not alone else (),
+        ("everyone",) if alone else prepared.learned_types,
+        prepared.type_shares if costs.prior == "observers" and not alone else (),
     )
-    true_types = source.users.types(source.domain, stream(source.seed, "users"))
-    sentence = {p.name: p.belief or f"({p.name} wrong)" for p in source.domain.parameters}
+    true_types = components.users.types(components.domain, stream(components.seed, "users"))
+    sentence = {p.name: p.belief or f"({p.name} wrong)" for p in components.domain.parameters}
     names = tuple(user_type.name for user_type in true_types)
     return Stage(
         domain=str(choices.domain),
@@ -154,11 +156,11 @@ def stage(overrides: Sequence[str], trace: int) -> Stage:
             costs.discount,
             costs.discount_per,
             update,
-            source.seed,
+            components.seed,
         ),
         beliefs={t.name: tuple(sentence[fact] for fact in t.inaccurate) for t in true_types},
         trade_off=costs.trade_off,
-        drawn=names[int(stream(source.seed, "demo").integers(len(names)))],
+        drawn=names[int(stream(components.seed, "demo").integers(len(names)))],
     )
 
 

@@ -38,7 +38,7 @@ class Terminal:
         stage = self.stage
         self.console.print(
             f"[bold]{stage.domain}[/] · {stage.solver} · λ = {stage.trade_off:g} · "
-            f"{len(stage.prepared.found)} user types were learned"
+            f"{len(stage.prepared.learned_types)} user types were learned"
         )
         if self.user is not None:
             self.console.print(f"The user is of type [bold]{self.user}[/] (the robot is not told):")

@@ -1,4 +1,5 @@
-"""Work done once: what :func:`xplain.experiment.pipeline.prepare` made, kept on disk by its stamp.
+"""Work done once: what :func:`xplain.experiment.pipeline.prepare` made, kept on disk by its
+fingerprint.
 
 Data, types, labelers and traces are the same for every λ and solver. The key covers their
 configuration and every piece of code that made them (:mod:`xplain.experiment.fingerprint`), so an
@@ -8,23 +9,20 @@ unpickled.
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import os
-import tempfile
-import types
-import typing
 import zipfile
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.experiment.fingerprint import stamp
+from xplain.experiment.fingerprint import fingerprint
 from xplain.experiment.pipeline import Prepared
+from xplain.storage import decode, encode, written_whole
 
 SOURCE = (
     "domain",
@@ -39,9 +37,9 @@ SOURCE = (
 """The configuration's keys that decide data, types and traces."""
 
 
-def source_stamp(config: dict[str, Any]) -> str:
+def source_fingerprint(config: dict[str, Any]) -> str:
     """The key of a resolved configuration: the same for all that share data and types."""
-    return stamp({key: config[key] for key in SOURCE})
+    return fingerprint({key: config[key] for key in SOURCE})
 
 
 def prepared_once(folder: Path, key: str, make: Callable[[], Prepared]) -> Prepared:
@@ -52,7 +50,7 @@ def prepared_once(folder: Path, key: str, make: Callable[[], Prepared]) -> Prepa
 
     Args:
         folder: of the cache.
-        key: of :func:`source_stamp`.
+        key: of :func:`source_fingerprint`.
         make: does the work.
     """
     from filelock import FileLock
@@ -80,7 +78,7 @@ def _read(path: Path) -> Prepared | None:
         with path.open("rb") as stored, np.load(stored, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         content = json.loads(str(arrays["content"]))
-        prepared: Prepared = _decode(Prepared, content, arrays)
+        prepared: Prepared = decode(Prepared, content, arrays)
         return prepared
     except (OSError, EOFError, ValueError, LookupError, TypeError, zipfile.BadZipFile, zlib.error):
         return None
@@ -88,45 +86,7 @@ def _read(path: Path) -> Prepared | None:
 
 def _write(path: Path, prepared: Prepared) -> None:
     arrays: dict[str, NDArray[Any]] = {}
-    content = np.array(json.dumps(_encode(prepared, arrays), default=lambda number: number.item()))
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".new.", suffix=".npz")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez_compressed(file, allow_pickle=False, content=content, **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError:
-        Path(temporary).unlink(missing_ok=True)
-
-
-def _encode(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
-    """JSON of a dataclass; its arrays go into ``arrays``, their names into the JSON."""
-    if isinstance(value, np.ndarray):
-        name = f"array_{len(arrays)}"
-        arrays[name] = value
-        return name
-    if dataclasses.is_dataclass(value):
-        names = [field.name for field in dataclasses.fields(value)]
-        return {name: _encode(getattr(value, name), arrays) for name in names}
-    if isinstance(value, tuple):
-        return [_encode(item, arrays) for item in value]
-    return value
-
-
-def _decode(kind: Any, value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
-    """The value of type ``kind`` that :func:`_encode` made ``value`` of."""
-    origin = typing.get_origin(kind)
-    if origin in (types.UnionType, typing.Union):
-        inner = [option for option in typing.get_args(kind) if option is not type(None)]
-        return None if value is None else _decode(inner[0], value, arrays)
-    if origin is np.ndarray:
-        return arrays[value]
-    if origin is tuple:
-        items, ellipsis = typing.get_args(kind), ...
-        inner = [items[0]] * len(value) if items[-1] is ellipsis else list(items)
-        return tuple(_decode(k, v, arrays) for k, v in zip(inner, value, strict=True))
-    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-        hints = typing.get_type_hints(kind)
-        return kind(**{name: _decode(hints[name], value[name], arrays) for name in value})
-    return value
+    content = np.array(json.dumps(encode(prepared, arrays)))
+    # The cache costs its sharing, not the result, where it cannot be written.
+    with suppress(OSError), written_whole(path, "wb") as file:
+        np.savez_compressed(file, allow_pickle=False, content=content, **arrays)

@@ -8,16 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from xplain.errors import InputError
-from xplain.experiment.pipeline import Costs, Prepared, problem_for, trace_seed
+from xplain.experiment.explanations import Costs, problem_for, problem_of_types, trace_seed
+from xplain.experiment.pipeline import Prepared
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
 from xplain.solvers.hsvi.solver import Effort
 from xplain.solvers.policy_evaluation import evaluate
-from xplain.solvers.qmdp import QMDP
-
-TYPES = QMDP()
-"""Any solver that knows the learned types: :func:`problem_for` gives it their problem."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ class Certify:
         rows: list[dict[str, float]] = []
         seen: dict[bytes, dict[str, float]] = {}
         for index, case in enumerate(prepared.cases[: self.traces]):
-            problem = problem_for(prepared, case, costs, TYPES, 0)
+            problem = problem_of_types(prepared, case, costs)
             key = problem.p_explicable.tobytes()
             if key not in seen:
                 own = problem_for(prepared, case, costs, solver, 0)

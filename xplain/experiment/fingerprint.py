@@ -1,9 +1,9 @@
-"""What a number depends on, as a digest: two jobs with one stamp give the same numbers.
+"""What a number depends on, as a digest: jobs with one fingerprint give the same numbers.
 
-A stamp covers the resolved configuration, the sources of this package, the versions of the
+A fingerprint covers the resolved configuration, the sources of this package, the versions of the
 libraries that compute, the sources of every component plugged in from elsewhere with all that
 they import, and the content of every file that the configuration names. Results are taken for
-finished, and cached stages for valid, by their stamp alone, so it errs on the side of change.
+finished, and cached stages for valid, by their fingerprint alone, so it errs on the side of change.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import ast
 import hashlib
 import importlib.util
 import json
+import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -21,7 +22,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.experiment.results import code_version
+import xplain
 
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "kneed", "numba", "pandas", "pyarrow")
 """Distributions whose version may change a number."""
@@ -43,7 +44,7 @@ def configuration(cfg: DictConfig) -> dict[str, Any]:
     }
 
 
-def stamp(config: dict[str, Any]) -> str:
+def fingerprint(config: dict[str, Any]) -> str:
     """The digest of a resolved configuration and of all that it makes run: 32 hex digits."""
     content = {
         "config": config,
@@ -53,6 +54,37 @@ def stamp(config: dict[str, Any]) -> str:
         "files": {path: _digest(Path(path).read_bytes()) for path in sorted(_files(config))},
     }
     return _digest(json.dumps(content, sort_keys=True).encode())
+
+
+@cache
+def code_version() -> str:
+    """A digest of the package's own sources: results of other code are other results."""
+    digest = hashlib.sha256()
+    root = Path(xplain.__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+@cache
+def git_state() -> dict[str, str]:
+    """Commit and whether the checkout has changes; empty where the package is no checkout."""
+    root = Path(xplain.__file__).parent.parent
+    if not (root / ".git").exists():
+        return {}
+    try:
+        commit = _git(root, "rev-parse", "HEAD")
+        dirty = bool(_git(root, "status", "--porcelain", "--untracked-files=no"))
+    except (OSError, subprocess.SubprocessError):
+        return {}
+    return {"commit": commit, "dirty": str(dirty).lower()}
+
+
+def _git(root: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(root), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10)
+    return done.stdout.strip()
 
 
 @cache

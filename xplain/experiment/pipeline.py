@@ -1,21 +1,24 @@
-"""The paper's method, from top to bottom: observe, learn the user types, explain, count the cost.
+"""The first half of the method: observe, learn the user types, lay out the traces.
 
-    Setting ── Dataset ── UserTypes ── Case (one a trace) ── Problem ── Policy ── Episode
+    Setting ── Dataset ── UserTypes ── Case (one a trace)
 
-Everything before the solver and λ is in :func:`prepare`: it is the same for all of them, and its
-result is plain data, so that a sweep does this work once.
+All of it is the same for every solver and λ, and :func:`prepare` ends in plain data, so that a
+sweep does this work once. What follows, Problem ── Policy ── Episode, is in
+:mod:`xplain.experiment.explanations`. Each stage is one function, which commands and the study
+call as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
+from xplain.data.observers import Observers
 from xplain.data.rollouts import sample_trace
 from xplain.domains.base import (
     Domain,
@@ -24,13 +27,10 @@ from xplain.domains.base import (
     transition_features,
 )
 from xplain.errors import InputError
-from xplain.evaluation.episode import SimulatedUser, explain
-from xplain.evaluation.metrics import Record
-from xplain.explanation.belief import BeliefUpdate
-from xplain.explanation.problem import DiscountPer, Problem
+from xplain.learning.clustering import Clusterer, Perfect
+from xplain.learning.labelers import Labeler, LabelerTrainer
+from xplain.learning.user_types import UserTypes, learn_types
 from xplain.randomness import derived_seed, stream
-from xplain.solvers.base import Solver
-from xplain.solvers.cached_policy import Remembered
 from xplain.users.setting import Setting
 from xplain.users.types import TypeSource
 
@@ -44,20 +44,12 @@ def untracked(items: Iterable[Any], what: str, count: int) -> Iterator[Any]:
     return iter(items)
 
 
-class Observers(Protocol):
-    """People, simulated or real, who labelled transitions."""
-
-    def collect(self, setting: Setting, seed: int) -> tuple[Dataset, NDArray[np.int64] | None]:
-        """Their labels, and the index of each observer's true type where it is known."""
-        ...
-
-
 @dataclass(frozen=True)
-class Source:
+class Components:
     """What decides the data, the types and the traces, but no explanation.
 
     Attributes:
-        domain, users, observers, labeler, clusterer: the components chosen in config.
+        domain, users, observers, labeler, clusterer: chosen in the configuration.
         traces: how many traces to explain.
         max_steps: a trace ends at a terminal state or here.
         seed: of every stream.
@@ -66,8 +58,8 @@ class Source:
     domain: Domain
     users: TypeSource
     observers: Observers
-    labeler: Any
-    clusterer: Any
+    labeler: LabelerTrainer
+    clusterer: Clusterer
     traces: int
     max_steps: int
     seed: int
@@ -79,46 +71,6 @@ class Source:
                 raise InputError(key, getattr(self, key), "a whole number ≥ 1")
         if self.seed < 0:
             raise InputError("seed", self.seed, "a whole number ≥ 0")
-
-
-@dataclass(frozen=True)
-class Costs:
-    """What messages and inexplicable labels cost, and how plans discount (SPEC §5)."""
-
-    trade_off: float
-    message_cost: float
-    inexplicability_cost: float
-    discount: float
-    discount_per: DiscountPer
-    prior: Literal["uniform", "observers"]
-
-    def __post_init__(self) -> None:
-        """Checks what :class:`Problem` would refuse, before any work is done."""
-        self.problem(np.full((1, 1, 1), 0.5), (), ("type",), np.ones(1))
-        if self.prior not in ("uniform", "observers"):
-            raise InputError("prior", self.prior, "uniform or observers")
-
-    def problem(
-        self,
-        p_explicable: NDArray[np.float64],
-        message_names: tuple[str, ...],
-        type_names: tuple[str, ...],
-        shares: NDArray[np.float64],
-    ) -> Problem:
-        """The problem of one trace; ``shares`` [N] of the observers, for the prior."""
-        if not (np.isfinite(self.message_cost) and self.message_cost >= 0):
-            raise InputError("message_cost", self.message_cost, "a number ≥ 0")
-        return Problem(
-            p_explicable=p_explicable,
-            message_cost=np.full(len(message_names), self.message_cost),
-            inexplicability_cost=self.inexplicability_cost,
-            trade_off=self.trade_off,
-            discount=self.discount,
-            prior=shares if self.prior == "observers" else np.full(len(shares), 1 / len(shares)),
-            discount_per=self.discount_per,
-            message_names=message_names,
-            type_names=type_names,
-        )
 
 
 @dataclass(frozen=True)
@@ -153,8 +105,8 @@ class Prepared:
         domain: its name.
         messages: n names, with ``sentences`` for people.
         types: M names of the true types; ``distinct`` [M] numbers those that behave alike.
-        found: N names of the learned types; ``stands_for`` [N] the ``distinct`` number of most
-            of their observers (−1 unknown), ``shares`` [N] of the observers.
+        learned_types: N names; ``matched_true_type`` [N] the ``distinct`` number of most of their
+            observers (−1 unknown), ``type_shares`` [N] of the observers.
         learning: figures of the learning stage, by name.
         curve: disagreements for k = 1 … (empty where the method has none).
         rule: what decided the number of types.
@@ -167,9 +119,9 @@ class Prepared:
     sentences: tuple[str, ...]
     types: tuple[str, ...]
     distinct: NDArray[np.int64]
-    found: tuple[str, ...]
-    stands_for: NDArray[np.int64]
-    shares: NDArray[np.float64]
+    learned_types: tuple[str, ...]
+    matched_true_type: NDArray[np.int64]
+    type_shares: NDArray[np.float64]
     learning: dict[str, float]
     curve: NDArray[np.float64]
     rule: str
@@ -177,152 +129,189 @@ class Prepared:
     cases: tuple[Case, ...]
 
 
-def prepare(source: Source, track: Track[Any] = untracked) -> Prepared:
+@dataclass(frozen=True)
+class Observed:
+    """What observers gave, and what is true of them.
+
+    Attributes:
+        setting: the domain, the true types and their models.
+        dataset: the labels.
+        truth: [O] index of each observer's true type; None where nobody knows it.
+    """
+
+    setting: Setting
+    dataset: Dataset
+    truth: NDArray[np.int64] | None
+
+
+@dataclass(frozen=True)
+class References:
+    """Labelers that policies are compared with.
+
+    Attributes:
+        everyone: one labeler of all data (the baseline's).
+        perfect: the labelers under perfect clustering, L_pc (the oracle's); None where the true
+            types of the observers are unknown.
+    """
+
+    everyone: Labeler
+    perfect: UserTypes | None
+
+
+def prepare(components: Components, track: Track[Any] = untracked) -> Prepared:
     """Builds the setting, lets observers label, finds the types and learns their labelers.
 
     Raises:
         XplainError: the configuration or the data cannot be used; the text says what to change.
     """
-    from xplain.learning.clustering import Perfect
-    from xplain.learning.user_types import learn_types
-
-    domain, seed, trainer = source.domain, source.seed, source.labeler
-
-    types = source.users.types(domain, stream(seed, "users"))
-    setting = Setting.build(domain, types)
-    dataset, truth = source.observers.collect(setting, seed)
-    _require_same_features(dataset, domain)
-
-    everyone = trainer.fit(dataset, derived_seed(seed, "everyone"))
-    _require_tested([everyone])
-    clustering = source.clusterer.cluster(dataset, trainer, derived_seed(seed, "clusterer"), truth)
-    learned = learn_types(dataset, clustering, trainer, derived_seed(seed, "labelers"))
-    _require_tested(learned.labelers)
-    perfect = None
-    if truth is not None:
-        best = Perfect().cluster(dataset, trainer, 0, truth)
-        perfect = learn_types(dataset, best, trainer, derived_seed(seed, "perfect"))
-
-    robot, optimal = setting.models[0], setting.optimal[0]
-    cases = []
-    for index in track(range(source.traces), "labelling traces", source.traces):
-        rng = stream(seed, "traces", index)
-        transitions = sample_trace(robot, optimal, domain.starts, rng, source.max_steps)
-        features = transition_features(domain, transitions)
-        states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]
-        cells = [domain.position(state) for state in states]
-        cases.append(
-            Case(
-                transitions=transitions,
-                phrases=tuple(domain.describe(transition) for transition in transitions),
-                positions=tuple(cell for cell in cells if cell is not None),
-                learned=_tables(learned.labelers, features, setting.n_messages),
-                everyone=_tables((everyone,), features, setting.n_messages),
-                perfect=None
-                if perfect is None
-                else _tables(perfect.labelers, features, setting.n_messages),
-                labels=setting.label_table(transitions),
-            )
+    domain, trainer, seed = components.domain, components.labeler, components.seed
+    observed = observe(domain, components.users, components.observers, seed)
+    _require_same_features(observed.dataset, domain)
+    references = learn_references(observed, trainer, seed)
+    types = learn(observed.dataset, trainer, components.clusterer, seed, observed.truth)
+    _require_tested(types.labelers)
+    setting = observed.setting
+    traces = track(range(components.traces), "labelling traces", components.traces)
+    cases = tuple(
+        build_case(
+            setting, draw_trace(setting, components.max_steps, seed, index), types, references
         )
-
-    figures = {"types_found": float(len(learned.labelers))}
-    figures["labeler_accuracy"] = _mean_accuracy(learned.labelers)
-    figures["everyone_accuracy"] = everyone.accuracy
-    stands_for = np.full(len(learned.labelers), -1)
-    if truth is not None and perfect is not None:
-        from sklearn.metrics import adjusted_rand_score
-
-        alike = setting.distinct[truth]
-        for found in range(len(learned.labelers)):
-            stands_for[found] = np.bincount(alike[clustering.assignment == found]).argmax()
-        figures["adjusted_rand_index"] = float(adjusted_rand_score(alike, clustering.assignment))
-        figures["perfect_labeler_accuracy"] = _mean_accuracy(perfect.labelers)
-        figures["true_types"] = float(len(np.unique(alike)))
+        for index in traces
+    )
+    assignment = types.clustering.assignment
     return Prepared(
         domain=domain.name,
         messages=setting.message_names,
         sentences=tuple(parameter.message for parameter in domain.parameters),
-        types=tuple(user_type.name for user_type in types),
+        types=tuple(user_type.name for user_type in setting.types),
         distinct=setting.distinct,
-        found=learned.names,
-        stands_for=stands_for,
-        shares=np.bincount(clustering.assignment) / len(clustering.assignment),
-        learning=figures,
-        curve=np.asarray([] if clustering.curve is None else clustering.curve, dtype=float),
-        rule=clustering.rule,
+        learned_types=types.names,
+        matched_true_type=match_true_types(observed, types),
+        type_shares=np.bincount(assignment) / len(assignment),
+        learning=learning_figures(observed, types, references),
+        curve=np.asarray(
+            [] if types.clustering.curve is None else types.clustering.curve, dtype=float
+        ),
+        rule=types.clustering.rule,
         scene=domain.scene,
-        cases=tuple(cases),
+        cases=cases,
     )
 
 
-def problem_for(prepared: Prepared, case: Case, costs: Costs, solver: Solver, user: int) -> Problem:
-    """What a solver may plan with when a user of the true type ``user`` is in front of it.
+def observe(domain: Domain, users: TypeSource, observers: Observers, seed: int) -> Observed:
+    """The true types, and the labels that observers of these types gave.
 
     Raises:
-        InputError: the solver needs the observers' true types, and they are unknown.
+        XplainError: the types do not fit the domain, or the labels cannot be used.
     """
-    name = prepared.types[user]
-    alone = np.ones(1)
-    if solver.knows == "types":
-        return costs.problem(case.learned, prepared.messages, prepared.found, prepared.shares)
-    if solver.knows == "everyone":
-        return costs.problem(case.everyone, prepared.messages, ("everyone",), alone)
-    if solver.knows == "labels":
-        truth = case.labels[user : user + 1].astype(np.float64)
-        return costs.problem(truth, prepared.messages, (name,), alone)
-    if case.perfect is None:
-        raise InputError("solver", "oracle", "needs observers whose true types are known")
-    return costs.problem(case.perfect[user : user + 1], prepared.messages, (name,), alone)
+    setting = Setting.build(domain, users.types(domain, stream(seed, "users")))
+    dataset, truth = observers.collect(setting, seed)
+    return Observed(setting, dataset, truth)
 
 
-def evaluate(
-    prepared: Prepared,
-    costs: Costs,
-    solvers: dict[str, Solver],
-    belief_update: BeliefUpdate,
+def learn(
+    dataset: Dataset,
+    trainer: LabelerTrainer,
+    clusterer: Clusterer,
     seed: int,
-    track: Track[Any] = untracked,
-) -> list[Record]:
-    """Each solver explains each trace to a user of each true type.
+    truth: NDArray[np.int64] | None = None,
+    none_of_these: float = 0.0,
+) -> UserTypes:
+    """Clusters the observers, and learns one labeler a cluster.
 
     Args:
-        prepared: of :func:`prepare`.
-        costs: λ and the rest.
-        solvers: by the name in the records.
-        belief_update: which labels change the belief.
-        seed: the policies' streams come from it and the trace, not from the solver's name.
-        track: shows progress.
+        dataset: the labels.
+        trainer: fits labelers.
+        clusterer: finds the types.
+        seed: of the run.
+        truth: [O] true types, which only perfect clustering may look at.
+        none_of_these: see :func:`xplain.learning.user_types.learn_types`.
     """
-    records = []
-    for index, case in track(enumerate(prepared.cases), "explaining", len(prepared.cases)):
-        for name, solver in solvers.items():
-            shared = solver.knows in ("types", "everyone")
-            policy = problem = None
-            for user in range(len(prepared.types)):
-                # A user's type changes the plan only of a solver that knows it.
-                if policy is None or problem is None or not shared:
-                    problem = problem_for(prepared, case, costs, solver, user)
-                    planned = solver.plan(problem, trace_seed(seed, index))
-                    if index == 0:  # kernels load at the first question: no decision's time
-                        planned.messages(0, 0, problem.prior)
-                    policy = Remembered(planned)
-                episode = explain(problem, policy, SimulatedUser(case.labels[user]), belief_update)
-                right = np.ones(problem.n_types, dtype=bool)
-                if solver.knows == "types":
-                    right = prepared.stands_for == prepared.distinct[user]
-                records.append(Record(name, index, user, right, episode))
-    return records
+    clustering = clusterer.cluster(dataset, trainer, derived_seed(seed, "clusterer"), truth)
+    return learn_types(
+        dataset,
+        clustering,
+        trainer,
+        derived_seed(seed, "labelers"),
+        none_of_these=none_of_these,
+    )
 
 
-def trace_seed(seed: int, index: int) -> int:
-    """The seed of every policy for the trace with this index."""
-    return derived_seed(seed, "solver", index)
+def learn_references(observed: Observed, trainer: LabelerTrainer, seed: int) -> References:
+    """The labeler of all data, and the labelers under perfect clustering.
+
+    Raises:
+        InputError: too few labels to hold some out.
+    """
+    dataset, truth = observed.dataset, observed.truth
+    everyone = trainer.fit(dataset, derived_seed(seed, "everyone"))
+    _require_tested([everyone])
+    perfect = None
+    if truth is not None:
+        best = Perfect().cluster(dataset, trainer, 0, truth)
+        perfect = learn_types(dataset, best, trainer, derived_seed(seed, "perfect"))
+    return References(everyone, perfect)
 
 
-def _tables(
-    labelers: Iterable[Any], features: NDArray[np.float64], n_messages: int
-) -> NDArray[np.float64]:
-    return np.stack([labeler.table(features, n_messages) for labeler in labelers])
+def draw_trace(setting: Setting, max_steps: int, seed: int, index: int) -> NDArray[np.int64]:
+    """[m, 3] the trace with this index: it starts at random and follows the robot's policy."""
+    rng = stream(seed, "traces", index)
+    robot, optimal = setting.models[0], setting.optimal[0]
+    return sample_trace(robot, optimal, setting.domain.starts, rng, max_steps)
+
+
+def build_case(
+    setting: Setting,
+    transitions: NDArray[np.int64],
+    types: UserTypes,
+    references: References,
+) -> Case:
+    """Lays out what every agent and every user thinks of a trace [m, 3]."""
+    domain, n = setting.domain, setting.n_messages
+    features = transition_features(domain, transitions)
+    states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]
+    cells = [domain.position(state) for state in states]
+    perfect = references.perfect
+    return Case(
+        transitions=transitions,
+        phrases=tuple(domain.describe(transition) for transition in transitions),
+        positions=tuple(cell for cell in cells if cell is not None),
+        learned=types.p_explicable(features, n),
+        everyone=references.everyone.table(features, n)[None],
+        perfect=None if perfect is None else perfect.p_explicable(features, n),
+        labels=setting.label_table(transitions),
+    )
+
+
+def match_true_types(observed: Observed, types: UserTypes) -> NDArray[np.int64]:
+    """[N] for each learned type the ``distinct`` number of most of its observers; −1 where the
+    observers' true types are unknown."""
+    matched = np.full(len(types.labelers), -1)
+    if observed.truth is not None:
+        alike = observed.setting.distinct[observed.truth]
+        for learned in range(types.clustering.n_types):
+            matched[learned] = np.bincount(alike[types.clustering.members(learned)]).argmax()
+    return matched
+
+
+def learning_figures(
+    observed: Observed, types: UserTypes, references: References
+) -> dict[str, float]:
+    """How well the types were found and the labels learned, by name."""
+    figures = {
+        "types_found": float(len(types.labelers)),
+        "labeler_accuracy": _mean_accuracy(types.labelers),
+        "everyone_accuracy": references.everyone.accuracy,
+    }
+    if observed.truth is not None and references.perfect is not None:
+        from sklearn.metrics import adjusted_rand_score
+
+        alike = observed.setting.distinct[observed.truth]
+        index = adjusted_rand_score(alike, types.clustering.assignment)
+        figures["adjusted_rand_index"] = float(index)
+        figures["perfect_labeler_accuracy"] = _mean_accuracy(references.perfect.labelers)
+        figures["true_types"] = float(len(np.unique(alike)))
+    return figures
 
 
 def _mean_accuracy(labelers: Iterable[Any]) -> float:

@@ -1,132 +1,205 @@
-"""Results on disk, which are the truth: MLflow and reports are made from them.
+"""What a run leaves on disk, which is the truth: MLflow and reports are made from it.
 
-A run's folder holds ``results.json`` (figures, configuration, code version), ``episodes.jsonl``
-(one line an episode, step by step), ``config.yaml`` (resolved) and pictures.
+A run's folder holds ``results.json`` (:class:`Results`: figures, configuration, code version),
+``episodes.jsonl`` (one line an episode, step by step), ``config.yaml`` (resolved) and pictures.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
-import os
-import subprocess
-import tempfile
-from dataclasses import asdict
-from functools import cache
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import xplain
+from xplain.domains.base import Scene
 from xplain.evaluation.metrics import Record, by_step, summarise
+from xplain.evaluation.statistics import Estimate
 from xplain.experiment.pipeline import Prepared
 from xplain.message_sets import names_of
+from xplain.storage import decode, encode, write_text
 
 RESULTS = "results.json"
 EPISODES = "episodes.jsonl"
 
 
-@cache
-def code_version() -> str:
-    """A digest of the package's own sources: results of other code are other results."""
-    digest = hashlib.sha256()
-    root = Path(xplain.__file__).parent
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+@dataclass(frozen=True)
+class Figure:
+    """A mean over episodes, with the ends of its 95 % interval; None where there is none."""
+
+    mean: float
+    low: float | None
+    high: float | None
+
+    @classmethod
+    def of(cls, estimate: Estimate) -> Figure:
+        """An estimate, without what JSON cannot hold."""
+        return cls(estimate.mean, _finite(estimate.low), _finite(estimate.high))
 
 
-@cache
-def git_state() -> dict[str, str]:
-    """Commit and whether the checkout has changes; empty where the package is no checkout."""
-    root = Path(xplain.__file__).parent.parent
-    if not (root / ".git").exists():
-        return {}
-    try:
-        commit = _git(root, "rev-parse", "HEAD")
-        dirty = bool(_git(root, "status", "--porcelain", "--untracked-files=no"))
-    except (OSError, subprocess.SubprocessError):
-        return {}
-    return {"commit": commit, "dirty": str(dirty).lower()}
+@dataclass(frozen=True)
+class ElbowFigures:
+    """How the number of types was chosen: the rule, and disagreements for k = 1 … K."""
+
+    rule: str
+    disagreements: tuple[float, ...]
 
 
-def _git(root: Path, *arguments: str) -> str:
-    command = ["git", "-C", str(root), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10)
-    return done.stdout.strip()
+@dataclass(frozen=True)
+class TypeNames:
+    """The user types of a run.
 
-
-def write_atomically(path: Path, text: str) -> None:
-    """The whole text or nothing, even when the process is killed or the disk is full.
-
-    Raises:
-        OSError: with the path.
+    Attributes:
+        true: M names of the true types; ``behave_alike`` [M] numbers those that behave alike.
+        found: N names of the learned types; ``stands_for`` [N] the ``behave_alike`` number of
+            most of their observers, −1 unknown.
     """
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())  # others of the group may read results
-        os.replace(temporary, path)
-    except OSError as error:
-        Path(temporary).unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, str(path)) from error
+
+    true: tuple[str, ...]
+    found: tuple[str, ...]
+    behave_alike: tuple[int, ...]
+    stands_for: tuple[int, ...]
 
 
-@cache
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+@dataclass(frozen=True)
+class EpisodeFigures:
+    """One episode in figures: whose it was, and what it cost (undiscounted)."""
+
+    solver: str
+    trace: int
+    type: str
+    cost: float
+    communication: float
+    inexplicability: float
+    messages: int
+    inexplicable_labels: int
+    steps_until_sure: int
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What was run, by which code, when.
+
+    Attributes:
+        name: for people.
+        xplain, code: version, and digest of the sources.
+        git: commit, and whether the checkout has changes; empty where there is none.
+        started: seconds since 1970.
+        seconds: by stage.
+        choices: the components by group.
+        config: the resolved configuration.
+    """
+
+    name: str
+    xplain: str
+    code: str
+    git: Mapping[str, str]
+    started: float
+    seconds: Mapping[str, float]
+    choices: Mapping[str, str]
+    config: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Results(Provenance):
+    """The content of ``results.json``.
+
+    Attributes:
+        metrics: by name, of the chosen solver (:func:`xplain.evaluation.metrics.summarise`).
+        bounds: certified figures of the explanation problems, by name.
+        learning: figures of the learning stage, by name.
+        elbow: how the number of types was chosen.
+        messages: sentences by name.
+        scene: the map, if there is one.
+        types: true and learned ones.
+        steps: means by step (:func:`xplain.evaluation.metrics.by_step`).
+        episodes: of the solver and of its references.
+        id: names this result for ever.
+        stamp: of a sweep's job, the fingerprint of all that its numbers depend on.
+    """
+
+    metrics: Mapping[str, Figure]
+    bounds: Mapping[str, float]
+    learning: Mapping[str, float]
+    elbow: ElbowFigures
+    messages: Mapping[str, str]
+    scene: Scene | None
+    types: TypeNames
+    steps: Mapping[str, tuple[float, ...]]
+    episodes: tuple[EpisodeFigures, ...]
+    id: str = ""
+    stamp: str = ""
+
+    @property
+    def domain(self) -> str:
+        """The chosen domain."""
+        return self.choices["domain"]
+
+    @property
+    def solver(self) -> str:
+        """The chosen solver."""
+        return self.choices["solver"]
+
+    @property
+    def trade_off(self) -> float:
+        """λ of the run."""
+        return float(self.config["lambda"])
+
+    @property
+    def seed(self) -> int:
+        """The seed of the run."""
+        return int(self.config["seed"])
+
+    @property
+    def regret(self) -> float | None:
+        """Mean regret to the oracle; None where no oracle ran."""
+        return self.metrics["regret"].mean if "regret" in self.metrics else None
 
 
 def results_of(
-    prepared: Prepared, records: list[Record], about: dict[str, Any], bounds: dict[str, float]
-) -> dict[str, Any]:
-    """The content of ``results.json``.
+    prepared: Prepared,
+    records: list[Record],
+    bounds: Mapping[str, float],
+    provenance: Provenance,
+) -> Results:
+    """The results of a run.
 
     Args:
         prepared, records: of the run.
-        about: what was run: configuration, choices, versions, times.
         bounds: certified figures of the explanation problems, by name.
+        provenance: what was run.
     """
-    estimates = summarise(records)
-    return {
-        **about,
-        "metrics": {
-            name: {"mean": e.mean, "low": _finite(e.low), "high": _finite(e.high)}
-            for name, e in estimates.items()
-        },
-        "bounds": bounds,
-        "learning": {k: v for k, v in prepared.learning.items() if math.isfinite(v)},
-        "elbow": {"rule": prepared.rule, "disagreements": prepared.curve.tolist()},
-        "messages": dict(zip(prepared.messages, prepared.sentences, strict=True)),
-        "scene": None if prepared.scene is None else asdict(prepared.scene),
-        "types": {
-            "true": list(prepared.types),
-            "found": list(prepared.found),
-            "behave_alike": prepared.distinct.tolist(),
-            "stands_for": prepared.stands_for.tolist(),
-        },
-        "steps": {name: values.tolist() for name, values in by_step(records).items()},
-        "episodes": [
-            {
-                "solver": record.solver,
-                "trace": record.trace,
-                "type": prepared.types[record.user_type],
-                "cost": record.episode.cost,
-                "communication": record.episode.communication,
-                "inexplicability": record.episode.inexplicability,
-                "messages": record.episode.n_messages,
-                "inexplicable_labels": record.episode.n_inexplicable,
-                "steps_until_sure": record.steps_until_sure,
-            }
+    return Results(
+        **vars(provenance),
+        metrics={name: Figure.of(found) for name, found in summarise(records).items()},
+        bounds=bounds,
+        learning={k: v for k, v in prepared.learning.items() if math.isfinite(v)},
+        elbow=ElbowFigures(prepared.rule, tuple(prepared.curve.tolist())),
+        messages=dict(zip(prepared.messages, prepared.sentences, strict=True)),
+        scene=prepared.scene,
+        types=TypeNames(
+            true=prepared.types,
+            found=prepared.learned_types,
+            behave_alike=tuple(prepared.distinct.tolist()),
+            stands_for=tuple(prepared.matched_true_type.tolist()),
+        ),
+        steps={name: tuple(values.tolist()) for name, values in by_step(records).items()},
+        episodes=tuple(
+            EpisodeFigures(
+                solver=record.solver,
+                trace=record.trace,
+                type=prepared.types[record.user_type],
+                cost=record.episode.cost,
+                communication=record.episode.communication,
+                inexplicability=record.episode.inexplicability,
+                messages=record.episode.n_messages,
+                inexplicable_labels=record.episode.n_inexplicable,
+                steps_until_sure=record.steps_until_sure,
+            )
             for record in records
-        ],
-    }
+        ),
+    )
 
 
 def episode_lines(prepared: Prepared, records: list[Record]) -> str:
@@ -157,18 +230,25 @@ def episode_lines(prepared: Prepared, records: list[Record]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def save_results(folder: Path, results: dict[str, Any]) -> None:
+def save_results(folder: Path, results: Results) -> None:
     """Writes ``results.json``, last of all files of a run: where it is, the run is whole."""
-    write_atomically(folder / RESULTS, json.dumps(results, indent=1, allow_nan=False) + "\n")
+    content = encode(results)
+    if not results.stamp:
+        del content["stamp"]  # of jobs of a sweep only
+    write_text(folder / RESULTS, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
-def load_results(folder: Path) -> dict[str, Any]:
+def load_results(folder: Path) -> Results:
     """Reads ``results.json``.
 
     Raises:
-        OSError, ValueError: there is none, or it is no JSON.
+        OSError, ValueError: there is none, or it holds no results of this version.
     """
-    results: dict[str, Any] = json.loads((folder / RESULTS).read_text(encoding="utf-8"))
+    content = json.loads((folder / RESULTS).read_text(encoding="utf-8"))
+    try:
+        results: Results = decode(Results, content)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{folder / RESULTS} holds no results ({error!r})") from error
     return results
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from xplain.experiment.results import Figure, Results
 from xplain.report.paper import table1
 
 log = logging.getLogger(__name__)
@@ -57,13 +58,11 @@ def _track_by_lines(items: Iterable[Any], what: str, count: int) -> Iterator[Any
             log.info("%s: %d of %d", what, done, count)
 
 
-def print_summary(results: dict[str, Any]) -> None:
+def print_summary(results: Results) -> None:
     """The run's figures as a table on standard output, the paper's beside them."""
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 100)
-    choices, config = results["choices"], results["config"]
     console.print(_headline(results))
-    domain, solver = choices["domain"], choices["solver"]
-    published = table1().get((domain, config["lambda"]), {})
+    published = table1().get((results.domain, results.trade_off), {})
     table = Table(box=None, pad_edge=False)
     table.add_column("measure")
     table.add_column("mean", justify="right")
@@ -72,26 +71,26 @@ def print_summary(results: dict[str, Any]) -> None:
         table.add_column("paper", justify="right")
     paper = {
         "oracle_cost": published.get("oracle"),
-        "regret": None if solver == "oracle" else published.get(solver),
+        "regret": None if results.solver == "oracle" else published.get(results.solver),
     }
     for name, title in TITLES.items():
-        if name not in results["metrics"]:
+        if name not in results.metrics:
             continue
-        estimate = results["metrics"][name]
-        row = [title, f"{estimate['mean']:.3f}", _interval(estimate)]
+        figure = results.metrics[name]
+        row = [title, f"{figure.mean:.3f}", _interval(figure)]
         value = paper.get(name)
         table.add_row(*row, *(["" if value is None else f"{value:.2f}"] if published else []))
     console.print(table)
-    for line in _bounds(results["bounds"]):
+    for line in _bounds(results.bounds):
         console.print(line)
 
 
-def _headline(results: dict[str, Any]) -> str:
-    choices, config, learning = results["choices"], results["config"], results["learning"]
-    types = results["types"]
+def _headline(results: Results) -> str:
+    learning = results.learning
     lines = [
-        f"{choices['domain']} · {choices['solver']} · λ = {config['lambda']:g} · "
-        f"{config['traces']} traces × {len(types['true'])} types · seed {config['seed']}",
+        f"{results.domain} · {results.solver} · λ = {results.trade_off:g} · "
+        f"{results.config['traces']} traces × {len(results.types.true)} types · "
+        f"seed {results.seed}",
         f"user types found: {learning['types_found']:.0f}"
         + (f" of {learning['true_types']:.0f}" if "true_types" in learning else "")
         + (
@@ -99,7 +98,7 @@ def _headline(results: dict[str, Any]) -> str:
             if "adjusted_rand_index" in learning
             else ""
         )
-        + f" ({results['elbow']['rule']})"
+        + f" ({results.elbow.rule})"
         + (
             f"; labelers {learning['labeler_accuracy']:.1%} right on held-out labels"
             if "labeler_accuracy" in learning
@@ -109,13 +108,13 @@ def _headline(results: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _interval(estimate: dict[str, float | None]) -> str:
-    if estimate["low"] is None:
+def _interval(figure: Figure) -> str:
+    if figure.low is None:
         return "one trace"
-    return f"{estimate['low']:.3f} … {estimate['high']:.3f}"
+    return f"{figure.low:.3f} … {figure.high:.3f}"
 
 
-def _bounds(bounds: dict[str, float]) -> list[str]:
+def _bounds(bounds: Mapping[str, float]) -> list[str]:
     if not bounds:
         return []
     lines = [
@@ -133,5 +132,5 @@ def _bounds(bounds: dict[str, float]) -> list[str]:
     return lines
 
 
-def _range(bounds: dict[str, float], name: str) -> str:
+def _range(bounds: Mapping[str, float], name: str) -> str:
     return f"{bounds[f'{name}_low']:.4f} … {bounds[f'{name}_high']:.4f}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -21,6 +21,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from xplain.evaluation.statistics import Estimate, clustered_mean
+from xplain.experiment.results import RESULTS, Results, load_results
 
 ORDER = ("qmdp", "pomcp", "qhr", "baseline", "conformant")
 """The paper's columns come first, others after them by name."""
@@ -55,11 +56,11 @@ class Summary:
         self.folder = folder
         self.about: dict[str, Any] = json.loads((folder / "sweep.json").read_text("utf-8"))
         self.jobs: list[dict[str, Any]] = self.about["jobs"]
-        self.results: list[tuple[dict[str, Any], dict[str, Any]]] = []
+        self.results: list[tuple[dict[str, Any], Results]] = []
         for job in self.jobs:
-            path = folder / "jobs" / job["name"] / "results.json"
-            if path.exists():
-                self.results.append((job, json.loads(path.read_text("utf-8"))))
+            own = folder / "jobs" / job["name"]
+            if (own / RESULTS).exists():
+                self.results.append((job, load_results(own)))
 
     @property
     def failures(self) -> list[tuple[str, str]]:
@@ -82,27 +83,26 @@ class Summary:
         """One row an episode of a job's own solver, the references' costs beside its own."""
         rows = []
         for job, results in self.results:
-            costs = {(e["solver"], e["trace"], e["type"]): e["cost"] for e in results["episodes"]}
-            domain = results["choices"]["domain"]
-            for episode in results["episodes"]:
-                if episode["solver"] != "solver":
+            costs = {(e.solver, e.trace, e.type): e.cost for e in results.episodes}
+            for episode in results.episodes:
+                if episode.solver != "solver":
                     continue
-                key = (episode["trace"], episode["type"])
+                key = (episode.trace, episode.type)
                 rows.append(
                     {
-                        "domain": domain,
+                        "domain": results.domain,
                         "setting": setting_of(job["values"]),
-                        "method": method_of(job["values"], results["choices"]["solver"]),
-                        "lambda": float(results["config"]["lambda"]),
-                        "seed": int(results["config"]["seed"]),
-                        "trace": episode["trace"],
-                        "type": episode["type"],
-                        "cost": episode["cost"],
+                        "method": method_of(job["values"], results.solver),
+                        "lambda": results.trade_off,
+                        "seed": results.seed,
+                        "trace": episode.trace,
+                        "type": episode.type,
+                        "cost": episode.cost,
                         "oracle": costs.get(("oracle", *key), np.nan),
                         "clairvoyant": costs.get(("clairvoyant", *key), np.nan),
-                        "messages": episode["messages"],
-                        "inexplicable labels": episode["inexplicable_labels"],
-                        "steps until sure": episode["steps_until_sure"],
+                        "messages": episode.messages,
+                        "inexplicable labels": episode.inexplicable_labels,
+                        "steps until sure": episode.steps_until_sure,
                     }
                 )
         frame = pd.DataFrame(rows)
@@ -171,11 +171,11 @@ class Summary:
                         estimate = clustered_mean(paired, self._clusters(both))
                         yield domain, trade_off, method, other, estimate
 
-    def job(self, domain: str, trade_off: float, method: str) -> tuple[Path, dict[str, Any]] | None:
+    def job(self, domain: str, trade_off: float, method: str) -> tuple[Path, Results] | None:
         """Folder and results of the first finished job of a cell."""
         for job, results in self.results:
-            own = method_of(job["values"], results["choices"]["solver"])
-            place = (results["choices"]["domain"], results["config"]["lambda"], own)
+            own = method_of(job["values"], results.solver)
+            place = (results.domain, results.trade_off, own)
             if place == (domain, trade_off, method):
                 return self.folder / "jobs" / job["name"], results
         return None
@@ -183,9 +183,8 @@ class Summary:
     def messages(self, domain: str) -> dict[str, str]:
         """``{message: sentence}``."""
         for _, results in self.results:
-            if results["choices"]["domain"] == domain:
-                found: dict[str, str] = results["messages"]
-                return found
+            if results.domain == domain:
+                return dict(results.messages)
         return {}
 
     def complete(self, domain: str, trade_off: float, method: str) -> bool:
@@ -208,12 +207,12 @@ class Summary:
         total: NDArray[np.float64] = np.zeros(0)
         count: NDArray[np.float64] = np.zeros(0)
         for job, results in self.results:
-            own = method_of(job["values"], results["choices"]["solver"])
-            same_place = results["choices"]["domain"] == domain and own == method
-            if not same_place or results["config"]["lambda"] != trade_off:
+            own = method_of(job["values"], results.solver)
+            same_place = results.domain == domain and own == method
+            if not same_place or results.trade_off != trade_off:
                 continue
-            series = np.array(results["steps"][name])
-            weight = np.array(results["steps"]["episodes"])[: len(series)]
+            series = np.array(results.steps[name])
+            weight = np.array(results.steps["episodes"])[: len(series)]
             longest = max(len(total), len(series))
             total = np.pad(total, (0, longest - len(total)))
             count = np.pad(count, (0, longest - len(count)))
@@ -227,11 +226,11 @@ class Summary:
         curves: dict[str, dict[int, NDArray[np.float64]]] = {}
         chosen: dict[str, dict[int, int]] = {}
         for job, results in self.results:
-            curve = results["elbow"]["disagreements"]
-            if results["choices"]["domain"] == domain and curve:
-                name, seed = setting_of(job["values"]), results["config"]["seed"]
+            curve = results.elbow.disagreements
+            if results.domain == domain and curve:
+                name, seed = setting_of(job["values"]), results.seed
                 curves.setdefault(name, {})[seed] = np.array(curve, dtype=float)
-                chosen.setdefault(name, {})[seed] = len(results["types"]["found"])
+                chosen.setdefault(name, {})[seed] = len(results.types.found)
         means = {}
         for name, by_seed in curves.items():
             shortest = min(map(len, by_seed.values()))
@@ -241,10 +240,10 @@ class Summary:
 
     def learning(self) -> dict[tuple[str, str], dict[str, float]]:
         """``{(domain, setting): figure: mean over seeds}`` of the learning stage."""
-        found: dict[tuple[str, str], dict[int, dict[str, float]]] = {}
+        found: dict[tuple[str, str], dict[int, Mapping[str, float]]] = {}
         for job, results in self.results:
-            place = (results["choices"]["domain"], setting_of(job["values"]))
-            found.setdefault(place, {})[results["config"]["seed"]] = results["learning"]
+            place = (results.domain, setting_of(job["values"]))
+            found.setdefault(place, {})[results.seed] = results.learning
         return {
             place: {
                 name: float(np.mean([figures[name] for figures in by_seed.values()]))
@@ -273,12 +272,6 @@ class Summary:
                         (_metric(f"oracle cost/{domain}"), trade_off, oracle.estimate.mean)
                     )
         return points
-
-    def note(self) -> str:
-        """The table as Markdown."""
-        from xplain.report.tables import markdown
-
-        return markdown(self)
 
     def _cell(
         self, domain: str, trade_off: float, method: str, setting: str | None

@@ -8,14 +8,13 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from xplain.domains.base import Item, Scene
+from xplain.domains.base import Scene
 from xplain.report.plots import COLOURS, save
 
 ITEM_COLOURS = (*COLOURS[:6], "#F0E442", "#777777")
@@ -90,18 +89,6 @@ def telling(found: list[Story]) -> list[Story]:
     most = max(best, key=lambda story: story.n_messages)
     fewest = min(best, key=lambda story: story.n_messages)
     return [most, fewest] if fewest is not most else [most]
-
-
-def scene_of(content: Scene | dict[str, Any] | None) -> Scene | None:
-    """The map as ``results.json`` keeps it."""
-    if content is None or isinstance(content, Scene):
-        return content
-    items = [
-        Item(item["name"], item["symbol"], tuple((r, c) for r, c in item["cells"]))
-        for item in content["items"]
-    ]
-    walls = tuple((row, column) for row, column in content["walls"])
-    return Scene(content["rows"], content["columns"], walls, tuple(items))
 
 
 def draw_trace(scene: Scene | None, story: Story) -> Figure:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from xplain.experiment.results import write_atomically
 from xplain.report import tables
 from xplain.report.page import Picture, Pictures, page
 from xplain.report.paper import title
 from xplain.report.summary import Summary
+from xplain.storage import write_text
 
 REPORT = "report"
 
@@ -24,11 +24,11 @@ def write_report(folder: Path) -> tuple[Summary, Path]:
     report = folder / REPORT
     report.mkdir(exist_ok=True)
     if summary.results:
-        write_atomically(report / "table1.md", tables.markdown(summary))
-        write_atomically(report / "table1.tex", tables.latex(summary))
-        write_atomically(report / "table1.csv", tables.as_csv(summary))
-        write_atomically(report / "differences.csv", tables.differences_csv(summary))
-        write_atomically(report / "index.html", page(summary, draw(summary, report)))
+        write_text(report / "table1.md", tables.markdown(summary))
+        write_text(report / "table1.tex", tables.latex(summary))
+        write_text(report / "table1.csv", tables.as_csv(summary))
+        write_text(report / "differences.csv", tables.differences_csv(summary))
+        write_text(report / "index.html", page(summary, draw(summary, report)))
     return summary, report
 
 
@@ -96,10 +96,9 @@ def _trace_pictures(summary: Summary, report: Path) -> Iterator[tuple[str, Path,
         if found is None:
             continue
         folder, results = found
-        scene = traces.scene_of(results["scene"])
         for story in traces.telling(list(traces.stories(folder, "solver"))):
             path = report / f"trace_{domain}_{story.user_type}.png"
-            traces.save_trace(path, scene, story)
+            traces.save_trace(path, results.scene, story)
             yield (
                 domain,
                 path,

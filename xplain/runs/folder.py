@@ -19,8 +19,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from xplain.experiment.results import RESULTS, load_results, write_atomically
+from xplain.experiment.results import RESULTS, load_results
 from xplain.runs.plan import Job, Plan
+from xplain.storage import write_text
 
 SWEEP = "sweep.json"
 FAILURE = "failure.json"
@@ -63,7 +64,7 @@ class SweepFolder:
         """Writes down what the sweep is (once: the first command stays the one on record)."""
         if not (self.path / SWEEP).exists():
             content = {"name": plan.name, **about, "jobs": [asdict(job) for job in plan.jobs]}
-            write_atomically(self.path / SWEEP, json.dumps(content, indent=1) + "\n")
+            write_text(self.path / SWEEP, json.dumps(content, indent=1) + "\n")
 
     def load(self) -> dict[str, Any]:
         """What :meth:`save` wrote.
@@ -94,12 +95,12 @@ class SweepFolder:
         return "running" if (folder / STARTED).exists() else "waiting"
 
     def trust(self, job: Job) -> State:
-        """The state, after reading the results: those of another stamp, or unreadable ones,
+        """The state, after reading the results: those of another fingerprint, or unreadable ones,
         are removed."""
         folder = self.of(job)
         if self.state(job) == "finished":
             try:
-                if load_results(folder).get("stamp") == job.stamp:
+                if load_results(folder).stamp == job.fingerprint:
                     return "finished"
             except ValueError:
                 pass
@@ -125,7 +126,7 @@ class JobOfSweep:
     """What a job's process needs to know of its sweep."""
 
     label: str
-    stamp: str
+    fingerprint: str
     result: str
 
 
@@ -136,18 +137,18 @@ def job_of(folder: Path) -> JobOfSweep | None:
     sweep = SweepFolder(folder.parents[1])
     for job in sweep.jobs():
         if job.name == folder.name:
-            return JobOfSweep(job.label, job.stamp, result_id(sweep.identity, job))
+            return JobOfSweep(job.label, job.fingerprint, result_id(sweep.identity, job))
     return None
 
 
 def result_id(identity: str, job: Job) -> str:
     """What the job's result is called in MLflow."""
-    return hashlib.sha256(f"{identity} {job.stamp}".encode()).hexdigest()[:32]
+    return hashlib.sha256(f"{identity} {job.fingerprint}".encode()).hexdigest()[:32]
 
 
 def mark_started(folder: Path) -> None:
     """This process took the job."""
-    write_atomically(folder / STARTED, json.dumps(_here()) + "\n")
+    write_text(folder / STARTED, json.dumps(_here()) + "\n")
 
 
 def is_ours(folder: Path) -> bool:
@@ -171,4 +172,4 @@ def mark_failed(folder: Path, error: BaseException) -> None:
         "traceback": "".join(traceback.format_exception(error)),
     }
     folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / FAILURE, json.dumps(content, indent=1) + "\n")
+    write_text(folder / FAILURE, json.dumps(content, indent=1) + "\n")

@@ -7,6 +7,7 @@ import json
 import logging
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +18,26 @@ from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__
 from xplain.config import hand_over, one_line
-from xplain.experiment import results as storage
-from xplain.experiment.cache import prepared_once, source_stamp
+from xplain.experiment.cache import prepared_once, source_fingerprint
 from xplain.experiment.certificates import Certify
-from xplain.experiment.fingerprint import configuration, stamp
-from xplain.experiment.pipeline import Costs, Prepared, Source, Track, evaluate, prepare, untracked
-from xplain.report import run_summary as terminal
+from xplain.experiment.explanations import evaluate
+from xplain.experiment.fingerprint import code_version, configuration, fingerprint, git_state
+from xplain.experiment.from_config import components_of, costs_of
+from xplain.experiment.pipeline import Prepared, Track, prepare, untracked
+from xplain.experiment.results import (
+    EPISODES,
+    Provenance,
+    Results,
+    episode_lines,
+    results_of,
+    save_results,
+)
+from xplain.report import run_summary
 from xplain.runs.folder import JobOfSweep, is_ours, job_of, mark_failed, mark_started
 from xplain.runs.worker import end_with_parent
 from xplain.solvers.base import Solver
 from xplain.solvers.known_type import KnownType
+from xplain.storage import write_text
 
 log = logging.getLogger(__name__)
 
@@ -56,39 +67,47 @@ def run_job(cfg: DictConfig) -> float | None:
 
 def _run_alone(cfg: DictConfig, folder: Path) -> float | None:
     tracking = instantiate(cfg.tracking)
-    results, prepared = run_experiment(cfg, folder, terminal.track)
-    results["id"] = result_id(cfg, folder)
+    results, prepared = run_experiment(cfg, configuration(cfg), folder, run_summary.track)
+    results = replace(results, id=result_id(results, folder))
     _draw(folder, prepared)
-    storage.save_results(folder, results)
+    save_results(folder, results)
     tracking.log(folder, Path(cfg.outputs).absolute())
-    terminal.print_summary(results)
-    return _mean_regret(results)
+    run_summary.print_summary(results)
+    return results.regret
 
 
 def _run_in_sweep(cfg: DictConfig, folder: Path, job: JobOfSweep) -> float | None:
     end_with_parent()
     mark_started(folder)
     try:
-        if stamp(configuration(cfg)) != job.stamp:
+        config = configuration(cfg)
+        if fingerprint(config) != job.fingerprint:
             raise RuntimeError(
                 "this worker runs other code, libraries or data than the process that started "
                 "the sweep; install the same versions on every machine"
             )
-        results, _ = run_experiment(cfg, folder, untracked)
+        results, _ = run_experiment(cfg, config, folder, untracked)
     except Exception as error:  # any failure of a job is a result of the sweep
         if is_ours(folder):
             log.exception("failed")
             mark_failed(folder, error)
         return None
-    results |= {"id": job.result, "name": job.label, "stamp": job.stamp}
-    storage.save_results(folder, results)
-    return _mean_regret(results)
+    results = replace(results, id=job.result, name=job.label, stamp=job.fingerprint)
+    save_results(folder, results)
+    return results.regret
 
 
 def run_experiment(
-    cfg: DictConfig, folder: Path, track: Track[Any]
-) -> tuple[dict[str, Any], Prepared]:
-    """The experiment itself: writes its episodes into the folder, returns the results."""
+    cfg: DictConfig, config: dict[str, Any], folder: Path, track: Track[Any]
+) -> tuple[Results, Prepared]:
+    """The experiment itself: writes its episodes into the folder, returns the results.
+
+    Args:
+        cfg: composed.
+        config: the same, resolved (:func:`xplain.experiment.fingerprint.configuration`).
+        folder: of the run.
+        track: shows progress.
+    """
     choices = {group: str(HydraConfig.get().runtime.choices[group]) for group in CHOICES}
     outputs = Path(cfg.outputs).absolute()
     started = time.time()
@@ -101,9 +120,10 @@ def run_experiment(
     certify = Certify(**cfg.certify)
 
     clock = Clock()
-    config = configuration(cfg)
     prepared = prepared_once(
-        outputs / "cache", source_stamp(config), lambda: prepare(source_of(cfg), track)
+        outputs / "cache",
+        source_fingerprint(config),
+        lambda: prepare(components_of(cfg), track),
     )
     clock.lap("prepare")
     solvers: dict[str, Solver] = {"solver": solver, "clairvoyant": KnownType("labels")}
@@ -114,24 +134,19 @@ def run_experiment(
     bounds = certify.certificates(prepared, costs, solver, cfg.seed)
     clock.lap("bounds")
 
-    about = {
-        "name": f"{choices['domain']} {choices['solver']} λ={cfg['lambda']:g} seed={cfg.seed}",
-        "xplain": __version__,
-        "code": storage.code_version(),
-        "git": storage.git_state(),
-        "started": started,
-        "seconds": clock.laps,
-        "choices": choices,
-        "config": config,
-    }
-    storage.write_atomically(folder / storage.EPISODES, storage.episode_lines(prepared, records))
-    storage.write_atomically(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
-    return storage.results_of(prepared, records, about, bounds), prepared
-
-
-def _mean_regret(results: dict[str, Any]) -> float | None:
-    regret = results["metrics"].get("regret")
-    return None if regret is None else float(regret["mean"])
+    provenance = Provenance(
+        name=f"{choices['domain']} {choices['solver']} λ={cfg['lambda']:g} seed={cfg.seed}",
+        xplain=__version__,
+        code=code_version(),
+        git=git_state(),
+        started=started,
+        seconds=clock.laps,
+        choices=choices,
+        config=config,
+    )
+    write_text(folder / EPISODES, episode_lines(prepared, records))
+    write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
+    return results_of(prepared, records, bounds, provenance), prepared
 
 
 class Clock:
@@ -148,44 +163,19 @@ class Clock:
         self._last = now
 
 
-def source_of(cfg: DictConfig) -> Source:
-    """The components that decide data, types and traces."""
-    return Source(
-        domain=instantiate(cfg.domain),
-        users=instantiate(cfg.users),
-        observers=instantiate(cfg.observers),
-        labeler=instantiate(cfg.labeler),
-        clusterer=instantiate(cfg.clusterer),
-        traces=cfg.traces,
-        max_steps=cfg.max_steps,
-        seed=cfg.seed,
-    )
-
-
-def costs_of(cfg: DictConfig) -> Costs:
-    """λ and the other costs."""
-    return Costs(
-        trade_off=cfg["lambda"],
-        message_cost=cfg.message_cost,
-        inexplicability_cost=cfg.inexplicability_cost,
-        discount=cfg.discount,
-        discount_per=cfg.discount_per,
-        prior=cfg.prior,
-    )
-
-
-def result_id(cfg: DictConfig, folder: Path) -> str:
+def result_id(results: Provenance, folder: Path) -> str:
     """Names this result for ever: what was run, by which code, and in which folder."""
-    content = json.dumps([configuration(cfg), storage.code_version(), folder.name], sort_keys=True)
+    content = json.dumps([results.config, results.code, folder.name], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()[:32]
 
 
 def _draw(folder: Path, prepared: Prepared) -> None:
     from xplain.report import plots, traces
 
-    scene = traces.scene_of(prepared.scene)
     story = next(traces.stories(folder, "solver"))
-    traces.save_trace(folder / "trace.png", scene, story)
+    traces.save_trace(folder / "trace.png", prepared.scene, story)
     if len(prepared.curve):
-        figure = plots.disagreements(prepared.curve.tolist(), len(prepared.found), prepared.rule)
+        figure = plots.disagreements(
+            prepared.curve.tolist(), len(prepared.learned_types), prepared.rule
+        )
         plots.save(figure, folder / "disagreements.png")

@@ -15,12 +15,12 @@ import sqlite3
 import tempfile
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xplain.experiment.results import load_results
+from xplain.experiment.results import Results, load_results
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -151,35 +151,35 @@ def log_folder(
     """Logs the results in a folder as one finished run; returns its id."""
     results = load_results(folder)
     for run in client.search_runs(
-        [experiment_id], f"tags.`{RESULT_TAG}` = '{results['id']}'", max_results=10
+        [experiment_id], f"tags.`{RESULT_TAG}` = '{results.id}'", max_results=10
     ):
         if run.info.status == "FINISHED":
             return str(run.info.run_id)
         client.delete_run(run.info.run_id)  # a sender died half-way
-    tags = {RESULT_TAG: results["id"], **source_tags(results["git"]), **process_tag()}
+    tags = {RESULT_TAG: results.id, **source_tags(results.git), **process_tag()}
     if parent is not None:
         tags["mlflow.parentRunId"] = parent
-    start = int(1000 * results["started"])
-    run_id = str(client.create_run(experiment_id, start, tags, results["name"]).info.run_id)
+    start = int(1000 * results.started)
+    run_id = str(client.create_run(experiment_id, start, tags, results.name).info.run_id)
     fill(client, run_id, folder, results)
     return run_id
 
 
-def fill(client: MlflowClient, run_id: str, folder: Path, results: dict[str, Any]) -> None:
+def fill(client: MlflowClient, run_id: str, folder: Path, results: Results) -> None:
     """Logs all of a result into its run and marks it finished; doing it twice changes nothing."""
     from mlflow.entities import Metric, Param, RunTag
 
-    end = int(1000 * (results["started"] + sum(results["seconds"].values())))
+    end = int(1000 * (results.started + sum(results.seconds.values())))
     metrics = [Metric(name, value, end, 0) for name, value in _scalars(results).items()]
-    for name, series in results["steps"].items():
+    for name, series in results.steps.items():
         metrics += [Metric(f"step/{name}", value, end, step) for step, value in enumerate(series)]
-    for k, value in enumerate(results["elbow"]["disagreements"], start=1):
+    for k, value in enumerate(results.elbow.disagreements, start=1):
         metrics.append(Metric("disagreements", value, end, k))
     params = [Param(key, str(value)[:6000]) for key, value in _params(results).items()]
     tags = {
-        "xplain.code": results["code"],
+        "xplain.code": results.code,
         "xplain.folder": str(folder),
-        "xplain.rule": results["elbow"]["rule"],
+        "xplain.rule": results.elbow.rule,
     }
     client.log_batch(run_id, metrics, params, [RunTag(*tag) for tag in tags.items()])
     for path in sorted(folder.iterdir()):
@@ -188,7 +188,7 @@ def fill(client: MlflowClient, run_id: str, folder: Path, results: dict[str, Any
     client.set_terminated(run_id, "FINISHED", end)
 
 
-def source_tags(git: dict[str, str]) -> dict[str, str]:
+def source_tags(git: Mapping[str, str]) -> dict[str, str]:
     """Who ran what; the client sets none of these by itself."""
     tags = {
         "mlflow.user": _user(),
@@ -247,29 +247,29 @@ def _birth(pid: int) -> str:
     return "0"
 
 
-def _scalars(results: dict[str, Any]) -> dict[str, float]:
+def _scalars(results: Results) -> dict[str, float]:
     """Figures that make one number each: means, ends of intervals, learning, bounds, times."""
     flat: dict[str, float] = {}
-    for name, estimate in results["metrics"].items():
-        flat[name] = estimate["mean"]
-        for end in ("low", "high"):
-            if estimate[end] is not None:
-                flat[f"{name}.{end}"] = estimate[end]
-    flat |= {f"learning/{name}": value for name, value in results["learning"].items()}
-    flat |= {f"bounds/{name}": value for name, value in results["bounds"].items()}
-    flat |= {f"seconds/{name}": value for name, value in results["seconds"].items()}
+    for name, figure in results.metrics.items():
+        flat[name] = figure.mean
+        for end, value in (("low", figure.low), ("high", figure.high)):
+            if value is not None:
+                flat[f"{name}.{end}"] = value
+    flat |= {f"learning/{name}": value for name, value in results.learning.items()}
+    flat |= {f"bounds/{name}": value for name, value in results.bounds.items()}
+    flat |= {f"seconds/{name}": value for name, value in results.seconds.items()}
     return flat
 
 
-def _params(results: dict[str, Any]) -> dict[str, Any]:
+def _params(results: Results) -> dict[str, Any]:
     """The choices by group (``solver = pomcp``) and every key (``solver.simulations = 2000``)."""
-    return {**results["choices"], **_flatten(results["config"])}
+    return {**results.choices, **_flatten(results.config)}
 
 
-def _flatten(node: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+def _flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for key, value in node.items():
-        if isinstance(value, dict):
+        if isinstance(value, Mapping):
             flat |= _flatten(value, f"{prefix}{key}.")
         else:
             flat[f"{prefix}{key}"] = value

@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from xplain.experiment.results import git_state, load_results
+from xplain.experiment.fingerprint import git_state
+from xplain.experiment.results import load_results
 from xplain.runs.folder import State, SweepFolder, result_id
 from xplain.runs.mlflow import (
     RESULT_TAG,
@@ -200,7 +201,7 @@ class Mirror:
             }
             started = int(1000 * time.time())
             if state == "finished":
-                started = int(1000 * load_results(folder)["started"])
+                started = int(1000 * load_results(folder).started)
             run_id = client.create_run(self._experiment, started, tags, job.label).info.run_id
         elif state == "running":
             for tag, value in process_tag().items():
@@ -237,6 +238,8 @@ class Mirror:
         """Curves and table on the parent: without any its page is empty."""
         from mlflow.entities import Metric
 
+        from xplain.report.tables import markdown
+
         when = int(1000 * self.folder.load()["started"])
         metrics = [
             Metric(name, value, when, round(100 * trade_off))
@@ -244,7 +247,7 @@ class Mirror:
         ]
         for first in range(0, len(metrics), 900):
             client.log_batch(self._parent, metrics[first : first + 900])
-        client.set_tag(self._parent, "mlflow.note.content", summary.note())
+        client.set_tag(self._parent, "mlflow.note.content", markdown(summary))
 
     def _links(self) -> Links:
         uri = self.tracking.tracking_uri(self.outputs)

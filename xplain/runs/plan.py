@@ -34,7 +34,8 @@ class Job:
         label: the same for people, in MLflow and in messages.
         overrides: what Hydra makes its configuration from.
         values: the swept keys and their values, as text.
-        stamp: digest of all that its numbers depend on (:mod:`xplain.experiment.fingerprint`).
+        fingerprint: digest of all that its numbers depend on
+            (:mod:`xplain.experiment.fingerprint`).
         source: digest of all that its data, types and traces depend on.
     """
 
@@ -42,7 +43,7 @@ class Job:
     label: str
     overrides: tuple[str, ...]
     values: dict[str, str]
-    stamp: str
+    fingerprint: str
     source: str
 
 
@@ -56,7 +57,7 @@ class Plan:
     @property
     def identity(self) -> str:
         """Name and digest: the same jobs by the same code are the same sweep."""
-        content = json.dumps([[job.name, job.stamp] for job in self.jobs])
+        content = json.dumps([[job.name, job.fingerprint] for job in self.jobs])
         return f"{self.name}-{hashlib.sha256(content.encode()).hexdigest()[:10]}"
 
 
@@ -65,7 +66,7 @@ def make_plan(
     settings: list[dict[str, Any]],
     arguments: list[str],
     compose: Compose,
-    stamps: Callable[[dict[str, Any]], tuple[str, str]],
+    fingerprints: Callable[[dict[str, Any]], tuple[str, str]],
 ) -> Plan:
     """Composes every job, so that a mistake shows before the first one starts.
 
@@ -76,7 +77,7 @@ def make_plan(
         arguments: overrides from the command line. One whose key tells settings apart chooses
             among them; any other replaces the settings' own.
         compose: makes a job's configuration.
-        stamps: from a configuration to (stamp, source).
+        fingerprints: from a configuration to those of its numbers, and of its source.
 
     Raises:
         InputError: a kind of sweep without a finite list of values, or no job is left.
@@ -102,15 +103,15 @@ def make_plan(
     jobs: dict[str, Job] = {}
     names: set[str] = set()
     for overrides, values in chosen.items():
-        stamp, source = stamps(compose(list(overrides)))
-        if stamp in jobs:
+        fingerprint, source = fingerprints(compose(list(overrides)))
+        if fingerprint in jobs:
             continue
         shown = {key: values[key] for key in swept if key in values}
         folder = _folder(shown)
         if folder in names:
-            folder = f"{folder[:100]},{stamp[:8]}"
+            folder = f"{folder[:100]},{fingerprint[:8]}"
         names.add(folder)
-        jobs[stamp] = Job(folder, _label(shown), overrides, shown, stamp, source)
+        jobs[fingerprint] = Job(folder, _label(shown), overrides, shown, fingerprint, source)
     return Plan(name, tuple(jobs.values()))
 
 

@@ -49,7 +49,7 @@ class Watch:
     ) -> None:
         self._folder, self._jobs, self._listener = folder, jobs, listener
         self._before = done
-        self._states: dict[str, State] = {job.stamp: "waiting" for job in jobs}
+        self._states: dict[str, State] = {job.fingerprint: "waiting" for job in jobs}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
         self._started = self._said = time.monotonic()
@@ -82,12 +82,12 @@ class Watch:
 
     def _look(self) -> None:
         for job in self._jobs:
-            old = self._states[job.stamp]
+            old = self._states[job.fingerprint]
             if old == "finished":
                 continue
             new = self._folder.state(job)
             if new != old:
-                self._states[job.stamp] = new
+                self._states[job.fingerprint] = new
                 self._listener.update(job, new)
                 if new == "failed":
                     log.info("failed: %s: %s", job.label, self._folder.failure(job)["error"])

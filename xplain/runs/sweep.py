@@ -22,9 +22,9 @@ from rich.console import Console
 from rich.style import Style
 
 from xplain.errors import InputError
-from xplain.experiment import results as storage
-from xplain.experiment.cache import source_stamp
-from xplain.experiment.fingerprint import configuration, stamp
+from xplain.experiment.cache import source_fingerprint
+from xplain.experiment.fingerprint import code_version, configuration, fingerprint, git_state
+from xplain.experiment.results import load_results
 from xplain.report.summary import Summary
 from xplain.runs.folder import SweepFolder, mark_failed
 from xplain.runs.mlflow_mirror import mirror_of
@@ -62,12 +62,12 @@ def run_sweep(
         composed = context.config_loader.load_sweep_config(config, overrides)
         return configuration(composed)
 
-    def stamps(resolved: dict[str, Any]) -> tuple[str, str]:
-        return stamp(resolved), source_stamp(resolved)
+    def fingerprints(resolved: dict[str, Any]) -> tuple[str, str]:
+        return fingerprint(resolved), source_fingerprint(resolved)
 
     choices = config.hydra.runtime.choices
     name = choices.get("sweeps") or "multirun"
-    plan = make_plan(name, settings, arguments, compose, stamps)
+    plan = make_plan(name, settings, arguments, compose, fingerprints)
     outputs = Path(config.outputs).absolute()
     folder = SweepFolder(outputs / "sweeps" / plan.identity)
     with folder.alone(f"{plan.identity}: another process runs this sweep; waiting for it"):
@@ -76,8 +76,8 @@ def run_sweep(
             {
                 "started": began,
                 "command": " ".join(["python -m xplain", *sys.argv[1:]]),
-                "code": storage.code_version(),
-                "git": storage.git_state(),
+                "code": code_version(),
+                "git": git_state(),
             },
         )
         run = Run(plan, folder, instantiate(config.tracking), outputs, config.resume)
@@ -192,7 +192,7 @@ class Run:
         inside, workers = 0.0, set()
         for job in self._todo:
             if self._folder.state(job) == "finished":
-                inside += sum(storage.load_results(self._folder.of(job))["seconds"].values())
+                inside += sum(load_results(self._folder.of(job)).seconds.values())
                 workers.add(self._folder.worker(job))
         if not workers:
             return "no job ran"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xplain.data.rollouts import sample_trace
 from xplain.domains.base import Domain, Scene, transition_features
 from xplain.errors import InputError, XplainError
-from xplain.experiment.pipeline import Costs
+from xplain.experiment.explanations import Costs
 from xplain.randomness import derived_seed, stream
 from xplain.study.protocol import content
 from xplain.study.protocol import machine as protocol

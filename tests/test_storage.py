@@ -1,0 +1,95 @@
+"""What is written is read back as it was, and a file is whole or as before."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from xplain.storage import decode, encode, write_text, written_whole
+
+
+@dataclass(frozen=True)
+class Inner:
+    cells: tuple[tuple[int, int], ...]
+    text: str | None
+
+
+@dataclass(frozen=True)
+class Outer:
+    numbers: NDArray[np.float64]
+    labels: NDArray[np.uint8]
+    inner: Inner | None
+    several: tuple[Inner, ...]
+    pair: tuple[int, str]
+    by_name: Mapping[str, Inner]
+    plain: Mapping[str, float]
+
+
+VALUE = Outer(
+    numbers=np.array([[0.1, 1 / 3], [-0.0, 1e-300]]),
+    labels=np.array([1, 0], dtype=np.uint8),
+    inner=Inner(((0, 1), (2, 3)), None),
+    several=(Inner((), "a"), Inner(((4, 5),), "b")),
+    pair=(3, "c"),
+    by_name={"d": Inner((), None)},
+    plain={"e": 0.1},
+)
+
+
+@pytest.mark.parametrize("apart", [False, True], ids=["arrays as lists", "arrays apart"])
+def test_a_value_survives_json_to_the_last_bit(apart):
+    arrays = {} if apart else None
+    text = json.dumps(encode(VALUE, arrays))
+    again = decode(Outer, json.loads(text), arrays)
+    assert again.numbers.tobytes() == VALUE.numbers.tobytes()
+    assert again.numbers.dtype == np.float64
+    assert again.labels.dtype == np.uint8
+    assert again.labels.tolist() == [1, 0]
+    for field in ("inner", "several", "pair", "by_name", "plain"):
+        assert getattr(again, field) == getattr(VALUE, field)
+    assert hash(again.inner) == hash(VALUE.inner)  # tuples again, not lists
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda content: content.pop("pair"),
+        lambda content: content.update(unknown=1),
+        lambda content: content.update(pair=[1]),
+        lambda content: content.update(several=[{"cells": []}]),
+    ],
+)
+def test_what_does_not_fit_the_type_is_refused(change):
+    content = encode(VALUE)
+    change(content)
+    with pytest.raises((KeyError, TypeError, ValueError)):
+        decode(Outer, content)
+
+
+def test_a_block_that_raises_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = tmp_path / "a.txt"
+    write_text(path, "old")
+    with pytest.raises(RuntimeError), written_whole(path) as file:
+        file.write("new")
+        raise RuntimeError
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    path = tmp_path / "none" / "a.txt"
+    with pytest.raises(FileNotFoundError) as error:
+        write_text(path, "x")
+    assert error.value.filename == str(path)
+
+
+def test_bytes_are_written_as_they_are(tmp_path):
+    path = tmp_path / "a.bin"
+    with written_whole(path, "wb") as file:
+        file.write(b"\xff\n")
+    assert path.read_bytes() == b"\xff\n"

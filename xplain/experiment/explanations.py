@@ -1,0 +1,132 @@
+"""The second half of the method: each solver explains each trace to a user of each true type.
+
+Case ── Problem ── Policy ── Episode ── Record
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.errors import InputError
+from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.evaluation.metrics import Record
+from xplain.experiment.pipeline import Case, Prepared, Track, untracked
+from xplain.explanation.belief import BeliefUpdate
+from xplain.explanation.problem import DiscountPer, Problem
+from xplain.randomness import derived_seed
+from xplain.solvers.base import Solver
+from xplain.solvers.cached_policy import Remembered
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What messages and inexplicable labels cost, and how plans discount (SPEC §5)."""
+
+    trade_off: float
+    message_cost: float
+    inexplicability_cost: float
+    discount: float
+    discount_per: DiscountPer
+    prior: Literal["uniform", "observers"]
+
+    def __post_init__(self) -> None:
+        """Checks what :class:`Problem` would refuse, before any work is done."""
+        self.problem(np.full((1, 1, 1), 0.5), (), ("type",), np.ones(1))
+        if self.prior not in ("uniform", "observers"):
+            raise InputError("prior", self.prior, "uniform or observers")
+
+    def problem(
+        self,
+        p_explicable: NDArray[np.float64],
+        message_names: tuple[str, ...],
+        type_names: tuple[str, ...],
+        shares: NDArray[np.float64],
+    ) -> Problem:
+        """The problem of one trace; ``shares`` [N] of the observers, for the prior."""
+        if not (np.isfinite(self.message_cost) and self.message_cost >= 0):
+            raise InputError("message_cost", self.message_cost, "a number ≥ 0")
+        return Problem(
+            p_explicable=p_explicable,
+            message_cost=np.full(len(message_names), self.message_cost),
+            inexplicability_cost=self.inexplicability_cost,
+            trade_off=self.trade_off,
+            discount=self.discount,
+            prior=shares if self.prior == "observers" else np.full(len(shares), 1 / len(shares)),
+            discount_per=self.discount_per,
+            message_names=message_names,
+            type_names=type_names,
+        )
+
+
+def problem_of_types(prepared: Prepared, case: Case, costs: Costs) -> Problem:
+    """What the learned types say of a trace: the problem of a solver that must find the type."""
+    names, shares = prepared.learned_types, prepared.type_shares
+    return costs.problem(case.learned, prepared.messages, names, shares)
+
+
+def problem_for(prepared: Prepared, case: Case, costs: Costs, solver: Solver, user: int) -> Problem:
+    """What a solver may plan with when a user of the true type ``user`` is in front of it.
+
+    Raises:
+        InputError: the solver needs the observers' true types, and they are unknown.
+    """
+    name = prepared.types[user]
+    alone = np.ones(1)
+    if solver.knows == "types":
+        return problem_of_types(prepared, case, costs)
+    if solver.knows == "everyone":
+        return costs.problem(case.everyone, prepared.messages, ("everyone",), alone)
+    if solver.knows == "labels":
+        truth = case.labels[user : user + 1].astype(np.float64)
+        return costs.problem(truth, prepared.messages, (name,), alone)
+    if case.perfect is None:
+        raise InputError("solver", "oracle", "needs observers whose true types are known")
+    return costs.problem(case.perfect[user : user + 1], prepared.messages, (name,), alone)
+
+
+def evaluate(
+    prepared: Prepared,
+    costs: Costs,
+    solvers: dict[str, Solver],
+    belief_update: BeliefUpdate,
+    seed: int,
+    track: Track[Any] = untracked,
+) -> list[Record]:
+    """Each solver explains each trace to a user of each true type.
+
+    Args:
+        prepared: of :func:`prepare`.
+        costs: λ and the rest.
+        solvers: by the name in the records.
+        belief_update: which labels change the belief.
+        seed: the policies' streams come from it and the trace, not from the solver's name.
+        track: shows progress.
+    """
+    records = []
+    for index, case in track(enumerate(prepared.cases), "explaining", len(prepared.cases)):
+        for name, solver in solvers.items():
+            shared = solver.knows in ("types", "everyone")
+            policy = problem = None
+            for user in range(len(prepared.types)):
+                # A user's type changes the plan only of a solver that knows it.
+                if policy is None or problem is None or not shared:
+                    problem = problem_for(prepared, case, costs, solver, user)
+                    planned = solver.plan(problem, trace_seed(seed, index))
+                    if index == 0:  # kernels load at the first question: no decision's time
+                        planned.messages(0, 0, problem.prior)
+                    policy = Remembered(planned)
+                episode = explain(problem, policy, SimulatedUser(case.labels[user]), belief_update)
+                right = np.ones(problem.n_types, dtype=bool)
+                if solver.knows == "types":
+                    right = prepared.matched_true_type == prepared.distinct[user]
+                records.append(Record(name, index, user, right, episode))
+    return records
+
+
+def trace_seed(seed: int, index: int) -> int:
+    """The seed of every policy for the trace with this index."""
+    return derived_seed(seed, "solver", index)

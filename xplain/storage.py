@@ -1,0 +1,119 @@
+"""Values in files: dataclasses as JSON and arrays, and files that are written whole or not at all.
+
+Only what a type hint names is built when reading; nothing is ever unpickled.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@contextmanager
+def written_whole(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
+    """A file to write, which takes the place of ``path`` once all of it is on the disk.
+
+    Where the process is killed, the disk is full or the block raises, ``path`` stays as it was.
+
+    Args:
+        path: of the file.
+        mode: ``w`` for UTF-8 text, ``wb`` for bytes.
+
+    Raises:
+        OSError: with the path.
+    """
+    temporary = ""
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        with os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o666 & ~_umask())  # others of the group may read results
+        os.replace(temporary, path)
+    except BaseException as error:
+        if temporary:
+            Path(temporary).unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
+
+
+def write_text(path: Path, text: str) -> None:
+    """The whole text or nothing; see :func:`written_whole`."""
+    with written_whole(path) as file:
+        file.write(text)
+
+
+@cache
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def encode(value: Any, arrays: dict[str, NDArray[Any]] | None = None) -> Any:
+    """What JSON can hold of a value of dataclasses, tuples, mappings, numbers, text and arrays.
+
+    Args:
+        value: to be encoded.
+        arrays: takes the arrays of the value, whose names go into the JSON; without it arrays
+            become lists.
+    """
+    if isinstance(value, np.ndarray):
+        if arrays is None:
+            return value.tolist()
+        name = f"array_{len(arrays)}"
+        arrays[name] = value
+        return name
+    if isinstance(value, np.generic):
+        return value.item()
+    if is_dataclass(value):
+        return {field.name: encode(getattr(value, field.name), arrays) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {key: encode(item, arrays) for key, item in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [encode(item, arrays) for item in value]
+    return value
+
+
+def decode(kind: Any, value: Any, arrays: Mapping[str, NDArray[Any]] | None = None) -> Any:
+    """The value of the type ``kind`` that :func:`encode` made ``value`` of.
+
+    Raises:
+        KeyError, TypeError, ValueError: ``value`` does not fit the type.
+    """
+    origin, options = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (types.UnionType, typing.Union):
+        inner = next(option for option in options if option is not type(None))
+        return None if value is None else decode(inner, value, arrays)
+    if origin is np.ndarray:
+        if arrays is not None:
+            return arrays[value]
+        (scalar,) = typing.get_args(options[1])
+        return np.array(value, dtype=scalar)
+    if origin is tuple:
+        kinds = [options[0]] * len(value) if options[-1] is ... else list(options)
+        return tuple(decode(k, item, arrays) for k, item in zip(kinds, value, strict=True))
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return {key: decode(options[1], item, arrays) for key, item in value.items()}
+    if is_dataclass(kind) and isinstance(kind, type):
+        hints = _hints(kind)
+        return kind(**{name: decode(hints[name], item, arrays) for name, item in value.items()})
+    return value
+
+
+@cache
+def _hints(kind: type) -> dict[str, Any]:
+    return typing.get_type_hints(kind)
