@@ -9,45 +9,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError
-from xplain.explanation.belief import BeliefUpdate, Independent
-from xplain.explanation.problem import MAX_MESSAGES, DiscountPer, Problem
+from xplain.sessions.planner import Planner
 from xplain.sessions.session import FORMAT, Session
-from xplain.solvers.base import Solver
-from xplain.solvers.qmdp import QMDP
-
-
-class Types(Protocol):
-    """What an explainer knows of users: N types, n messages.
-
-    :class:`GivenTypes` takes plain arrays and functions; learned types are
-    :class:`~xplain.learning.saved_types.LearnedTypes`.
-    """
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """N names of the types."""
-        ...
-
-    @property
-    def messages(self) -> tuple[str, ...]:
-        """n names of the messages; bit j of a message set is message j."""
-        ...
-
-    @property
-    def prior(self) -> ArrayLike:
-        """[N] P(type) of a user not seen before; empty for all alike."""
-        ...
-
-    def p_explicable(self, transitions: Sequence[Any]) -> NDArray[np.float64]:
-        """P(label is 1 | type, message set) of T ≥ 1 transitions: [N, T, 2^n]."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -68,7 +38,7 @@ class GivenTypes:
     prior: ArrayLike = ()
 
     def p_explicable(self, transitions: Sequence[Any]) -> NDArray[np.float64]:
-        """See :class:`Types`.
+        """See :class:`~xplain.sessions.planner.Types`.
 
         Raises:
             InputError: an index outside the table.
@@ -83,45 +53,13 @@ class GivenTypes:
 
 
 @dataclass(frozen=True)
-class Explainer:
+class Explainer(Planner):
     """Explains traces to people of unknown type.
 
-    Attributes:
-        types: who the users may be.
-        solver: plans the messages; any that does without knowing the user's type.
-        trade_off: λ ≥ 0, cost of communication against inexplicability.
-        message_cost: C_e, one number or one a message.
-        inexplicability_cost: C_inexp of each label 0.
-        discount: γ_E in (0, 1], for planning.
-        discount_per: see :class:`~xplain.explanation.problem.Problem`.
-        belief_update: which labels are evidence. People repeat themselves:
-            :class:`~xplain.explanation.belief.Persistent` counts an answer once.
-        seed: of solvers that search at random.
+    It takes what a :class:`~xplain.sessions.planner.Planner` takes: ``types``, ``solver``,
+    ``trade_off``, ``message_cost``, ``inexplicability_cost``, ``discount``, ``discount_per``,
+    ``belief_update``, ``seed``.
     """
-
-    types: Types
-    solver: Solver = field(default_factory=QMDP)
-    trade_off: float = 1.0
-    message_cost: ArrayLike = 1.0
-    inexplicability_cost: float = 1.0
-    discount: float = 0.95
-    discount_per: DiscountPer = "action"
-    belief_update: BeliefUpdate = field(default_factory=Independent)
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        """Raises InputError: a value that no session could plan with."""
-        for key in ("messages", "names"):
-            names = getattr(self.types, key)
-            if isinstance(names, str) or len(set(names)) < len(names):
-                raise InputError(f"types.{key}", names, "names, each once")
-        if len(self.types.messages) > MAX_MESSAGES:
-            raise InputError("types.messages", len(self.types.messages), f"at most {MAX_MESSAGES}")
-        if self.solver.knows in ("type", "labels"):
-            raise InputError(
-                "solver", type(self.solver).__name__, "a solver that need not know the user's type"
-            )
-        self.problem(self.unknown(1))
 
     def session(self, trace: Sequence[Any] | NDArray[Any] = (), expected_steps: int = 0) -> Session:
         """Begins to explain a trace to somebody new.
@@ -171,21 +109,3 @@ class Explainer:
             if k < len(answers):
                 session.observe(answers[k])
         return session
-
-    def unknown(self, steps: int) -> NDArray[np.float64]:
-        """[N, steps, 2^n] of transitions that nobody finds inexplicable."""
-        return np.ones((len(self.types.names), steps, 1 << len(self.types.messages)))
-
-    def problem(self, table: NDArray[np.float64]) -> Problem:
-        """What the solver plans for, given the table [N, m, 2^n] of a trace."""
-        return Problem(
-            p_explicable=table,
-            message_cost=np.asarray(self.message_cost, dtype=np.float64),
-            inexplicability_cost=self.inexplicability_cost,
-            trade_off=self.trade_off,
-            discount=self.discount,
-            prior=np.asarray(self.types.prior, dtype=np.float64),
-            discount_per=self.discount_per,
-            message_names=tuple(self.types.messages),
-            type_names=tuple(self.types.names),
-        )

@@ -5,20 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError
-from xplain.explanation.problem import Problem
 from xplain.message_sets import indices, mask_of, names_of
 from xplain.sessions.interaction import Interaction
-from xplain.solvers.base import Policy, Solver
-
-if TYPE_CHECKING:
-    from xplain.sessions.explainer import Explainer
+from xplain.sessions.planner import Planner
+from xplain.solvers.base import Policy
 
 FORMAT = 1
 """Version of a session's JSON."""
@@ -53,19 +49,19 @@ class Why:
 
 
 class Session:
-    """One trace, one user. Made by :meth:`Explainer.session`.
+    """One trace, one user. Made by :meth:`xplain.Explainer.session`.
 
     Each step: :meth:`messages` to say, then the first ``shown`` transitions to show, then
     :meth:`observe` with the user's labels of them. :meth:`extend` at any time.
     """
 
-    def __init__(self, explainer: Explainer, expected_steps: int = 0) -> None:
-        self._explainer = explainer
+    def __init__(self, planner: Planner, expected_steps: int = 0) -> None:
+        self._planner = planner
         self._expected_steps = expected_steps
         self._trace: list[Any] = []
-        self._table = explainer.unknown(0)
-        problem = explainer.problem(explainer.unknown(1))
-        self._talk = Interaction(problem, self._plan(problem), explainer.belief_update)
+        self._table = planner.unknown(0)
+        problem = planner.problem(planner.unknown(1))
+        self._talk = Interaction(problem, planner.plan(problem), planner.belief_update)
         self._said: list[int] = []
         self._answers: list[NDArray[np.uint8]] = []
         self._decision: tuple[Policy, int, int, NDArray[np.float64]] | None = None
@@ -118,10 +114,10 @@ class Session:
         ]
         if not new:
             return
-        table = np.concatenate([self._table, self._explainer.types.p_explicable(new)], axis=1)
-        ahead = self._explainer.unknown(max(self._expected_steps - table.shape[1], 0))
-        problem = self._explainer.problem(np.concatenate([table, ahead], axis=1))
-        self._talk.problem, self._talk.policy = problem, self._plan(problem)
+        table = np.concatenate([self._table, self._planner.types.p_explicable(new)], axis=1)
+        ahead = self._planner.unknown(max(self._expected_steps - table.shape[1], 0))
+        problem = self._planner.problem(np.concatenate([table, ahead], axis=1))
+        self._talk.problem, self._talk.policy = problem, self._planner.plan(problem)
         self._table = table
         self._trace += new
 
@@ -189,15 +185,15 @@ class Session:
         )
 
     def to_json(self) -> str:
-        """The whole session as text; :meth:`Explainer.from_json` takes it up again.
+        """The whole session as text; :meth:`xplain.Explainer.from_json` takes it up again.
 
         Raises:
             InputError: a transition is nothing that JSON can hold.
         """
         state = {
             "format": FORMAT,
-            "messages": self._explainer.types.messages,
-            "types": self._explainer.types.names,
+            "messages": self._planner.types.messages,
+            "types": self._planner.types.names,
             "trace": self._trace,
             "expected_steps": self._expected_steps,
             "said": [self._names(mask) for mask in self._said],
@@ -208,9 +204,6 @@ class Session:
         except TypeError as error:
             raise InputError("trace", self._trace[0], f"transitions for JSON ({error})") from None
 
-    def _plan(self, problem: Problem) -> Policy:
-        return PlannedWhenAsked(self._explainer.solver, problem, self._explainer.seed)
-
     def _decide(self) -> None:
         """Keeps what the decision rests on, for :meth:`why`."""
         talk = self._talk
@@ -218,25 +211,3 @@ class Session:
 
     def _names(self, mask: int) -> tuple[str, ...]:
         return names_of(mask, self._talk.problem.message_names)
-
-
-@dataclass(frozen=True)
-class PlannedWhenAsked:
-    """A policy that is planned at the first question: a trace that grows by ten transitions
-    before the next decision is planned for once."""
-
-    solver: Solver
-    problem: Problem
-    seed: int
-
-    @cached_property
-    def _policy(self) -> Policy:
-        return self.solver.plan(self.problem, self.seed)
-
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """See :class:`xplain.solvers.base.Policy`."""
-        return self._policy.messages(step, given, belief)
-
-    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
-        """See :class:`xplain.solvers.base.Policy`."""
-        return self._policy.values(step, given, belief)

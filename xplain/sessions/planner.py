@@ -1,0 +1,133 @@
+"""What a session plans with: who users may be, what costs what, and the solver.
+
+types ── Planner.problem(table of a trace) ── Planner.plan(problem) ── policy
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xplain.errors import InputError
+from xplain.explanation.belief import BeliefUpdate, Independent
+from xplain.explanation.problem import MAX_MESSAGES, DiscountPer, Problem
+from xplain.solvers.base import Policy, Solver
+from xplain.solvers.qmdp import QMDP
+
+
+class Types(Protocol):
+    """What an explainer knows of users: N types, n messages.
+
+    :class:`~xplain.sessions.explainer.GivenTypes` takes plain arrays and functions; learned types
+    are :class:`~xplain.learning.saved_types.LearnedTypes`.
+    """
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """N names of the types."""
+        ...
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """n names of the messages; bit j of a message set is message j."""
+        ...
+
+    @property
+    def prior(self) -> ArrayLike:
+        """[N] P(type) of a user not seen before; empty for all alike."""
+        ...
+
+    def p_explicable(self, transitions: Sequence[Any]) -> NDArray[np.float64]:
+        """P(label is 1 | type, message set) of T ≥ 1 transitions: [N, T, 2^n]."""
+        ...
+
+
+@dataclass(frozen=True)
+class Planner:
+    """Plans the explanation of any trace to people of unknown type.
+
+    Attributes:
+        types: who the users may be.
+        solver: plans the messages; any that does without knowing the user's type.
+        trade_off: λ ≥ 0, cost of communication against inexplicability.
+        message_cost: C_e, one number or one a message.
+        inexplicability_cost: C_inexp of each label 0.
+        discount: γ_E in (0, 1], for planning.
+        discount_per: see :class:`~xplain.explanation.problem.Problem`.
+        belief_update: which labels are evidence. People repeat themselves:
+            :class:`~xplain.explanation.belief.Persistent` counts an answer once.
+        seed: of solvers that search at random.
+    """
+
+    types: Types
+    solver: Solver = field(default_factory=QMDP)
+    trade_off: float = 1.0
+    message_cost: ArrayLike = 1.0
+    inexplicability_cost: float = 1.0
+    discount: float = 0.95
+    discount_per: DiscountPer = "action"
+    belief_update: BeliefUpdate = field(default_factory=Independent)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Raises InputError: a value that no session could plan with."""
+        for key in ("messages", "names"):
+            names = getattr(self.types, key)
+            if isinstance(names, str) or len(set(names)) < len(names):
+                raise InputError(f"types.{key}", names, "names, each once")
+        if len(self.types.messages) > MAX_MESSAGES:
+            raise InputError("types.messages", len(self.types.messages), f"at most {MAX_MESSAGES}")
+        if self.solver.knows in ("type", "labels"):
+            raise InputError(
+                "solver", type(self.solver).__name__, "a solver that need not know the user's type"
+            )
+        self.problem(self.unknown(1))
+
+    def unknown(self, steps: int) -> NDArray[np.float64]:
+        """[N, steps, 2^n] of transitions that nobody finds inexplicable."""
+        return np.ones((len(self.types.names), steps, 1 << len(self.types.messages)))
+
+    def problem(self, table: NDArray[np.float64]) -> Problem:
+        """What the solver plans for, given the table [N, m, 2^n] of a trace."""
+        return Problem(
+            p_explicable=table,
+            message_cost=np.asarray(self.message_cost, dtype=np.float64),
+            inexplicability_cost=self.inexplicability_cost,
+            trade_off=self.trade_off,
+            discount=self.discount,
+            prior=np.asarray(self.types.prior, dtype=np.float64),
+            discount_per=self.discount_per,
+            message_names=tuple(self.types.messages),
+            type_names=tuple(self.types.names),
+        )
+
+    def plan(self, problem: Problem) -> Policy:
+        """A policy for the problem, planned when it is first asked."""
+        return LazyPolicy(self.solver, problem, self.seed)
+
+
+@dataclass(frozen=True)
+class LazyPolicy:
+    """A policy that is planned at the first question: a trace that grows by ten transitions
+    before the next decision is planned for once."""
+
+    solver: Solver
+    problem: Problem
+    seed: int
+
+    @cached_property
+    def _policy(self) -> Policy:
+        return self.solver.plan(self.problem, self.seed)
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+        """See :class:`xplain.solvers.base.Policy`."""
+        return self._policy.messages(step, given, belief)
+
+    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
+        """See :class:`xplain.solvers.base.Policy`."""
+        return self._policy.values(step, given, belief)
