@@ -44,7 +44,7 @@ bench: $(READY)
 	for file in benchmarks/[a-z]*.py; do $(BIN)/python $$file || exit 1; done
 
 study: $(READY)
-	$(BIN)/python -m xplain.study
+	$(BIN)/python -m xplain study
 
 ui: $(READY)
 	$(BIN)/mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db

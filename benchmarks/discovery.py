@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from omegaconf import OmegaConf
 from sklearn.metrics import adjusted_rand_score
 
-from xplain.config import compose_for
+from xplain.config import composed
 from xplain.data.dataset import Dataset
 from xplain.data.observers import SimulatedObservers
 from xplain.data.rollouts import sample_trace
@@ -75,7 +75,7 @@ GOALS = [  # domain, types, questions, points, noise, goal
 @lru_cache(maxsize=8)
 def setting_of(domain: str, types: int | None, seed: int) -> Setting:
     """The domain's own types, or so many drawn at random."""
-    cfg = compose_for("observe", [f"domain={domain}"])
+    cfg = composed("observe", [f"domain={domain}"])
     made = instantiate(cfg.domain)
     source = instantiate(cfg.users) if types is None else RandomCover(types)
     return Setting.build(made, source.types(made, stream(seed, "users")))
@@ -84,7 +84,7 @@ def setting_of(domain: str, types: int | None, seed: int) -> Setting:
 @cache
 def clusterer(method: str) -> Any:
     """As conf/clusterer/<method>.yaml says."""
-    return instantiate(compose_for("discover", [f"clusterer={method}"]).clusterer)
+    return instantiate(composed("discover", [f"clusterer={method}"]).clusterer)
 
 
 @dataclass(frozen=True)
@@ -219,8 +219,8 @@ def grid(
 @cache
 def meaning(domain: str, method: str) -> str:
     """Changes with the values of the domain and of the method: rows of other values are stale."""
-    cfg = compose_for("observe", [f"domain={domain}"]).domain
-    chosen = compose_for("discover", [f"clusterer={method}"]).clusterer
+    cfg = composed("observe", [f"domain={domain}"]).domain
+    chosen = composed("discover", [f"clusterer={method}"]).clusterer
     text = OmegaConf.to_yaml(cfg) + OmegaConf.to_yaml(chosen)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 

@@ -18,7 +18,7 @@ from joblib import Parallel, delayed
 from rich.console import Console
 from rich.table import Table
 
-from xplain.config import CONF, prepare
+from xplain.config import CONF, register
 from xplain.experiment.from_config import components_of
 from xplain.experiment.pipeline import prepare as prepared
 
@@ -32,7 +32,7 @@ SETTINGS = {
 
 def learning(overrides: list[str], seed: int) -> dict[str, float]:
     """The figures of the learning stage on one data set."""
-    prepare()
+    register()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         cfg = compose("config", [*overrides, f"seed={seed}", "traces=1"])
     return prepared(components_of(cfg)).learning

@@ -1,6 +1,6 @@
 """POMCP against pomdp-py's POUCT and POMCP, in one run, on the same explanation problem.
 
-    python benchmarks/pomcp.py            # some minutes; needs pip install 'xplain[bench]'
+    python benchmarks/pomcp.py            # some minutes; needs pip install 'xplain-hri[bench]'
     python benchmarks/pomcp.py --quick    # seconds; leaves pomdp-py out where it is not installed
 
 Same problem, depth, actions, discount, exploration constant and uniformly random rollouts. The
@@ -283,7 +283,7 @@ def main() -> None:
         compare = True
     except ImportError:
         compare = False
-        print("pomdp-py is not installed, its columns stay empty: pip install 'xplain[bench]'")
+        print("pomdp-py is not installed, its columns stay empty: pip install 'xplain-hri[bench]'")
         if not options.quick:
             sys.exit(1)
     problem = problem_of()

@@ -24,12 +24,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from tests.study.server import ServerProcess
+from xplain.config import composed
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
 from xplain.participants.simulation.http_client import Browser, Page, fill
 from xplain.study.prepare import study_of, study_plan
 from xplain.study.protocol.plan import StudyPlan
-from xplain.study.settings import composed
 from xplain.study.simulation.participant import Habits, Person
 
 Times = list[float]
@@ -105,7 +105,7 @@ def percentiles(times: Times) -> str:
 
 def measure(people: int, think: tuple[float, float], ramp: float) -> int:
     """Runs and prints; how many participants met an error."""
-    plan = study_plan(composed(["observers.points=150", "trace.candidates=40"]))
+    plan = study_plan(composed("study", ["observers.points=150", "trace.candidates=40"]))
     with tempfile.TemporaryDirectory() as folder:
         database = Path(folder) / "study.sqlite"
         Store(database, study_of(plan)).close()

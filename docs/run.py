@@ -25,7 +25,7 @@ FENCE = re.compile(r"^```(\w*)(?: \S+)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE = re.compile(r"^(```\w+ (\S+)\n)(.*?)(^```$)", re.MULTILINE | re.DOTALL)
 """A block that shows a file of the repository."""
 LEFT_OUT = "..."
-SERVERS = ("mlflow ui", "python -m xplain.study")
+SERVERS = ("mlflow ui", "python -m xplain study")
 """Commands that run until they are stopped; other tests start these."""
 
 

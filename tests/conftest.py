@@ -35,15 +35,16 @@ def logging_left_alone() -> Iterator[None]:
 
 @pytest.fixture
 def command(tmp_path: Path) -> Command:
-    """``command("xplain", "lambda=2")`` runs ``python -m xplain lambda=2`` in an empty folder."""
+    """``command("xplain plan", "seed=2")`` runs ``python -m xplain plan seed=2`` in an empty
+    folder."""
 
-    def run(module: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    def run(words: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
         paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
         env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))} | environment
         env.pop("MLFLOW_TRACKING_URI", None)
         env |= environment
         return subprocess.run(
-            [sys.executable, "-m", module, *arguments],
+            [sys.executable, "-m", *words.split(), *arguments],
             cwd=tmp_path,
             env=env,
             capture_output=True,

@@ -68,7 +68,7 @@ def test_commands_that_are_not_run_are_configurations_all_the_same(page, words, 
         if any(launcher in word for word in words) and not find_spec(
             f"hydra_plugins.hydra_{launcher}_launcher"
         ):
-            pytest.skip(f"pip install 'xplain[{launcher}]'")
+            pytest.skip(f"pip install 'xplain-hri[{launcher}]'")
     done = subprocess.run(
         [sys.executable, "-m", "xplain", *words, "--cfg", "job"],
         cwd=tmp_path,
@@ -185,7 +185,7 @@ def test_the_study_runs_as_its_page_says(tmp_path):
     lines = [line.strip().split("   ")[0] for line in text.splitlines()]
     start, *others = [line for line in lines if line.startswith("python -m xplain")]
     others = [line for line in others if "--chromium" not in line]
-    assert start.startswith("python -m xplain.study ")
+    assert start.startswith("python -m xplain study ")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])

@@ -18,7 +18,7 @@ EXAMPLES = sorted(path.parent.name for path in (ROOT / "examples").glob("*/pypro
 @pytest.fixture(scope="session")
 def installed(tmp_path_factory):
     """A folder with xplain and all examples, installed from wheels that were built here."""
-    pytest.importorskip("hatchling", reason="pip install 'xplain[test]'")
+    pytest.importorskip("hatchling", reason="pip install 'xplain-hri[test]'")
     wheels, site = tmp_path_factory.mktemp("wheels"), tmp_path_factory.mktemp("site")
     sources = [ROOT, *(ROOT / "examples" / name for name in EXAMPLES)]
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]

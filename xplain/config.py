@@ -7,7 +7,7 @@ import os
 import re
 import secrets
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from omegaconf import (
 )
 from omegaconf.errors import OmegaConfBaseException
 
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError, XplainError, whole_number
 
 _PACKAGE = Path(__file__).parent
 
@@ -61,7 +61,7 @@ def schema() -> DictConfig:
     )
 
 
-def prepare() -> None:
+def register() -> None:
     """Registers what the configs refer to. Safe to call twice (workers import this module)."""
     ConfigStore.instance().store("base", schema())
     OmegaConf.register_new_resolver("unique", lambda: _unique, replace=True)
@@ -78,21 +78,41 @@ def hand_over(error: Exception) -> None:
     _handed_over.append(error)
 
 
-def compose_for(name: str, arguments: list[str]) -> DictConfig:
-    """The configuration of a small command, conf/<name>.yaml with overrides.
+def composed(name: str, overrides: Sequence[str], with_hydra: bool = False) -> DictConfig:
+    """conf/<name>.yaml with overrides.
+
+    Args:
+        name: of the file, without its ending.
+        overrides: ``key=value`` each.
+        with_hydra: whether the ``hydra`` node comes along, which knows the choices made.
 
     Raises:
-        InputError: an override of a key that this command does not have.
+        InputError: an override that is no ``key=value``, or of a key that there is not.
+        HydraException, OmegaConfBaseException: a choice or a value that there is not.
     """
     from hydra import compose, initialize_config_dir
 
+    register()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         known = [str(key) for key in compose(name)]
-        for argument in arguments:
-            key = argument.split("=")[0]
-            if key.lstrip("+~").split(".")[0] not in known or "=" not in argument:
-                raise InputError(key, argument, f"write key=value; keys: {', '.join(known)}")
-        return compose(name, arguments, return_hydra_config=True)
+        for override in overrides:
+            key, equals, _ = override.partition("=")
+            if not equals:
+                raise InputError("argument", override, f"key=value; keys: {', '.join(known)}")
+            if key.lstrip("+~").split(".")[0].split("/")[0] not in (*known, "hydra"):
+                near = difflib.get_close_matches(key, known, 1)
+                hint = f"did you mean {near[0]}? " if near else ""
+                raise InputError(key, override, f"no such key; {hint}keys: {', '.join(known)}")
+        return compose(name, list(overrides), return_hydra_config=with_hydra)
+
+
+def require_seed(cfg: DictConfig) -> int:
+    """The seed of a command.
+
+    Raises:
+        InputError: no whole number ≥ 0.
+    """
+    return whole_number("seed", cfg.seed, 0)
 
 
 @contextmanager
@@ -106,6 +126,8 @@ def report_errors() -> Iterator[None]:
         yield
         if _handed_over:
             raise _handed_over[0]
+    except BrokenPipeError:  # whoever read the output has gone
+        sys.exit(1)
     except KeyboardInterrupt:
         print("xplain: interrupted", file=sys.stderr)
         sys.exit(130)

@@ -1,6 +1,11 @@
-"""Errors that a person can act on: one line with the key, the value, and what is allowed."""
+"""Errors that a person can act on: one line with the key, the value, and what is allowed.
+
+The checks below raise them.
+"""
 
 from __future__ import annotations
+
+import math
 
 
 class XplainError(ValueError):
@@ -36,3 +41,36 @@ class DomainError(XplainError):
 
 class TooLargeError(XplainError):
     """A problem needs more memory than allowed; the text says how much, and what can be done."""
+
+
+def number(key: str, value: object) -> float:
+    """A finite number.
+
+    Raises:
+        InputError: it is none.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise InputError(key, value, "a finite number")
+    return float(value)
+
+
+def whole_number(key: str, value: object, least: int) -> int:
+    """A whole number, ``least`` or more.
+
+    Raises:
+        InputError: it is none.
+    """
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise InputError(key, value, f"a whole number ≥ {least}")
+    return value
+
+
+def discount_factor(key: str, value: object) -> float:
+    """A discount in (0, 1).
+
+    Raises:
+        InputError: it is none.
+    """
+    if not 0 < (gamma := number(key, value)) < 1:
+        raise InputError(key, value, "a number in (0, 1), both ends excluded")
+    return gamma

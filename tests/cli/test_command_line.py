@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from importlib.metadata import version
 
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 
 from tests.conftest import ROOT
-from xplain.__main__ import main
-from xplain.config import CONF, prepare
+from xplain.cli.completion import completions
+from xplain.cli.main import COMMANDS, main
+from xplain.config import CONF, register
 
 HEAVY = ("mlflow", "sklearn", "kneed", "numba", "scipy", "pandas", "matplotlib")
 
@@ -54,8 +56,17 @@ def test_help_imports_nothing_heavy_and_lists_the_choices(tmp_path):
         check=True,
     )
     assert "HEAVY []" in done.stdout
-    for word in ("qmdp", "pomcp", "rescue", "four_rooms", "lambda"):
+    for word in ("solver=pomcp", "rescue", "discover", "--keys"):
         assert word in done.stdout
+
+
+def test_the_list_of_keys_names_choices_and_keys(capsys):
+    GlobalHydra.instance().clear()
+    with pytest.raises(SystemExit, match="0"):  # so Hydra ends its help
+        main(["--keys"])
+    out = capsys.readouterr().out
+    for word in ("qmdp", "pomcp", "rescue", "four_rooms", "lambda: 1.0", "table1"):
+        assert word in out
 
 
 RAGGED = "domain.map='S..V\n...'"
@@ -163,10 +174,82 @@ def test_every_choice_composes_and_instantiates(group, choice):
     from hydra.utils import instantiate
 
     if choice in ("taxi", "cliff_walking", "frozen_lake"):
-        pytest.importorskip("gymnasium", reason="pip install 'xplain[gym]'")
-    prepare()
+        pytest.importorskip("gymnasium", reason="pip install 'xplain-hri[gym]'")
+    register()
     GlobalHydra.instance().clear()
     filled = {"file": ["observers.path=labels.csv"], "explicit": ["users.groups={A: [fire]}"]}
     with initialize_config_dir(str(CONF), version_base="1.3"):
         cfg = compose("config", [f"{group}={choice}", *filled.get(choice, [])])
     assert instantiate(cfg[group]) is not None
+
+
+def test_help_fits_a_screen_and_names_every_command(capsys):
+    main(["--help"])
+    out = capsys.readouterr().out
+    assert len(out.splitlines()) <= 24
+    assert max(map(len, out.splitlines())) <= 100
+    for name, command in COMMANDS.items():
+        assert f"  {name} " in out
+        assert command.meaning in out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_of_its_own(name, capsys):
+    main([*name.split(), "--help"])
+    out = capsys.readouterr().out
+    assert f"xplain {name}" in out
+    if COMMANDS[name].config:
+        assert (CONF / f"{COMMANDS[name].config}.yaml").read_text() in out
+
+
+def test_the_version_is_ours(capsys):
+    main(["--version"])
+    assert capsys.readouterr().out == f"xplain {version('xplain-hri')}\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "among", "not_among"),
+    [
+        ("xplain dis", {"discover", "discount=", "discount_per="}, {"observe"}),
+        ("xplain solver=q", {"solver=qmdp", "solver=qhr"}, {"solver=pomcp"}),
+        ("xplain sweeps=table1_", {"sweeps=table1_many"}, {"sweeps=smoke"}),
+        ("xplain solver=pomcp solver.simu", {"solver.simulations="}, {"simulations="}),
+        ("xplain discover held", {"held_out="}, {"lambda="}),
+        ("xplain plan solver=cert", {"solver=certified"}, {"solver=qmdp"}),
+        ("xplain study re", {"replay"}, {"report", "bots"}),
+        ("xplain study po", {"power", "port=", "points="}, {"bots"}),
+        ("xplain report ", set(), {"lambda="}),
+    ],
+)
+def test_completion_knows_commands_keys_and_choices(line, among, not_among):
+    GlobalHydra.instance().clear()
+    found = {word.partition("=")[0] + "=" if "=" in word and word.count("=") == 1
+             and not line.rpartition(" ")[2].count("=") else word
+             for word in completions(line, COMMANDS)}  # fmt: skip
+    assert among <= found
+    assert not not_among & found
+
+
+def test_other_programs_of_hydra_get_none_of_our_plugins(tmp_path):
+    (tmp_path / "conf").mkdir()
+    (tmp_path / "conf" / "config.yaml").write_text("a: 1\n")
+    code = (
+        "import sys, hydra\n"
+        "from hydra.core.plugins import Plugins\n"
+        f"@hydra.main(version_base='1.3', config_path={str(tmp_path / 'conf')!r},"
+        " config_name='config')\n"
+        "def job(cfg):\n"
+        "    assert not [n for n in Plugins.instance().class_name_to_class if 'xplain' in n]\n"
+        "    assert not [n for n in sys.modules if n.startswith('xplain')]\n"
+        "    print('clean', cfg.a)\n"
+        "job()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.stdout == "clean 1\n", done.stderr

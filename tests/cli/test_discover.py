@@ -1,4 +1,4 @@
-"""``python -m xplain.cli.observe`` and ``python -m xplain.cli.discover`` as a person meets them."""
+"""``python -m xplain observe`` and ``python -m xplain discover`` as a person meets them."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
 
 
 def test_help_needs_no_library(command: Command) -> None:
-    for module in ("xplain.cli.discover", "xplain.cli.observe"):
+    for module in ("xplain discover", "xplain observe"):
         done = command(module, "--help")
         assert done.returncode == 0
         assert "JSON" in done.stdout

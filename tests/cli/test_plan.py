@@ -1,14 +1,14 @@
-"""``python -m xplain.cli.plan`` and ``xplain.cli.export`` as a person or a program meets them."""
+"""``python -m xplain plan`` and ``python -m xplain export`` as a person or a program meets them."""
 
 from __future__ import annotations
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
 from xplain.cli import export, plan
+from xplain.cli.main import main
 from xplain.config import CONF
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.pomdp_file import read
@@ -26,12 +26,11 @@ def file(tmp_path):
 
 
 @pytest.fixture
-def command(monkeypatch, capsys):
+def command(capsys):
     def run(module, *arguments: object):
-        monkeypatch.setattr(sys, "argv", ["xplain", *map(str, arguments)])
         code = 0
         try:
-            module.main()
+            main([module.__name__.rpartition(".")[2], *map(str, arguments)])
         except SystemExit as error:
             code = error.code
         out = capsys.readouterr()

@@ -40,7 +40,7 @@ for group, suite in KINDS.items():
         name = f"Test_{group}_{choice}"
         tested = type(name, (suite,), {"component": component} | SAID.get((group, choice), {}))
         if "gym" in path.read_text() and find_spec("gymnasium") is None:
-            tested = pytest.mark.skip(reason="pip install 'xplain[gym]'")(tested)
+            tested = pytest.mark.skip(reason="pip install 'xplain-hri[gym]'")(tested)
         globals()[name] = tested
 
 

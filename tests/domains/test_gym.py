@@ -16,7 +16,7 @@ from xplain.domains import mdp
 from xplain.errors import InputError, XplainError
 from xplain.randomness import stream
 
-gymnasium = pytest.importorskip("gymnasium", reason="pip install 'xplain[gym]'")
+gymnasium = pytest.importorskip("gymnasium", reason="pip install 'xplain-hri[gym]'")
 from xplain.domains.gym import Gymnasium  # noqa: E402
 
 NAMES = ["taxi", "cliff_walking", "frozen_lake"]

@@ -59,7 +59,7 @@ def learned(classifier, confidence="accuracy"):
 )
 def test_what_was_saved_says_the_same(tmp_path, classifier, confidence):
     if not isinstance(classifier, DecisionTreeClassifier):
-        pytest.importorskip("skops.io", reason="pip install 'xplain[skops]'")
+        pytest.importorskip("skops.io", reason="pip install 'xplain-hri[skops]'")
     types, data = learned(classifier, confidence)
     # skops vouches for no compiled tree inside a forest; who trusts the file says so.
     trusted = ["sklearn.tree._tree.Tree"] if isinstance(classifier, RandomForestClassifier) else []
@@ -122,7 +122,7 @@ class Mine(LogisticRegression):
 
 
 def test_a_class_that_nobody_vouched_for_is_not_built(tmp_path):
-    pytest.importorskip("skops.io", reason="pip install 'xplain[skops]'")
+    pytest.importorskip("skops.io", reason="pip install 'xplain-hri[skops]'")
     types, data = learned(Mine())
     types.save(tmp_path / "types.npz")
     with pytest.raises(InputError, match=r"Mine.*trusted="):

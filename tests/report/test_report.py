@@ -227,11 +227,11 @@ def test_the_report_is_the_same_bytes_each_time(sweep):
 
 
 def test_the_command_finds_the_newest_sweep_and_names_what_is_wrong(sweep, command, tmp_path):
-    done = command("xplain.report", str(sweep))
+    done = command("xplain report", str(sweep))
     assert done.returncode == 0, done.stderr
     assert "Disaster rescue" in done.stdout
     assert "index.html" in done.stdout
     for arguments in ([], [str(sweep / "jobs")], ["--help-me"]):
-        failed = command("xplain.report", *arguments)
+        failed = command("xplain report", *arguments)
         assert failed.returncode == 2
         assert len(failed.stderr.strip().splitlines()) == 1

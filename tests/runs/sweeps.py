@@ -33,13 +33,13 @@ def environment() -> dict[str, str]:
     return env
 
 
-def start(folder: Path, *arguments: str, module: str = "xplain") -> subprocess.Popen[str]:
+def start(folder: Path, *arguments: str, words: str = "xplain") -> subprocess.Popen[str]:
     """``python -m xplain …`` in this folder, leader of a process group."""
     folder.mkdir(parents=True, exist_ok=True)
     # A file, not a pipe: nobody waits for orphans that hold it open.
     with (folder / "output.txt").open("w") as output:
         return subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
+            [sys.executable, "-m", *words.split(), *arguments],
             cwd=folder,
             env=environment(),
             stdout=output,
@@ -55,9 +55,9 @@ def run(folder: Path, *arguments: str) -> tuple[int, str]:
     return wait(folder, process)
 
 
-def run_module(folder: Path, module: str, *arguments: str) -> tuple[int, str]:
-    """``python -m module …``: exit code and all output."""
-    return wait(folder, start(folder, *arguments, module=module))
+def run_command(folder: Path, words: str, *arguments: str) -> tuple[int, str]:
+    """``python -m xplain command …``: exit code and all output."""
+    return wait(folder, start(folder, *arguments, words=words))
 
 
 def wait(folder: Path, process: subprocess.Popen[str]) -> tuple[int, str]:

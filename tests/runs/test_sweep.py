@@ -13,7 +13,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 
 from tests.runs import sweeps
-from xplain.config import CONF, SWEEPS, prepare
+from xplain.cli import hydra_plugins
+from xplain.config import CONF, SWEEPS, register
 
 SERIAL = "hydra/launcher=basic"
 QUICK = (*sweeps.TINY[:-1], "lambda=1", SERIAL)
@@ -138,7 +139,7 @@ def test_every_launcher_gives_the_same_table(finished, tmp_path):
     ],
 )
 def test_launchers_of_the_extras_give_the_same_table(finished, tmp_path, package, launcher):
-    pytest.importorskip(package, reason="an extra: pip install 'xplain[ray]' or 'xplain[submitit]'")
+    pytest.importorskip(package, reason="an extra, xplain-hri[ray] or [submitit]")
     folder, _ = finished
     code, output = sweeps.run(tmp_path, *sweeps.TINY, *launcher, "tracking=none")
     assert code == 0, output
@@ -244,8 +245,8 @@ def test_sync_sends_a_sweep_once(finished, tmp_path):
     reference = sweeps.runs(folder)
     outputs = f"outputs={tmp_path / 'outputs'}"
     for _ in range(2):
-        code, output = sweeps.run_module(
-            tmp_path, "xplain.cli.sync", str(sweeps.sweep_folder(folder)), outputs
+        code, output = sweeps.run_command(
+            tmp_path, "xplain sync", str(sweeps.sweep_folder(folder)), outputs
         )
         assert code == 0, output
         assert "6 results in MLflow" in output
@@ -255,7 +256,8 @@ def test_sync_sends_a_sweep_once(finished, tmp_path):
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in SWEEPS.glob("*.yaml")))
 def test_sweep_files_set_known_keys_and_open_with_their_command(name):
-    prepare()
+    register()
+    hydra_plugins.register()
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         plain = compose("config")

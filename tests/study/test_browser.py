@@ -81,14 +81,14 @@ def axe(request: pytest.FixtureRequest) -> str:
 @pytest.fixture(scope="module")
 def rescue() -> Study:
     """The rescue study with every kind of question, learned from few labels to save time."""
-    from xplain.study.settings import composed
+    from xplain.config import composed
 
     questions = (
         "questions=[{name: age, label: Your age, kind: number, low: 18, high: 110},"
         "{name: gender, label: Your gender, kind: choice, choices: [woman, man, another]},"
         "{name: comment, label: 'Was anything unclear?', kind: text}]"
     )
-    return study_of(study_plan(composed(["observers.points=150", questions])))
+    return study_of(study_plan(composed("study", ["observers.points=150", questions])))
 
 
 def serving(path: Path, study: Study) -> ServerProcess:

@@ -213,10 +213,12 @@ def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFix
 
 @pytest.mark.slow
 def test_forty_bots_in_the_rescue_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from xplain.config import composed
     from xplain.study.prepare import study_of, study_plan
-    from xplain.study.settings import composed
 
-    study = study_of(study_plan(composed(["rules.per_cell=4", "rules.timeout_minutes=0.05"])))
+    study = study_of(
+        study_plan(composed("study", ["rules.per_cell=4", "rules.timeout_minutes=0.05"]))
+    )
     path = tmp_path / "study.sqlite"
     stages = fill_every_place(study, path, Habits(leaving=0.02))
     assert stages["done"] == 40
@@ -232,7 +234,7 @@ def test_forty_bots_in_the_rescue_study(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_one_process_a_database(database: Path, command: Command) -> None:
     with ServerProcess(database):
-        second = command("xplain.study", f"database={database}", "port=1")
+        second = command("xplain study", f"database={database}", "port=1")
     assert second.returncode == 2
     assert "another process is using it" in second.stderr
     assert "Traceback" not in second.stderr
@@ -249,25 +251,25 @@ def test_a_running_study_keeps_its_plan(database: Path, study: Study) -> None:
 @pytest.mark.parametrize(
     ("module", "arguments", "said"),
     [
-        ("xplain.study", ["port=0"], "port=0: a whole number"),
-        ("xplain.study", ["port=many"], "port='many'"),
-        ("xplain.study", ["prot=1"], "did you mean port?"),
-        ("xplain.study", ["threads=0"], "threads=0"),
-        ("xplain.study", ["8080"], "key=value"),
-        ("xplain.study", ["server.entry=[anybody]"], "server.entry='anybody'"),
-        ("xplain.study", ["database=broken.sqlite"], "not a study's database"),
-        ("xplain.study", ["rules.per_cell=0"], "rules.per_cell=0"),
-        ("xplain.study", ["trace.start=[99,99]"], "trace.start=[99, 99]"),
-        ("xplain.study", ["trace.candidates=0"], "trace.candidates=0"),
-        ("xplain.study.analysis.export", ["nothing.sqlite", "out"], "nothing.sqlite"),
-        ("xplain.study.analysis.replay", ["broken.sqlite"], "not a study's database"),
-        ("xplain.study.analysis.main", ["nowhere"], "participants.csv"),
+        ("xplain study", ["port=0"], "port=0: a whole number"),
+        ("xplain study", ["port=many"], "port='many'"),
+        ("xplain study", ["prot=1"], "did you mean port?"),
+        ("xplain study", ["threads=0"], "threads=0"),
+        ("xplain study", ["8080"], "key=value"),
+        ("xplain study", ["server.entry=[anybody]"], "server.entry='anybody'"),
+        ("xplain study", ["database=broken.sqlite"], "not a study's database"),
+        ("xplain study", ["rules.per_cell=0"], "rules.per_cell=0"),
+        ("xplain study", ["trace.start=[99,99]"], "trace.start=[99, 99]"),
+        ("xplain study", ["trace.candidates=0"], "trace.candidates=0"),
+        ("xplain study export", ["nothing.sqlite", "out"], "nothing.sqlite"),
+        ("xplain study replay", ["broken.sqlite"], "not a study's database"),
+        ("xplain study analyse", ["nowhere"], "participants.csv"),
         (
             "xplain.participants.simulation.bots",
             ["--key", "k", "--url", "http://127.0.0.1:9"],
             "a running study",
         ),
-        ("xplain.study.simulation.power", ["--people", "1"], "--people=1"),
+        ("xplain study power", ["--people", "1"], "--people=1"),
     ],
 )
 def test_what_is_wrong_is_one_line(
@@ -284,10 +286,10 @@ def test_what_is_wrong_is_one_line(
 
 
 def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
+    from xplain.config import composed
     from xplain.study.prepare import study_of, study_plan
-    from xplain.study.settings import composed
 
-    cfg = composed(["observers.points=150", "trace.candidates=40"])
+    cfg = composed("study", ["observers.points=150", "trace.candidates=40"])
     plan = study_plan(cfg)
     assert study_plan(cfg).hash == plan.hash  # same configuration, same study
     study_of(plan)
@@ -305,10 +307,10 @@ def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
 
 
 def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) -> None:
+    from xplain.config import composed
     from xplain.study.prepare import study_of, study_plan
-    from xplain.study.settings import composed
 
-    cfg = composed(["domain=four_rooms", "observers.points=150", "trace.candidates=40"])
+    cfg = composed("study", ["domain=four_rooms", "observers.points=150", "trace.candidates=40"])
     plan = study_plan(cfg)
     assert plan.scene is not None
     assert plan.scene.items == ()  # goals and penalties are among what types hold wrong
@@ -322,4 +324,6 @@ def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) ->
     assert visit(client, person, store.invite(1, "bot")[0]) == "done"
     store.close()
     with pytest.raises(InputError, match=r"wording\.hide"):
-        study_plan(composed(["domain=four_rooms", "wording.hide=[Q]", "observers.points=50"]))
+        study_plan(
+            composed("study", ["domain=four_rooms", "wording.hide=[Q]", "observers.points=50"])
+        )

@@ -1,4 +1,4 @@
-"""Finds the user types in people's labels: ``python -m xplain.cli.discover data=FILE``.
+"""Finds the user types in people's labels: ``xplain discover data=FILE``.
 
 The file is read as :mod:`xplain.data.label_table` says. Into the folder ``output`` go
 
@@ -17,16 +17,14 @@ held-out label; null where ``held_out=false``), ``seconds``.
 from __future__ import annotations
 
 import json
-import logging
 import os
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.utils import instantiate
 
-from xplain.config import CONF, compose_for, report_errors
+from xplain.config import composed, require_seed
 from xplain.errors import InputError, TooLargeError
 
 if TYPE_CHECKING:
@@ -45,9 +43,8 @@ def discover(arguments: list[str]) -> Row:
     from xplain.randomness import derived_seed
 
     began = time.perf_counter()
-    cfg = compose_for("discover", arguments)
-    if not isinstance(cfg.seed, int) or cfg.seed < 0:
-        raise InputError("seed", cfg.seed, "a whole number ≥ 0")
+    cfg = composed("discover", arguments)
+    require_seed(cfg)
     folder = Path(cfg.output)
     require_writable(folder)
     trainer, clusterer = instantiate(cfg.labeler), instantiate(cfg.clusterer)
@@ -170,16 +167,6 @@ def _show(row: Row, known: list[Row], folder: Path) -> None:
     console.print(table)
 
 
-def main() -> None:
+def main(arguments: list[str]) -> None:
     """The command."""
-    if "--help" in sys.argv[1:]:
-        print(__doc__)
-        print((CONF / "discover.yaml").read_text(encoding="utf-8"))
-        return
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
-    with report_errors():
-        print(json.dumps(discover(sys.argv[1:])))
-
-
-if __name__ == "__main__":
-    main()
+    print(json.dumps(discover(arguments)))

@@ -9,14 +9,12 @@ The last line on standard output is one JSON object: ``output``, ``truth``, ``ob
 from __future__ import annotations
 
 import json
-import logging
-import sys
 from pathlib import Path
 from typing import Any
 
 from hydra.utils import instantiate
 
-from xplain.config import CONF, compose_for, report_errors
+from xplain.config import composed, require_seed
 from xplain.errors import InputError
 
 
@@ -26,22 +24,21 @@ def observe(arguments: list[str]) -> dict[str, Any]:
     import pandas as pd
 
     from xplain.data.label_table import check_format, write_table
-    from xplain.randomness import stream
-    from xplain.users.setting import Setting
+    from xplain.experiment import pipeline
 
-    cfg = compose_for("observe", arguments)
-    if not isinstance(cfg.seed, int) or cfg.seed < 0:
-        raise InputError("seed", cfg.seed, "a whole number ≥ 0")
+    cfg = composed("observe", arguments, with_hydra=True)
+    require_seed(cfg)
     output = Path(cfg.output)
     check_format(output, "output")
     named = output.name.removesuffix(".gz").removesuffix(".csv").removesuffix(".parquet")
     beside = output.with_name(f"{named}.types.csv") if cfg.truth is None else Path(cfg.truth)
     if output.resolve() == beside.resolve():
         raise InputError("truth", cfg.truth, "another file than the output")
-    domain = instantiate(cfg.domain)
-    types = instantiate(cfg.users).types(domain, stream(cfg.seed, "users"))
-    setting = Setting.build(domain, types)
-    dataset, truth = instantiate(cfg.observers).collect(setting, cfg.seed)
+    observed = pipeline.observe(
+        instantiate(cfg.domain), instantiate(cfg.users), instantiate(cfg.observers), cfg.seed
+    )
+    dataset, truth, setting = observed.dataset, observed.truth, observed.setting
+    types = setting.types
     if truth is None:
         raise InputError("observers", cfg.hydra.runtime.choices.observers, "simulated")
     for path in (output, beside):
@@ -64,16 +61,6 @@ def observe(arguments: list[str]) -> dict[str, Any]:
     }
 
 
-def main() -> None:
+def main(arguments: list[str]) -> None:
     """The command."""
-    if "--help" in sys.argv[1:]:
-        print(__doc__)
-        print((CONF / "observe.yaml").read_text(encoding="utf-8"))
-        return
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
-    with report_errors():
-        print(json.dumps(observe(sys.argv[1:])))
-
-
-if __name__ == "__main__":
-    main()
+    print(json.dumps(observe(arguments)))

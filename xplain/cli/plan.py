@@ -1,4 +1,4 @@
-"""Plans for a saved problem: ``python -m xplain.cli.plan problem=FILE.npz solver=NAME seed=0``.
+"""Plans for a saved problem: ``xplain plan problem=FILE.npz solver=NAME seed=0``.
 
 The last line on standard output is one JSON object:
 
@@ -17,16 +17,13 @@ The last line on standard output is one JSON object:
 from __future__ import annotations
 
 import json
-import logging
-import sys
 import time
 from typing import TYPE_CHECKING, Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from xplain.config import CONF, compose_for, report_errors
-from xplain.errors import InputError
+from xplain.config import CONF, composed, require_seed
 
 if TYPE_CHECKING:
     from xplain.explanation.problem import Problem
@@ -40,10 +37,10 @@ def plan(arguments: list[str]) -> Row | list[Row]:
     from xplain.explanation.problem import Problem
 
     if "solver=all" not in arguments:
-        return _plan_one(compose_for("plan", arguments))
+        return _plan_one(composed("plan", arguments, with_hydra=True))
     rest = [argument for argument in arguments if argument != "solver=all"]
     names = sorted(path.stem for path in (CONF / "solver").glob("*.yaml"))
-    configs = [compose_for("plan", [*rest, f"solver={name}"]) for name in names]
+    configs = [composed("plan", [*rest, f"solver={name}"], with_hydra=True) for name in names]
     known = _bounds(Problem.load(configs[0].problem), configs[0])
     return [_plan_one(cfg, known) for cfg in configs]
 
@@ -55,8 +52,7 @@ def _plan_one(cfg: DictConfig, known: Bounds | None = None) -> Row:
     from xplain.solvers.hsvi.solver import CertifiedPolicy
     from xplain.solvers.policy_evaluation import evaluate
 
-    if not isinstance(cfg.seed, int) or cfg.seed < 0:
-        raise InputError("seed", cfg.seed, "a whole number ≥ 0")
+    require_seed(cfg)
     problem = Problem.load(cfg.problem)
     solver = instantiate(cfg.solver)
     told = solver.knows in ("type", "labels") and problem.n_types > 1
@@ -110,19 +106,6 @@ def _compare(rows: list[Row]) -> None:
     Console().print(table)
 
 
-def main() -> None:
+def main(arguments: list[str]) -> None:
     """The command."""
-    if "--help" in sys.argv[1:]:
-        print(__doc__)
-        print((CONF / "plan.yaml").read_text(encoding="utf-8"))
-        return
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
-    with report_errors():
-        found = plan(sys.argv[1:])
-        if isinstance(found, list):
-            _compare(found)
-        print(json.dumps(found))
-
-
-if __name__ == "__main__":
-    main()
+    print(json.dumps(plan(arguments)))

@@ -1,4 +1,4 @@
-"""Sends results on disk to MLflow: ``python -m xplain.cli.sync [FOLDER ...] [tracking.uri=URI]``.
+"""Sends results on disk to MLflow: ``xplain sync [FOLDER ...] [tracking.uri=URI]``.
 
 Without folders, every result below ``outputs/``. Sweeps arrive as a parent with its children.
 What is in MLflow already is not sent again.
@@ -6,13 +6,11 @@ What is in MLflow already is not sent again.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from xplain.config import CONF, prepare, report_errors
+from xplain.config import composed
 from xplain.errors import InputError
 from xplain.experiment.results import RESULTS
 from xplain.runs.folder import SWEEP, SweepFolder
@@ -49,19 +47,13 @@ def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
     return len(alone) + sum(sweeps.values())
 
 
-def main() -> None:
-    """The command line."""
-    prepare()
-    with report_errors(), initialize_config_dir(str(CONF), version_base="1.3"):
-        words = sys.argv[1:]
-        # Names of jobs' folders have an equals sign as well.
-        named = [word for word in words if Path(word).exists() or "=" not in word]
-        cfg = compose("config", ["tracking=mlflow", *(w for w in words if w not in named)])
-        outputs = Path(cfg.outputs)
-        folders = [Path(word) for word in named] or [outputs]
-        count = sync(folders, outputs, instantiate(cfg.tracking))
-        print(f"{count} results in MLflow")
-
-
-if __name__ == "__main__":
-    main()
+def main(arguments: list[str]) -> None:
+    """The command."""
+    # Names of jobs' folders have an equals sign as well.
+    named = [word for word in arguments if Path(word).exists() or "=" not in word]
+    keys = [word for word in arguments if word not in named]
+    cfg = composed("config", ["tracking=mlflow", *keys])
+    outputs = Path(cfg.outputs)
+    folders = [Path(word) for word in named] or [outputs]
+    count = sync(folders, outputs, instantiate(cfg.tracking))
+    print(f"{count} results in MLflow")

@@ -6,14 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from xplain.config import CONF, prepare
+from xplain.config import composed
 from xplain.errors import InputError
 from xplain.experiment.from_config import components_of, costs_of
-from xplain.experiment.pipeline import Case, Prepared
-from xplain.experiment.pipeline import prepare as prepare_stages
+from xplain.experiment.pipeline import Case, Prepared, prepare
 from xplain.message_sets import mask_of
 from xplain.randomness import stream
 from xplain.sessions.explainer import Explainer, GivenTypes
@@ -122,15 +120,13 @@ def stage(overrides: Sequence[str], trace: int) -> Stage:
     Raises:
         XplainError, HydraException, OmegaConfBaseException: something in ``overrides`` is wrong.
     """
-    prepare()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose("config", [*overrides, f"traces={trace + 1}"], return_hydra_config=True)
+    cfg = composed("config", [*overrides, f"traces={trace + 1}"], with_hydra=True)
     choices = cfg.hydra.runtime.choices
     components, costs = components_of(cfg), costs_of(cfg)
     solver, update = instantiate(cfg.solver), instantiate(cfg.belief)
     if solver.knows not in ("types", "everyone"):
         raise InputError("solver", str(choices.solver), "one that need not know the user's type")
-    prepared = prepare_stages(components)
+    prepared = prepare(components)
     case = prepared.cases[trace]
     alone = solver.knows == "everyone"
     types = GivenTypes(

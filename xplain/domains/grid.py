@@ -199,25 +199,3 @@ def parameters_of(
             raise InputError(f"{key}.inaccurate", parameter.inaccurate, "differs from accurate")
         parameters.append(parameter)
     return tuple(parameters)
-
-
-def number(key: str, value: object) -> float:
-    """A finite number.
-
-    Raises:
-        InputError: it is none.
-    """
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-        raise InputError(key, value, "a finite number")
-    return float(value)
-
-
-def discount_factor(key: str, value: object) -> float:
-    """A discount in (0, 1).
-
-    Raises:
-        InputError: it is none.
-    """
-    if not 0 < (gamma := number(key, value)) < 1:
-        raise InputError(key, value, "a number in (0, 1), both ends excluded")
-    return gamma

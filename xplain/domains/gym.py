@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Scene
-from xplain.domains.grid import Cell, discount_factor, number, parameters_of
+from xplain.domains.grid import Cell, parameters_of
 from xplain.domains.mdp import MDP
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError, XplainError, discount_factor, number
 
 EFFECTS = ("add", "like", "to", "arguments")
 CHANGES = ("when", "actions", "next", *EFFECTS)
@@ -274,7 +274,7 @@ def read_model(id: str, arguments: Mapping[str, Any]) -> Tables:
         import gymnasium
     except ImportError:
         raise XplainError(
-            "domain: Gymnasium environments need gymnasium: pip install 'xplain[gym]'"
+            "domain: Gymnasium environments need gymnasium: pip install 'xplain-hri[gym]'"
         ) from None
     try:
         environment = gymnasium.make(id, **arguments)

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Scene
-from xplain.domains.grid import MOVES, Cell, Grid, discount_factor, number, parameters_of
+from xplain.domains.grid import MOVES, Cell, Grid, parameters_of
 from xplain.domains.mdp import MDP
-from xplain.errors import InputError
+from xplain.errors import InputError, discount_factor, number
 
 SHELTER, VICTIM = "S", "V"
 BONUSES = {"first_aid": "A", "fire": "F", "refuel": "U"}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xplain.errors import InputError
+from xplain.errors import InputError, whole_number
 from xplain.experiment.explanations import Costs, problem_for, problem_of_types, trace_seed
 from xplain.experiment.pipeline import Prepared
 from xplain.explanation.problem import Problem
@@ -38,8 +38,7 @@ class Certify:
     def __post_init__(self) -> None:
         """Checks the numbers."""
         for key, least in (("traces", 0), ("nodes", 1), ("beliefs", 0), ("episodes", 2)):
-            if getattr(self, key) < least:
-                raise InputError(f"certify.{key}", getattr(self, key), f"a whole number ≥ {least}")
+            whole_number(f"certify.{key}", getattr(self, key), least)
         if not self.gap > 0:
             raise InputError("certify.gap", self.gap, "a number > 0")
 

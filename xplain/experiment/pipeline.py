@@ -26,7 +26,7 @@ from xplain.domains.base import (
     transition_feature_names,
     transition_features,
 )
-from xplain.errors import InputError
+from xplain.errors import InputError, whole_number
 from xplain.learning.clustering import Clusterer, Perfect
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.user_types import UserTypes, learn_types
@@ -67,10 +67,8 @@ class Components:
     def __post_init__(self) -> None:
         """Checks the numbers."""
         for key in ("traces", "max_steps"):
-            if getattr(self, key) < 1:
-                raise InputError(key, getattr(self, key), "a whole number ≥ 1")
-        if self.seed < 0:
-            raise InputError("seed", self.seed, "a whole number ≥ 0")
+            whole_number(key, getattr(self, key), 1)
+        whole_number("seed", self.seed, 0)
 
 
 @dataclass(frozen=True)
@@ -337,7 +335,7 @@ def _require_same_features(dataset: Dataset, domain: Domain) -> None:
             "observers.path",
             ",".join(dataset.feature_names),
             f"labels of {domain.name} need the features {','.join(names)} in this order "
-            "(python -m xplain.cli.discover finds types in labels of any task)",
+            "(python -m xplain discover finds types in labels of any task)",
         )
     wanted = tuple(parameter.name for parameter in domain.parameters)
     if dataset.messages != wanted:

@@ -246,7 +246,9 @@ def _skops_bytes(classifier: Any) -> bytes:
         import skops.io
     except ImportError:
         raise InputError(
-            "labeler.classifier", name, "a decision tree; others need pip install 'xplain[skops]'"
+            "labeler.classifier",
+            name,
+            "a decision tree; others need pip install 'xplain-hri[skops]'",
         ) from None
     return bytes(skops.io.dumps(classifier))
 
@@ -256,7 +258,7 @@ def _from_skops(data: bytes, trusted: Sequence[str]) -> Any:
         import skops.io
     except ImportError:
         raise InputError(
-            "types", "a classifier that is no tree", "needs pip install 'xplain[skops]'"
+            "types", "a classifier that is no tree", "needs pip install 'xplain-hri[skops]'"
         ) from None
     unknown = set(skops.io.get_untrusted_types(data=data)) - set(trusted)
     if unknown:

@@ -79,7 +79,7 @@ class MLflow:
             reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
             log.warning(
                 "MLflow did not take this run (%s). The results are safe in %s; send them later "
-                "with: python -m xplain.cli.sync %s",
+                "with: python -m xplain sync %s",
                 reason[:200],
                 folder,
                 folder,

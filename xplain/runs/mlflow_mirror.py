@@ -147,7 +147,7 @@ class Mirror:
                 reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
                 log.warning(
                     "MLflow does not take this sweep (%s). The results are safe in %s; send them "
-                    "later with: python -m xplain.cli.sync %s",
+                    "later with: python -m xplain sync %s",
                     reason[:200],
                     self.folder.path,
                     self.folder.path,

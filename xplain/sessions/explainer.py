@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.errors import InputError
+from xplain.errors import InputError, whole_number
 from xplain.sessions.planner import Planner
 from xplain.sessions.session import FORMAT, Session
 
@@ -74,8 +74,7 @@ class Explainer(Planner):
         Raises:
             InputError: a transition or number that is not allowed.
         """
-        if isinstance(expected_steps, bool) or expected_steps < 0:
-            raise InputError("expected_steps", expected_steps, "a whole number ≥ 0")
+        whole_number("expected_steps", expected_steps, 0)
         session = Session(self, expected_steps)
         session.extend(trace)
         return session

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from xplain.config import CONF, prepare
+from xplain.config import CONF, register
 
 
 class Chosen:
@@ -44,7 +44,7 @@ class Chosen:
         from hydra.core.global_hydra import GlobalHydra
         from hydra.utils import instantiate
 
-        prepare()
+        register()
         GlobalHydra.instance().clear()
         with initialize_config_dir(str(CONF), version_base="1.3"):
             cfg = compose("config", self.overrides)

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from xplain.domains.base import Domain
-from xplain.errors import InputError
+from xplain.errors import InputError, whole_number
 from xplain.users.setting import Setting, UserType
 
 
@@ -147,9 +147,7 @@ class RandomCover:
     def __post_init__(self) -> None:
         """Checks the counts."""
         for key in ("count", "attempts"):
-            value = getattr(self, key)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise InputError(f"users.{key}", value, "a whole number ≥ 1")
+            whole_number(f"users.{key}", getattr(self, key), 1)
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
         """Uniform over the lists of distinct subsets that cover all parameters (and, if asked,

@@ -1,5 +1,5 @@
 -- One study, one file. Events are never changed; every other table can be computed from them
--- and the plan, which is what `python -m xplain.study.analysis.replay` checks.
+-- and the plan, which is what `python -m xplain study replay` checks.
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 
 CREATE TABLE participant (

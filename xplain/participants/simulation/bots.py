@@ -7,7 +7,6 @@ that the server offers, so the server may run anywhere.
 
 from __future__ import annotations
 
-import argparse
 import http.client
 import io
 import re
@@ -17,16 +16,14 @@ import time
 import zipfile
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from urllib.parse import urlencode, urlsplit
 
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError
 from xplain.participants.simulation import chromium
 from xplain.participants.simulation.http_client import Browser, Page, visit
 from xplain.randomness import stream
 from xplain.study.analysis.export import plan_of
 from xplain.study.protocol.plan import StudyPlan
-from xplain.study.settings import one_clear_line
 from xplain.study.simulation.participant import Habits, Person
 
 
@@ -121,49 +118,3 @@ def run(
         invitations += researcher.invite(min(500, count - len(invitations)))
     with ThreadPoolExecutor(at_once) as pool:
         return Counter(pool.map(one, range(count), invitations))
-
-
-def main(arguments: list[str] | None = None) -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(
-        prog="python -m xplain.participants.simulation.bots",
-        description="Lets simulated participants take part in a running study, over HTTP. They "
-        "are marked as bots in the data for ever, and take nobody's place.",
-    )
-    parser.add_argument("--url", default="http://127.0.0.1:8080", help="of the server")
-    parser.add_argument("--key", required=True, help="the researcher's key")
-    parser.add_argument("--count", type=int, default=40, help="bots (default 40)")
-    parser.add_argument("--at-once", type=int, default=8, help="at a time (default 8)")
-    parser.add_argument("--pace", type=float, default=0.0, help="1 = in real time; default 0")
-    parser.add_argument("--leaving", type=float, default=0.0, help="chance to leave, a page")
-    parser.add_argument("--chromium", action="store_true", help="each in a real browser")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--save", type=Path, help="where to put the export (ZIP) afterwards")
-    given = parser.parse_args(arguments)
-    with one_clear_line():
-        for name, value in (("--count", given.count), ("--at-once", given.at_once)):
-            if not 0 < value <= 10_000:
-                raise InputError(name, value, "a whole number from 1 to 10000")
-        if given.chromium and (what := chromium.missing()):
-            raise InputError("--chromium", "not here", f"install {what}")
-        habits = Habits(leaving=given.leaving)
-        try:
-            stages = run(
-                given.url,
-                given.key,
-                given.count,
-                given.at_once,
-                given.pace,
-                habits,
-                given.seed,
-                given.chromium,
-            )
-            if given.save:
-                given.save.write_bytes(Researcher(given.url, given.key).archive())
-        except (ConnectionError, TimeoutError) as error:
-            raise XplainError(f"--url={given.url}: the server went away ({error})") from None
-        print(", ".join(f"{number} {stage}" for stage, number in stages.most_common()))
-
-
-if __name__ == "__main__":
-    main()

@@ -7,7 +7,6 @@ request on.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sqlite3
 from collections.abc import Iterator
@@ -23,7 +22,6 @@ from xplain.study.analysis.codebook import CODEBOOK
 from xplain.study.analysis.timing import Interaction, interaction
 from xplain.study.protocol.machine import State
 from xplain.study.protocol.plan import StudyPlan
-from xplain.study.settings import one_clear_line
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -221,22 +219,3 @@ def _quiz(
                 "ticked": int(ticked),
                 "correct": int(ticked == statement.true),
             }
-
-
-def main(arguments: list[str] | None = None) -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(
-        prog="python -m xplain.study.analysis.export",
-        description="CSV and Parquet tables, and their codebook, from a study's database that no "
-        "server has open (or from a snapshot).",
-    )
-    parser.add_argument("database", type=Path)
-    parser.add_argument("folder", type=Path)
-    given = parser.parse_args(arguments)
-    with one_clear_line():
-        export(given.database, given.folder)
-        print(f"tables and codebook in {given.folder}")
-
-
-if __name__ == "__main__":
-    main()

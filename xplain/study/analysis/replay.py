@@ -1,4 +1,4 @@
-"""Replays a study from its log: ``python -m xplain.study.analysis.replay database``.
+"""Replays a study from its log: ``python -m xplain study replay database``.
 
 From the events and the plan alone, read-only, every state, belief, message and value is computed
 again and compared with what was stored, to the last bit.
@@ -6,19 +6,13 @@ again and compared with what was stored, to the last bit.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sqlite3
-import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 
-from xplain.study.analysis.export import plan_of, reading
-from xplain.study.prepare import study_of
 from xplain.study.protocol import machine as protocol
 from xplain.study.protocol.machine import Refused, State
 from xplain.study.protocol.plan import Study
-from xplain.study.settings import one_clear_line
 
 
 @dataclass
@@ -101,28 +95,3 @@ def _replay_one(
                 found.differences.append(
                     f"{who}: step {k}: {column} is {stored[k][column]}, replayed {value}"
                 )
-
-
-def main(arguments: list[str] | None = None) -> None:
-    """The command; exit code 1 if anything differs."""
-    parser = argparse.ArgumentParser(
-        prog="python -m xplain.study.analysis.replay",
-        description="Recomputes every belief and message of a study from its log and compares.",
-    )
-    parser.add_argument("database", type=Path, help="a database that no server has open")
-    given = parser.parse_args(arguments)
-    with one_clear_line(), reading(given.database) as connection:
-        found = replay(connection, study_of(plan_of(connection)))
-    for difference in found.differences:
-        print(difference, file=sys.stderr)
-    verdict = f"{len(found.differences)} differences" if found.differences else "all equal"
-    print(
-        f"{found.participants} participants, {found.events} answers, {found.steps} steps "
-        f"replayed: {verdict}"
-    )
-    if found.differences:
-        sys.exit(1)
-
-
-if __name__ == "__main__":
-    main()

@@ -8,7 +8,6 @@ participants are like is an assumption: the second plot shows how much each assu
 
 from __future__ import annotations
 
-import argparse
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +22,6 @@ from xplain.randomness import stream
 from xplain.study.analysis.statistics import d_from_p, student_p, t_power
 from xplain.study.analysis.table2 import CONDITIONS, MEASURES, paper_table
 from xplain.study.protocol.plan import Study
-from xplain.study.settings import composed, one_clear_line
 from xplain.study.simulation.participant import Habits, take_part
 
 SIZES = (10, 20, 30, 40, 50, 60, 80)
@@ -220,34 +218,24 @@ def draw_sensitivity(rows: list[dict[str, Any]], path: Path) -> None:
     plt.close(figure)
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(
-        prog="python -m xplain.study.simulation.power",
-        description="Power curves for the planned study, and what they hang on.",
-    )
-    parser.add_argument("overrides", nargs="*", metavar="key=value", help="over conf/study.yaml")
-    parser.add_argument("--out", type=Path, default=Path("outputs/study/power"))
-    parser.add_argument("--people", type=int, default=200, help="simulated ones a cell")
-    parser.add_argument("--studies", type=int, default=2000, help="planned studies a point")
-    parser.add_argument("--n", type=int, default=50, help="a condition, for the sensitivity")
-    given = parser.parse_args(arguments)
-    with one_clear_line():
-        for key in ("people", "studies", "n"):
-            if getattr(given, key) < 2:
-                raise InputError(f"--{key}", getattr(given, key), "a whole number ≥ 2")
-        from xplain.study.prepare import study_of, study_plan
+def write(study: Study, folder: Path, people: int, studies: int, n: int) -> None:
+    """Power curves and what they hang on, as tables and plots.
 
-        study = study_of(study_plan(composed(given.overrides)))
-        seed, habits = study.plan.seed, Habits()
-        rows = curves(simulate(study, habits, given.people, seed), SIZES, given.studies, seed)
-        swept = sensitivity(study, habits, max(2, given.people // 2), given.n, given.studies, seed)
-        given.out.mkdir(parents=True, exist_ok=True)
-        _write(rows, given.out / "power.csv")
-        _write(swept, given.out / "sensitivity.csv")
-        draw_curves(rows, given.out / "power.png")
-        draw_sensitivity(swept, given.out / "sensitivity.png")
-        print(f"power.csv, sensitivity.csv and their plots in {given.out}")
+    Args:
+        study: its plan and policies.
+        folder: made where it is missing.
+        people: simulated ones a cell.
+        studies: planned studies a point.
+        n: participants a condition, for the sensitivity.
+    """
+    seed, habits = study.plan.seed, Habits()
+    rows = curves(simulate(study, habits, people, seed), SIZES, studies, seed)
+    swept = sensitivity(study, habits, max(2, people // 2), n, studies, seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    _write(rows, folder / "power.csv")
+    _write(swept, folder / "sensitivity.csv")
+    draw_curves(rows, folder / "power.png")
+    draw_sensitivity(swept, folder / "sensitivity.png")
 
 
 def _write(rows: list[dict[str, Any]], path: Path) -> None:
@@ -255,7 +243,3 @@ def _write(rows: list[dict[str, Any]], path: Path) -> None:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,8 +1,7 @@
-"""Prints and draws the analysis: ``python -m xplain.study.analysis.main folder``."""
+"""Prints and draws the analysis: ``python -m xplain study analyse folder``."""
 
 from __future__ import annotations
 
-import argparse
 import csv
 import math
 from pathlib import Path
@@ -13,12 +12,9 @@ from xplain.study.analysis.table2 import (
     CONDITIONS,
     Analysis,
     Row,
-    analyse,
     paper_table,
-    read,
     table,
 )
-from xplain.study.settings import one_clear_line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -199,31 +195,3 @@ def _draw_effect(axis: Axes, row: Row) -> None:
     axis.set_ylim(-0.6, 1.6)
     axis.set_xlabel("Hedges' g, 95 % interval\n(conformant − personalized)")
     axis.spines[["top", "right"]].set_visible(False)
-
-
-def main(arguments: list[str] | None = None) -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(
-        prog="python -m xplain.study.analysis.main",
-        description="The paper's Table 2 from an export of the study, with plots.",
-    )
-    parser.add_argument("folder", type=Path, help="with participants.csv, as exported")
-    parser.add_argument("--stream", default="person", help="person (default), pilot or bot")
-    parser.add_argument("--exclude", type=Path, help="CSV with the columns participant, reason")
-    parser.add_argument("--seed", type=int, default=0, help="of the permutation tests")
-    parser.add_argument("--out", type=Path, help="folder for tables and plots (default: folder)")
-    given = parser.parse_args(arguments)
-    with one_clear_line():
-        from rich.console import Console
-
-        analysis = analyse(
-            read(given.folder), given.stream, exclusions(given.exclude), seed=given.seed
-        )
-        out = given.out or given.folder
-        save(analysis, out)
-        show(analysis, Console(width=None if Console().is_terminal else 150))
-        print(f"table2.csv, flow.csv, measures.png in {out}")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,7 @@
-"""What Hydra must find by itself: the config group ``sweeps`` and the sweeper that resumes.
+"""What Hydra needs of us: the config group ``sweeps`` and the sweeper that resumes.
 
-Hydra takes sweepers from the namespace package ``hydra_plugins`` alone. This file is read at
-every start, so it imports next to nothing; the work is in :mod:`xplain.sweep`.
+Registered by our own command alone: in the namespace package ``hydra_plugins``, where Hydra looks
+by itself, every Hydra program of the environment would load them.
 """
 
 from __future__ import annotations
@@ -12,11 +12,14 @@ from typing import Any
 from hydra._internal.core_plugins.file_config_source import FileConfigSource
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.object_type import ObjectType
+from hydra.core.plugins import Plugins
 from hydra.plugins.config_source import ConfigLoadError, ConfigResult
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
+
+from xplain.config import CONF, SWEEPS
 
 GROUP = "sweeps"
 
@@ -61,12 +64,10 @@ class SweepFiles(FileConfigSource):
 
 
 class SweepSearchPath(SearchPathPlugin):
-    """Puts the group on the search path of ``python -m xplain``, and of no other program."""
+    """Puts the group on the search path of our own configuration, and of no other."""
 
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
         """Called by Hydra once at start."""
-        from xplain.config import CONF, SWEEPS
-
         main = [entry.path for entry in search_path.get_path() if entry.provider == "main"]
         if any(path and Path(path.removeprefix("file://")) == CONF for path in main):
             search_path.append("xplain", f"{SweepFiles.scheme()}://{SWEEPS}")
@@ -92,20 +93,28 @@ class ResumingSweeper(Sweeper):
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
     ) -> None:
         """Called by Hydra before :meth:`sweep`."""
-        self.hydra_context = hydra_context
-        self.task_function = task_function
-        self.config = config
+        self._run = hydra_context, task_function, config
 
     def sweep(self, arguments: list[str]) -> Any:
         """Runs the sweep; ends the process with exit code 1 when jobs failed."""
         from xplain.runs.sweep import run_sweep
 
         settings = [{**self.params, **plain(setting)} for setting in self.settings]
-        return run_sweep(
-            self.hydra_context, self.task_function, self.config, settings, list(arguments)
-        )
+        return run_sweep(*self._run, settings, list(arguments))
 
 
 def plain(node: Any) -> dict[str, Any]:
     """A mapping without OmegaConf's types."""
-    return dict(OmegaConf.to_container(node)) if OmegaConf.is_config(node) else dict(node)
+    content: Any = OmegaConf.to_container(node) if OmegaConf.is_config(node) else node
+    return dict(content)
+
+
+# Hydra instantiates no sweeper whose name does not begin so; conf/hydra/sweeper/xplain.yaml
+# names this one.
+ResumingSweeper.__module__ = "hydra_plugins.xplain"
+
+
+def register() -> None:
+    """Makes them known to Hydra in this process. Safe to call twice."""
+    for plugin in (SweepFiles, SweepSearchPath, ResumingSweeper):
+        Plugins.instance().register(plugin)

@@ -1,35 +1,27 @@
-"""Starts the study's server: ``python -m xplain.study port=8080 rules.per_cell=10``.
+"""Serves the user study: ``xplain study port=8080 rules.per_cell=10``.
 
-One worker process with threads: it alone has the database open.
+The first start fixes the study in its database; later starts go on with it. One worker process
+with threads: it alone has the database open. How a lab runs a study: docs/study.md.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xplain.config import composed
 from xplain.errors import InputError
-from xplain.study.settings import composed, one_clear_line
+from xplain.study.settings import fixed
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """The command; see ``--help``."""
-    parser = argparse.ArgumentParser(
-        prog="python -m xplain.study",
-        description="Serves the user study. The first start fixes the study in its database; "
-        "later starts go on with it.",
-        epilog="keys and their defaults: conf/study.yaml; how a lab runs a study: docs/study.md",
-    )
-    parser.add_argument("overrides", nargs="*", metavar="key=value", help="over conf/study.yaml")
-    given = parser.parse_args(arguments)
-    with one_clear_line():
-        serve(composed(given.overrides))
+def main(arguments: list[str]) -> None:
+    """The command."""
+    serve(composed("study", arguments))
 
 
 def serve(cfg: DictConfig) -> None:
@@ -68,7 +60,6 @@ def running_study(cfg: DictConfig, path: Path) -> tuple[Any, list[str]]:
     """The study in the database, or a new one; and the keys of ``cfg`` that it does not follow."""
     from xplain.participants.server.database import read_plan
     from xplain.study.prepare import study_of, study_plan
-    from xplain.study.settings import fixed
 
     plan = read_plan(path)
     if plan is None:
@@ -129,7 +120,3 @@ def _researcher_key(store: Any) -> str:
     from xplain.participants.server.security import Keys
 
     return Keys(store.keyed).researcher
-
-
-if __name__ == "__main__":
-    main()

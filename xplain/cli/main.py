@@ -1,0 +1,121 @@
+"""The one door: ``xplain [command] key=value …``; without a command, the experiment.
+
+Nothing heavy is imported before it is known what to do.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from dataclasses import dataclass
+from importlib import import_module
+
+from xplain import __version__
+from xplain.config import CONF, report_errors
+from xplain.errors import InputError
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command.
+
+    Attributes:
+        module: has ``main(arguments)``; its docstring is the command's help.
+        meaning: in a line.
+        config: name of its file in conf/, "" where it has none of its own.
+    """
+
+    module: str
+    meaning: str
+    config: str = ""
+
+
+COMMANDS = {
+    "discover": Command("discover", "find the user types in a table of labels", "discover"),
+    "observe": Command("observe", "write labels of simulated observers", "observe"),
+    "plan": Command("plan", "plan for a saved explanation problem", "plan"),
+    "export": Command("export", "write a saved problem for POMDP solvers", "export"),
+    "report": Command("report", "tables, plots and a page of a sweep, anew"),
+    "sync": Command("sync", "send results on disk to MLflow"),
+    "demo": Command("demo", "play one explanation, with a simulated user or you"),
+    "study": Command("study.serve", "serve the user study", "study"),
+    "study bots": Command("study.bots", "let simulated participants take part"),
+    "study export": Command("study.export", "its data as tables"),
+    "study replay": Command("study.replay", "compute it again from its log"),
+    "study analyse": Command("study.analyse", "the paper's Table 2 of its data"),
+    "study power": Command("study.power", "how many participants it needs"),
+}
+
+HELP = """\
+xplain: personalized explanations of a robot's decisions, as experiments.
+
+  xplain solver=pomcp domain=rescue lambda=1.5     one run
+  xplain -m solver=qmdp,pomcp lambda=0.5,1,2       all combinations
+  xplain sweeps=table1                             a prepared sweep
+  xplain COMMAND ...                               see below; each has --help
+
+{commands}
+
+All keys with their defaults and choices: xplain --keys, docs/config.md. Of a run: --cfg job.
+Completion in bash: eval "$(xplain -sc install=bash)". `python -m xplain` is the same as `xplain`.
+"""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """The door; every error that a person can mend is one line, exit code 2.
+
+    Args:
+        arguments: of the command line; None takes those of the process.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    with report_errors():
+        if given[:1] in (["--help"], ["-h"]):
+            print(_help(), end="")
+        elif given == ["--version"]:
+            print(f"xplain {__version__}")
+        elif given and given[0] in ("-sc", "--shell-completion"):
+            from xplain.cli import completion
+
+            completion.main(given[1:], COMMANDS)
+        else:
+            _run(given)
+
+
+def _run(given: list[str]) -> None:
+    name, rest = split(given)
+    if name is None:
+        from xplain.cli import run
+
+        run.main(given)
+        return
+    command = COMMANDS[name]
+    module = import_module(f"xplain.cli.{command.module}")
+    if any(word in ("--help", "-h") for word in rest):
+        print(module.__doc__)
+        if command.config:
+            print((CONF / f"{command.config}.yaml").read_text(encoding="utf-8"))
+        return
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    module.main(rest)
+
+
+def split(words: list[str]) -> tuple[str | None, list[str]]:
+    """The command (None is the experiment) and what follows it.
+
+    Raises:
+        InputError: a word where a command should be that is none.
+    """
+    for length in (2, 1):
+        name = " ".join(words[:length])
+        if len(words) >= length and name in COMMANDS:
+            return name, words[length:]
+    if words and words[0].isidentifier():
+        allowed = ", ".join(name for name in COMMANDS if " " not in name)
+        raise InputError("command", words[0], f"key=value, or one of {allowed}")
+    return None, words
+
+
+def _help() -> str:
+    return HELP.format(
+        commands="\n".join(f"  {name:14} {command.meaning}" for name, command in COMMANDS.items())
+    )

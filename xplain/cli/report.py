@@ -1,0 +1,38 @@
+"""Tables, plots and a page of a sweep: ``xplain report [SWEEP FOLDER]``.
+
+Without a folder, the newest sweep below ``outputs/``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from xplain.errors import InputError
+
+
+def main(arguments: list[str]) -> None:
+    """The command."""
+    folder = _folder(arguments)
+    from xplain.report.console import print_sweep
+    from xplain.report.write import write_report
+
+    summary, report = write_report(folder)
+    if not summary.results:
+        raise InputError("folder", str(folder), "a sweep with finished jobs")
+    print_sweep(summary)
+    for path in sorted(report.iterdir()):
+        print(path)
+
+
+def _folder(arguments: list[str]) -> Path:
+    if len(arguments) > 1 or any(word.startswith("-") for word in arguments):
+        raise InputError("folder", " ".join(arguments), "xplain report [SWEEP FOLDER]")
+    if arguments:
+        folder = Path(arguments[0])
+        if not (folder / "sweep.json").exists():
+            raise InputError("folder", arguments[0], "a sweep's folder, below outputs/sweeps")
+        return folder
+    found = list(Path("outputs/sweeps").glob("*/sweep.json"))
+    if not found:
+        raise InputError("folder", "outputs/sweeps", "no sweep there; name a sweep's folder")
+    return max(found, key=lambda path: path.stat().st_mtime).parent

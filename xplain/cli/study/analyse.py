@@ -1,0 +1,34 @@
+"""The paper's Table 2 from an export of the study, with plots.
+
+    xplain study analyse FOLDER [--stream person] [--exclude FILE] [--seed 0] [--out FOLDER]
+
+FOLDER holds participants.csv, as exported; ``--stream`` is person, pilot or bot; ``--exclude`` a
+CSV file with the columns participant and reason; ``--seed`` that of the permutation tests.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from xplain.cli.parser import Parser
+
+
+def main(arguments: list[str]) -> None:
+    """The command."""
+    parser = Parser("xplain study analyse")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--stream", default="person")
+    parser.add_argument("--exclude", type=Path)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args(arguments)
+    from rich.console import Console
+
+    from xplain.study.analysis.report import exclusions, save, show
+    from xplain.study.analysis.table2 import analyse, read
+
+    analysis = analyse(read(given.folder), given.stream, exclusions(given.exclude), seed=given.seed)
+    out = given.out or given.folder
+    save(analysis, out)
+    show(analysis, Console(width=None if Console().is_terminal else 150))
+    print(f"table2.csv, flow.csv, measures.png in {out}")

@@ -1,0 +1,56 @@
+"""Lets simulated participants take part in a running study, over HTTP or in a real browser. They
+are marked as bots in the data for ever, and take nobody's place.
+
+    xplain study bots --key KEY [--url http://127.0.0.1:8080] [--count 40] [--at-once 8]
+        [--pace 0] [--leaving 0] [--chromium] [--seed 0] [--save FILE]
+
+``--key``: the researcher's key, which the server prints; ``--pace``: 1 is real time;
+``--leaving``: chance to leave, a page; ``--save``: where the export (ZIP) goes afterwards.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from xplain.cli.parser import Parser
+from xplain.errors import InputError, XplainError
+
+
+def main(arguments: list[str]) -> None:
+    """The command."""
+    parser = Parser("xplain study bots")
+    parser.add_argument("--url", default="http://127.0.0.1:8080")
+    parser.add_argument("--key", required=True)
+    parser.add_argument("--count", type=int, default=40)
+    parser.add_argument("--at-once", type=int, default=8)
+    parser.add_argument("--pace", type=float, default=0.0)
+    parser.add_argument("--leaving", type=float, default=0.0)
+    parser.add_argument("--chromium", action="store_true")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--save", type=Path)
+    given = parser.parse_args(arguments)
+    for name, value in (("--count", given.count), ("--at-once", given.at_once)):
+        if not 0 < value <= 10_000:
+            raise InputError(name, value, "a whole number from 1 to 10000")
+    from xplain.participants.simulation import chromium
+    from xplain.participants.simulation.bots import Researcher, run
+    from xplain.study.simulation.participant import Habits
+
+    if given.chromium and (what := chromium.missing()):
+        raise InputError("--chromium", "not here", f"install {what}")
+    try:
+        stages = run(
+            given.url,
+            given.key,
+            given.count,
+            given.at_once,
+            given.pace,
+            Habits(leaving=given.leaving),
+            given.seed,
+            given.chromium,
+        )
+        if given.save:
+            given.save.write_bytes(Researcher(given.url, given.key).archive())
+    except (ConnectionError, TimeoutError) as error:
+        raise XplainError(f"--url={given.url}: the server went away ({error})") from None
+    print(", ".join(f"{number} {stage}" for stage, number in stages.most_common()))

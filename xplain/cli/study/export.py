@@ -1,0 +1,23 @@
+"""CSV and Parquet tables, and their codebook, from a study's database that no server has open (or
+from a snapshot).
+
+    xplain study export DATABASE FOLDER
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from xplain.cli.parser import Parser
+
+
+def main(arguments: list[str]) -> None:
+    """The command."""
+    parser = Parser("xplain study export")
+    parser.add_argument("database", type=Path)
+    parser.add_argument("folder", type=Path)
+    given = parser.parse_args(arguments)
+    from xplain.study.analysis.export import export
+
+    export(given.database, given.folder)
+    print(f"tables and codebook in {given.folder}")

@@ -1,0 +1,34 @@
+"""Power curves for the planned study, and what they hang on, from simulated participants.
+
+    xplain study power [--out FOLDER] [--people 200] [--studies 2000] [--n 50] [key=value ...]
+
+``--people``: simulated ones a cell; ``--studies``: planned studies a point; ``--n``: participants
+a condition, for the sensitivity. Keys are those of conf/study.yaml.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from xplain.cli.parser import Parser
+from xplain.config import composed
+from xplain.errors import whole_number
+
+
+def main(arguments: list[str]) -> None:
+    """The command."""
+    parser = Parser("xplain study power")
+    parser.add_argument("overrides", nargs="*", metavar="key=value")
+    parser.add_argument("--out", type=Path, default=Path("outputs/study/power"))
+    parser.add_argument("--people", type=int, default=200)
+    parser.add_argument("--studies", type=int, default=2000)
+    parser.add_argument("--n", type=int, default=50)
+    given = parser.parse_intermixed_args(arguments)
+    for key in ("people", "studies", "n"):
+        whole_number(f"--{key}", getattr(given, key), 2)
+    from xplain.study.prepare import study_of, study_plan
+    from xplain.study.simulation import power
+
+    study = study_of(study_plan(composed("study", given.overrides)))
+    power.write(study, given.out, given.people, given.studies, given.n)
+    print(f"power.csv, sensitivity.csv and their plots in {given.out}")

@@ -1,0 +1,35 @@
+"""Recomputes every belief and message of a study from its log, and compares.
+
+    xplain study replay DATABASE
+
+The database is one that no server has open. Exit code 1 where anything differs.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from xplain.cli.parser import Parser
+
+
+def main(arguments: list[str]) -> None:
+    """The command."""
+    parser = Parser("xplain study replay")
+    parser.add_argument("database", type=Path)
+    given = parser.parse_args(arguments)
+    from xplain.study.analysis.export import plan_of, reading
+    from xplain.study.analysis.replay import replay
+    from xplain.study.prepare import study_of
+
+    with reading(given.database) as connection:
+        found = replay(connection, study_of(plan_of(connection)))
+    for difference in found.differences:
+        print(difference, file=sys.stderr)
+    verdict = f"{len(found.differences)} differences" if found.differences else "all equal"
+    print(
+        f"{found.participants} participants, {found.events} answers, {found.steps} steps "
+        f"replayed: {verdict}"
+    )
+    if found.differences:
+        sys.exit(1)
