@@ -109,12 +109,13 @@ def plain(node: Any) -> dict[str, Any]:
     return dict(content)
 
 
-# Hydra instantiates no sweeper whose name does not begin so; conf/hydra/sweeper/xplain.yaml
-# names this one.
-ResumingSweeper.__module__ = "hydra_plugins.xplain"
+NAME = "hydra_plugins.xplain.ResumingSweeper"
+"""Hydra instantiates no sweeper whose name begins otherwise: conf/hydra/sweeper/xplain.yaml."""
 
 
 def register() -> None:
     """Makes them known to Hydra in this process. Safe to call twice."""
+    plugins = Plugins.instance()
     for plugin in (SweepFiles, SweepSearchPath, ResumingSweeper):
-        Plugins.instance().register(plugin)
+        plugins.register(plugin)
+    plugins.class_name_to_class[NAME] = ResumingSweeper
