@@ -38,53 +38,90 @@ def rescue(**changes: Any) -> Rescue:
     return Rescue(**given | changes)
 
 
-def play(rows: list[str], actions: str, values: dict[str, float], reward: float) -> tuple:
+class Rules:
     """The rules in plain Python: cell, what is done, rewards; ``+`` acts on what lies there."""
-    r, c = next((r, row.index("s")) for r, row in enumerate(rows) if "s" in row)
-    done: set[str] = set()
-    rewards = []
-    for action in actions:
-        gain = 0.0
+
+    def __init__(self, rows: list[str], start: tuple[int, int], values: dict[str, float]) -> None:
+        self.rows, self.cell, self.values = rows, start, values
+        self.done: set[str] = set()
+        self.ended = False
+
+    @property
+    def here(self) -> str:
+        return self.rows[self.cell[0]][self.cell[1]]
+
+    def can_act(self) -> bool:
+        return self.here in "AFUV" and self.here not in self.done
+
+    def play(self, action: str) -> float:
+        """The reward."""
         if action == "+":
-            done.add(rows[r][c])
-            gain = values.get(REWARD.get(rows[r][c], ""), 0.0)
-        else:
-            dr, dc = {"u": (-1, 0), "d": (1, 0), "l": (0, -1), "r": (0, 1)}[action]
-            inside = 0 <= r + dr < len(rows) and 0 <= c + dc < len(rows[0])
-            if inside and rows[r + dr][c + dc] != "#":
-                r, c = r + dr, c + dc
-                if rows[r][c] in "rpf":
-                    gain = values[REWARD[rows[r][c]]]
-                if rows[r][c] == "S" and "V" in done:
-                    gain += reward
-        rewards.append(gain)
-    return (r, c), rewards
+            self.done.add(self.here)
+            return self.values.get(REWARD.get(self.here, ""), 0.0)
+        (r, c), (dr, dc) = self.cell, STEPS[action]
+        inside = 0 <= r + dr < len(self.rows) and 0 <= c + dc < len(self.rows[0])
+        if not inside or self.rows[r + dr][c + dc] == "#":
+            return 0.0
+        self.cell = r + dr, c + dc
+        self.ended = self.here == "S" and "V" in self.done
+        entered = self.values[REWARD[self.here]] if self.here in "rpf" else 0.0
+        return entered + (RESCUE_REWARD if self.ended else 0.0)
 
 
-@pytest.mark.parametrize(
-    "actions", ["r+rr+dd+", "ddulldr+rru", "d", "ddr+l", "r+rr+dd+llu", "ddrlrlu", "rrrddll+l"]
-)
-def test_the_model_plays_by_the_rules(actions: str) -> None:
-    domain = rescue()
-    values = {name: 0.25 * (i + 1) for i, name in enumerate(parameters())}
-    model = domain.model(values)
-    rows = MAP.strip().split("\n")
-    state = int(domain.starts[0])
-    rewards = []
-    for letter in actions:
-        r, c = domain.position(state)
-        if letter == "+":
-            wanted = {"A": "pick_up_first_aid", "F": "extinguish_fire", "U": "refuel"}
-            action = domain.actions.index(wanted.get(rows[r][c], "pick_up_victim"))
-        else:
-            action = "udlr".index(letter)
+STEPS = {"u": (-1, 0), "d": (1, 0), "l": (0, -1), "r": (0, 1)}
+RESCUE_REWARD = 5.0
+ROWS = MAP.strip().split("\n")
+VALUES = {name: 0.25 * (i + 1) for i, name in enumerate(REWARD.values())}
+
+
+def act(domain: Rescue, symbol: str) -> int:
+    """The action that uses what lies there."""
+    wanted = {"A": "pick_up_first_aid", "F": "extinguish_fire", "U": "refuel"}
+    return domain.actions.index(wanted.get(symbol, "pick_up_victim"))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_model_plays_by_the_rules(seed: int) -> None:
+    """Random walks of 300 actions, or to the shelter, from every cell by turns: together they bump
+    into walls and edges from every kind of cell, with and without the victim."""
+    domain, rng = rescue(), np.random.default_rng(seed)
+    model = domain.model(VALUES)
+    state = int(model.n_states // len(domain.grid.cells) * (seed % len(domain.grid.cells)))
+    rules = Rules(ROWS, domain.position(state), VALUES)
+    for _ in range(300):
+        if rules.can_act():
+            assert model.probability[state, act(domain, rules.here)].tolist() == [1.0]
+        assert np.count_nonzero(model.probability[state, 4:]) == rules.can_act()
+        letter = rng.choice([*"udlr", *("+" if rules.can_act() else "")])
+        action = act(domain, rules.here) if letter == "+" else "udlr".index(letter)
         assert model.probability[state, action].tolist() == [1.0]
-        rewards.append(model.reward[state, action, 0])
+        assert model.reward[state, action, 0] == pytest.approx(rules.play(letter)), letter
         state = int(model.successor[state, action, 0])
-    cell, expected = play(rows, actions, values, 5.0)
-    assert domain.position(state) == cell
-    assert rewards == pytest.approx(expected)
-    assert model.terminal[state] == (rows[cell[0]][cell[1]] == "S" and rewards[-1] >= 5.0)
+        assert domain.position(state) == rules.cell
+        assert model.terminal[state] == rules.ended
+        if rules.ended:
+            break
+
+
+@pytest.mark.parametrize(("slip", "carrying"), [(0.0, False), (0.0, True), (0.2, False)])
+def test_bumping_enters_nothing(slip: float, carrying: bool) -> None:
+    """From each kind of cell, into a wall or over the edge: the robot stays and earns nothing."""
+    domain = rescue(slip=slip)
+    model = domain.model(VALUES)
+    bumped = set()
+    for cell in range(len(domain.grid.cells)):
+        flags = model.n_states // len(domain.grid.cells)
+        state = cell * flags + (flags // 2 if carrying else 0)
+        r, c = domain.position(state)
+        for action, (dr, dc) in enumerate(STEPS.values()):
+            inside = 0 <= r + dr < len(ROWS) and 0 <= c + dc < len(ROWS[0])
+            if (inside and ROWS[r + dr][c + dc] != "#") or model.terminal[state]:
+                continue
+            bumped.add(ROWS[r][c])
+            stays = model.successor[state, action] == state
+            assert model.probability[state, action][stays].sum() >= 1 - slip
+            assert not model.reward[state, action][stays].any(), (r, c, action)
+    assert bumped == set("".join(ROWS)) - {"#"} - ({"S"} if carrying else set())
 
 
 def test_items_are_used_once_and_only_where_they_lie() -> None:

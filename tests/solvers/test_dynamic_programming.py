@@ -14,13 +14,17 @@ from hypothesis.strategies import composite
 from tests.explanation.problems import tiny_problems
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.problem import Problem
+from xplain.solvers.base import Solver
+from xplain.solvers.certified import Certified
 from xplain.solvers.dynamic_programming import (
+    best_set,
     messages_with_effect,
     messages_worth_giving,
     optimal_values,
     restrict,
 )
 from xplain.solvers.known_type import Baseline, Conformant, KnownType
+from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
 
@@ -163,14 +167,14 @@ def test_conformant_pays_for_every_type_undivided() -> None:
 
 
 def test_baseline_takes_several_types_as_their_mixture() -> None:
-    problem = idle_problem(prior=np.array([0.3, 0.7]))
-    mixture = 0.3 * problem.p_explicable[:1] + 0.7 * problem.p_explicable[1:]
-    single = replace(problem.with_types(mixture, ("one",)))
-    expected = QMDP().plan(single)
-    baseline = Baseline().plan(problem)
-    for step in range(problem.n_steps):
-        chosen = baseline.messages(step, 0, problem.prior)
-        assert chosen == expected.messages(step, 0, np.ones(1))
+    """A message at 0.5 mends the trace for the second type, 1 label 0 without it: worth its price
+    where more than half the users are of it, whatever the belief has come to."""
+    p = np.ones((2, 1, 2))
+    p[1, 0, 0] = 0
+    for share, said in ((0.4, 0), (0.6, 1)):
+        problem = Problem(p, np.array([0.5]), discount=1.0, prior=np.array([1 - share, share]))
+        for belief in ([1.0, 0.0], [0.0, 1.0], [0.5, 0.5]):
+            assert Baseline().plan(problem).messages(0, 0, np.array(belief)) == said
 
 
 def test_ties_prefer_explain_then_the_first_message() -> None:
@@ -182,6 +186,33 @@ def test_ties_prefer_explain_then_the_first_message() -> None:
     cheap = replace(even, trade_off=0.5)
     assert QMDP().plan(cheap).messages(0, 0, even.prior) == 0b01
     assert QHR().plan(cheap).messages(0, 0, even.prior) == 0b01
+
+
+def needs_two_or_one(price: float = 1.0) -> Problem:
+    """{0, 1} and {2} mend all at the same price; 3 would too, and is dearer."""
+    p = np.zeros((1, 1, 16))
+    for shown in range(16):
+        p[:, :, shown] = shown & 0b0011 == 0b0011 or shown & 0b1100 != 0
+    cost = np.array([1.0, 1.0, 2.0, 2.5]) * price
+    return Problem(p, cost, inexplicability_cost=5.0 * price, discount=1.0)
+
+
+@pytest.mark.parametrize("solver", [QHR(), Certified(), Lookahead()])
+def test_of_equal_sets_the_smaller_is_given(solver: Solver) -> None:
+    """As masks, {0, 1} is less than {2}."""
+    problem = needs_two_or_one()
+    assert solver.plan(problem).messages(0, 0, problem.prior) == 0b0100
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.dictionaries(st.integers(0, 15), st.sampled_from([-2.0, -1.0, -1.0 - 1e-12, 3.0]),
+                       min_size=1))  # fmt: skip
+def test_the_best_set_is_the_smallest_of_the_best_then_the_first(values: dict[int, float]) -> None:
+    """Whatever the order in which they come; values apart by rounding are equal."""
+    tied = [chosen for chosen, value in values.items() if value > max(values.values()) - 1e-10]
+    fewest = min(bin(chosen).count("1") for chosen in tied)
+    first = min(chosen for chosen in tied if bin(chosen).count("1") == fewest)
+    assert best_set(values) == first
 
 
 def test_too_large_is_refused_before_memory_is_taken() -> None:
