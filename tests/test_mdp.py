@@ -130,6 +130,12 @@ def test_ties_do_not_depend_on_the_unit_of_rewards() -> None:
         assert mdp.optimal_actions([scaled])[0, 0].tolist() == [False, True]
 
 
+@pytest.mark.parametrize(("discount", "tie"), [(0.0, False), (0.5, False), (0.999, True)])
+def test_a_tie_is_small_against_what_a_policy_could_earn(discount: float, tie: bool) -> None:
+    """A gain of 5e-8 is 5e-8 of the largest value, 1 / (1 − γ), then 2.5e-8, then 5e-11."""
+    assert mdp.optimal_actions([choice(5e-8, discount)])[0, 0].tolist() == [tie, True]
+
+
 def test_what_cannot_happen_does_not_matter() -> None:
     """A reward of 10^9 at probability 0 (in a slot not used, or of an action not available)
     changes no value, no tie and no refusal."""

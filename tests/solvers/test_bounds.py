@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.reference import reduced_optimal_value
 from xplain.solvers.bounds import bounds, known_type_value
@@ -22,7 +23,9 @@ def test_bounds_and_prices_enclose_the_truth() -> None:
         optimum = reduced_optimal_value(problem)
         found = bounds(problem)
         assert found.lower - 1e-9 <= optimum <= found.upper + 1e-9
-        assert found.known_type == pytest.approx(known_type_value(problem))
+        each = [plain_optimal_value(problem, t) for t in range(problem.n_types)]
+        assert found.known_type == pytest.approx(float(problem.prior @ each), abs=1e-9)
+        assert known_type_value(problem) == pytest.approx(found.known_type, abs=1e-9)
         assert found.known_type >= optimum - 1e-9
         least, most = found.price_of_not_knowing
         assert least - 1e-9 <= found.known_type - optimum <= most + 1e-9

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.strategies import composite
 
 from tests.explanation.problems import tiny_problems
+from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver
@@ -27,25 +27,6 @@ from xplain.solvers.known_type import Baseline, Conformant, KnownType
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
-
-
-def plain_optimal_value(problem: Problem, t: int, step: int = 0, given: int = 0) -> float:
-    """The Bellman recursion over single actions, as SPEC §5 states it."""
-    per_message = problem.discount if problem.discount_per == "action" else 1.0
-
-    @cache
-    def value(k: int, shown: int) -> float:
-        if k == problem.n_steps:
-            return 0.0
-        zeros = sum(1 - problem.p_explicable[t, i, shown] for i in range(k + 1))
-        best = -problem.inexplicability_cost * zeros + problem.discount * value(k + 1, shown)
-        for j in range(problem.n_messages):
-            if not shown >> j & 1:
-                price = problem.trade_off * problem.message_cost[j]
-                best = max(best, -price + per_message * value(k, shown | 1 << j))
-        return float(best)
-
-    return value(step, given)
 
 
 @settings(deadline=None, max_examples=60)
