@@ -227,6 +227,7 @@ def test_misuse_is_one_clear_line():
         (lambda: explainer.session([7]), "trace"),
         (lambda: explainer.session([0.5]), "trace"),
         (lambda: explainer.session([0], -1), "expected_steps"),
+        (lambda: explainer.session([0], True), "expected_steps"),
         (lambda: explainer.session([0]).observe([1]), "messages() comes first"),
         (lambda: explainer.session([0]).why(), "messages() comes first"),
         (lambda: session.observe([1, 1]), "labels"),

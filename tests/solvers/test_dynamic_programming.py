@@ -147,6 +147,15 @@ def test_conformant_pays_for_every_type_undivided() -> None:
     assert QMDP().plan(problem).messages(0, 0, problem.prior) == 0
 
 
+def test_conformant_adds_up_the_zeros_of_types_that_differ() -> None:
+    """The first message mends one type of three, the second two; each costs 1.5 zeros."""
+    p = np.zeros((3, 1, 4))
+    p[0, 0, [1, 3]] = 1
+    p[1:, 0, [2, 3]] = 1
+    problem = Problem(p, np.array([1.5, 1.5]), discount=1.0)
+    assert Conformant().plan(problem).messages(0, 0, problem.prior) == 0b10
+
+
 def test_baseline_takes_several_types_as_their_mixture() -> None:
     """A message at 0.5 mends the trace for the second type, 1 label 0 without it: worth its price
     where more than half the users are of it, whatever the belief has come to."""
