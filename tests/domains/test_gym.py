@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from copy import deepcopy
 from itertools import product
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -150,6 +151,22 @@ def test_like_another_action() -> None:
         like = down if a == left and made.position(s)[0] == 3 else a
         for key in ("successor", "probability", "reward"):
             assert np.array_equal(getattr(after, key)[s, a], getattr(before, key)[s, like])
+
+
+def test_like_another_action_takes_its_chances_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A task of two states with one sure action and one that may do nothing."""
+    sure, unsure = [(1.0, 1, 3.0, True)], [(0.25, 1, 3.0, True), (0.75, 0, 0.0, False)]
+    stays = [(1.0, 1, 0.0, True)]
+    shown = SimpleNamespace(
+        P={0: {0: sure, 1: unsure}, 1: {0: stays, 1: stays}}, initial_state_distrib=[1.0, 0.0]
+    )
+    made = SimpleNamespace(unwrapped=shown, close=lambda: None)
+    monkeypatch.setattr(gymnasium, "make", lambda *a, **k: made)
+    wrong = [{"actions": ["sure"], "like": "unsure"}]
+    parameters = {"luck": {"inaccurate": wrong, "message": "It is sure."}}
+    task = Gymnasium("Two", {"place": 2}, ["sure", "unsure"], 0.9, parameters)
+    assert task.model({"luck": []}).probability[0].tolist() == [[1.0, 0.0], [0.25, 0.75]]
+    assert task.model({"luck": wrong}).probability[0].tolist() == [[0.25, 0.75]] * 2
 
 
 def test_a_condition_holds_where_all_its_features_do() -> None:
