@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,10 @@ from xplain.solvers.remembered import Remembered
 from xplain.users.setting import Setting
 from xplain.users.traces import sample_trace
 from xplain.users.types import TypeSource
+
+if TYPE_CHECKING:
+    from xplain.learning.labelers import Labeler
+    from xplain.learning.types import UserTypes
 
 T = TypeVar("T")
 Track = Callable[[Iterable[T], str, int], Iterable[T]]
@@ -132,7 +136,7 @@ class Case:
         learned: [N, m, 2^n] P(label is 1) by the labelers of the types that were found.
         everyone: [1, m, 2^n] by one labeler of all data (the baseline's).
         perfect: [M, m, 2^n] by the labelers under perfect clustering; None where the true types
-            of the observers are unknown.
+            of the observers are unknown, or a type has no observer.
         labels: [M, m, 2^n] the true labels of each true type.
     """
 
@@ -198,10 +202,11 @@ def prepare(source: Source, track: Track[Any] = untracked) -> Prepared:
     clustering = source.clusterer.cluster(dataset, trainer, derived_seed(seed, "clusterer"), truth)
     learned = learn_types(dataset, clustering, trainer, derived_seed(seed, "labelers"))
     _require_tested(learned.labelers)
-    perfect = None
+    perfect = told = None
     if truth is not None:
         best = Perfect().cluster(dataset, trainer, 0, truth)
         perfect = learn_types(dataset, best, trainer, derived_seed(seed, "perfect"))
+        told = _in_order_of_types(perfect, truth, len(types))
 
     robot, optimal = setting.models[0], setting.optimal[0]
     cases = []
@@ -218,9 +223,7 @@ def prepare(source: Source, track: Track[Any] = untracked) -> Prepared:
                 positions=tuple(cell for cell in cells if cell is not None),
                 learned=_tables(learned.labelers, features, setting.n_messages),
                 everyone=_tables((everyone,), features, setting.n_messages),
-                perfect=None
-                if perfect is None
-                else _tables(perfect.labelers, features, setting.n_messages),
+                perfect=None if told is None else _tables(told, features, setting.n_messages),
                 labels=setting.label_table(transitions),
             )
         )
@@ -271,7 +274,9 @@ def problem_for(prepared: Prepared, case: Case, costs: Costs, solver: Solver, us
         truth = case.labels[user : user + 1].astype(np.float64)
         return costs.problem(truth, prepared.messages, (name,), alone)
     if case.perfect is None:
-        raise InputError("solver", "oracle", "needs observers whose true types are known")
+        raise InputError(
+            "solver", "oracle", "needs observers of every type, whose true types are known"
+        )
     return costs.problem(case.perfect[user : user + 1], prepared.messages, (name,), alone)
 
 
@@ -323,6 +328,17 @@ def _tables(
     labelers: Iterable[Any], features: NDArray[np.float64], n_messages: int
 ) -> NDArray[np.float64]:
     return np.stack([labeler.table(features, n_messages) for labeler in labelers])
+
+
+def _in_order_of_types(
+    perfect: UserTypes, truth: NDArray[np.int64], count: int
+) -> list[Labeler] | None:
+    """The labeler of each true type; None where a type has no observer. Clusters are numbered as
+    their observers come, which may be in any order."""
+    first = [np.flatnonzero(truth == user_type)[:1] for user_type in range(count)]
+    if not all(map(len, first)):
+        return None
+    return [perfect.labelers[perfect.clustering.assignment[int(o[0])]] for o in first]
 
 
 def _mean_accuracy(labelers: Iterable[Any]) -> float:
