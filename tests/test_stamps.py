@@ -6,8 +6,9 @@ import sys
 
 import pytest
 
+from tests.configurations import CHOICES, composed, dotted, each_changed
 from xplain import stamps
-from xplain.stamps import component_code, stamp
+from xplain.stamps import component_code, configuration, stamp
 
 
 @pytest.fixture
@@ -24,6 +25,32 @@ def plugin(tmp_path, monkeypatch):
 
 
 CONFIG = {"solver": {"_target_": "their_solver.best.Best"}, "lambda": 1.0}
+
+
+NO_NUMBER = {
+    "outputs": "where files are written",
+    "tracking": "where results go besides the disk",
+    "resume": "which jobs of a sweep run again, not what they give",
+}
+"""Top-level keys of a run that no number depends on, and why. Whatever is not here must count."""
+
+
+@pytest.mark.parametrize("choices", CHOICES, ids=" ".join)
+def test_every_key_counts_but_those_without_a_number(choices):
+    cfg = composed(*choices)
+    before = stamp(configuration(cfg))
+    paths = []
+    for path in each_changed(cfg):
+        paths.append(path)
+        counts = stamp(configuration(cfg)) != before
+        assert counts == (path[0] not in NO_NUMBER), dotted(path)
+    assert {path[0] for path in paths} == set(cfg)
+    assert stamp(configuration(cfg)) == before  # all was put back
+
+
+def test_a_key_that_is_new_counts():
+    config = configuration(composed())
+    assert stamp(config | {"new": 1}) != stamp(config)
 
 
 def test_values_count_and_order_does_not():
