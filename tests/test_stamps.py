@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import sys
 
+import numba
+import numpy as np
+import pandas as pd
 import pytest
+import scipy
+import sklearn
 
 from tests.configurations import CHOICES, composed, dotted, each_changed
 from xplain import stamps
@@ -22,6 +27,7 @@ def plugin(tmp_path, monkeypatch):
     stamps._package.cache_clear()
     yield tmp_path
     stamps._package.cache_clear()
+    stamps._distributions.cache_clear()
 
 
 CONFIG = {"solver": {"_target_": "their_solver.best.Best"}, "lambda": 1.0}
@@ -70,6 +76,30 @@ def test_code_plugged_in_counts_with_all_that_it_imports(plugin, path):
     assert stamp(CONFIG) != before
 
 
+@pytest.mark.parametrize("moved", ["their_solver/better.py", "their_solver/deep/best.py"])
+def test_a_module_under_another_name_counts(plugin, moved):
+    before = stamp(CONFIG)
+    (plugin / moved).parent.mkdir(exist_ok=True)
+    (plugin / "their_solver" / "best.py").rename(plugin / moved)
+    stamps._package.cache_clear()
+    assert stamp(CONFIG) != before
+
+
+def test_an_installed_plugin_counts_by_the_hashes_of_its_files(plugin):
+    installed = plugin / "their_solver-1.0.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: their-solver\nVersion: 1.0\n")
+    (installed / "top_level.txt").write_text("their_solver\n")
+    found = set()
+    for content in ("aaa", "bbb"):
+        (installed / "RECORD").write_text(f"their_solver/__init__.py,sha256={content},23\n")
+        stamps._package.cache_clear()
+        stamps._distributions.cache_clear()
+        assert component_code(CONFIG).keys() == {"their_solver"}
+        found.add(stamp(CONFIG))
+    assert len(found) == 2
+
+
 def test_plugged_in_code_is_not_run(plugin):
     (plugin / "their_solver" / "__init__.py").write_text("raise SystemExit('ran')\n")
     assert set(component_code(CONFIG)) == {"their_solver", "their_helper"}
@@ -100,6 +130,14 @@ def test_the_content_of_files_counts(tmp_path):
     assert stamp(config) != before
     data.write_text("1")
     assert stamp(config) == before
+
+
+def test_the_versions_are_those_that_run():
+    versions = stamps.library_versions()
+    for name, module in (("numpy", np), ("scipy", scipy), ("numba", numba), ("pandas", pd)):
+        assert versions[name] == module.__version__
+    assert versions["scikit-learn"] == sklearn.__version__
+    assert versions["python"] == f"{sys.version_info.major}.{sys.version_info.minor}"
 
 
 def test_code_and_libraries_count(monkeypatch):
