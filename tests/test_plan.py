@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 
 import numpy as np
@@ -14,6 +15,7 @@ from xplain.explanation.cassandra import read
 from xplain.explanation.problem import Problem
 from xplain.explanation.reference import reduced_optimal_value
 
+SOLVERS = sorted(path.stem for path in (CONF / "solver").glob("*.yaml"))
 KEYS = {"solver", "first_messages", "value", "value_is", "optimal_lower", "optimal_upper"}
 
 
@@ -40,29 +42,46 @@ def command(monkeypatch, capsys):
     return run
 
 
-@pytest.mark.parametrize("solver", sorted(path.stem for path in (CONF / "solver").glob("*.yaml")))
+def worth_of_first(problem: Problem, messages: list[int]) -> float:
+    """What these messages and the best of everything after them earn, by trying everything."""
+    value, factor = 0.0, 1.0
+    for cost in sorted(problem.message_cost[messages]):
+        value -= factor * problem.trade_off * cost
+        factor *= problem.discount
+    return value + factor * reduced_optimal_value(problem, 0, sum(1 << j for j in messages))
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_the_last_line_is_the_plan(command, file, solver) -> None:
     code, out, err = command(plan, f"problem={file}", f"solver={solver}", "seed=0")
     assert (code, err) == (0, "") or "compiling" in err
     row = json.loads(out.splitlines()[-1])
     assert set(row) >= KEYS | {"seconds"}
     assert row["solver"] == solver
-    optimum = reduced_optimal_value(Problem.load(file))
+    problem = Problem.load(file)
+    optimum = reduced_optimal_value(problem)
     assert row["optimal_lower"] - 1e-9 <= optimum <= row["optimal_upper"] + 1e-9
     if solver in ("oracle", "clairvoyant"):
         assert row["first_messages"] is None
-        assert row["value"] >= optimum - 1e-9
+        alone = [problem.with_types(p[None], ("alone",)) for p in problem.p_explicable]
+        known = sum(p * reduced_optimal_value(q) for p, q in zip(problem.prior, alone, strict=True))
+        assert row["value"] == pytest.approx(known)
     else:
         assert row["value_is"] == "exact"
-        assert row["value"] <= optimum + 1e-9
-        assert all(isinstance(j, int) for j in row["first_messages"])
+        first = worth_of_first(problem, row["first_messages"])
+        assert row["value"] - 1e-9 <= first <= optimum + 1e-9
+        if solver == "certified":
+            assert row["value"] == pytest.approx(optimum, abs=1e-3)
 
 
 def test_all_prints_a_comparison_and_one_list(command, file) -> None:
     _, out, _ = command(plan, f"problem={file}", "solver=all")
     rows = json.loads(out.splitlines()[-1])
-    assert [row["solver"] for row in rows] == sorted(row["solver"] for row in rows)
-    assert all(row["solver"] in out.split("[{")[0] for row in rows)
+    assert [row["solver"] for row in rows] == SOLVERS
+    table = out.split("[{")[0]
+    for row in rows:
+        # The name, then somewhere behind it the value.
+        assert re.search(rf"\b{row['solver']} .*{row['value']:.4f}", table), row
 
 
 def test_options_of_the_solver_and_simulated_values(command, file) -> None:
@@ -71,6 +90,10 @@ def test_options_of_the_solver_and_simulated_values(command, file) -> None:
     row = json.loads(out.splitlines()[-1])
     assert row["value_is"] == "simulated"
     assert row["value_se"] > 0
+    _, out, _ = command(plan, *arguments[:3], "bounds.nodes=0")
+    exact = json.loads(out.splitlines()[-1])
+    assert exact["value_is"] == "exact"
+    assert abs(row["value"] - exact["value"]) < 4 * row["value_se"]
     _, out, _ = command(plan, f"problem={file}", "bounds.nodes=0")
     row = json.loads(out.splitlines()[-1])
     assert (row["optimal_lower"], row["optimal_upper"]) == (None, None)
@@ -129,8 +152,11 @@ def test_bad_arguments_are_one_line(command, arguments, said) -> None:
 
 
 def test_bad_seed(command, file) -> None:
-    code, _, err = command(plan, f"problem={file}", "seed=x")
-    assert (code, err.count("\n")) == (2, 1)
+    for seed in ("x", "-1", "0.5"):
+        code, out, err = command(plan, f"problem={file}", f"seed={seed}")
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert "seed" in err
+        assert seed in err
 
 
 def test_a_solver_too_small_for_the_problem_says_who_can(command, file) -> None:
