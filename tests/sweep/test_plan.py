@@ -59,6 +59,26 @@ def test_the_command_line_chooses_among_settings():
     assert not any("users.count" in override for job in only for override in job.overrides)
 
 
+def test_two_keys_that_tell_settings_apart_must_both_fit():
+    settings = [
+        {"domain": "rescue", "users.count": "2"},
+        {"domain": "rooms", "users.count": "2,3"},
+        {"domain": "taxi", "users.count": "3"},
+    ]
+
+    def chosen(*arguments):
+        jobs = plan(settings, arguments).jobs
+        return {tuple(sorted(job.overrides)) for job in jobs}
+
+    assert chosen("domain=rooms", "users.count=2") == {("domain=rooms", "users.count=2")}
+    assert chosen("domain=rescue,rooms", "users.count=2") == {
+        ("domain=rescue", "users.count=2"),
+        ("domain=rooms", "users.count=2"),
+    }
+    with pytest.raises(InputError, match="domain='taxi'"):
+        plan(settings, ["domain=taxi", "users.count=2"])
+
+
 def test_a_choice_that_no_setting_has_is_named():
     with pytest.raises(InputError, match=r"domain='taxi'.*rescue.*rooms"):
         plan(arguments=["domain=taxi"])

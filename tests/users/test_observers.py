@@ -103,6 +103,19 @@ def test_noise_flips_labels_and_nothing_else(setting: Setting) -> None:
     assert flipped == pytest.approx(0.1, abs=4 * (0.1 * 0.9 / len(clean)) ** 0.5)
 
 
+@pytest.mark.parametrize("queries", ["shared", "independent"])
+def test_observers_err_each_on_their_own(setting: Setting, queries: str) -> None:
+    options = {"queries": queries, "points": 3000, "per_type": 3}
+    clean, truth = labelled(setting, **options)
+    noisy, _ = labelled(setting, label_noise=0.3, **options)
+    flipped = (clean.label != noisy.label).reshape(len(truth), -1)
+    both = np.cov(flipped)
+    # Flips of 30 %: their variance is 0.21, and what two observers share is chance.
+    assert np.diag(both) == pytest.approx(np.full(len(truth), 0.21), abs=0.02)
+    apart = both[~np.eye(len(truth), dtype=bool)]
+    assert abs(apart).max() < 5 * 0.21 / 3000**0.5
+
+
 def test_unequal_observers(setting: Setting) -> None:
     dataset, truth = labelled(setting, per_type=[3, 1], points=[5, 30])
     assert truth.tolist() == [0, 0, 0, 1]
