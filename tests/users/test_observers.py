@@ -1,52 +1,15 @@
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from xplain.domains.base import Parameter, transition_feature_names, transition_features
+from tests.users.corridor import Corridor
+from xplain.domains.base import transition_feature_names, transition_features
 from xplain.errors import InputError
 from xplain.learning.tables import write_table
-from xplain.mdp import MDP
 from xplain.users.observers import FileObservers, SimulatedObservers
 from xplain.users.setting import Setting, UserType
-
-SIZE = 6
-
-
-class Corridor:
-    """Six cells in a row; a reward waits at the right end. Some think it is at the left end, some
-    that the middle of the way hurts."""
-
-    name = "corridor"
-    parameters = (
-        Parameter("end", "right", "left", "It is at the right."),
-        Parameter("toll", 0.0, -5.0, "The way is free."),
-    )
-    actions = ("left", "right")
-    feature_names = ("cell",)
-    scene = None
-
-    def __init__(self) -> None:
-        self.state_features = np.arange(SIZE, dtype=np.float64)[:, None]
-        self.starts = np.arange(1, SIZE - 1)
-
-    def model(self, values: Mapping[str, Any]) -> MDP:
-        successor = np.stack([np.arange(SIZE) - 1, np.arange(SIZE) + 1], axis=1).clip(0, SIZE - 1)
-        reward = np.zeros((SIZE, 2, 1))
-        goal = SIZE - 1 if values["end"] == "right" else 0
-        reward[successor == goal] = 1.0
-        reward[(successor == 3) & (np.arange(SIZE) == 2)[:, None]] += values["toll"]
-        terminal = np.isin(np.arange(SIZE), [0, SIZE - 1])
-        return MDP(successor[:, :, None], np.ones((SIZE, 2, 1)), reward, 0.9, terminal)
-
-    def describe(self, transition: NDArray[np.int64]) -> str:
-        return str(transition)
-
-    def position(self, state: int) -> None:
-        return None
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +37,27 @@ def test_labels_are_those_of_the_true_types(setting: Setting, queries: str) -> N
         assert (own.label == expected).all()
     assert dataset.feature_names == transition_feature_names(setting.domain)
     assert len(np.unique(dataset.features, axis=0)) == len(dataset.features)
+
+
+@pytest.mark.parametrize("length", [1, 2, 3])
+@pytest.mark.parametrize("queries", ["shared", "independent"])
+def test_traces_run_from_a_start_to_their_length_under_one_message_set(
+    length: int, queries: str
+) -> None:
+    types = (UserType("A", {"end": "left"}),)
+    setting = Setting.build(Corridor(starts=(1,)), types)
+    dataset, _ = labelled(setting, points=600, per_type=1, trace_length=length, queries=queries)
+    cell = dataset.features[dataset.transition][:, 0]
+    assert cell.tolist() == [1 + i % length for i in range(600)]
+    traces = dataset.message_set.reshape(-1, length)
+    assert (traces == traces[:, :1]).all()
+
+
+def test_messages_are_given_one_by_one(setting: Setting) -> None:
+    dataset, _ = labelled(setting, points=4000, per_type=1, trace_length=1, message_probability=0.3)
+    share = np.bincount(dataset.message_set[dataset.observer == 0], minlength=4) / 4000
+    expected = np.array([0.49, 0.21, 0.21, 0.09])
+    assert (abs(share - expected) < 4 * (expected * (1 - expected) / 4000) ** 0.5).all()
 
 
 def test_shared_questions_are_shared_and_independent_ones_are_not(setting: Setting) -> None:
