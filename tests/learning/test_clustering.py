@@ -97,6 +97,26 @@ def test_partitions_keep_equal_vectors_together(partition: Partition) -> None:
     assert len(set(groups.tolist())) == len(np.unique(vectors, axis=0))
 
 
+def test_k_means_counts_every_observer() -> None:
+    # Three points in a row, the middle one as far from either end: it joins the smaller crowd, for
+    # that moves the mean of fewer.
+    row = np.array([[0, 0], [0, 1], [1, 1]], dtype=np.uint8)
+    for crowds, joined in (([10, 3, 1], 2), ([1, 3, 10], 0)):
+        groups = KMeans().partition(np.repeat(row, crowds, axis=0), 2, 0)
+        first, middle, last = (groups[i] for i in (0, crowds[0], -1))
+        assert first != last
+        assert middle == (first, middle, last)[joined]
+
+
+def test_linkages_join_by_nearest_or_farthest_members() -> None:
+    # Points at 0, 2, 4, 6 and 9 on a line: the nearest neighbours chain up to 6; by their farthest
+    # members {4, 6} is nearer to 9 (5) than to {0, 2} (6).
+    line = np.array([[i < place for i in range(9)] for place in (0, 2, 4, 6, 9)], dtype=np.uint8)
+    for linkage, expected in (("single", [0, 0, 0, 0, 1]), ("complete", [0, 0, 1, 1, 1])):
+        groups = Agglomerative(linkage).partition(line, 2, 0)
+        assert (groups == groups[0]).tolist() == [one == 0 for one in expected]
+
+
 def test_curve_holds_the_disagreements_up_to_as_many_clusters_as_observers(
     rng: np.random.Generator,
 ) -> None:

@@ -64,3 +64,22 @@ def test_cells_count_ones_less_zeros_of_what_is_still_held_wrong(rng: np.random.
         cell = sum(1 << i for i, j in enumerate(members) if wrong >> j & 1)
         expected[t, cell] += 1 if label else -1
     assert (facts.cells(answers, tables, state) == expected).all()
+
+
+def test_the_likelihood_of_labels_follows_the_answers_in_their_cell() -> None:
+    tables = facts.Tables.of(2, 2)
+    pair = next(z for z, one in enumerate(tables.subsets.tolist()) if one == [0, 1])
+    state = facts.State(np.zeros(0, dtype=np.int64), np.array([pair]), np.array([2]), 0.0)
+    # Cells by the facts still held wrong: none, fact 0, fact 1, both.
+    ahead = np.array([[4, -3, 0, 200]])
+    who = np.array([0b00, 0b01, 0b11])
+    given, label = np.array([0b00, 0b00, 0b01]), np.array([1, 0, 1])
+    found = facts.log_likelihood(
+        tables, state, ahead, who, np.zeros(3, dtype=np.int64), given, label
+    )
+    cells = [[0, 0, 0], [1, 1, 0], [3, 3, 2]]  # of each person's three labels
+    for person, own in enumerate(cells):
+        for p, cell in enumerate(own):
+            lead = min(int(ahead[0, cell]), facts.REACH) + facts.REACH
+            expected = tables.predictive[int(cell == 0), 2, lead, label[p]]
+            assert found[person, p] == pytest.approx(expected)

@@ -113,3 +113,20 @@ def test_one_job_of_each_source_is_launched_first():
     jobs = in_launch_order(plan().jobs)
     assert {job.source for job in jobs[:2]} == {"rescue", "rooms"}
     assert sorted(job.name for job in jobs) == sorted(job.name for job in plan().jobs)
+
+
+def test_names_sort_by_setting_then_solver_trade_off_and_seed():
+    swept = {"seed": "1,2", "lambda": "1,2", "solver": "qmdp,qhr", "users.count": "2,3"}
+    jobs = plan([swept | {"domain": "rescue,rooms"}]).jobs
+    for job in jobs:
+        keys = [part.partition("=")[0] for part in job.name.split(",")]
+        assert keys[-3:] == ["solver", "lambda", "seed"]
+        assert set(keys[:-3]) == {"domain", "users.count"}
+        assert job.name == ",".join(f"{key}={job.values[key]}" for key in keys)
+        assert set(job.label.split()) == {
+            job.values["domain"],
+            f"count={job.values['users.count']}",
+            job.values["solver"],
+            f"λ={job.values['lambda']}",
+            f"seed={job.values['seed']}",
+        }
