@@ -33,6 +33,18 @@ def test_types_are_found_though_nobody_answers_the_same_questions(clusterer: Clu
         assert adjusted_rand_score(truth, found.assignment) == 1
 
 
+def test_who_says_nothing_is_taken_for_one_of_the_many() -> None:
+    for many in ([0], [1]):
+        needs = [[0]] * 2 + [[1]] * 2 + [many] * 4
+        dataset, _ = made(np.random.default_rng(9), [*needs, []], per_type=1, size=250)
+        dataset = dataset.take(np.flatnonzero(dataset.observer < len(needs)))
+        for seed in range(2):
+            mixture = Mixture(max_types=2)
+            found = mixture.cluster(dataset, LabelerTrainer(), seed, None).assignment
+            assert found[-1] == found[-2]
+            assert len(set(found.tolist())) == 2
+
+
 def test_the_process_bears_noise_unequal_observers_and_one_point() -> None:
     dataset, truth = made(np.random.default_rng(4), TYPES, per_type=4, size=200, noise=0.08)
     rng = np.random.default_rng(0)
@@ -232,6 +244,8 @@ def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
     types = learn_types(dataset, clustering, LabelerTrainer(), 0, none_of_these=1.0)
     assert types.names[-1] == "none of these"
     assert types.prior == pytest.approx([0.3, 0.3, 0.3, 0.1])
+    heavy = learn_types(dataset, clustering, LabelerTrainer(), 0, none_of_these=3.0)
+    assert heavy.prior == pytest.approx([0.25] * 4)
     stranger = types.p_explicable(dataset.features, dataset.n_messages)[-1]
     assert np.ptp(stranger) == 0
     assert stranger[0, 0] == pytest.approx(dataset.label.mean(), abs=0.01)

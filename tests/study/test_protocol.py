@@ -118,6 +118,9 @@ def test_practice_goes_on_until_it_is_understood(study: Study) -> None:
 def test_quiz_scores_every_statement_judged_rightly(study: Study) -> None:
     state = State(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
     true = [i for i, s in enumerate(study.plan.roles[1].quiz) if s.true]
+    for none in ([4], [-1], [0.0], ["0"], [0] * 5, None, "0"):
+        with pytest.raises(Refused):
+            protocol.advance(study, state, "quiz", {"chosen": none})
     for chosen, score in ((true, 4), ([], 2), ([0, 1, 2, 3], 2), (true[:1], 3)):
         outcome = protocol.advance(study, state, "quiz", {"chosen": chosen})
         assert outcome.state.score == score

@@ -196,8 +196,10 @@ def test_only_completion_uses_a_place_up(tmp_path: Path, study: Study) -> None:
     consent(store, everybody[places])
     now = store.query("SELECT position FROM slot WHERE holder = ?", (everybody[places],))
     assert now == taken  # the very place that came back
-    # Silence frees a place too, when somebody asks for one.
-    time.now += 31 * 60
+    # Silence frees a place too, when somebody asks for one: half an hour of it.
+    time.now += 29 * 60
+    assert store.time_out_stale() == 0
+    time.now += 2 * 60
     for who in everybody[:2]:
         store.shown(who, 1, "briefing")  # signs of life
     consent(store, everybody[places + 1])
@@ -243,6 +245,10 @@ def test_bots_and_pilots_do_not_touch_peoples_places(store: Store) -> None:
         "GROUP BY user_type, condition"
     )
     assert max(c["n"] for c in cells) - min(c["n"] for c in cells) <= 1
+    positions = store.query("SELECT position FROM slot WHERE stream = 'bot' ORDER BY position")
+    assert [row["position"] for row in positions] == list(range(len(positions)))
+    held = store.query("SELECT holder FROM slot WHERE stream = 'bot' ORDER BY position")
+    assert [row["holder"] is not None for row in held] == [i < 40 for i in range(len(held))]
 
 
 @pytest.mark.parametrize(
@@ -287,6 +293,9 @@ def test_invitations_and_outside_ids_lead_back_to_the_same_participant(store: St
     assert store.enter_prolific("P", "S", "X", keep=False) == first
     with pytest.raises(Unknown):  # the same person in another session
         store.enter_prolific("P", "S", "Y", keep=False)
+    # Another study of the platform's has other people, though it calls them alike.
+    assert store.enter_prolific("P", "T", "X", keep=False) != first
+    assert store.keyed("ab", "c") != store.keyed("a", "bc")
     store.enter_prolific("Q", "S", "Z", keep=True)
     dump = "\n".join(store._connection.iterdump())
     assert token not in dump
