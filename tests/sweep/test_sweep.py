@@ -64,14 +64,20 @@ def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
     assert {status for _, status, _ in found} == {"FINISHED"}
     with sweeps.database(folder) as database:
         curve = database.execute(
-            "select step from metrics join runs using (run_uuid) where runs.name = ? and "
+            "select step, value from metrics join runs using (run_uuid) where runs.name = ? and "
             "key = 'regret/four_rooms/qmdp' order by step",
             (parents[0],),
         ).fetchall()
         note = database.execute(
             "select value from tags where key = 'mlflow.note.content'"
         ).fetchone()
-    assert curve == [(50,), (100,), (200,)]
+    regrets = {
+        round(100 * content["config"]["lambda"]): content["metrics"]["regret"]["mean"]
+        for name, (_, content) in results(folder).items()
+        if "solver=qmdp" in name
+    }
+    assert dict(curve) == pytest.approx(regrets)
+    assert sorted(regrets) == [50, 100, 200]
     assert note[0].startswith("| Domain | λ |")
 
 
