@@ -20,6 +20,7 @@ from xplain.report.write import write_report
 
 METHODS = ("qmdp", "qhr", "baseline")
 SETTINGS = ({"domain": "rescue"}, {"domain": "four_rooms", "users.count": "2"})
+GRID = "#b0b0b0"
 SVG = "{http://www.w3.org/2000/svg}"
 SEEDS, TRACES, TYPES, TRADE_OFFS = 3, 4, ("A", "B"), (0.5, 1.0)
 
@@ -219,9 +220,11 @@ def test_the_page_is_whole_and_loads_nothing(known):
     assert "The robot likes &lt;fire&gt;." in text
     for name in ("regret.svg", "messages.svg", "inexplicable.svg", "disagreements.svg"):
         drawing = ElementTree.parse(report / name).getroot()
-        drawn = [line for line in drawing.iter(f"{SVG}path") if line.get("clip-path")]
-        # A curve a method where there are several, one of the disagreements; each of points.
-        assert len(drawn) >= (1 if name == "disagreements.svg" else len(METHODS))
+        lines = drawing.iter(f"{SVG}path")
+        drawn = [line for line in lines if line.get("clip-path") and GRID not in line.get("style")]
+        # A curve a method and domain, one a domain of the disagreements.
+        curves = len(SETTINGS) * (1 if name == "disagreements.svg" else len(METHODS))
+        assert len({line.get("d") for line in drawn if "L" in line.get("d")}) >= curves
 
 
 def test_the_report_is_the_same_bytes_each_time(known):

@@ -20,15 +20,6 @@ QUICK = (*sweeps.TINY[:-1], "lambda=1", SERIAL)
 """Two jobs in one process."""
 
 
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A finished sweep of six jobs, on all cores; its folder and output."""
-    folder = tmp_path_factory.mktemp("finished")
-    code, output = sweeps.run(folder, *sweeps.TINY)
-    assert code == 0, output
-    return folder, output
-
-
 def results(folder):
     """``{job: (time of its results, results without times)}``."""
     found = {}
@@ -42,7 +33,7 @@ def results(folder):
 
 
 def test_the_end_tells_the_table_the_share_and_the_links(finished):
-    _, output = finished
+    output = finished.output
     assert "6 of 6 jobs finished" in output
     assert re.search(r"\d+% in the method itself, \d+% in all else", output)
     for part in ("Oracle's cost", "QMDP", "QHR", "/#/compare-runs?runs=", "searchFilter="):
@@ -52,7 +43,7 @@ def test_the_end_tells_the_table_the_share_and_the_links(finished):
 
 
 def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
-    folder, _ = finished
+    folder = finished.folder
     found = sweeps.runs(folder)
     parents = [name for name, _, parent in found if parent is None]
     assert len(parents) == 1
@@ -82,7 +73,7 @@ def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
 
 
 def test_the_same_command_again_runs_nothing_and_says_the_same(finished):
-    folder, _ = finished
+    folder = finished.folder
     before, tables, runs = results(folder), sweeps.tables(folder), sweeps.runs(folder)
     code, output = sweeps.run(folder, *sweeps.TINY)
     assert code == 0, output
@@ -91,7 +82,7 @@ def test_the_same_command_again_runs_nothing_and_says_the_same(finished):
 
 
 def test_only_what_is_missing_or_damaged_runs(finished):
-    folder, _ = finished
+    folder = finished.folder
     before = results(folder)
     lost, damaged = "solver=qmdp,lambda=1", "solver=qhr,lambda=2"
     jobs = sweeps.sweep_folder(folder) / "jobs"
@@ -129,7 +120,7 @@ def test_a_way_to_resume_that_does_not_exist_is_one_line(tmp_path):
 
 
 def test_every_launcher_gives_the_same_table(finished, tmp_path):
-    folder, _ = finished
+    folder = finished.folder
     code, output = sweeps.run(tmp_path, *sweeps.TINY, SERIAL, "tracking=none")
     assert code == 0, output
     assert sweeps.tables(tmp_path) == sweeps.tables(folder)
@@ -145,7 +136,7 @@ def test_every_launcher_gives_the_same_table(finished, tmp_path):
 )
 def test_launchers_of_the_extras_give_the_same_table(finished, tmp_path, package, launcher):
     pytest.importorskip(package, reason="an extra: pip install 'xplain[ray]' or 'xplain[submitit]'")
-    folder, _ = finished
+    folder = finished.folder
     code, output = sweeps.run(tmp_path, *sweeps.TINY, *launcher, "tracking=none")
     assert code == 0, output
     assert sweeps.tables(tmp_path) == sweeps.tables(folder)
@@ -246,7 +237,7 @@ def test_four_at_once_on_an_empty_folder(tmp_path):
 
 
 def test_sync_sends_a_sweep_once(finished, tmp_path):
-    folder, _ = finished
+    folder = finished.folder
     reference = sweeps.runs(folder)
     outputs = f"outputs={tmp_path / 'outputs'}"
     for _ in range(2):
