@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -92,3 +95,29 @@ def test_bytes_are_written_as_they_are(tmp_path):
     with written_whole(path, "wb") as file:
         file.write(b"\xff\n")
     assert path.read_bytes() == b"\xff\n"
+
+
+def test_a_file_is_replaced_whole(tmp_path, monkeypatch):
+    file = tmp_path / "file.txt"
+    write_text(file, "before λ")
+    write_text(file, "after")
+    assert file.read_text(encoding="utf-8") == "after"
+    assert stat.S_IMODE(file.stat().st_mode) & 0o600 == 0o600
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space") as caught:
+        write_text(file, "half")
+    assert Path(caught.value.filename) == file
+    assert file.read_text(encoding="utf-8") == "after"
+    assert [path.name for path in tmp_path.iterdir()] == ["file.txt"]
+
+
+def test_those_who_may_read_a_new_file_may_read_results(tmp_path):
+    plain = tmp_path / "plain.txt"
+    plain.write_text("")
+    written = tmp_path / "written.txt"
+    write_text(written, "")
+    assert stat.S_IMODE(written.stat().st_mode) == stat.S_IMODE(plain.stat().st_mode)

@@ -1,8 +1,9 @@
-"""``python -m xplain plan`` and ``python -m xplain export`` as a person or a program meets them."""
+"""``python -m xplain plan`` and ``xplain.cli.export`` as a person or a program meets them."""
 
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -14,14 +15,17 @@ from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.pomdp_file import read
 from xplain.explanation.problem import Problem
 
+SOLVERS = sorted(path.stem for path in (CONF / "solver").glob("*.yaml"))
 KEYS = {"solver", "first_messages", "value", "value_is", "optimal_lower", "optimal_upper"}
 
 
 @pytest.fixture
 def file(tmp_path):
-    rng = np.random.default_rng(8)
+    # Solvers differ in what they say first, and the types in how likely they are.
+    rng = np.random.default_rng(9)
     path = tmp_path / "problem.npz"
-    Problem(rng.random((2, 3, 4)), np.array([0.5, 0.8])).save(path)
+    prior = np.array([0.3, 0.7])
+    Problem(rng.random((2, 3, 4)), np.array([0.5, 0.8]), 2.0, prior=prior).save(path)
     return path
 
 
@@ -39,29 +43,47 @@ def command(capsys):
     return run
 
 
-@pytest.mark.parametrize("solver", sorted(path.stem for path in (CONF / "solver").glob("*.yaml")))
+def worth_of_first(problem: Problem, messages: list[int]) -> float:
+    """What these messages and the best of everything after them earn, by trying everything."""
+    value, factor = 0.0, 1.0
+    for cost in sorted(problem.message_cost[messages]):
+        value -= factor * problem.trade_off * cost
+        factor *= problem.discount
+    return value + factor * reduced_optimal_value(problem, 0, sum(1 << j for j in messages))
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_the_last_line_is_the_plan(command, file, solver) -> None:
     code, out, err = command(plan, f"problem={file}", f"solver={solver}", "seed=0")
     assert (code, err) == (0, "") or "compiling" in err
     row = json.loads(out.splitlines()[-1])
     assert set(row) >= KEYS | {"seconds"}
     assert row["solver"] == solver
-    optimum = reduced_optimal_value(Problem.load(file))
+    problem = Problem.load(file)
+    optimum = reduced_optimal_value(problem)
     assert row["optimal_lower"] - 1e-9 <= optimum <= row["optimal_upper"] + 1e-9
+    assert row["optimal_upper"] - row["optimal_lower"] <= 1e-3 + 1e-9
     if solver in ("oracle", "clairvoyant"):
         assert row["first_messages"] is None
-        assert row["value"] >= optimum - 1e-9
+        alone = [problem.with_types(p[None], ("alone",)) for p in problem.p_explicable]
+        known = sum(p * reduced_optimal_value(q) for p, q in zip(problem.prior, alone, strict=True))
+        assert row["value"] == pytest.approx(known)
     else:
         assert row["value_is"] == "exact"
-        assert row["value"] <= optimum + 1e-9
-        assert all(isinstance(j, int) for j in row["first_messages"])
+        first = worth_of_first(problem, row["first_messages"])
+        assert row["value"] - 1e-9 <= first <= optimum + 1e-9
+        if solver == "certified":
+            assert row["value"] == pytest.approx(optimum, abs=1e-3)
 
 
 def test_all_prints_a_comparison_and_one_list(command, file) -> None:
     _, out, _ = command(plan, f"problem={file}", "solver=all")
     rows = json.loads(out.splitlines()[-1])
-    assert [row["solver"] for row in rows] == sorted(row["solver"] for row in rows)
-    assert all(row["solver"] in out.split("[{")[0] for row in rows)
+    assert [row["solver"] for row in rows] == SOLVERS
+    table = out.split("[{")[0]
+    for row in rows:
+        # The name, then somewhere behind it the value.
+        assert re.search(rf"\b{row['solver']} .*{row['value']:.4f}", table), row
 
 
 def test_options_of_the_solver_and_simulated_values(command, file) -> None:
@@ -70,6 +92,10 @@ def test_options_of_the_solver_and_simulated_values(command, file) -> None:
     row = json.loads(out.splitlines()[-1])
     assert row["value_is"] == "simulated"
     assert row["value_se"] > 0
+    _, out, _ = command(plan, *arguments[:3], "bounds.nodes=0")
+    exact = json.loads(out.splitlines()[-1])
+    assert exact["value_is"] == "exact"
+    assert abs(row["value"] - exact["value"]) < 4 * row["value_se"]
     _, out, _ = command(plan, f"problem={file}", "bounds.nodes=0")
     row = json.loads(out.splitlines()[-1])
     assert (row["optimal_lower"], row["optimal_upper"]) == (None, None)
@@ -128,8 +154,11 @@ def test_bad_arguments_are_one_line(command, arguments, said) -> None:
 
 
 def test_bad_seed(command, file) -> None:
-    code, _, err = command(plan, f"problem={file}", "seed=x")
-    assert (code, err.count("\n")) == (2, 1)
+    for seed in ("x", "-1", "0.5"):
+        code, out, err = command(plan, f"problem={file}", f"seed={seed}")
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert "seed" in err
+        assert seed in err
 
 
 def test_a_solver_too_small_for_the_problem_says_who_can(command, file) -> None:

@@ -1,52 +1,15 @@
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from tests.users.corridor import Corridor
 from xplain.data.label_table import write_table
 from xplain.data.observers import FileObservers, SimulatedObservers
-from xplain.domains.base import Parameter, transition_feature_names, transition_features
-from xplain.domains.mdp import MDP
+from xplain.domains.base import transition_feature_names, transition_features
 from xplain.errors import InputError
 from xplain.users.setting import Setting, UserType
-
-SIZE = 6
-
-
-class Corridor:
-    """Six cells in a row; a reward waits at the right end. Some think it is at the left end, some
-    that the middle of the way hurts."""
-
-    name = "corridor"
-    parameters = (
-        Parameter("end", "right", "left", "It is at the right."),
-        Parameter("toll", 0.0, -5.0, "The way is free."),
-    )
-    actions = ("left", "right")
-    feature_names = ("cell",)
-    scene = None
-
-    def __init__(self) -> None:
-        self.state_features = np.arange(SIZE, dtype=np.float64)[:, None]
-        self.starts = np.arange(1, SIZE - 1)
-
-    def model(self, values: Mapping[str, Any]) -> MDP:
-        successor = np.stack([np.arange(SIZE) - 1, np.arange(SIZE) + 1], axis=1).clip(0, SIZE - 1)
-        reward = np.zeros((SIZE, 2, 1))
-        goal = SIZE - 1 if values["end"] == "right" else 0
-        reward[successor == goal] = 1.0
-        reward[(successor == 3) & (np.arange(SIZE) == 2)[:, None]] += values["toll"]
-        terminal = np.isin(np.arange(SIZE), [0, SIZE - 1])
-        return MDP(successor[:, :, None], np.ones((SIZE, 2, 1)), reward, 0.9, terminal)
-
-    def describe(self, transition: NDArray[np.int64]) -> str:
-        return str(transition)
-
-    def position(self, state: int) -> None:
-        return None
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +39,27 @@ def test_labels_are_those_of_the_true_types(setting: Setting, queries: str) -> N
     assert len(np.unique(dataset.features, axis=0)) == len(dataset.features)
 
 
+@pytest.mark.parametrize("length", [1, 2, 3])
+@pytest.mark.parametrize("queries", ["shared", "independent"])
+def test_traces_run_from_a_start_to_their_length_under_one_message_set(
+    length: int, queries: str
+) -> None:
+    types = (UserType("A", {"end": "left"}),)
+    setting = Setting.build(Corridor(starts=(1,)), types)
+    dataset, _ = labelled(setting, points=600, per_type=1, trace_length=length, queries=queries)
+    cell = dataset.features[dataset.transition][:, 0]
+    assert cell.tolist() == [1 + i % length for i in range(600)]
+    traces = dataset.message_set.reshape(-1, length)
+    assert (traces == traces[:, :1]).all()
+
+
+def test_messages_are_given_one_by_one(setting: Setting) -> None:
+    dataset, _ = labelled(setting, points=4000, per_type=1, trace_length=1, message_probability=0.3)
+    share = np.bincount(dataset.message_set[dataset.observer == 0], minlength=4) / 4000
+    expected = np.array([0.49, 0.21, 0.21, 0.09])
+    assert (abs(share - expected) < 4 * (expected * (1 - expected) / 4000) ** 0.5).all()
+
+
 def test_shared_questions_are_shared_and_independent_ones_are_not(setting: Setting) -> None:
     def asked(queries: str) -> list[tuple[bytes, bytes]]:
         dataset, truth = labelled(setting, queries=queries)
@@ -101,6 +85,19 @@ def test_noise_flips_labels_and_nothing_else(setting: Setting) -> None:
     assert (clean.message_set == noisy.message_set).all()
     flipped = (clean.label != noisy.label).mean()
     assert flipped == pytest.approx(0.1, abs=4 * (0.1 * 0.9 / len(clean)) ** 0.5)
+
+
+@pytest.mark.parametrize("queries", ["shared", "independent"])
+def test_observers_err_each_on_their_own(setting: Setting, queries: str) -> None:
+    options = {"queries": queries, "points": 3000, "per_type": 3}
+    clean, truth = labelled(setting, **options)
+    noisy, _ = labelled(setting, label_noise=0.3, **options)
+    flipped = (clean.label != noisy.label).reshape(len(truth), -1)
+    both = np.cov(flipped)
+    # Flips of 30 %: their variance is 0.21, and what two observers share is chance.
+    assert np.diag(both) == pytest.approx(np.full(len(truth), 0.21), abs=0.02)
+    apart = both[~np.eye(len(truth), dtype=bool)]
+    assert abs(apart).max() < 5 * 0.21 / 3000**0.5
 
 
 def test_unequal_observers(setting: Setting) -> None:

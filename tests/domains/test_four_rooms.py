@@ -64,6 +64,48 @@ def test_the_model_follows_the_values() -> None:
     assert model.terminal.sum() == 1
 
 
+def test_rewards_are_for_entering_and_add_up() -> None:
+    """A goal in a penalty cell beside a wall; slips that bump do not enter."""
+    arguments = edited("slip", 0.2)
+    domain = FourRooms(**arguments)
+    values = accurate(domain) | {
+        "goals": [{"cell": [1, 1], "reward": 5.0}],
+        "step_cost": 0.25,
+        "penalty_cells": [[1, 1]],
+        "penalty": 2.0,
+    }
+    model = domain.model(values)
+    goal = domain.grid.number[1, 1]
+    for state in (domain.grid.number[1, 2], domain.grid.number[2, 1], goal):
+        enters = (model.successor[state] == goal) & (state != goal)
+        assert model.reward[state] == pytest.approx(np.where(enters, -0.25 + 5 - 2, -0.25))
+
+
+def test_phrases_and_scene_tell_the_place() -> None:
+    domain = domain_of(FOUR_ROOMS)
+    number, right = domain.grid.number, domain.actions.index("right")
+    assert domain.describe(np.array([number[1, 1], right, number[1, 2]])) == "moves right to (1, 2)"
+    assert domain.describe(np.array([number[1, 5], right, number[1, 5]])) == (
+        "tries to move right and stays at (1, 5)"
+    )
+    goals, penalty = accurate(domain)["goals"], accurate(domain)["penalty_cells"]
+    drawn = [(item.symbol, item.cells) for item in domain.scene.items]
+    assert drawn == [
+        *(("G", (tuple(goal["cell"]),)) for goal in goals),
+        ("x", tuple(map(tuple, penalty))),
+    ]
+
+
+def test_no_trace_starts_at_a_goal() -> None:
+    for setting in (
+        domain_of(FOUR_ROOMS),
+        FourRooms(**edited("map", given()["map"].replace("s", "."))),
+    ):
+        goals = {tuple(goal["cell"]) for goal in accurate(setting)["goals"]}
+        assert not goals & {setting.position(start) for start in setting.starts}
+        assert len(set(setting.starts.tolist())) == len(setting.starts) > 0
+
+
 def test_each_parameter_held_wrong_alone_matters() -> None:
     """SPEC §1: at least 2 % of on-policy transitions."""
     domain = domain_of(FOUR_ROOMS)
@@ -91,7 +133,9 @@ def test_no_tie_is_ambiguous_in_any_of_the_32_models() -> None:
         )
         for wrong in range(32)
     ]
-    assert len(mdp.optimal_actions(models)) == 32
+    optimal = mdp.optimal_actions(models)
+    for model, actions in zip(models, optimal, strict=True):
+        assert np.array_equal(actions.any(axis=1), ~model.terminal)
 
 
 def test_traces_end_at_a_goal() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 from copy import deepcopy
+from itertools import product
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -86,7 +88,9 @@ def test_each_parameter_held_wrong_alone_matters(name: str) -> None:
 def test_no_tie_is_ambiguous(name: str) -> None:
     names = [p.name for p in domain(name).parameters]
     wrong = [[p for j, p in enumerate(names) if mask >> j & 1] for mask in range(1 << len(names))]
-    assert len(mdp.optimal_actions([held(name, *some) for some in wrong])) == 1 << len(names)
+    models = [held(name, *some) for some in wrong]
+    for model, actions in zip(models, mdp.optimal_actions(models), strict=True):
+        assert np.array_equal(actions.any(axis=1), ~model.terminal)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -136,18 +140,69 @@ def test_other_arguments_are_the_other_environment() -> None:
 
 
 def test_like_another_action() -> None:
-    arguments = given("cliff_walking")
-    arguments["parameters"] = {
-        "mirror": {
-            "inaccurate": [{"when": {"row": 0}, "actions": ["left"], "like": "right"}],
-            "message": "Left is left.",
-        }
-    }
+    """Of frozen_lake, in one row: its states, probabilities and rewards; all else is as it was."""
+    arguments = given("frozen_lake")
+    wrong = [{"when": {"row": 3}, "actions": ["left"], "like": "down"}]
+    arguments["parameters"] = {"mirror": {"inaccurate": wrong, "message": "Left is left."}}
     made = Gymnasium(**arguments)
-    model = made.model({"mirror": made.parameters[0].inaccurate})
-    for s in range(36):
-        same = np.array_equal(model.successor[s, 3], model.successor[s, 1])
-        assert same == (made.position(s)[0] == 0)
+    before, after = made.model({"mirror": []}), made.model({"mirror": wrong})
+    left, down = made.actions.index("left"), made.actions.index("down")
+    for s, a in product(range(before.n_states), range(before.n_actions)):
+        like = down if a == left and made.position(s)[0] == 3 else a
+        for key in ("successor", "probability", "reward"):
+            assert np.array_equal(getattr(after, key)[s, a], getattr(before, key)[s, like])
+
+
+def test_like_another_action_takes_its_chances_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A task of two states with one sure action and one that may do nothing."""
+    sure, unsure = [(1.0, 1, 3.0, True)], [(0.25, 1, 3.0, True), (0.75, 0, 0.0, False)]
+    stays = [(1.0, 1, 0.0, True)]
+    shown = SimpleNamespace(
+        P={0: {0: sure, 1: unsure}, 1: {0: stays, 1: stays}}, initial_state_distrib=[1.0, 0.0]
+    )
+    made = SimpleNamespace(unwrapped=shown, close=lambda: None)
+    monkeypatch.setattr(gymnasium, "make", lambda *a, **k: made)
+    wrong = [{"actions": ["sure"], "like": "unsure"}]
+    parameters = {"luck": {"inaccurate": wrong, "message": "It is sure."}}
+    task = Gymnasium("Two", {"place": 2}, ["sure", "unsure"], 0.9, parameters)
+    assert task.model({"luck": []}).probability[0].tolist() == [[1.0, 0.0], [0.25, 0.75]]
+    assert task.model({"luck": wrong}).probability[0].tolist() == [[0.25, 0.75]] * 2
+
+
+def test_a_condition_holds_where_all_its_features_do() -> None:
+    """A list is any of its values."""
+    wrong = [{"when": {"row": [0, 2], "column": 3}, "actions": ["up", "left"], "add": -1.5}]
+    arguments = given("cliff_walking")
+    arguments["parameters"] = {"wind": {"inaccurate": wrong, "message": "No wind."}}
+    made = Gymnasium(**arguments)
+    added = made.model({"wind": wrong}).reward - made.model({"wind": []}).reward
+    for s, (a, action) in product(range(48), enumerate(made.actions)):
+        here = made.position(s) in {(0, 3), (2, 3)} and action in {"up", "left"}
+        assert added[s, a].tolist() == [-1.5 * here] * added.shape[2]
+
+
+def test_a_parameters_arguments_outdo_those_of_the_environment() -> None:
+    arguments = given("frozen_lake")
+    arguments["arguments"] = {"is_slippery": False}
+    wrong = [{"arguments": {"is_slippery": True}}]
+    arguments["parameters"] = {"ice": {"inaccurate": wrong, "message": "No ice."}}
+    made = Gymnasium(**arguments)
+    assert set(made.model({"ice": []}).probability.ravel()) == {1.0}
+    model = made.model({"ice": wrong})
+    slippery = gymnasium.make("FrozenLake-v1", is_slippery=True)
+    for s, row in slippery.unwrapped.P.items():
+        for a, outcomes in row.items():
+            chances = [p for p, *_ in outcomes]
+            assert model.probability[s, a, : len(chances)].tolist() == chances
+
+
+def test_the_map_has_rows_and_columns_and_starts_where_said() -> None:
+    arguments = given("cliff_walking")
+    made = Gymnasium(**arguments | {"starts": {"row": [2, 3], "column": [0, 11]}})
+    assert (made.scene.rows, made.scene.columns) == (4, 12)
+    assert [made.position(s) for s in (0, 11, 12, 47)] == [(0, 0), (0, 11), (1, 0), (3, 11)]
+    # (3, 11) is the goal: nothing starts there.
+    assert sorted(map(made.position, made.starts)) == [(2, 0), (2, 11), (3, 0)]
 
 
 def test_phrases_name_what_changes() -> None:

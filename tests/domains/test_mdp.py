@@ -130,6 +130,39 @@ def test_ties_do_not_depend_on_the_unit_of_rewards() -> None:
         assert mdp.optimal_actions([scaled])[0, 0].tolist() == [False, True]
 
 
+@pytest.mark.parametrize(("discount", "tie"), [(0.0, False), (0.5, False), (0.999, True)])
+def test_a_tie_is_small_against_what_a_policy_could_earn(discount: float, tie: bool) -> None:
+    """A gain of 5e-8 is 5e-8 of the largest value, 1 / (1 − γ), then 2.5e-8, then 5e-11."""
+    assert mdp.optimal_actions([choice(5e-8, discount)])[0, 0].tolist() == [tie, True]
+
+
+def test_what_cannot_happen_does_not_matter() -> None:
+    """A reward of 10^9 at probability 0 (in a slot not used, or of an action not available)
+    changes no value, no tie and no refusal."""
+
+    def widened(gain: float, reward: float) -> MDP:
+        """:func:`choice` with an outcome that never comes, and an action that there is not."""
+        one = choice(gain)
+        padding = [(0, 0), (0, 1), (0, 1)]
+        return MDP(
+            np.pad(one.successor, padding),
+            np.pad(one.probability, padding),
+            np.pad(one.reward, padding, constant_values=reward),
+            one.discount,
+            one.terminal,
+        )
+
+    ambiguous = 10 * np.sqrt(mdp.TIE * mdp.CLEAR)
+    for reward in (0.0, 1e9):
+        models = [widened(gain, reward) for gain in (0.0, 1e-6, -1.0)]
+        optimal = mdp.optimal_actions(models)[:, 0].tolist()
+        assert optimal == [[True, True, False], [False, True, False], [True, False, False]]
+        values = mdp.q_values(models)[:, 0, :2]
+        assert values == pytest.approx(np.array([[1, 1], [1, 1 + 1e-6], [1, 0]]), abs=1e-9)
+        with pytest.raises(DomainError, match="ambiguous tie"):
+            mdp.optimal_actions([widened(ambiguous, reward)])
+
+
 def test_models_are_solved_alike_alone_and_together() -> None:
     models = [choice(gain) for gain in (0.0, 0.5, -0.5)]
     together = mdp.q_values(models)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -38,53 +40,90 @@ def rescue(**changes: Any) -> Rescue:
     return Rescue(**given | changes)
 
 
-def play(rows: list[str], actions: str, values: dict[str, float], reward: float) -> tuple:
+class Rules:
     """The rules in plain Python: cell, what is done, rewards; ``+`` acts on what lies there."""
-    r, c = next((r, row.index("s")) for r, row in enumerate(rows) if "s" in row)
-    done: set[str] = set()
-    rewards = []
-    for action in actions:
-        gain = 0.0
+
+    def __init__(self, rows: list[str], start: tuple[int, int], values: dict[str, float]) -> None:
+        self.rows, self.cell, self.values = rows, start, values
+        self.done: set[str] = set()
+        self.ended = False
+
+    @property
+    def here(self) -> str:
+        return self.rows[self.cell[0]][self.cell[1]]
+
+    def can_act(self) -> bool:
+        return self.here in "AFUV" and self.here not in self.done
+
+    def play(self, action: str) -> float:
+        """The reward."""
         if action == "+":
-            done.add(rows[r][c])
-            gain = values.get(REWARD.get(rows[r][c], ""), 0.0)
-        else:
-            dr, dc = {"u": (-1, 0), "d": (1, 0), "l": (0, -1), "r": (0, 1)}[action]
-            inside = 0 <= r + dr < len(rows) and 0 <= c + dc < len(rows[0])
-            if inside and rows[r + dr][c + dc] != "#":
-                r, c = r + dr, c + dc
-                if rows[r][c] in "rpf":
-                    gain = values[REWARD[rows[r][c]]]
-                if rows[r][c] == "S" and "V" in done:
-                    gain += reward
-        rewards.append(gain)
-    return (r, c), rewards
+            self.done.add(self.here)
+            return self.values.get(REWARD.get(self.here, ""), 0.0)
+        (r, c), (dr, dc) = self.cell, STEPS[action]
+        inside = 0 <= r + dr < len(self.rows) and 0 <= c + dc < len(self.rows[0])
+        if not inside or self.rows[r + dr][c + dc] == "#":
+            return 0.0
+        self.cell = r + dr, c + dc
+        self.ended = self.here == "S" and "V" in self.done
+        entered = self.values[REWARD[self.here]] if self.here in "rpf" else 0.0
+        return entered + (RESCUE_REWARD if self.ended else 0.0)
 
 
-@pytest.mark.parametrize(
-    "actions", ["r+rr+dd+", "ddulldr+rru", "d", "ddr+l", "r+rr+dd+llu", "ddrlrlu", "rrrddll+l"]
-)
-def test_the_model_plays_by_the_rules(actions: str) -> None:
-    domain = rescue()
-    values = {name: 0.25 * (i + 1) for i, name in enumerate(parameters())}
-    model = domain.model(values)
-    rows = MAP.strip().split("\n")
-    state = int(domain.starts[0])
-    rewards = []
-    for letter in actions:
-        r, c = domain.position(state)
-        if letter == "+":
-            wanted = {"A": "pick_up_first_aid", "F": "extinguish_fire", "U": "refuel"}
-            action = domain.actions.index(wanted.get(rows[r][c], "pick_up_victim"))
-        else:
-            action = "udlr".index(letter)
+STEPS = {"u": (-1, 0), "d": (1, 0), "l": (0, -1), "r": (0, 1)}
+RESCUE_REWARD = 5.0
+ROWS = MAP.strip().split("\n")
+VALUES = {name: 0.25 * (i + 1) for i, name in enumerate(REWARD.values())}
+
+
+def act(domain: Rescue, symbol: str) -> int:
+    """The action that uses what lies there."""
+    wanted = {"A": "pick_up_first_aid", "F": "extinguish_fire", "U": "refuel"}
+    return domain.actions.index(wanted.get(symbol, "pick_up_victim"))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_model_plays_by_the_rules(seed: int) -> None:
+    """Random walks of 300 actions, or to the shelter, from every cell by turns: together they bump
+    into walls and edges from every kind of cell, with and without the victim."""
+    domain, rng = rescue(), np.random.default_rng(seed)
+    model = domain.model(VALUES)
+    state = int(model.n_states // len(domain.grid.cells) * (seed % len(domain.grid.cells)))
+    rules = Rules(ROWS, domain.position(state), VALUES)
+    for _ in range(300):
+        if rules.can_act():
+            assert model.probability[state, act(domain, rules.here)].tolist() == [1.0]
+        assert np.count_nonzero(model.probability[state, 4:]) == rules.can_act()
+        letter = rng.choice([*"udlr", *("+" if rules.can_act() else "")])
+        action = act(domain, rules.here) if letter == "+" else "udlr".index(letter)
         assert model.probability[state, action].tolist() == [1.0]
-        rewards.append(model.reward[state, action, 0])
+        assert model.reward[state, action, 0] == pytest.approx(rules.play(letter)), letter
         state = int(model.successor[state, action, 0])
-    cell, expected = play(rows, actions, values, 5.0)
-    assert domain.position(state) == cell
-    assert rewards == pytest.approx(expected)
-    assert model.terminal[state] == (rows[cell[0]][cell[1]] == "S" and rewards[-1] >= 5.0)
+        assert domain.position(state) == rules.cell
+        assert model.terminal[state] == rules.ended
+        if rules.ended:
+            break
+
+
+@pytest.mark.parametrize(("slip", "carrying"), [(0.0, False), (0.0, True), (0.2, False)])
+def test_bumping_enters_nothing(slip: float, carrying: bool) -> None:
+    """From each kind of cell, into a wall or over the edge: the robot stays and earns nothing."""
+    domain = rescue(slip=slip)
+    model = domain.model(VALUES)
+    bumped = set()
+    for cell in range(len(domain.grid.cells)):
+        flags = model.n_states // len(domain.grid.cells)
+        state = cell * flags + (flags // 2 if carrying else 0)
+        r, c = domain.position(state)
+        for action, (dr, dc) in enumerate(STEPS.values()):
+            inside = 0 <= r + dr < len(ROWS) and 0 <= c + dc < len(ROWS[0])
+            if (inside and ROWS[r + dr][c + dc] != "#") or model.terminal[state]:
+                continue
+            bumped.add(ROWS[r][c])
+            stays = model.successor[state, action] == state
+            assert model.probability[state, action][stays].sum() >= 1 - slip
+            assert not model.reward[state, action][stays].any(), (r, c, action)
+    assert bumped == set("".join(ROWS)) - {"#"} - ({"S"} if carrying else set())
 
 
 def test_items_are_used_once_and_only_where_they_lie() -> None:
@@ -101,14 +140,26 @@ def test_items_are_used_once_and_only_where_they_lie() -> None:
     assert available[:, 4:].sum() == 4 * 8
 
 
-def test_a_slip_goes_sideways() -> None:
+def test_a_slip_goes_to_one_of_the_two_sides() -> None:
+    """From every cell: 0.8 ahead, 0.1 to each side; a wall or the edge stops the robot."""
     domain = rescue(slip=0.2)
-    model = domain.model(dict.fromkeys(parameters(), 0.0))
-    start = int(domain.starts[0])
-    right = dict.fromkeys([(0, 1), (0, 0), (1, 0)], 0.0)
-    for k in range(3):
-        right[domain.position(model.successor[start, 3, k])] += model.probability[start, 3, k]
-    assert right == pytest.approx({(0, 1): 0.8, (0, 0): 0.1, (1, 0): 0.1})
+    model = domain.model(dict.fromkeys(REWARD.values(), 0.0))
+    flags = model.n_states // len(domain.grid.cells)
+    sides = {"u": "lr", "d": "lr", "l": "ud", "r": "ud"}
+    for cell, (action, ahead) in product(range(len(domain.grid.cells)), enumerate("udlr")):
+        expected: Counter[tuple[int, int]] = Counter()
+        for letter, chance in zip([ahead, *sides[ahead]], [0.8, 0.1, 0.1], strict=True):
+            rules = Rules(ROWS, domain.position(cell * flags), VALUES)
+            rules.play(letter)
+            expected[rules.cell] += chance
+        reached: Counter[tuple[int, int]] = Counter()
+        for after, p in zip(
+            model.successor[cell * flags, action],
+            model.probability[cell * flags, action],
+            strict=True,
+        ):
+            reached[domain.position(after)] += p
+        assert reached == pytest.approx(expected), (cell, ahead)
 
 
 def test_the_labeler_sees_the_location_only() -> None:
@@ -214,20 +265,51 @@ def test_no_tie_is_ambiguous_in_any_of_the_64_models() -> None:
     assert mdp.optimal_actions(models).any(axis=2).sum() == 64 * (~models[0].terminal).sum()
 
 
+def told(domain: Rescue, script: str) -> list[str]:
+    """The phrases of a walk from the start."""
+    model = domain.model(VALUES)
+    state, phrases = int(domain.starts[0]), []
+    for letter in script:
+        r, c = domain.position(state)
+        action = act(domain, ROWS[r][c]) if letter == "+" else "udlr".index(letter)
+        after = int(model.successor[state, action, 0])
+        phrases.append(domain.describe(np.array([state, action, after])))
+        state = after
+    return phrases
+
+
 def test_phrases_tell_what_happens() -> None:
-    domain = domain_of(RESCUE)
-    setting = setting_of(RESCUE)
-    phrases = [domain.describe(t) for t in setting.reachable]
-    assert all(phrase and "\n" not in phrase and len(phrase) < 60 for phrase in phrases)
-    text = " ".join(phrases)
-    for words in ("picks up the victim", "into the shelter", "fire", "first aid", "refuels"):
-        assert words in text
+    assert told(rescue(), "ur+rr+d") == [
+        "tries to move up and stays at (0, 0)",
+        "moves right to (0, 1)",
+        "picks up the first aid",
+        "moves right through the puddle at (0, 2)",
+        "moves right to (0, 3)",
+        "extinguishes the fire",
+        "moves down over the fence at (1, 3)",
+    ]
+    assert told(rescue(), "ddr+rr+lll") == [
+        "moves down to (1, 0)",
+        "moves down to (2, 0)",
+        "moves right to (2, 1)",
+        "picks up the victim",
+        "carries the victim right over the rubble at (2, 2)",
+        "carries the victim right to (2, 3)",
+        "refuels",
+        "carries the victim left over the rubble at (2, 2)",
+        "carries the victim left to (2, 1)",
+        "carries the victim left into the shelter",
+    ]
 
 
-def test_the_scene_shows_every_item() -> None:
-    scene = domain_of(RESCUE).scene
-    assert scene is not None
-    assert {item.name for item in scene.items} >= {"shelter", "victim", "fire", "rubble"}
-    cells = [cell for item in scene.items for cell in item.cells]
-    assert len(set(cells)) == len(cells)
-    assert all(r < scene.rows and c < scene.columns for r, c in [*cells, *scene.walls])
+def test_the_scene_shows_every_item_in_its_place() -> None:
+    scene = rescue().scene
+    assert (scene.rows, scene.columns, scene.walls) == (3, 4, ((1, 1),))
+    drawn = {item.symbol: item.cells for item in scene.items}
+    assert drawn == {
+        symbol: tuple((r, c) for r in range(3) for c in range(4) if ROWS[r][c] == symbol)
+        for symbol in "SVAFUrpf"
+    }
+    assert {item.name for item in scene.items if item.symbol in "SVr"} == {
+        "shelter", "victim", "rubble",
+    }  # fmt: skip

@@ -45,6 +45,7 @@ def test_cost_is_definition_2(interaction):
     problem, table, script = interaction
     episode = explain(problem, Scripted(script), SimulatedUser(table), Independent())
     total = 0.0
+    zeros = 0
     given_so_far: set[int] = set()
     for i in range(problem.n_steps):
         new = {j for j in range(problem.n_messages) if script[i] >> j & 1} - given_so_far
@@ -52,9 +53,18 @@ def test_cost_is_definition_2(interaction):
         total += problem.trade_off * sum(problem.message_cost[j] for j in new)
         mask = sum(1 << j for j in given_so_far)
         for j in range(i + 1):
+            zeros += 1 - int(table[j, mask])
             total += (1 - int(table[j, mask])) * problem.inexplicability_cost
+        asked = table[: i + 1, mask].tolist()
+        assert episode.labels[i].tolist() == asked + [-1] * (problem.n_steps - i - 1)
+        assert episode.messages[i] == sum(1 << j for j in new)
     assert episode.cost == pytest.approx(total)
+    assert episode.communication == pytest.approx(
+        sum(problem.message_cost[j] for j in given_so_far)
+    )
+    assert episode.inexplicability == pytest.approx(zeros * problem.inexplicability_cost)
     assert episode.n_messages == len(given_so_far)
+    assert episode.n_inexplicable == zeros
 
 
 @given(interactions())

@@ -8,38 +8,10 @@ import threading
 import numpy as np
 import pytest
 
-from xplain.domains.base import Item, Scene
-from xplain.experiment.cache import SOURCE, prepared_once, source_fingerprint
-from xplain.experiment.pipeline import Case, Prepared
-
-
-def made(perfect: bool = True, seed: int = 0) -> Prepared:
-    rng = np.random.default_rng(seed)
-    case = Case(
-        transitions=rng.integers(0, 9, (2, 3)),
-        phrases=("moves up", "moves down to (1, 2)"),
-        positions=((0, 1), (1, 1), (1, 2)),
-        learned=rng.random((2, 2, 4)),
-        everyone=rng.random((1, 2, 4)),
-        perfect=rng.random((3, 2, 4)) if perfect else None,
-        labels=rng.integers(0, 2, (3, 2, 4)).astype(np.uint8),
-    )
-    fields = {
-        "domain": "grid",
-        "messages": ("a", "b"),
-        "sentences": ("A is 1.", "B is 2."),
-        "types": ("T1", "T2", "T3"),
-        "distinct": np.array([0, 1, 1]),
-        "learned_types": ("F1", "F2"),
-        "matched_true_type": np.array([0, 1]),
-        "type_shares": np.array([1 / 3, 2 / 3]),
-        "learning": {"types_found": 2.0, "unknown": float("nan")},
-        "curve": np.array([5.0, 0.1, 0.0]),
-        "rule": "kneedle",
-        "scene": Scene(2, 3, ((0, 0),), (Item("goal", "G", ((1, 2),)),)) if perfect else None,
-        "cases": (case, case),
-    }
-    return Prepared(**fields)
+from tests.configurations import CHOICES, composed, dotted, each_changed
+from tests.handmade import a_prepared
+from xplain.experiment.cache import prepared_once, source_fingerprint
+from xplain.experiment.fingerprint import configuration
 
 
 def same(one, other) -> bool:
@@ -63,13 +35,20 @@ def never():
 
 @pytest.mark.parametrize("perfect", [True, False])
 def test_what_comes_back_is_what_was_made(tmp_path, perfect):
-    prepared_once(tmp_path, "key", lambda: made(perfect))
-    assert same(prepared_once(tmp_path, "key", never), made(perfect))
+    prepared_once(tmp_path, "key", lambda: a_prepared(perfect))
+    assert same(prepared_once(tmp_path, "key", never), a_prepared(perfect))
+
+
+def test_another_key_is_another_entry(tmp_path):
+    prepared_once(tmp_path, "key", a_prepared)
+    other = prepared_once(tmp_path, "other", lambda: a_prepared(seed=1))
+    assert same(other, a_prepared(seed=1))
+    assert same(prepared_once(tmp_path, "key", never), a_prepared())
 
 
 @pytest.mark.parametrize("size", [0, 10, 300, -1])
 def test_a_damaged_entry_is_made_again(tmp_path, size):
-    prepared_once(tmp_path, "key", made)
+    prepared_once(tmp_path, "key", a_prepared)
     path = tmp_path / "key.npz"
     content = bytearray(path.read_bytes())
     if size >= 0:
@@ -78,8 +57,8 @@ def test_a_damaged_entry_is_made_again(tmp_path, size):
         middle = len(content) // 2
         content[middle : middle + 40] = bytes(40)
         path.write_bytes(bytes(content))
-    assert same(prepared_once(tmp_path, "key", lambda: made(seed=1)), made(seed=1))
-    assert same(prepared_once(tmp_path, "key", never), made(seed=1))
+    assert same(prepared_once(tmp_path, "key", lambda: a_prepared(seed=1)), a_prepared(seed=1))
+    assert same(prepared_once(tmp_path, "key", never), a_prepared(seed=1))
 
 
 def test_those_who_want_the_same_at_once_wait_for_the_first(tmp_path):
@@ -87,7 +66,7 @@ def test_those_who_want_the_same_at_once_wait_for_the_first(tmp_path):
 
     def make():
         calls.append(1)
-        return made()
+        return a_prepared()
 
     threads = [
         threading.Thread(target=lambda: found.append(prepared_once(tmp_path, "key", make)))
@@ -98,31 +77,47 @@ def test_those_who_want_the_same_at_once_wait_for_the_first(tmp_path):
     for thread in threads:
         thread.join()
     assert len(calls) == 1
-    assert all(same(one, made()) for one in found)
+    assert all(same(one, a_prepared()) for one in found)
 
 
 def test_a_folder_that_cannot_be_written_costs_no_result(tmp_path):
     (tmp_path / "cache").write_text("a file")
-    assert same(prepared_once(tmp_path / "cache", "key", made), made())
+    assert same(prepared_once(tmp_path / "cache", "key", a_prepared), a_prepared())
 
 
-CONFIG = {
-    "domain": {"map": "S.V"},
-    "users": {"count": 2},
-    "observers": {"points": 100},
-    "labeler": {"depth": 3},
-    "clusterer": {"seed": 1},
-    "traces": 3,
-    "max_steps": 10,
-    "seed": 0,
-    "lambda": 1.0,
-    "solver": {"simulations": 10},
-    "discount": 0.95,
+NOT_OF_THE_SOURCE = {
+    "lambda": "a price, met when explaining",
+    "message_cost": "a price",
+    "inexplicability_cost": "a price",
+    "discount": "of plans; the task's own is the domain's",
+    "discount_per": "of plans",
+    "prior": "of plans; the observers' shares are kept beside the cases",
+    "solver": "explains what is there",
+    "belief": "of the explanation",
+    "certify": "judges the explanation",
+    "points": "reaches the data through observers.points alone",
+    "outputs": "where files are written",
+    "tracking": "where results go besides the disk",
+    "resume": "which jobs of a sweep run again",
 }
+"""Top-level keys that data, types and traces do not depend on, and why. All others must count."""
 
 
-def test_the_key_covers_what_decides_data_and_types_and_nothing_else():
-    before = source_fingerprint(CONFIG)
-    for key in CONFIG:
-        changed = source_fingerprint(CONFIG | {key: "something else"})
-        assert (changed != before) == (key in SOURCE), key
+@pytest.mark.parametrize("choices", CHOICES, ids=" ".join)
+def test_the_key_covers_what_decides_data_and_types_and_nothing_else(choices):
+    cfg = composed(*choices)
+    before = source_fingerprint(configuration(cfg))
+    for path in each_changed(cfg):
+        counts = source_fingerprint(configuration(cfg)) != before
+        # Simulated observers answer as many questions as ``points`` says.
+        asked = path == ("points",) and "observers=file" not in choices
+        assert counts == (asked or path[0] not in NOT_OF_THE_SOURCE), dotted(path)
+
+
+def test_the_content_of_the_observers_file_counts(tmp_path):
+    labels = tmp_path / "labels.csv"
+    labels.write_text("1")
+    config = configuration(composed("observers=file", f"observers.path={labels}"))
+    before = source_fingerprint(config)
+    labels.write_text("2")
+    assert source_fingerprint(config) != before

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import sys
 
+import numba
+import numpy as np
+import pandas as pd
 import pytest
+import scipy
+import sklearn
 
+from tests.configurations import CHOICES, composed, dotted, each_changed
 from xplain.experiment import fingerprint as stamps
-from xplain.experiment.fingerprint import component_code, fingerprint
+from xplain.experiment.fingerprint import component_code, configuration, fingerprint
 
 
 @pytest.fixture
@@ -21,9 +27,36 @@ def plugin(tmp_path, monkeypatch):
     stamps._package.cache_clear()
     yield tmp_path
     stamps._package.cache_clear()
+    stamps._distributions.cache_clear()
 
 
 CONFIG = {"solver": {"_target_": "their_solver.best.Best"}, "lambda": 1.0}
+
+
+NO_NUMBER = {
+    "outputs": "where files are written",
+    "tracking": "where results go besides the disk",
+    "resume": "which jobs of a sweep run again, not what they give",
+}
+"""Top-level keys of a run that no number depends on, and why. Whatever is not here must count."""
+
+
+@pytest.mark.parametrize("choices", CHOICES, ids=" ".join)
+def test_every_key_counts_but_those_without_a_number(choices):
+    cfg = composed(*choices)
+    before = fingerprint(configuration(cfg))
+    paths = []
+    for path in each_changed(cfg):
+        paths.append(path)
+        counts = fingerprint(configuration(cfg)) != before
+        assert counts == (path[0] not in NO_NUMBER), dotted(path)
+    assert {path[0] for path in paths} == set(cfg)
+    assert fingerprint(configuration(cfg)) == before  # all was put back
+
+
+def test_a_key_that_is_new_counts():
+    config = configuration(composed())
+    assert fingerprint(config | {"new": 1}) != fingerprint(config)
 
 
 def test_values_count_and_order_does_not():
@@ -41,6 +74,30 @@ def test_code_plugged_in_counts_with_all_that_it_imports(plugin, path):
     file.write_text(file.read_text() + "# changed\n")
     stamps._package.cache_clear()
     assert fingerprint(CONFIG) != before
+
+
+@pytest.mark.parametrize("moved", ["their_solver/better.py", "their_solver/deep/best.py"])
+def test_a_module_under_another_name_counts(plugin, moved):
+    before = fingerprint(CONFIG)
+    (plugin / moved).parent.mkdir(exist_ok=True)
+    (plugin / "their_solver" / "best.py").rename(plugin / moved)
+    stamps._package.cache_clear()
+    assert fingerprint(CONFIG) != before
+
+
+def test_an_installed_plugin_counts_by_the_hashes_of_its_files(plugin):
+    installed = plugin / "their_solver-1.0.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: their-solver\nVersion: 1.0\n")
+    (installed / "top_level.txt").write_text("their_solver\n")
+    found = set()
+    for content in ("aaa", "bbb"):
+        (installed / "RECORD").write_text(f"their_solver/__init__.py,sha256={content},23\n")
+        stamps._package.cache_clear()
+        stamps._distributions.cache_clear()
+        assert component_code(CONFIG).keys() == {"their_solver"}
+        found.add(fingerprint(CONFIG))
+    assert len(found) == 2
 
 
 def test_plugged_in_code_is_not_run(plugin):
@@ -73,6 +130,14 @@ def test_the_content_of_files_counts(tmp_path):
     assert fingerprint(config) != before
     data.write_text("1")
     assert fingerprint(config) == before
+
+
+def test_the_versions_are_those_that_run():
+    versions = stamps.library_versions()
+    for name, module in (("numpy", np), ("scipy", scipy), ("numba", numba), ("pandas", pd)):
+        assert versions[name] == module.__version__
+    assert versions["scikit-learn"] == sklearn.__version__
+    assert versions["python"] == f"{sys.version_info.major}.{sys.version_info.minor}"
 
 
 def test_code_and_libraries_count(monkeypatch):

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tests.explanation.problems import tiny_problems
-from xplain.explanation.belief import update
 from xplain.explanation.literal_pomdp import (
     EXPLAIN,
     LiteralPOMDP,
@@ -65,26 +61,3 @@ def test_messages_used_are_no_actions() -> None:
     for _, after, labels, _ in pomdp.outcomes(pending, EXPLAIN):
         assert pomdp.actions(after) == [EXPLAIN, 0]
         assert labels == after.labels
-
-
-@settings(deadline=None, max_examples=100)
-@given(tiny_problems(), st.data())
-def test_belief_update_is_bayes_by_enumeration(problem: Problem, data: st.DataObject) -> None:
-    """P(t | labels of the first k steps) from the joint probability of everything seen."""
-    n_steps = data.draw(st.integers(1, problem.n_steps))
-    sets: list[int] = []
-    for _ in range(n_steps):
-        new = data.draw(st.integers(0, (1 << problem.n_messages) - 1))
-        sets.append(new | (sets[-1] if sets else 0))
-    seen = [data.draw(st.sampled_from(list(product((0, 1), repeat=k + 1)))) for k in range(n_steps)]
-    joint = problem.prior.copy()
-    for labels, shown in zip(seen, sets, strict=True):
-        for i, label in enumerate(labels):
-            p = problem.p_explicable[:, i, shown]
-            joint = joint * (p if label else 1 - p)
-    belief = problem.prior
-    for labels, shown in zip(seen, sets, strict=True):
-        belief = update(problem, belief, shown, np.array(labels, dtype=np.uint8))
-    if joint.sum() > 0:
-        assert belief == pytest.approx(joint / joint.sum(), abs=1e-9)
-    assert belief.sum() == pytest.approx(1)

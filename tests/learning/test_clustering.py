@@ -14,6 +14,7 @@ from xplain.learning.clustering import (
     Perfect,
     Single,
 )
+from xplain.learning.disagreements import disagreements
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.user_types import learn_types
 
@@ -30,8 +31,6 @@ class ClustererSuite:
         assert found.assignment.shape == (len(dataset.observers),)
         firsts = list(dict.fromkeys(found.assignment.tolist()))
         assert firsts == list(range(found.n_types))
-        assert found.method
-        assert found.rule
 
     def test_same_seed_same_clusters(self) -> None:
         dataset, truth = made(np.random.default_rng(2), [[0], [1], [2, 3]], noise=0.1)
@@ -98,13 +97,37 @@ def test_partitions_keep_equal_vectors_together(partition: Partition) -> None:
     assert len(set(groups.tolist())) == len(np.unique(vectors, axis=0))
 
 
-def test_curve_runs_to_the_number_of_observers(rng: np.random.Generator) -> None:
-    dataset, _ = made(rng, [[0], [1]], shared=True)
+def test_k_means_counts_every_observer() -> None:
+    # Three points in a row, the middle one as far from either end: it joins the smaller crowd, for
+    # that moves the mean of fewer.
+    row = np.array([[0, 0], [0, 1], [1, 1]], dtype=np.uint8)
+    for crowds, joined in (([10, 3, 1], 2), ([1, 3, 10], 0)):
+        groups = KMeans().partition(np.repeat(row, crowds, axis=0), 2, 0)
+        first, middle, last = (groups[i] for i in (0, crowds[0], -1))
+        assert first != last
+        assert middle == (first, middle, last)[joined]
+
+
+def test_linkages_join_by_nearest_or_farthest_members() -> None:
+    # Points at 0, 2, 4, 6 and 9 on a line: the nearest neighbours chain up to 6; by their farthest
+    # members {4, 6} is nearer to 9 (5) than to {0, 2} (6).
+    line = np.array([[i < place for i in range(9)] for place in (0, 2, 4, 6, 9)], dtype=np.uint8)
+    for linkage, expected in (("single", [0, 0, 0, 0, 1]), ("complete", [0, 0, 1, 1, 1])):
+        groups = Agglomerative(linkage).partition(line, 2, 0)
+        assert (groups == groups[0]).tolist() == [one == 0 for one in expected]
+
+
+def test_curve_holds_the_disagreements_up_to_as_many_clusters_as_observers(
+    rng: np.random.Generator,
+) -> None:
+    dataset, truth = made(rng, [[0], [1]], shared=True)
     found = Elbow(KMeans()).cluster(dataset, LabelerTrainer(), 0, None)
     assert found.curve is not None
-    assert len(found.curve) == len(dataset.observers)
+    # Two types that need a message each: together they disagree, apart never again.
+    assert found.curve.tolist() == [disagreements(dataset, np.zeros_like(truth)), *[0] * 5]
+    assert found.curve[0] > 0
     assert found.vectors is not None
-    assert len(np.unique(found.vectors)) == 2
+    assert found.vectors.tolist() == np.array([0b01, 0b10])[truth].tolist()
 
 
 def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> None:

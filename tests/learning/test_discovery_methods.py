@@ -35,6 +35,18 @@ def test_types_are_found_though_nobody_answers_the_same_questions(clusterer: Clu
         assert adjusted_rand_score(truth, found.assignment) == 1
 
 
+def test_who_says_nothing_is_taken_for_one_of_the_many() -> None:
+    for many in ([0], [1]):
+        needs = [[0]] * 2 + [[1]] * 2 + [many] * 4
+        dataset, _ = made(np.random.default_rng(9), [*needs, []], per_type=1, size=250)
+        dataset = dataset.take(np.flatnonzero(dataset.observer < len(needs)))
+        for seed in range(2):
+            mixture = Mixture(max_types=2)
+            found = mixture.cluster(dataset, LabelerTrainer(), seed, None).assignment
+            assert found[-1] == found[-2]
+            assert len(set(found.tolist())) == 2
+
+
 def test_the_process_bears_noise_unequal_observers_and_one_point() -> None:
     dataset, truth = made(np.random.default_rng(4), TYPES, per_type=4, size=200, noise=0.08)
     rng = np.random.default_rng(0)
@@ -43,7 +55,6 @@ def test_the_process_bears_noise_unequal_observers_and_one_point() -> None:
     keep[0] = True
     dataset = dataset.take(np.flatnonzero(keep))
     found = DirichletMixture().cluster(dataset, LabelerTrainer(), 1, None)
-    assert found.assignment.shape == truth.shape
     assert adjusted_rand_score(truth[1:], found.assignment[1:]) == 1
 
 
@@ -194,9 +205,8 @@ def test_hierarchies_stop_at_the_types(stop: Share | HeldOut) -> None:
         found = Hierarchy(stop).cluster(dataset, LabelerTrainer(), seed, None)
         assert adjusted_rand_score(truth, found.assignment) == 1
         assert found.curve is not None
-        for k, value in enumerate(found.curve[:4], start=1):
-            if k == found.n_types:
-                assert value == disagreements(dataset, found.assignment)
+        assert found.curve[0] == disagreements(dataset, np.zeros_like(truth))
+        assert found.curve[found.n_types - 1] == disagreements(dataset, found.assignment)
 
 
 def test_gap_statistic_counts_groups_far_apart() -> None:
@@ -236,6 +246,8 @@ def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
     types = learn_types(dataset, clustering, LabelerTrainer(), 0, none_of_these=1.0)
     assert types.names[-1] == "none of these"
     assert types.prior == pytest.approx([0.3, 0.3, 0.3, 0.1])
+    heavy = learn_types(dataset, clustering, LabelerTrainer(), 0, none_of_these=3.0)
+    assert heavy.prior == pytest.approx([0.25] * 4)
     stranger = types.p_explicable(dataset.features, dataset.n_messages)[-1]
     assert np.ptp(stranger) == 0
     assert stranger[0, 0] == pytest.approx(dataset.label.mean(), abs=0.01)

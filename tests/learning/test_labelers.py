@@ -1,12 +1,17 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
+from sklearn.tree import DecisionTreeClassifier
 
 from tests.learning.conftest import made
+from xplain.data.dataset import Dataset
 from xplain.errors import InputError
-from xplain.learning.labelers import LabelerTrainer, points, split
+from xplain.learning.labelers import Labeler, LabelerTrainer, points, split
 
 
 @given(seed=st.integers(0, 10_000), size=st.integers(2, 60), holdout=st.floats(0.05, 0.95))
@@ -93,3 +98,93 @@ def test_same_seed_same_labeler(rng: np.random.Generator) -> None:
 def test_bad_values_are_named(field: str, value: object) -> None:
     with pytest.raises(InputError, match=f"labeler.{field}"):
         LabelerTrainer(**{field: value})  # type: ignore[arg-type]
+
+
+def coin_flips(rng: np.random.Generator, cells: int, repeats: int) -> Dataset:
+    """Labels drawn by lot, one a (transition, message set), each given ``repeats`` times: nothing
+    to learn, but much to remember."""
+    count = cells * 16
+    order = rng.permutation(np.repeat(np.arange(count), repeats))
+    return Dataset(
+        features=rng.random((cells, 3)),
+        feature_names=("a", "b", "c"),
+        messages=tuple(f"m{j}" for j in range(4)),
+        observers=("o",),
+        observer=np.zeros(len(order), dtype=np.int64),
+        transition=order // 16,
+        message_set=order % 16,
+        label=rng.integers(2, size=count).astype(np.uint8)[order],
+    )
+
+
+@pytest.mark.parametrize("refit", [True, False])
+@pytest.mark.parametrize("repeats", [1, 5])
+def test_nobody_foretells_labels_drawn_by_lot(
+    rng: np.random.Generator, refit: bool, repeats: int
+) -> None:
+    dataset = coin_flips(rng, 200, repeats)
+    labeler = LabelerTrainer(refit=refit).fit(dataset, 3)
+    error = (0.25 / (labeler.n_test / repeats)) ** 0.5
+    assert labeler.accuracy == pytest.approx(0.5, abs=4 * error)
+    assert labeler.confidence == pytest.approx(0.5, abs=4 * error)
+
+
+@pytest.mark.parametrize("refit", [True, False])
+def test_only_a_refitted_labeler_has_seen_all_labels(rng: np.random.Generator, refit: bool) -> None:
+    dataset = coin_flips(rng, 200, 1)
+    labeler = LabelerTrainer(refit=refit).fit(dataset, 3)
+    shown = dataset.features[dataset.transition]
+    right = labeler.predict(shown, dataset.message_set) == dataset.label
+    held = split(dataset, 0.25, 3)
+    assert right[~held].all()
+    assert right[held].mean() == pytest.approx(1 if refit else labeler.accuracy)
+
+
+class Leaves:
+    """A tree of two leaves: ``share`` of ones in the second, among labels of this ``weight``."""
+
+    classes_ = np.array([0, 1])
+
+    def __init__(self, share: float, weight: float) -> None:
+        self.tree_ = SimpleNamespace(
+            value=np.array([[[0.5, 0.5]], [[1 - share, share]]]),
+            weighted_n_node_samples=np.array([7.0, weight]),
+        )
+
+    def apply(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
+        return np.ones(len(x), dtype=np.int64)
+
+
+@pytest.mark.parametrize(
+    ("share", "weight", "expected"),
+    [
+        (0.6, 0.0, 0.9),  # no label: the confidence of the majority alone
+        (0.6, 2.0, 0.75),  # two labels weigh as much as it does
+        (0.6, 6.0, 0.675),  # (6 · 0.6 + 2 · 0.9) / 8
+        (0.6, np.inf, 0.6),  # its own labels alone
+        (0.2, 0.0, 0.1),
+        (0.2, 2.0, 0.15),
+        (0.2, np.inf, 0.2),
+        (1.0, 2.0, 0.95),
+        (1.0, np.inf, 0.99),  # 98 tested labels tell no more
+        (0.0, np.inf, 0.01),
+    ],
+)
+def test_a_leaf_is_drawn_to_the_confidence_as_by_two_more_labels(
+    share: float, weight: float, expected: float
+) -> None:
+    labeler = Labeler(Leaves(share, weight), 1, 0.9, 0.9, 10, 98, calibrated=True)
+    found = labeler.probability(np.zeros((1, 1)), np.zeros(1, dtype=np.int64))
+    assert found == pytest.approx([expected])
+
+
+def test_leaves_of_a_fitted_tree_by_hand() -> None:
+    # Without the message 1 label of 4 is a one, with it 5 of 6.
+    label = np.array([1, 0, 0, 0, 1, 1, 1, 1, 1, 0])
+    x = np.stack([np.zeros(10), [0] * 4 + [1] * 6], axis=1).astype(np.float32)
+    tree = DecisionTreeClassifier().fit(x, label)
+    labeler = Labeler(tree, 1, 0.7, 0.7, 10, 8, calibrated=True)
+    # (1 + 2 · 0.3) / (4 + 2), and (5 + 2 · 0.7) / (6 + 2)
+    assert labeler.table(np.zeros((1, 1)), 1) == pytest.approx(np.array([[1.6 / 6, 6.4 / 8]]))
+    plain = Labeler(tree, 1, 0.7, 0.7, 10, 8)
+    assert plain.table(np.zeros((1, 1)), 1) == pytest.approx(np.array([[0.3, 0.7]]))

@@ -55,6 +55,44 @@ def test_search_by_predictions_is_enumeration(model: object, seed: int) -> None:
     assert smallest(classifier, features, 5) == enumerated(classifier, features, 5)
 
 
+class AnyOf:
+    """Says 1 to transition t wherever one of its messages ``wanted[t]`` is given and none of
+    ``hated[t]``."""
+
+    def __init__(self, wanted: NDArray[np.int64], hated: NDArray[np.int64]) -> None:
+        self.wanted, self.hated = wanted, hated
+
+    def predict(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
+        t = x[:, 0].astype(int)
+        given = (x[:, 1:] @ (1 << np.arange(x.shape[1] - 1))).astype(int)
+        hit = (given & self.wanted[t] != 0) & (given & self.hated[t] == 0)
+        return hit.astype(int)
+
+
+@pytest.mark.parametrize("hate", [0.0, 0.1])
+def test_of_many_equally_good_sets_the_first_in_message_order_is_taken(hate: float) -> None:
+    n, ties = 6, 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        power = 1 << np.arange(n)
+        likes = rng.random((4, n)) < 0.4
+        wanted = likes @ power
+        rule = AnyOf(wanted, ((rng.random((4, n)) < hate) & ~likes) @ power)
+        features = np.arange(4.0)[:, None]
+        every = np.tile(np.arange(1 << n), 4)
+        x = inputs(np.repeat(features, 1 << n, axis=0), every, n)
+        tree = DecisionTreeClassifier(random_state=seed).fit(x, rule.predict(x))
+        explicable = rule.predict(x).reshape(4, -1).sum(axis=0)
+        fewest = [mask for mask in range(1 << n) if explicable[mask] == explicable.max()]
+        size = min(mask.bit_count() for mask in fewest)
+        best = [mask for mask in fewest if mask.bit_count() == size]
+        first = min(best, key=lambda mask: [j for j in range(n) if mask >> j & 1])
+        ties += len(best) > 1
+        assert smallest(tree, features, n) == first
+        assert smallest(rule, features, n) == first
+    assert ties > 15
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_thirty_messages_as_integer_programming_says(seed: int) -> None:
     n = 30

@@ -86,10 +86,14 @@ def test_what_was_saved_says_the_same(tmp_path, classifier, confidence):
 
 def test_an_explainer_tells_the_learned_types_apart():
     types, _ = learned(DecisionTreeClassifier())
-    session = Explainer(types, trade_off=2.0).session([[3.0, 0.0]] * 4)
-    session.messages()
-    session.observe([0])  # nothing said, or the other type's message: this user needs more
-    assert max(session.belief.values()) > 0.5
+    rows = [[3.0, 0.0]] * 4
+    session = Explainer(types, trade_off=1.0).session(rows)
+    assert session.messages() == ("b",)
+    session.observe([0])  # who needs b alone would have said 1: this user needs a
+    told_b = types.p_explicable(rows[:1])[:, 0, 0b010]
+    likelihood = 1 - told_b
+    assert list(session.belief.values()) == pytest.approx(likelihood / likelihood.sum())
+    assert session.belief["type_0"] > 0.95
     with pytest.raises(InputError, match="rows of 2 numbers: row, column"):
         session.extend([[1.0]])
     with pytest.raises(InputError, match=r"finite"):

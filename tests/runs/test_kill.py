@@ -14,16 +14,6 @@ from tests.runs import sweeps
 KILLS = int(os.environ.get("XPLAIN_KILLS", "0"))
 
 
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    """Folder of a sweep that nothing happened to, and how long it took."""
-    folder = tmp_path_factory.mktemp("undisturbed")
-    before = time.monotonic()
-    code, output = sweeps.run(folder, *sweeps.TINY)
-    assert code == 0, output
-    return folder, time.monotonic() - before
-
-
 def disturb(folder: Path, whom: str, moment: float) -> None:
     """Starts the sweep and kills the main process, one worker, or all of them."""
     process = sweeps.start(folder, *sweeps.TINY)
@@ -67,18 +57,16 @@ def rounds(count: int, seed: int) -> list[tuple[str, float]]:
     return [(("main", "worker", "all")[i % 3], rng.uniform(0.1, 0.95)) for i in range(count)]
 
 
-def test_a_sweep_killed_again_and_again_completes(tmp_path, undisturbed):
-    reference, seconds = undisturbed
+def test_a_sweep_killed_again_and_again_completes(tmp_path, finished):
     for whom, share in rounds(3, seed=time.time_ns()):
-        disturb(tmp_path, whom, share * seconds)
-    check(tmp_path, reference)
+        disturb(tmp_path, whom, share * finished.seconds)
+    check(tmp_path, finished.folder)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not KILLS, reason="XPLAIN_KILLS=20 kills twenty sweeps: ten minutes")
-def test_kills_each_on_a_fresh_sweep(tmp_path, undisturbed):
-    reference, seconds = undisturbed
+def test_kills_each_on_a_fresh_sweep(tmp_path, finished):
     for index, (whom, share) in enumerate(rounds(KILLS, seed=time.time_ns())):
         folder = tmp_path / f"{index}-{whom}"
-        disturb(folder, whom, share * seconds)
-        check(folder, reference)
+        disturb(folder, whom, share * finished.seconds)
+        check(folder, finished.folder)

@@ -59,6 +59,26 @@ def test_the_command_line_chooses_among_settings():
     assert not any("users.count" in override for job in only for override in job.overrides)
 
 
+def test_two_keys_that_tell_settings_apart_must_both_fit():
+    settings = [
+        {"domain": "rescue", "users.count": "2"},
+        {"domain": "rooms", "users.count": "2,3"},
+        {"domain": "taxi", "users.count": "3"},
+    ]
+
+    def chosen(*arguments):
+        jobs = plan(settings, arguments).jobs
+        return {tuple(sorted(job.overrides)) for job in jobs}
+
+    assert chosen("domain=rooms", "users.count=2") == {("domain=rooms", "users.count=2")}
+    assert chosen("domain=rescue,rooms", "users.count=2") == {
+        ("domain=rescue", "users.count=2"),
+        ("domain=rooms", "users.count=2"),
+    }
+    with pytest.raises(InputError, match="domain='taxi'"):
+        plan(settings, ["domain=taxi", "users.count=2"])
+
+
 def test_a_choice_that_no_setting_has_is_named():
     with pytest.raises(InputError, match=r"domain='taxi'.*rescue.*rooms"):
         plan(arguments=["domain=taxi"])
@@ -93,3 +113,20 @@ def test_one_job_of_each_source_is_launched_first():
     jobs = in_launch_order(plan().jobs)
     assert {job.source for job in jobs[:2]} == {"rescue", "rooms"}
     assert sorted(job.name for job in jobs) == sorted(job.name for job in plan().jobs)
+
+
+def test_names_sort_by_setting_then_solver_trade_off_and_seed():
+    swept = {"seed": "1,2", "lambda": "1,2", "solver": "qmdp,qhr", "users.count": "2,3"}
+    jobs = plan([swept | {"domain": "rescue,rooms"}]).jobs
+    for job in jobs:
+        keys = [part.partition("=")[0] for part in job.name.split(",")]
+        assert keys[-3:] == ["solver", "lambda", "seed"]
+        assert set(keys[:-3]) == {"domain", "users.count"}
+        assert job.name == ",".join(f"{key}={job.values[key]}" for key in keys)
+        assert set(job.label.split()) == {
+            job.values["domain"],
+            f"count={job.values['users.count']}",
+            job.values["solver"],
+            f"λ={job.values['lambda']}",
+            f"seed={job.values['seed']}",
+        }

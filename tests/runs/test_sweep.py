@@ -21,15 +21,6 @@ QUICK = (*sweeps.TINY[:-1], "lambda=1", SERIAL)
 """Two jobs in one process."""
 
 
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A finished sweep of six jobs, on all cores; its folder and output."""
-    folder = tmp_path_factory.mktemp("finished")
-    code, output = sweeps.run(folder, *sweeps.TINY)
-    assert code == 0, output
-    return folder, output
-
-
 def results(folder):
     """``{job: (time of its results, results without times)}``."""
     found = {}
@@ -43,7 +34,7 @@ def results(folder):
 
 
 def test_the_end_tells_the_table_the_share_and_the_links(finished):
-    _, output = finished
+    output = finished.output
     assert "6 of 6 jobs finished" in output
     assert re.search(r"\d+% in the method itself, \d+% in all else", output)
     for part in ("Oracle's cost", "QMDP", "QHR", "/#/compare-runs?runs=", "searchFilter="):
@@ -53,7 +44,7 @@ def test_the_end_tells_the_table_the_share_and_the_links(finished):
 
 
 def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
-    folder, _ = finished
+    folder = finished.folder
     found = sweeps.runs(folder)
     parents = [name for name, _, parent in found if parent is None]
     assert len(parents) == 1
@@ -65,19 +56,25 @@ def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
     assert {status for _, status, _ in found} == {"FINISHED"}
     with sweeps.database(folder) as database:
         curve = database.execute(
-            "select step from metrics join runs using (run_uuid) where runs.name = ? and "
+            "select step, value from metrics join runs using (run_uuid) where runs.name = ? and "
             "key = 'regret/four_rooms/qmdp' order by step",
             (parents[0],),
         ).fetchall()
         note = database.execute(
             "select value from tags where key = 'mlflow.note.content'"
         ).fetchone()
-    assert curve == [(50,), (100,), (200,)]
+    regrets = {
+        round(100 * content["config"]["lambda"]): content["metrics"]["regret"]["mean"]
+        for name, (_, content) in results(folder).items()
+        if "solver=qmdp" in name
+    }
+    assert dict(curve) == pytest.approx(regrets)
+    assert sorted(regrets) == [50, 100, 200]
     assert note[0].startswith("| Domain | λ |")
 
 
 def test_the_same_command_again_runs_nothing_and_says_the_same(finished):
-    folder, _ = finished
+    folder = finished.folder
     before, tables, runs = results(folder), sweeps.tables(folder), sweeps.runs(folder)
     code, output = sweeps.run(folder, *sweeps.TINY)
     assert code == 0, output
@@ -86,7 +83,7 @@ def test_the_same_command_again_runs_nothing_and_says_the_same(finished):
 
 
 def test_only_what_is_missing_or_damaged_runs(finished):
-    folder, _ = finished
+    folder = finished.folder
     before = results(folder)
     lost, damaged = "solver=qmdp,lambda=1", "solver=qhr,lambda=2"
     jobs = sweeps.sweep_folder(folder) / "jobs"
@@ -124,7 +121,7 @@ def test_a_way_to_resume_that_does_not_exist_is_one_line(tmp_path):
 
 
 def test_every_launcher_gives_the_same_table(finished, tmp_path):
-    folder, _ = finished
+    folder = finished.folder
     code, output = sweeps.run(tmp_path, *sweeps.TINY, SERIAL, "tracking=none")
     assert code == 0, output
     assert sweeps.tables(tmp_path) == sweeps.tables(folder)
@@ -139,8 +136,8 @@ def test_every_launcher_gives_the_same_table(finished, tmp_path):
     ],
 )
 def test_launchers_of_the_extras_give_the_same_table(finished, tmp_path, package, launcher):
-    pytest.importorskip(package, reason="an extra, xplain-hri[ray] or [submitit]")
-    folder, _ = finished
+    pytest.importorskip(package, reason="an extra: pip install 'xplain[ray]' or 'xplain[submitit]'")
+    folder = finished.folder
     code, output = sweeps.run(tmp_path, *sweeps.TINY, *launcher, "tracking=none")
     assert code == 0, output
     assert sweeps.tables(tmp_path) == sweeps.tables(folder)
@@ -241,7 +238,7 @@ def test_four_at_once_on_an_empty_folder(tmp_path):
 
 
 def test_sync_sends_a_sweep_once(finished, tmp_path):
-    folder, _ = finished
+    folder = finished.folder
     reference = sweeps.runs(folder)
     outputs = f"outputs={tmp_path / 'outputs'}"
     for _ in range(2):

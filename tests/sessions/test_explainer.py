@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -77,7 +78,7 @@ def test_a_session_is_an_episode_of_the_experiments(situation):
 @settings(max_examples=60, deadline=None)
 def test_a_session_goes_on_in_another_process_as_if_nothing_had_happened(situation):
     problem, answers, explainer, rng = situation
-    there = explainer.session(range(problem.n_steps))
+    there = explainer.session(range(problem.n_steps), int(rng.integers(2 * problem.n_steps)))
     play(there, answers, int(rng.integers(problem.n_steps + 1)))
     if not there.finished and rng.random() < 0.5:
         there.messages()  # said, and the user's answer not heard yet
@@ -128,6 +129,58 @@ def test_why_ranks_the_choice_first_and_keeps_the_reasons_of_the_moment():
     assert "fuel" in str(before)
 
 
+def test_a_session_taken_up_still_expects_the_rest_of_the_trace():
+    table = np.array([[[0.0, 1.0]]])
+    explainer = Explainer(GivenTypes(table, ("m",), ("t",)), message_cost=3.0, discount=1.0)
+    text = explainer.session([0], expected_steps=4).to_json()
+    assert explainer.from_json(text).messages() == ("m",)
+
+
+def test_why_tells_of_the_newest_decision_alone():
+    """The second transition needs another message; the first one's is among those given."""
+    mends = np.array([[0, 1, 0, 1], [0, 0, 1, 1]], dtype=float)
+    explainer = Explainer(GivenTypes(mends[None], ("a", "b"), ("t",)), trade_off=0.5, discount=1.0)
+    session = explainer.session([0])
+    assert session.messages() == ("a",)
+    session.observe([1])
+    session.extend([1])
+    assert session.messages() == ("b",)
+    why = session.why()
+    assert (why.step, why.given, why.chosen) == (1, ("a",), ("b",))
+    assert set(why.values) == {(), ("b",)}
+
+
+@dataclass
+class Noting:
+    """QMDP that notes what it is asked to plan, and on which seed."""
+
+    planned: list
+    knows = "types"
+
+    def plan(self, problem, seed=0):
+        self.planned.append((problem, seed))
+        return QMDP().plan(problem, seed)
+
+
+def test_the_solver_plans_for_exactly_what_the_explainer_was_told():
+    planned = []
+    table = np.full((2, 1, 4), 0.5)
+    types = GivenTypes(table, ("a", "b"), ("x", "y"), (0.2, 0.8))
+    explainer = Explainer(
+        types, Noting(planned), 0.7, [2.0, 3.0], 1.5, 0.9, "step", Persistent(), seed=5
+    )
+    explainer.session([0]).messages()
+    ((problem, seed),) = planned
+    assert seed == 5
+    assert np.array_equal(problem.p_explicable, table)
+    assert problem.message_cost.tolist() == [2.0, 3.0]
+    assert problem.prior.tolist() == [0.2, 0.8]
+    told = (problem.trade_off, problem.inexplicability_cost, problem.discount)
+    assert told == (0.7, 1.5, 0.9)
+    assert problem.discount_per == "step"
+    assert (problem.message_names, problem.type_names) == (("a", "b"), ("x", "y"))
+
+
 def test_types_may_be_a_function_of_whatever_a_transition_is():
     def table(transitions):
         hard = np.array([move["hard"] for move in transitions])
@@ -174,6 +227,7 @@ def test_misuse_is_one_clear_line():
         (lambda: explainer.session([7]), "trace"),
         (lambda: explainer.session([0.5]), "trace"),
         (lambda: explainer.session([0], -1), "expected_steps"),
+        (lambda: explainer.session([0], True), "expected_steps"),
         (lambda: explainer.session([0]).observe([1]), "messages() comes first"),
         (lambda: explainer.session([0]).why(), "messages() comes first"),
         (lambda: session.observe([1, 1]), "labels"),

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.literal_pomdp import reduced_optimal_value
-from xplain.solvers.bounds import bounds, known_type_value
+from xplain.solvers.bounds import Bounds, bounds, known_type_value
 from xplain.solvers.hsvi.solver import Effort
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.policy_evaluation import evaluate
@@ -22,13 +23,23 @@ def test_bounds_and_prices_enclose_the_truth() -> None:
         optimum = reduced_optimal_value(problem)
         found = bounds(problem)
         assert found.lower - 1e-9 <= optimum <= found.upper + 1e-9
-        assert found.known_type == pytest.approx(known_type_value(problem))
+        each = [plain_optimal_value(problem, t) for t in range(problem.n_types)]
+        assert found.known_type == pytest.approx(float(problem.prior @ each), abs=1e-9)
+        assert known_type_value(problem) == pytest.approx(found.known_type, abs=1e-9)
         assert found.known_type >= optimum - 1e-9
         least, most = found.price_of_not_knowing
         assert least - 1e-9 <= found.known_type - optimum <= most + 1e-9
         value = evaluate(problem, QMDP().plan(problem)).value
         least, most = found.price_of_approximation(value)
         assert least - 1e-9 <= optimum - value <= most + 1e-9
+
+
+def test_prices_are_differences_that_are_never_negative() -> None:
+    found = Bounds(lower=-3.0, upper=-2.0, known_type=-0.5)
+    assert found.price_of_not_knowing == (1.5, 2.5)
+    assert found.price_of_approximation(-4.0) == (1.0, 2.0)
+    assert found.price_of_approximation(-2.5) == (0.0, 0.5)
+    assert found.price_of_approximation(-2.0) == (0.0, 0.0)
 
 
 def test_lookahead_bounds_enclose_the_optimum_and_tighten_qmdp() -> None:

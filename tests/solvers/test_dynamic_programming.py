@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -12,36 +11,22 @@ from hypothesis import strategies as st
 from hypothesis.strategies import composite
 
 from tests.explanation.problems import tiny_problems
+from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.problem import Problem
+from xplain.solvers.base import Solver
 from xplain.solvers.dynamic_programming import (
+    best_set,
     messages_with_effect,
     messages_worth_giving,
     optimal_values,
     restrict,
 )
+from xplain.solvers.hsvi.solver import Certified
 from xplain.solvers.known_type import Baseline, Conformant, KnownType
+from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
-
-
-def plain_optimal_value(problem: Problem, t: int, step: int = 0, given: int = 0) -> float:
-    """The Bellman recursion over single actions, as SPEC §5 states it."""
-    per_message = problem.discount if problem.discount_per == "action" else 1.0
-
-    @cache
-    def value(k: int, shown: int) -> float:
-        if k == problem.n_steps:
-            return 0.0
-        zeros = sum(1 - problem.p_explicable[t, i, shown] for i in range(k + 1))
-        best = -problem.inexplicability_cost * zeros + problem.discount * value(k + 1, shown)
-        for j in range(problem.n_messages):
-            if not shown >> j & 1:
-                price = problem.trade_off * problem.message_cost[j]
-                best = max(best, -price + per_message * value(k, shown | 1 << j))
-        return float(best)
-
-    return value(step, given)
 
 
 @settings(deadline=None, max_examples=60)
@@ -162,15 +147,24 @@ def test_conformant_pays_for_every_type_undivided() -> None:
     assert QMDP().plan(problem).messages(0, 0, problem.prior) == 0
 
 
+def test_conformant_adds_up_the_zeros_of_types_that_differ() -> None:
+    """The first message mends one type of three, the second two; each costs 1.5 zeros."""
+    p = np.zeros((3, 1, 4))
+    p[0, 0, [1, 3]] = 1
+    p[1:, 0, [2, 3]] = 1
+    problem = Problem(p, np.array([1.5, 1.5]), discount=1.0)
+    assert Conformant().plan(problem).messages(0, 0, problem.prior) == 0b10
+
+
 def test_baseline_takes_several_types_as_their_mixture() -> None:
-    problem = idle_problem(prior=np.array([0.3, 0.7]))
-    mixture = 0.3 * problem.p_explicable[:1] + 0.7 * problem.p_explicable[1:]
-    single = replace(problem.with_types(mixture, ("one",)))
-    expected = QMDP().plan(single)
-    baseline = Baseline().plan(problem)
-    for step in range(problem.n_steps):
-        chosen = baseline.messages(step, 0, problem.prior)
-        assert chosen == expected.messages(step, 0, np.ones(1))
+    """A message at 0.5 mends the trace for the second type, 1 label 0 without it: worth its price
+    where more than half the users are of it, whatever the belief has come to."""
+    p = np.ones((2, 1, 2))
+    p[1, 0, 0] = 0
+    for share, said in ((0.4, 0), (0.6, 1)):
+        problem = Problem(p, np.array([0.5]), discount=1.0, prior=np.array([1 - share, share]))
+        for belief in ([1.0, 0.0], [0.0, 1.0], [0.5, 0.5]):
+            assert Baseline().plan(problem).messages(0, 0, np.array(belief)) == said
 
 
 def test_ties_prefer_explain_then_the_first_message() -> None:
@@ -182,6 +176,33 @@ def test_ties_prefer_explain_then_the_first_message() -> None:
     cheap = replace(even, trade_off=0.5)
     assert QMDP().plan(cheap).messages(0, 0, even.prior) == 0b01
     assert QHR().plan(cheap).messages(0, 0, even.prior) == 0b01
+
+
+def needs_two_or_one(price: float = 1.0) -> Problem:
+    """{0, 1} and {2} mend all at the same price; 3 would too, and is dearer."""
+    p = np.zeros((1, 1, 16))
+    for shown in range(16):
+        p[:, :, shown] = shown & 0b0011 == 0b0011 or shown & 0b1100 != 0
+    cost = np.array([1.0, 1.0, 2.0, 2.5]) * price
+    return Problem(p, cost, inexplicability_cost=5.0 * price, discount=1.0)
+
+
+@pytest.mark.parametrize("solver", [QHR(), Certified(), Lookahead()])
+def test_of_equal_sets_the_smaller_is_given(solver: Solver) -> None:
+    """As masks, {0, 1} is less than {2}."""
+    problem = needs_two_or_one()
+    assert solver.plan(problem).messages(0, 0, problem.prior) == 0b0100
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.dictionaries(st.integers(0, 15), st.sampled_from([-2.0, -1.0, -1.0 - 1e-12, 3.0]),
+                       min_size=1))  # fmt: skip
+def test_the_best_set_is_the_smallest_of_the_best_then_the_first(values: dict[int, float]) -> None:
+    """Whatever the order in which they come; values apart by rounding are equal."""
+    tied = [chosen for chosen, value in values.items() if value > max(values.values()) - 1e-10]
+    fewest = min(bin(chosen).count("1") for chosen in tied)
+    first = min(chosen for chosen in tied if bin(chosen).count("1") == fewest)
+    assert best_set(values) == first
 
 
 def test_too_large_is_refused_before_memory_is_taken() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,38 +11,55 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.study.conftest import Visitor
+from tests.study.conftest import FAULTLESS, GENEROUS, Visitor
 from xplain.errors import InputError
+from xplain.participants.server.participant_pages import create_app
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import visit
+from xplain.study.analysis import export, replay
+from xplain.study.analysis import main as analyse
 from xplain.study.analysis.codebook import CODEBOOK
 from xplain.study.analysis.table2 import analyse as analysis_of
-from xplain.study.analysis.table2 import export, paper_table, read, replay
-from xplain.study.analysis.table2 import main as analyse
+from xplain.study.analysis.table2 import paper_table, read
 from xplain.study.analysis.timing import hidden, interaction
 from xplain.study.protocol.machine import State
+from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import Habits, Person
 
 
-@pytest.fixture
-def snapshot(
-    store: Store,
-    browser: Callable[[], Visitor],
-    person: Callable[..., Person],
-    tmp_path: Path,
-) -> Path:
-    """24 bots, some of whom leave, one person, one who only looked in."""
+@pytest.fixture(scope="module")
+def collected(tmp_path_factory: pytest.TempPathFactory, study: Study) -> tuple[bytes, str]:
+    """A snapshot of 24 bots, some of whom leave, one person, one who only looked in; and the
+    server's secret."""
+    folder = tmp_path_factory.mktemp("collected")
+    store = Store(folder / "study.sqlite", study)
+    app = create_app(store, GENEROUS)
+
+    def take_part(number: int, habits: Habits, token: str) -> None:
+        someone = Person(study.plan, habits, np.random.default_rng(number))
+        visit(Visitor(app.test_client()), someone, token)
+
     for number, token in enumerate(store.invite(24, "bot")):
-        habits = Habits(leaving=0.05, mistake=0.1)
-        visit(browser(), person(number, habits), token)
-    visit(browser(), person(), store.invite(1, "person")[0])
+        take_part(number, Habits(leaving=0.05, mistake=0.1), token)
+    take_part(0, FAULTLESS, store.invite(1, "person")[0])
     store.enter_invited(store.invite(1, "person")[0])
+    store.snapshot(folder / "snapshot.sqlite")
+    secret = store._key.hex()
+    store.close()
+    return (folder / "snapshot.sqlite").read_bytes(), secret
+
+
+@pytest.fixture
+def snapshot(collected: tuple[bytes, str], tmp_path: Path) -> Path:
+    """A copy of one's own."""
     path = tmp_path / "snapshot.sqlite"
-    store.snapshot(path)
+    path.write_bytes(collected[0])
     return path
 
 
-def test_tables_say_what_their_codebook_says(snapshot: Path, store: Store, tmp_path: Path) -> None:
+def test_tables_say_what_their_codebook_says(
+    snapshot: Path, collected: tuple[bytes, str], study: Study, tmp_path: Path
+) -> None:
     export.main([str(snapshot), str(tmp_path / "out")])
     for name, columns in CODEBOOK.items():
         csv = pd.read_csv(tmp_path / "out" / f"{name}.csv")
@@ -56,15 +72,19 @@ def test_tables_say_what_their_codebook_says(snapshot: Path, store: Store, tmp_p
     done = people[people["stage"] == "done"]
     assert len(done) > 3
     labels, quiz = pd.read_csv(out / "labels.csv"), pd.read_csv(out / "quiz.csv")
-    last = labels[labels["k"] == store.study.plan.n_steps - 1]
+    events = pd.read_csv(out / "events.csv")
+    last = labels[labels["k"] == study.plan.n_steps - 1]
     for who, row in done.iterrows():
         own = last[last["participant"] == who]
         assert row["inexplicable_transitions"] == (own["label"] == 0).sum()
         assert row["quiz_score"] == quiz.loc[quiz["participant"] == who, "correct"].sum()
-        assert row["interaction_time_s"] > 0
-    assert json.loads((out / "plan.json").read_text())["seed"] == store.study.plan.seed
+        own = events[events["participant"] == who]
+        shown = own[(own["kind"] == "shown") & own["payload"].str.contains("evaluation")]
+        until = own.loc[own["kind"] == "labels", "wall"].max()
+        assert row["interaction_time_s"] == pytest.approx(until - shown["wall"].min(), abs=1e-3)
+    assert json.loads((out / "plan.json").read_text())["seed"] == study.plan.seed
     everything = "".join(path.read_text() for path in out.glob("*.csv"))
-    assert store._key.hex() not in everything
+    assert collected[1] not in everything
 
 
 def test_replay_agrees_to_the_last_bit_and_notices_any_change(

@@ -109,6 +109,33 @@ def test_permutation_test_is_the_share_of_all_arrangements() -> None:
     assert found == pytest.approx(exact, abs=0.012)
 
 
+def test_figures_of_two_groups_by_hand() -> None:
+    # Means 4 and 2, squared deviations 8 and 2: a pooled variance of 10 / 4, t = 2 / √(5/3).
+    found = compare([2.0, 4.0, 6.0], [1.0, 2.0, 3.0], ["a"] * 3, ["a"] * 3, 0)
+    assert (found.a.mean, found.a.sd, found.a.n) == (4.0, 2.0, 3)
+    assert (found.b.mean, found.b.sd, found.b.n) == (2.0, 1.0, 3)
+    assert found.student.t == found.welch.t == pytest.approx(2 / (5 / 3) ** 0.5)
+    assert (found.student.df, found.welch.df) == (4, pytest.approx(50 / 17))
+    # Hedges (1981): J(4) = Γ(2) / (√2 Γ(3/2)) of d = 2 / √2.5.
+    assert found.g == pytest.approx(2 / 2.5**0.5 / (2**0.5 * np.pi**0.5 / 2))
+    unequal = compare([0.0, 9.0], [1.0, 2.0, 2.0, 1.0], ["a"] * 2, ["a"] * 4, 0)
+    assert unequal.g == pytest.approx(hedges(unequal.student.t, 2, 4)[0])
+
+
+def test_permutation_p_is_never_zero() -> None:
+    # Of 20 arrangements two are as extreme; of none drawn, the one observed is.
+    x, y, strata = np.array([7.0, 8, 9]), np.array([1.0, 2, 3]), np.array(["a"] * 3)
+    exact = stratified_permutation(x, y, strata, strata, seed=0, permutations=40_000)
+    assert exact == pytest.approx(0.1, abs=0.006)
+    assert stratified_permutation(x, y, strata, strata, seed=0, permutations=0) == 1.0
+
+
+def test_power_without_an_effect_is_the_level_on_both_sides() -> None:
+    for level in (0.05, 0.2):
+        assert t_power(0.0, 12, level) == pytest.approx(level)
+        assert t_power(-0.5, 12, level) == pytest.approx(t_power(0.5, 12, level))
+
+
 def test_permutation_test_does_not_take_a_type_for_an_effect() -> None:
     # Both conditions are alike within each type; only the types differ.
     values = np.array([10.0] * 8 + [0.0] * 2)

@@ -52,6 +52,113 @@ def test_an_answer_out_of_order_is_refused(store: Store) -> None:
     assert store.participant(who).state.accepted == 0
 
 
+def whole(store: Store) -> str:
+    """Everything in the database, as text."""
+    return "\n".join(store._connection.iterdump())
+
+
+def wrong_page(store: Store, who: str) -> None:
+    store.submit(who, 0, "labels", {"labels": [1]})
+
+
+def wrong_sequence(store: Store, who: str) -> None:
+    store.submit(who, 3, "read", {})
+
+
+def no_choice(store: Store, who: str) -> None:
+    store.submit(who, 0, "consent", {})
+
+
+def another_consent_text(store: Store, who: str) -> None:
+    """By now a place has been reserved, and silent participants have been timed out."""
+    store.submit(who, 0, "consent", {"agree": 1, "text": "another"})
+
+
+def nobody(store: Store, who: str) -> None:
+    consent(store, "nobody")
+
+
+def no_such_invitation(store: Store, who: str) -> None:
+    store.enter_invited("none")
+
+
+def second_session(store: Store, who: str) -> None:
+    store.enter_prolific("P", "S", "another session", keep=True)
+
+
+def too_many_events(store: Store, who: str) -> None:
+    store.from_tab(who, "a" * 16, [(n, "visible", 1.0, {}) for n in range(MAX_TAB_EVENTS + 1)])
+
+
+def events_of_which_the_last_cannot_be_kept(store: Store, who: str) -> None:
+    store.from_tab(who, "a" * 16, [(0, "visible", 1.0, {}), (1, "visible", 2.0, {"at": {1}})])
+
+
+@pytest.mark.parametrize(
+    "refused",
+    [
+        wrong_page,
+        wrong_sequence,
+        no_choice,
+        another_consent_text,
+        nobody,
+        no_such_invitation,
+        second_session,
+        too_many_events,
+        events_of_which_the_last_cannot_be_kept,
+    ],
+)
+def test_a_refusal_leaves_the_database_as_it_was(
+    tmp_path: Path, study: Study, refused: Callable[[Store, str], None]
+) -> None:
+    time = Time()
+    path = tmp_path / "s.sqlite"
+    store = Store(path, study, time.clock())
+    silent, who = (store.enter_invited(token) for token in store.invite(2, "person"))
+    consent(store, silent)
+    store.enter_prolific("P", "S", "X", keep=True)
+    time.now += 31 * 60
+    before = whole(store)
+    with pytest.raises((Refused, Unknown, TypeError)):
+        refused(store, who)
+    assert whole(store) == before
+    store.close()
+    store = Store(path, study, time.clock())  # nor did anything reach the disk
+    assert whole(store) == before
+    store.close()
+
+
+def test_who_finds_no_place_leaves_the_database_as_it_was(store: Store) -> None:
+    places = len(store.study.plan.cells) * store.study.plan.rules.per_cell
+    everybody = [store.enter_invited(token) for token in store.invite(places + 1, "person")]
+    for who in everybody[:-1]:
+        consent(store, who)
+    before = whole(store)
+    with pytest.raises(Full):
+        consent(store, everybody[-1])
+    assert whole(store) == before
+
+
+def test_everybody_gets_an_order_of_questions_of_their_own(tmp_path: Path, study: Study) -> None:
+    def orders(name: str) -> list[dict[str, tuple[int, ...]]]:
+        store = Store(tmp_path / name, study)
+        found = []
+        for token in store.invite(10, "person"):
+            state = consent(store, store.enter_invited(token))
+            role = study.plan.roles[state.user_type]
+            assert sorted(state.orders["eligibility"]) == list(range(len(role.eligibility)))
+            assert sorted(state.orders["quiz"]) == list(range(len(role.quiz)))
+            found.append(state.orders)
+        store.close()
+        return found
+
+    first = orders("one.sqlite")
+    for name in ("eligibility", "quiz"):
+        # Ten draws of 24 orders: about eight differ.
+        assert len({order[name] for order in first}) > 4
+    assert orders("two.sqlite") == first  # the seed's, not the day's
+
+
 def test_the_same_answer_from_many_threads_counts_once(store: Store) -> None:
     who = store.enter_invited(store.invite(1, "person")[0])
     threads = [threading.Thread(target=consent, args=(store, who)) for _ in range(8)]
@@ -89,8 +196,10 @@ def test_only_completion_uses_a_place_up(tmp_path: Path, study: Study) -> None:
     consent(store, everybody[places])
     now = store.query("SELECT position FROM slot WHERE holder = ?", (everybody[places],))
     assert now == taken  # the very place that came back
-    # Silence frees a place too, when somebody asks for one.
-    time.now += 31 * 60
+    # Silence frees a place too, when somebody asks for one: half an hour of it.
+    time.now += 29 * 60
+    assert store.time_out_stale() == 0
+    time.now += 2 * 60
     for who in everybody[:2]:
         store.shown(who, 1, "briefing")  # signs of life
     consent(store, everybody[places + 1])
@@ -136,6 +245,10 @@ def test_bots_and_pilots_do_not_touch_peoples_places(store: Store) -> None:
         "GROUP BY user_type, condition"
     )
     assert max(c["n"] for c in cells) - min(c["n"] for c in cells) <= 1
+    positions = store.query("SELECT position FROM slot WHERE stream = 'bot' ORDER BY position")
+    assert [row["position"] for row in positions] == list(range(len(positions)))
+    held = store.query("SELECT holder FROM slot WHERE stream = 'bot' ORDER BY position")
+    assert [row["holder"] is not None for row in held] == [i < 40 for i in range(len(held))]
 
 
 @pytest.mark.parametrize(
@@ -180,6 +293,9 @@ def test_invitations_and_outside_ids_lead_back_to_the_same_participant(store: St
     assert store.enter_prolific("P", "S", "X", keep=False) == first
     with pytest.raises(Unknown):  # the same person in another session
         store.enter_prolific("P", "S", "Y", keep=False)
+    # Another study of the platform's has other people, though it calls them alike.
+    assert store.enter_prolific("P", "T", "X", keep=False) != first
+    assert store.keyed("ab", "c") != store.keyed("a", "bc")
     store.enter_prolific("Q", "S", "Z", keep=True)
     dump = "\n".join(store._connection.iterdump())
     assert token not in dump

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.domains.configs import domain_of, setting_of
+from tests.users.corridor import SIZE, Corridor, Padded
 from xplain.domains import mdp
 from xplain.errors import InputError, TooLargeError
 from xplain.users import setting as module
@@ -73,6 +74,15 @@ def test_reachable_is_what_every_optimal_policy_can_do() -> None:
                 if after not in seen and not model.terminal[after]:
                     todo.add(after)
     assert found == {tuple(t) for t in setting.reachable.tolist()}
+
+
+def test_what_cannot_happen_is_not_reachable() -> None:
+    plain, padded = (
+        Setting.build(domain, (UserType("A", {"end": "left"}),))
+        for domain in (Corridor(), Padded())
+    )
+    right = [[cell, 1, cell + 1] for cell in range(1, SIZE - 1)]
+    assert plain.reachable.tolist() == padded.reachable.tolist() == right
 
 
 def test_types_that_label_alike_are_one() -> None:

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.domains.configs import configured, domain_of
+from tests.users.corridor import Painted
 from xplain.errors import InputError
 from xplain.randomness import stream
 from xplain.users.setting import Setting, UserType
@@ -71,6 +72,17 @@ def test_random_types_cover_all_parameters(seed: int, count: int, distinct: bool
     assert set().union(*facts) == {p.name for p in domain.parameters}
     if distinct:
         assert len(np.unique(Setting.build(domain, types).distinct)) == count
+
+
+def test_types_that_differ_in_what_changes_nothing_are_drawn_only_if_asked_for() -> None:
+    domain, alike = Painted(), 0
+    for seed in range(20):
+        for distinct in (True, False):
+            types = RandomCover(2, distinct).types(domain, stream(seed, "users"))
+            one, two = (set(t.inaccurate) - {"colour"} for t in types)
+            assert one != two or not distinct
+            alike += one == two
+    assert alike > 0
 
 
 def test_the_same_stream_draws_the_same_types() -> None:

@@ -128,13 +128,12 @@ def optimal_actions(models: Sequence[MDP], names: Sequence[str] = ()) -> NDArray
     scale = np.array([_scale(model) for model in models])[:, None, None]
     gap = np.where(np.isfinite(q), best - q, np.inf) / scale
     for b, s, a in np.argwhere((gap > TIE) & (gap < CLEAR)):
-        if not models[b].terminal[s]:
-            who = names[b] if names else f"model {b}"
-            raise DomainError(
-                f"domain: ambiguous tie in {who}, state {s}, action {a}: its value is "
-                f"{gap[b, s, a]:.1e} of the largest possible value below the best; change a reward "
-                f"or the discount so that gaps are 0 or above {CLEAR:g}"
-            )
+        who = names[b] if names else f"model {b}"
+        raise DomainError(
+            f"domain: ambiguous tie in {who}, state {s}, action {a}: its value is "
+            f"{gap[b, s, a]:.1e} of the largest possible value below the best; change a reward "
+            f"or the discount so that gaps are 0 or above {CLEAR:g}"
+        )
     terminal = np.array([model.terminal for model in models])
     return np.asarray((gap <= TIE) & ~terminal[:, :, None])
 

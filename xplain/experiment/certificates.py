@@ -54,12 +54,12 @@ class Certify:
         solver that is told the user's type has no value of its own here.
         """
         rows: list[dict[str, float]] = []
-        seen: dict[bytes, dict[str, float]] = {}
+        seen: dict[tuple[bytes, bytes], dict[str, float]] = {}
         for index, case in enumerate(prepared.cases[: self.traces]):
             problem = problem_of_types(prepared, case, costs)
-            key = problem.p_explicable.tobytes()
+            own = problem_for(prepared, case, costs, solver, 0)
+            key = problem.p_explicable.tobytes(), own.p_explicable.tobytes()
             if key not in seen:
-                own = problem_for(prepared, case, costs, solver, 0)
                 seen[key] = self._one(problem, own, solver, trace_seed(seed, index))
             rows.append(seen[key])
         if not rows:

@@ -84,7 +84,9 @@ def problem_for(prepared: Prepared, case: Case, costs: Costs, solver: Solver, us
         truth = case.labels[user : user + 1].astype(np.float64)
         return costs.problem(truth, prepared.messages, (name,), alone)
     if case.perfect is None:
-        raise InputError("solver", "oracle", "needs observers whose true types are known")
+        raise InputError(
+            "solver", "oracle", "needs observers of every type, whose true types are known"
+        )
     return costs.problem(case.perfect[user : user + 1], prepared.messages, (name,), alone)
 
 

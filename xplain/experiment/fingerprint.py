@@ -156,14 +156,15 @@ def _package(name: str) -> tuple[str, tuple[str, ...]]:
         return "missing", ()  # instantiating it will say so
     if spec.submodule_search_locations:
         roots = [Path(folder) for folder in spec.submodule_search_locations]
-        sources = sorted(path for root in roots for path in root.rglob("*.py"))
+        sources = sorted((path, root) for root in roots for path in root.rglob("*.py"))
     else:
-        sources = [Path(spec.origin)] if spec.origin and Path(spec.origin).is_file() else []
+        origin = Path(spec.origin or "")
+        sources = [(origin, origin.parent)] if origin.is_file() else []
     digest = hashlib.sha256()
     imported: set[str] = set()
-    for path in sources:
+    for path, root in sources:
         text = path.read_bytes()
-        digest.update(path.name.encode() + b"\0" + text)
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + text)
         imported |= _imports(text)
     return digest.hexdigest()[:32], tuple(sorted(imported))
 

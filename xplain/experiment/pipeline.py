@@ -82,7 +82,7 @@ class Case:
         learned: [N, m, 2^n] P(label is 1) by the labelers of the types that were found.
         everyone: [1, m, 2^n] by one labeler of all data (the baseline's).
         perfect: [M, m, 2^n] by the labelers under perfect clustering; None where the true types
-            of the observers are unknown.
+            of the observers are unknown, or a type has no observer.
         labels: [M, m, 2^n] the true labels of each true type.
     """
 
@@ -148,12 +148,15 @@ class References:
 
     Attributes:
         everyone: one labeler of all data (the baseline's).
-        perfect: the labelers under perfect clustering, L_pc (the oracle's); None where the true
-            types of the observers are unknown.
+        perfect: types under perfect clustering, L_pc; None where the true types of the observers
+            are unknown.
+        oracle: [M] the labeler of each true type under perfect clustering; None where a type has
+            no observer, or the true types are unknown.
     """
 
     everyone: Labeler
-    perfect: UserTypes | None
+    perfect: UserTypes | None = None
+    oracle: tuple[Labeler, ...] | None = None
 
 
 def prepare(components: Components, track: Track[Any] = untracked) -> Prepared:
@@ -244,11 +247,22 @@ def learn_references(observed: Observed, trainer: LabelerTrainer, seed: int) -> 
     dataset, truth = observed.dataset, observed.truth
     everyone = trainer.fit(dataset, derived_seed(seed, "everyone"))
     _require_tested([everyone])
-    perfect = None
-    if truth is not None:
-        best = Perfect().cluster(dataset, trainer, 0, truth)
-        perfect = learn_types(dataset, best, trainer, derived_seed(seed, "perfect"))
-    return References(everyone, perfect)
+    if truth is None:
+        return References(everyone)
+    best = Perfect().cluster(dataset, trainer, 0, truth)
+    perfect = learn_types(dataset, best, trainer, derived_seed(seed, "perfect"))
+    return References(everyone, perfect, _of_each_type(perfect, truth, len(observed.setting.types)))
+
+
+def _of_each_type(
+    perfect: UserTypes, truth: NDArray[np.int64], count: int
+) -> tuple[Labeler, ...] | None:
+    """The labeler of each true type; None where a type has no observer. Clusters are numbered as
+    their observers come, which may be in any order."""
+    first = [np.flatnonzero(truth == user_type)[:1] for user_type in range(count)]
+    if not all(map(len, first)):
+        return None
+    return tuple(perfect.labelers[perfect.clustering.assignment[int(o[0])]] for o in first)
 
 
 def draw_trace(setting: Setting, max_steps: int, seed: int, index: int) -> NDArray[np.int64]:
@@ -269,14 +283,14 @@ def build_case(
     features = transition_features(domain, transitions)
     states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]
     cells = [domain.position(state) for state in states]
-    perfect = references.perfect
+    everyone, oracle = references.everyone, references.oracle
     return Case(
         transitions=transitions,
         phrases=tuple(domain.describe(transition) for transition in transitions),
         positions=tuple(cell for cell in cells if cell is not None),
         learned=types.p_explicable(features, n),
-        everyone=references.everyone.table(features, n)[None],
-        perfect=None if perfect is None else perfect.p_explicable(features, n),
+        everyone=_tables([everyone], features, n),
+        perfect=None if oracle is None else _tables(oracle, features, n),
         labels=setting.label_table(transitions),
     )
 
@@ -310,6 +324,12 @@ def learning_figures(
         figures["perfect_labeler_accuracy"] = _mean_accuracy(references.perfect.labelers)
         figures["true_types"] = float(len(np.unique(alike)))
     return figures
+
+
+def _tables(
+    labelers: Iterable[Labeler], features: NDArray[np.float64], n_messages: int
+) -> NDArray[np.float64]:
+    return np.stack([labeler.table(features, n_messages) for labeler in labelers])
 
 
 def _mean_accuracy(labelers: Iterable[Any]) -> float:

@@ -52,6 +52,33 @@ def test_the_policy_earns_its_lower_bound() -> None:
         assert policy.lower - 1e-6 <= worth.value <= policy.upper + 1e-9
 
 
+def rarely_needed() -> Problem:
+    """One user in twenty is of type B or C (alike), and says so at the first step: with z told (20)
+    every 0 but C's at the second transition is mended, the third one's with b or c (10 each) too.
+
+    The best: explain; to the one in twenty tell z, explain, and tell b or c, by the second label.
+    That user costs 24 + (20 + 12) + (10 + 12), where C's 24 are half as likely as B's 0.
+    """
+    p = np.ones((3, 3, 8))
+    for shown in range(8):
+        b, c, z = (shown >> j & 1 for j in range(3))
+        p[1, :, shown] = z, z, z & b
+        p[2, :, shown] = z, 0, z & c
+    prior = np.array([0.95, 0.025, 0.025])
+    return Problem(p, np.array([10.0, 10.0, 20.0]), 24.0, discount=1.0, prior=prior)
+
+
+def test_unlikely_answers_left_untold_are_bounded_from_both_sides() -> None:
+    """At a gap of 3.2 the search does not follow the answer of one user in twenty; its share of the
+    upper bound must then hold for whoever knows the type, of the lower for a plan made blindly."""
+    problem, optimum = rarely_needed(), -0.05 * 78
+    assert reduced_optimal_value(problem) == pytest.approx(optimum)
+    coarse, fine = planned(problem, gap=3.2), planned(problem, gap=1e-6)
+    assert coarse.lower <= optimum - 0.5
+    assert coarse.upper >= optimum - 1e-9
+    assert (fine.lower, fine.upper) == pytest.approx((optimum, optimum), abs=1e-6)
+
+
 def medium_problem() -> Problem:
     """Types that lack two of eight facts each; far too large for brute force."""
     rng = np.random.default_rng(4)

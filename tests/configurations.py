@@ -1,0 +1,88 @@
+"""The composed configuration of a run, every one of its keys, and a change of each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import DictConfig, OmegaConf
+
+from xplain.config import CONF, register
+
+Path = tuple[str | int, ...]
+
+CHOICES = (
+    ("domain=rescue", "solver=pomcp", "labeler=practice", "clusterer=hierarchy_gap"),
+    ("domain=four_rooms", "solver=certified", "labeler=pruned", "clusterer=dirichlet"),
+    ("domain=rescue", "solver=lookahead", "clusterer=agglomerative", "users=rescue_completions"),
+    ("domain=frozen_lake", "solver=oracle", "clusterer=em", "belief=persistent", "tracking=none"),
+    (
+        "domain=rescue",
+        "observers=file",
+        "observers.path=labels.csv",
+        "solver=qhr",
+        "prior=observers",
+    ),
+    (
+        "domain=four_rooms",
+        "clusterer=hierarchy_heldout",
+        "users=explicit",
+        "users.groups={A: [goals]}",
+    ),
+)
+"""Components chosen so that most of them, and every kind of key, come up."""
+
+
+def composed(*overrides: str) -> DictConfig:
+    """What a run is given: ``composed("solver=pomcp", "lambda=2")``."""
+    register()
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return compose("config", list(overrides))
+
+
+def dotted(path: Path) -> str:
+    """As it is written on the command line."""
+    return ".".join(map(str, path))
+
+
+def each_changed(cfg: DictConfig) -> Iterator[Path]:
+    """Every key that holds a value, in turn: its path, while ``cfg`` holds another value there."""
+    for path, value in _leaves(OmegaConf.to_container(cfg), ()):
+        parent: Any = cfg
+        for key in path[:-1]:
+            parent = parent[key]
+        parent[path[-1]] = _other(cfg, path, value)
+        yield path
+        parent[path[-1]] = value
+
+
+def _leaves(node: Any, path: Path) -> Iterator[tuple[Path, Any]]:
+    inside = node.items() if isinstance(node, dict) else enumerate(node)
+    for key, value in inside:
+        if isinstance(value, dict | list) and value:
+            yield from _leaves(value, (*path, key))
+        else:
+            yield (*path, key), value
+
+
+def _other(cfg: DictConfig, path: Path, value: Any) -> Any:
+    """Another value of the same type; of an interpolation, of what it stands for."""
+    if isinstance(value, str) and "${" in value:
+        value = OmegaConf.to_container(cfg, resolve=True)
+        for key in path:
+            value = value[key]
+    match value:
+        case bool():
+            return not value
+        case int() | float():
+            return value + 1
+        case str():
+            return f"{value} other"
+        case None:
+            return 1
+        case dict():
+            return {"more": 1}
+    return [1]

@@ -1,0 +1,169 @@
+"""Certificates against brute force over every action and every label, on tiny traces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.handmade import a_prepared, with_cases
+from tests.solvers.test_policy_evaluation import worth_by_enumeration
+from xplain.errors import InputError
+from xplain.experiment.certificates import Certify
+from xplain.experiment.explanations import Costs, trace_seed
+from xplain.experiment.pipeline import Case, Prepared
+from xplain.explanation.literal_pomdp import reduced_optimal_value
+from xplain.explanation.problem import Problem
+from xplain.solvers import policy_evaluation as policy_value
+from xplain.solvers.known_type import Baseline, KnownType
+from xplain.solvers.qhr import QHR
+from xplain.solvers.qmdp import QMDP
+
+COSTS = Costs(0.8, 0.6, 1.5, 0.9, "action", "observers")
+PREPARED = a_prepared(steps=(2, 3))
+
+
+def problem_of(case: Case) -> Problem:
+    """What an agent that knows the learned types plans with, written out."""
+    return Problem(
+        case.learned,
+        np.full(2, COSTS.message_cost),
+        COSTS.inexplicability_cost,
+        COSTS.trade_off,
+        COSTS.discount,
+        PREPARED.type_shares,
+        COSTS.discount_per,
+    )
+
+
+def alone(problem: Problem, user_type: int) -> Problem:
+    return problem.with_types(problem.p_explicable[user_type][None], ("alone",))
+
+
+PROBLEMS = [problem_of(case) for case in PREPARED.cases]
+OPTIMA = [reduced_optimal_value(problem) for problem in PROBLEMS]
+KNOWN = [
+    sum(p * reduced_optimal_value(alone(problem, t)) for t, p in enumerate(problem.prior))
+    for problem in PROBLEMS
+]
+
+
+def found_for(solver, prepared: Prepared = PREPARED, seed: int = 4, **effort) -> dict[str, float]:
+    return Certify(**effort).certificates(prepared, COSTS, solver, seed)
+
+
+def test_bounds_enclose_the_optimum_and_are_as_close_as_asked():
+    found = found_for(QMDP(), gap=1e-4)
+    assert found["optimal_lower"] - 1e-9 <= np.mean(OPTIMA) <= found["optimal_upper"] + 1e-9
+    assert found["optimal_upper"] - found["optimal_lower"] <= 1e-4 + 1e-9
+    assert found["known_type_value"] == pytest.approx(np.mean(KNOWN))
+    price = np.mean(KNOWN) - np.mean(OPTIMA)
+    assert price > 0.01  # or the next line says nothing
+    assert found["price_of_not_knowing_low"] - 1e-9 <= price
+    assert price <= found["price_of_not_knowing_high"] + 1e-9
+    assert found["traces"] == 2
+
+
+def test_less_effort_leaves_wider_bounds_and_prices_as_wide():
+    prepared = a_prepared(steps=(6,))
+    hasty, close, closest = (
+        found_for(KnownType(), prepared, **effort)
+        for effort in ({"nodes": 1}, {"gap": 0.2}, {"gap": 1e-4})
+    )
+    widths = [found["optimal_upper"] - found["optimal_lower"] for found in (hasty, close, closest)]
+    assert widths[0] > 0.2 >= widths[1] > 1e-4 >= widths[2]
+    for found in (hasty, close, closest):
+        known = found["known_type_value"]
+        assert found["price_of_not_knowing_low"] == known - found["optimal_upper"]
+        assert found["price_of_not_knowing_high"] == known - found["optimal_lower"]
+        # They all enclose what the closest do.
+        assert found["optimal_lower"] <= closest["optimal_lower"]
+        assert found["optimal_upper"] >= closest["optimal_upper"]
+
+
+@pytest.mark.parametrize("solver", [QMDP(), QHR()])
+def test_a_policy_is_worth_what_every_answer_to_it_says(solver):
+    found = found_for(solver)
+    worths = [worth_by_enumeration(problem, solver.plan(problem)) for problem in PROBLEMS]
+    value, cost = np.mean(worths, axis=0)
+    assert found["policy_value"] == pytest.approx(value)
+    assert found["policy_cost"] == pytest.approx(cost)
+    assert (found["policy_value_exact"], found["policy_value_se"]) == (1, 0)
+    loss = np.mean(OPTIMA) - value
+    assert found["price_of_approximation_low"] - 1e-9 <= loss
+    assert loss <= found["price_of_approximation_high"] + 1e-9
+    assert found["price_of_approximation_high"] <= loss + 1e-3 + 1e-9
+
+
+def test_a_baseline_is_judged_by_the_types_that_it_does_not_know():
+    found = found_for(Baseline())
+    worths = []
+    for case, problem in zip(PREPARED.cases, PROBLEMS, strict=True):
+        policy = Baseline().plan(problem.with_types(case.everyone, ("everyone",)))
+        worths.append(worth_by_enumeration(problem, policy))
+    assert found["policy_value"] == pytest.approx(np.mean(worths, axis=0)[0])
+    assert found["policy_cost"] == pytest.approx(np.mean(worths, axis=0)[1])
+
+
+@pytest.mark.parametrize("knows", ["type", "labels"])
+def test_who_is_told_the_type_has_no_value_of_its_own(knows):
+    found = found_for(KnownType(knows))
+    assert not any(name.startswith(("policy", "price_of_approx")) for name in found)
+    assert found["known_type_value"] == pytest.approx(np.mean(KNOWN))
+
+
+def test_simulated_values_come_with_the_error_of_their_mean():
+    solver, seed = QMDP(), 4
+    found = found_for(solver, seed=seed, beliefs=0, episodes=400)
+    each = [
+        policy_value.simulate(problem, solver.plan(problem), 400, trace_seed(seed, i))
+        for i, problem in enumerate(PROBLEMS)
+    ]
+    value, error = found["policy_value"], found["policy_value_se"]
+    assert found["policy_value_exact"] == 0
+    assert value == pytest.approx(np.mean([worth.value for worth in each]))
+    # Traces are simulated independently: variances add.
+    assert error == pytest.approx((each[0].value_se ** 2 + each[1].value_se ** 2) ** 0.5 / 2)
+    exact = np.mean([worth_by_enumeration(p, solver.plan(p))[0] for p in PROBLEMS])
+    assert abs(value - exact) < 4 * error
+    # 95 % limits a trace: no narrower than the optimum's bounds, no wider than both errors.
+    margin = 1.96 * np.mean([worth.value_se for worth in each])
+    low, high = found["price_of_approximation_low"], found["price_of_approximation_high"]
+    assert high == pytest.approx(found["optimal_upper"] - value + margin)
+    assert 0 <= low < high
+
+
+def test_only_the_first_traces_count():
+    only = found_for(QMDP(), traces=1)
+    assert only["traces"] == 1
+    assert only["known_type_value"] == pytest.approx(KNOWN[0])
+    assert found_for(QMDP(), traces=9)["traces"] == 2
+    assert found_for(QMDP(), traces=0) == {}
+
+
+def test_a_trace_that_comes_again_counts_again():
+    first, second = PREPARED.cases
+    found = found_for(QMDP(), with_cases(PREPARED, first, second, first))
+    assert found["known_type_value"] == pytest.approx((2 * KNOWN[0] + KNOWN[1]) / 3)
+
+
+def test_traces_alike_to_the_types_are_not_alike_to_everyone():
+    """The learned labelers cannot tell two traces apart; the baseline's can."""
+    case = PREPARED.cases[1]
+    told, untold = np.full_like(case.everyone, 0.99), np.full_like(case.everyone, 0.99)
+    told[..., :3] = 0.01  # everything is worth saying
+    cases = [replace(case, everyone=told), replace(case, everyone=untold)]
+    each = [found_for(Baseline(), with_cases(PREPARED, one))["policy_value"] for one in cases]
+    assert each[0] != pytest.approx(each[1])
+    both = found_for(Baseline(), with_cases(PREPARED, *cases))["policy_value"]
+    assert both == pytest.approx(np.mean(each))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("traces", -1), ("nodes", 0), ("beliefs", -1), ("episodes", 1), ("gap", 0), ("gap", np.nan)],
+)
+def test_effort_is_checked(key, value):
+    with pytest.raises(InputError, match=f"certify.{key}"):
+        Certify(**{key: value})

@@ -1,0 +1,157 @@
+"""What is on disk says what happened, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.handmade import a_prepared, an_episode
+from xplain.evaluation.metrics import Record, summarise
+from xplain.evaluation.statistics import Estimate
+from xplain.experiment.results import (
+    Provenance,
+    episode_lines,
+    load_results,
+    results_of,
+    save_results,
+)
+
+PREPARED = a_prepared(steps=(2, 3))
+RNG = np.random.default_rng(1)
+RECORDS = [
+    Record(solver, trace, user, PREPARED.matched_true_type == PREPARED.distinct[user], episode)
+    for solver in ("solver", "oracle", "clairvoyant")
+    for trace, steps in enumerate((2, 3))
+    for user in range(3)
+    for episode in [an_episode(RNG, steps)]
+]
+ABOUT = Provenance(
+    name="by hand",
+    xplain="0",
+    code="c0de",
+    git={},
+    started=1.5,
+    seconds={"explain": 0.25},
+    choices={"domain": "made", "solver": "qmdp"},
+    config={"lambda": 1.0, "seed": 4},
+)
+
+
+def on_disk(folder):
+    """What other programs read."""
+    return json.loads((folder / "results.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def results(tmp_path):
+    """As they come back from the disk."""
+    save_results(tmp_path, results_of(PREPARED, RECORDS, {"optimal_lower": -2.5}, ABOUT))
+    return on_disk(tmp_path)
+
+
+def test_what_is_saved_is_loaded(tmp_path):
+    results = results_of(PREPARED, RECORDS, {"optimal_lower": -2.5}, ABOUT)
+    save_results(tmp_path, results)
+    assert load_results(tmp_path) == results
+    assert "stamp" not in on_disk(tmp_path)  # of a sweep's jobs only
+    save_results(tmp_path, replace(results, stamp="abc", id="def"))
+    assert load_results(tmp_path) == replace(results, stamp="abc", id="def")
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"metrics": '])
+def test_what_holds_no_results_is_refused(tmp_path, text):
+    (tmp_path / "results.json").write_text(text)
+    with pytest.raises(ValueError):  # noqa: PT011  (JSON's own, or ours)
+        load_results(tmp_path)
+
+
+def test_every_episode_is_there_with_its_figures(results):
+    assert len(results["episodes"]) == len(RECORDS) == 18
+    for row, record in zip(results["episodes"], RECORDS, strict=True):
+        episode = record.episode
+        triangle = [row[: k + 1].tolist() for k, row in enumerate(episode.labels)]
+        belief = episode.beliefs[:, [0, 1, 1][record.user_type]]
+        assert row == {
+            "solver": record.solver,
+            "trace": record.trace,
+            "type": f"T{record.user_type + 1}",
+            "cost": episode.cost,
+            "communication": episode.communication,
+            "inexplicability": episode.inexplicability,
+            "messages": sum(bin(mask).count("1") for mask in episode.messages.tolist()),
+            "inexplicable_labels": sum(labels.count(0) for labels in triangle),
+            "steps_until_sure": next((k for k, b in enumerate(belief) if b > 0.9), len(belief)),
+        }
+
+
+def test_metrics_are_the_summary_with_its_intervals(results):
+    summary = summarise(RECORDS)
+    assert results["metrics"].keys() == summary.keys()
+    for name, found in results["metrics"].items():
+        assert Estimate(**found) == summary[name]
+        assert found["low"] <= found["mean"] <= found["high"]
+    costs = [row["cost"] for row in results["episodes"] if row["solver"] == "solver"]
+    assert results["metrics"]["cost"]["mean"] == pytest.approx(np.mean(costs))
+
+
+def test_an_interval_that_is_unknown_is_null(tmp_path):
+    records = [record for record in RECORDS if record.trace == 0]
+    save_results(tmp_path, results_of(PREPARED, records, {}, ABOUT))
+    for found in on_disk(tmp_path)["metrics"].values():
+        assert found["low"] is None
+        assert found["high"] is None
+        assert found["mean"] is not None
+
+
+def test_what_was_learned_and_what_was_run_are_told(results):
+    assert results["name"] == "by hand"
+    assert results["config"] == {"lambda": 1.0, "seed": 4}
+    assert results["bounds"] == {"optimal_lower": -2.5}
+    assert results["learning"] == {"types_found": 2.0}  # what is unknown is left out
+    assert results["elbow"] == {"rule": "kneedle", "disagreements": [5.0, 0.1, 0.0]}
+    assert results["messages"] == {"a": "A is 1.", "b": "B is 2."}
+    assert results["types"] == {
+        "true": ["T1", "T2", "T3"],
+        "found": ["F1", "F2"],
+        "behave_alike": [0, 1, 1],
+        "stands_for": [0, 1],
+    }
+    assert results["scene"] == {
+        "rows": 2,
+        "columns": 3,
+        "walls": [[0, 0]],
+        "items": [{"name": "goal", "symbol": "G", "cells": [[1, 2]]}],
+    }
+    # Three users of each trace: six episodes come to a second step, three to a third.
+    assert results["steps"]["episodes"] == [6, 6, 6, 3]
+
+
+def test_a_line_tells_an_episode_step_by_step():
+    lines = episode_lines(PREPARED, RECORDS).splitlines()
+    assert len(lines) == len(RECORDS)
+    names = {0: [], 1: ["a"], 2: ["b"], 3: ["a", "b"]}
+    for line, record in zip(map(json.loads, lines), RECORDS, strict=True):
+        episode, case = record.episode, PREPARED.cases[record.trace]
+        assert (line["solver"], line["trace"]) == (record.solver, record.trace)
+        assert line["type"] == PREPARED.types[record.user_type]
+        assert line["cost"] == episode.cost
+        assert line["transitions"] == list(case.phrases)
+        assert line["positions"] == [list(cell) for cell in case.positions]
+        assert line["prior"] == episode.beliefs[0].tolist()
+        assert len(line["steps"]) == len(case.transitions)
+        for k, step in enumerate(line["steps"]):
+            assert step["messages"] == names[int(episode.messages[k])]
+            assert step["labels"] == [int(episode.labels[k, i]) for i in range(k + 1)]
+            # What the answer to this step left of the belief.
+            assert step["belief"] == pytest.approx(episode.beliefs[k + 1], abs=1e-12)
+
+
+def test_numbers_that_are_none_are_refused_and_leave_what_was_there(tmp_path):
+    good = results_of(PREPARED, RECORDS, {"optimal_lower": -2.5}, ABOUT)
+    save_results(tmp_path, good)
+    with pytest.raises(ValueError, match="JSON"):
+        save_results(tmp_path, replace(good, bounds={"optimal_lower": float("nan")}))
+    assert load_results(tmp_path) == good

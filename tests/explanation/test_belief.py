@@ -1,0 +1,99 @@
+"""Beliefs after labels: Bayes' rule, what counts as evidence, and labels that cannot be."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.explanation.problems import tiny_problems
+from xplain.explanation.belief import Independent, Persistent, rounded, update
+from xplain.explanation.problem import Problem
+
+
+@settings(deadline=None, max_examples=100)
+@given(tiny_problems(), st.data())
+def test_belief_update_is_bayes_by_enumeration(problem: Problem, data: st.DataObject) -> None:
+    """P(t | labels of the first k steps) from the joint probability of everything seen. Labels
+    that no type can give leave the belief as it was."""
+    n_steps = data.draw(st.integers(1, problem.n_steps))
+    belief, joint, shown = problem.prior, problem.prior.copy(), 0
+    for k in range(n_steps):
+        shown |= data.draw(st.integers(0, (1 << problem.n_messages) - 1))
+        labels = data.draw(st.sampled_from(list(product((0, 1), repeat=k + 1))))
+        after = joint.copy()
+        for i, label in enumerate(labels):
+            p = problem.p_explicable[:, i, shown]
+            after *= p if label else 1 - p
+        joint = after if after.sum() > 0 else joint
+        belief = update(problem, belief, shown, np.array(labels, dtype=np.uint8))
+        assert belief == pytest.approx(joint / joint.sum(), abs=1e-9)
+
+
+def sharp() -> Problem:
+    """Types a, b call the one transition explicable, c does not; d is never met."""
+    p = np.array([1.0, 1.0, 0.0, 0.5])[:, None, None]
+    return Problem(p, np.empty(0), prior=np.array([0.2, 0.3, 0.5, 0.0]))
+
+
+def test_a_label_that_no_type_can_give_leaves_the_belief_as_it_was() -> None:
+    """Neither uniform, nor the prior, nor a number that is none; the belief is not aliased."""
+    problem = sharp()
+    before = np.array([0.4, 0.6, 0.0, 0.0])
+    after = update(problem, before, 0, np.array([0], dtype=np.uint8))
+    assert after.tolist() == [0.4, 0.6, 0.0, 0.0]
+    after[0] = 9
+    assert before[0] == 0.4
+
+
+def test_a_label_that_some_types_cannot_give_rules_them_out() -> None:
+    problem = sharp()
+    yes = update(problem, problem.prior, 0, np.array([1], dtype=np.uint8))
+    no = update(problem, problem.prior, 0, np.array([0], dtype=np.uint8))
+    assert yes == pytest.approx([0.4, 0.6, 0.0, 0.0])
+    assert no.tolist() == [0.0, 0.0, 1.0, 0.0]
+
+
+def test_a_thousand_labels_do_not_underflow() -> None:
+    """Probabilities of about 1e-1000 each; the ratio is (0.1 / 0.1001) to the 1000th."""
+    p = np.array([0.1, 0.1001])[:, None, None] * np.ones((1, 1000, 1))
+    problem = Problem(p, np.empty(0))
+    belief = update(problem, problem.prior, 0, np.ones(1000, dtype=np.uint8))
+    assert belief[0] / belief[1] == pytest.approx((0.1 / 0.1001) ** 1000, rel=1e-9)
+
+
+def test_only_the_evidence_counts() -> None:
+    """Three labels, of which the last alone is news."""
+    p = np.array([[0.9, 0.8, 0.3], [0.2, 0.4, 0.6]])[:, :, None]
+    problem = Problem(p, np.empty(0))
+    labels = np.array([0, 1, 1], dtype=np.uint8)
+    belief = update(problem, problem.prior, 0, labels, slice(2, 3))
+    assert belief == pytest.approx([1 / 3, 2 / 3])
+
+
+def test_which_labels_are_news() -> None:
+    """All are, to the paper; to people who repeat themselves only after a message, and at first."""
+    labels = list(range(4))
+    for previous in (None, 0, 1):
+        assert labels[Independent().evidence(1, previous, 4)] == labels
+    assert labels[Persistent().evidence(1, None, 4)] == labels
+    assert labels[Persistent().evidence(1, 0, 4)] == labels
+    assert labels[Persistent().evidence(1, 1, 4)] == [3]
+
+
+def test_rounding_makes_beliefs_equal_whatever_the_order_of_evidence() -> None:
+    rng = np.random.default_rng(0)
+    problem = Problem(rng.random((3, 6, 1)), np.empty(0))
+    labels = rng.integers(0, 2, 6).astype(np.uint8)
+    beliefs = []
+    for order in (range(6), reversed(range(6))):
+        belief = problem.prior
+        for i in order:
+            belief = update(problem, belief, 0, labels, slice(i, i + 1))
+        beliefs.append(belief)
+    assert np.array_equal(rounded(beliefs[0]), rounded(beliefs[1]))
+    assert rounded(beliefs[0]) == pytest.approx(beliefs[0], abs=1e-12)
+    assert not np.array_equal(rounded(np.array([0.5])), rounded(np.array([0.5 + 1e-11])))

@@ -1,0 +1,100 @@
+"""What a run says in MLflow, noted by a client that keeps what it is sent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from xplain.experiment.results import ElbowFigures, Figure, Results, TypeNames
+from xplain.runs.mlflow import fill
+
+RESULTS = Results(
+    name="by hand",
+    xplain="0",
+    code="c0de",
+    git={},
+    started=1000.5,
+    seconds={"learn": 2.0, "explain": 3.5},
+    choices={"solver": "qmdp"},
+    config={"seed": 4, "solver": {"memory": {"limit": 2}}},
+    metrics={"regret": Figure(1.25, 1.0, 1.5), "types": Figure(3.0, None, None)},
+    bounds={"gap": 0.01},
+    learning={"adjusted_rand_index": 0.9},
+    elbow=ElbowFigures("kneedle", (40.0, 7.0, 1.0)),
+    messages={},
+    scene=None,
+    types=TypeNames((), (), (), ()),
+    steps={"belief": (0.2, 0.6, 0.9)},
+    episodes=(),
+)
+
+
+class Notebook:
+    """Takes what a client of MLflow is told."""
+
+    def __init__(self) -> None:
+        self.metrics: list[tuple[str, float, int]] = []
+        self.params: dict[str, str] = {}
+        self.tags: dict[str, str] = {}
+        self.times: set[int] = set()
+        self.files: list[str] = []
+        self.ended: list[tuple[str, str, int]] = []
+
+    def log_batch(self, run: str, metrics: Any, params: Any, tags: Any) -> None:
+        self.metrics += [(one.key, one.value, one.step) for one in metrics]
+        self.times |= {one.timestamp for one in metrics}
+        self.params |= {one.key: one.value for one in params}
+        self.tags |= {one.key: one.value for one in tags}
+
+    def log_artifact(self, run: str, path: str) -> None:
+        self.files.append(Path(path).name)
+
+    def set_terminated(self, run: str, status: str, end: int) -> None:
+        self.ended.append((run, status, end))
+
+
+def noted(folder: Path) -> Notebook:
+    notebook = Notebook()
+    fill(notebook, "run", folder, RESULTS)  # type: ignore[arg-type]
+    return notebook
+
+
+def curve(notebook: Notebook, name: str) -> dict[int, float]:
+    return {step: value for key, value, step in notebook.metrics if key == name}
+
+
+def test_curves_stand_at_the_numbers_they_belong_to(tmp_path: Path) -> None:
+    notebook = noted(tmp_path)
+    # Disagreements with one type, two, three; beliefs before the first step, after it, …
+    assert curve(notebook, "disagreements") == {1: 40.0, 2: 7.0, 3: 1.0}
+    assert curve(notebook, "step/belief") == {0: 0.2, 1: 0.6, 2: 0.9}
+
+
+def test_each_figure_is_logged_once_under_its_name(tmp_path: Path) -> None:
+    notebook = noted(tmp_path)
+    single = {key: value for key, value, _ in notebook.metrics if "belief" not in key}
+    del single["disagreements"]
+    assert single == {
+        "regret": 1.25,
+        "regret.low": 1.0,
+        "regret.high": 1.5,
+        "types": 3.0,
+        "learning/adjusted_rand_index": 0.9,
+        "bounds/gap": 0.01,
+        "seconds/learn": 2.0,
+        "seconds/explain": 3.5,
+    }
+    assert len(notebook.metrics) == len(single) + 3 + 3
+    assert notebook.params == {"solver": "qmdp", "seed": "4", "solver.memory.limit": "2"}
+    assert notebook.tags["xplain.rule"] == "kneedle"
+
+
+def test_a_run_ends_when_its_work_did_and_hides_no_file(tmp_path: Path) -> None:
+    for name in ("results.json", ".lock", "elbow.svg"):
+        (tmp_path / name).touch()
+    (tmp_path / "folder").mkdir()
+    notebook = noted(tmp_path)
+    # Milliseconds: 1000.5 s + 2 s + 3.5 s.
+    assert notebook.ended == [("run", "FINISHED", 1_006_000)]
+    assert notebook.times == {1_006_000}
+    assert notebook.files == ["elbow.svg", "results.json"]

@@ -1,0 +1,26 @@
+"""Optimal values of known types by the plainest recursion: the oracle of tables and bounds."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from xplain.explanation.problem import Problem
+
+
+def plain_optimal_value(problem: Problem, t: int, step: int = 0, given: int = 0) -> float:
+    """The Bellman recursion over single actions, as SPEC §5 states it."""
+    per_message = problem.discount if problem.discount_per == "action" else 1.0
+
+    @cache
+    def value(k: int, shown: int) -> float:
+        if k == problem.n_steps:
+            return 0.0
+        zeros = sum(1 - problem.p_explicable[t, i, shown] for i in range(k + 1))
+        best = -problem.inexplicability_cost * zeros + problem.discount * value(k + 1, shown)
+        for j in range(problem.n_messages):
+            if not shown >> j & 1:
+                price = problem.trade_off * problem.message_cost[j]
+                best = max(best, -price + per_message * value(k, shown | 1 << j))
+        return float(best)
+
+    return value(step, given)
