@@ -12,7 +12,8 @@ import pytest
 from flask.testing import FlaskClient
 
 from tests.study.stand_in import street_study
-from xplain.participants.server.participant_pages import Server, create_app
+from xplain.participants.server.app import create_app
+from xplain.participants.server.http import Server
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import Browser
 from xplain.study.protocol.plan import Study

@@ -36,7 +36,7 @@ from xplain.participants.simulation.chromium import (
     wait,
 )
 from xplain.participants.simulation.http_client import Page, fill
-from xplain.study.analysis.table2 import replay
+from xplain.study.analysis import replay
 from xplain.study.prepare import study_of, study_plan
 from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import Habits, Person

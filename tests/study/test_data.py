@@ -16,10 +16,11 @@ from tests.study.conftest import Visitor
 from xplain.errors import InputError
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import visit
+from xplain.study.analysis import export, replay
+from xplain.study.analysis import main as analyse
 from xplain.study.analysis.codebook import CODEBOOK
 from xplain.study.analysis.table2 import analyse as analysis_of
-from xplain.study.analysis.table2 import export, paper_table, read, replay
-from xplain.study.analysis.table2 import main as analyse
+from xplain.study.analysis.table2 import paper_table, read
 from xplain.study.analysis.timing import hidden, interaction
 from xplain.study.protocol.machine import State
 from xplain.study.simulation.participant import Habits, Person

@@ -16,19 +16,19 @@ import pytest
 
 from tests.study.conftest import FAULTLESS, GENEROUS, Visitor, consent
 from tests.study.server import ServerProcess
-from xplain.participants.server.participant_pages import create_app
+from xplain.participants.server.app import create_app
 from xplain.participants.server.security import Keys
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
 from xplain.participants.simulation.http_client import Page, fill
-from xplain.study.analysis.table2 import replay
+from xplain.study.analysis import replay
 from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import Person
 
 Send = Callable[[str, str, dict[str, str], bytes], int]
 ROUTES = (
     *("/", "/enter", "/study", "/events", "/alive", "/researcher", "/researcher/login"),
-    *("/researcher/invitations", "/researcher/export", "/static/study.js", "/static/../web.py"),
+    *("/researcher/invitations", "/researcher/export", "/static/study.js", "/static/../app.py"),
     *("/static/%2e%2e/schema.sql", "/nowhere", "//", "/study/", "/%00", "/study;x=1"),
 )
 METHODS = ("GET", "POST", "POST", "POST", "POST", "PUT", "DELETE", "HEAD", "OPTIONS", "PATCH")

@@ -17,8 +17,7 @@ from tests.study.stand_in import street_plan, street_study
 from xplain.errors import XplainError
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.study import prepare
-from xplain.study.protocol import content
-from xplain.study.protocol import machine as protocol
+from xplain.study.protocol import content, machine
 from xplain.study.protocol.machine import Refused, State
 from xplain.study.protocol.plan import Study, StudyPlan
 from xplain.study.simulation.participant import take_part
@@ -47,7 +46,7 @@ def at_evaluation(study: Study, user_type: int, condition: str) -> State:
         ("example", {"label": 1}),
         ("eligibility", {"answers": right}),
     ):
-        state = protocol.advance(study, state, kind, payload).state
+        state = machine.advance(study, state, kind, payload).state
     return state
 
 
@@ -64,7 +63,7 @@ def test_participants_meet_what_the_offline_experiment_computes(
         assert (state.step, state.new) == (k, offline.messages[k])
         assert state.belief == tuple(offline.beliefs[k].tolist())
         labels = plan.true_labels[user_type, : k + 1, state.given].tolist()
-        state = protocol.advance(study, state, "labels", {"labels": labels}).state
+        state = machine.advance(study, state, "labels", {"labels": labels}).state
     assert state.stage == "quiz"
     assert state.belief == tuple(offline.beliefs[-1].tolist())
 
@@ -74,7 +73,7 @@ def test_conformant_does_not_listen_and_personalized_does(study: Study) -> None:
         state = at_evaluation(study, user_type, condition)
         while state.stage == "evaluation":
             labels = study.plan.true_labels[user_type, : state.step + 1, state.given].tolist()
-            state = protocol.advance(study, state, "labels", {"labels": labels}).state
+            state = machine.advance(study, state, "labels", {"labels": labels}).state
         return state.given
 
     assert len({given("conformant", t) for t in range(3)}) == 1
@@ -98,29 +97,29 @@ def test_a_faultless_participant_errs_only_where_nothing_was_said(study: Study) 
 def test_failing_the_check_leads_to_the_briefing_then_to_a_polite_end(study: Study) -> None:
     wrong = [1 - q.answer for q in study.plan.roles[0].eligibility]
     state = State(stage="eligibility", user_type=0, condition="conformant")
-    state = protocol.advance(study, state, "eligibility", {"answers": wrong}).state
+    state = machine.advance(study, state, "eligibility", {"answers": wrong}).state
     assert (state.stage, state.attempts, state.wrong) == ("briefing", 1, True)
-    assert protocol.page(study, state)["attempts_left"] == 1
-    state = protocol.advance(study, state, "read", {}).state
+    assert machine.page(study, state)["attempts_left"] == 1
+    state = machine.advance(study, state, "read", {}).state
     assert state.stage == "eligibility"  # the practice is not repeated
-    state = protocol.advance(study, state, "eligibility", {"answers": wrong}).state
+    state = machine.advance(study, state, "eligibility", {"answers": wrong}).state
     assert (state.stage, state.over) == ("ineligible", True)
 
 
 def test_practice_goes_on_until_it_is_understood(study: Study) -> None:
     state = State(stage="training", user_type=0, condition="conformant")
-    state = protocol.advance(study, state, "example", {"label": 1}).state
+    state = machine.advance(study, state, "example", {"label": 1}).state
     assert (state.part, state.wrong) == (0, True)
-    state = protocol.advance(study, state, "example", {"label": 0}).state
+    state = machine.advance(study, state, "example", {"label": 0}).state
     assert (state.part, state.wrong) == (1, False)
-    assert protocol.advance(study, state, "example", {"label": 1}).state.stage == "eligibility"
+    assert machine.advance(study, state, "example", {"label": 1}).state.stage == "eligibility"
 
 
 def test_quiz_scores_every_statement_judged_rightly(study: Study) -> None:
     state = State(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
     true = [i for i, s in enumerate(study.plan.roles[1].quiz) if s.true]
     for chosen, score in ((true, 4), ([], 2), ([0, 1, 2, 3], 2), (true[:1], 3)):
-        outcome = protocol.advance(study, state, "quiz", {"chosen": chosen})
+        outcome = machine.advance(study, state, "quiz", {"chosen": chosen})
         assert outcome.state.score == score
 
 
@@ -148,25 +147,25 @@ def test_whatever_comes_is_refused_or_leads_to_a_stage(study: Study, data: Any) 
             ]
         )
     )
-    kind = data.draw(st.sampled_from([*protocol.KINDS.values(), "withdraw", "", "x"]))
+    kind = data.draw(st.sampled_from([*machine.KINDS.values(), "withdraw", "", "x"]))
     payload = data.draw(st.dictionaries(st.sampled_from(KEYS), PAYLOADS))
     try:
-        after = protocol.advance(study, state, kind, payload).state
+        after = machine.advance(study, state, kind, payload).state
     except Refused:
         return
     assert after.accepted == state.accepted + 1
-    assert after.stage in (*protocol.STAGES, *protocol.ENDS)
+    assert after.stage in (*machine.STAGES, *machine.ENDS)
     assert State.from_text(after.text) == after
-    protocol.page(study, after)
+    machine.page(study, after)
 
 
 def test_pages_carry_nothing_that_tells_type_condition_or_answers(study: Study) -> None:
     for user_type, condition in study.plan.cells:
         state = at_evaluation(study, user_type, condition)
-        view = protocol.page(study, state)
+        view = machine.page(study, state)
         assert not view.keys() & {"belief", "condition", "user_type", "true", "score", "values"}
         quiz = State(stage="quiz", user_type=user_type, condition=condition, orders=ORDERS)
-        texts = [text for _, text in protocol.page(study, quiz)["statements"]]
+        texts = [text for _, text in machine.page(study, quiz)["statements"]]
         assert sorted(texts) == sorted(s.text for s in study.plan.roles[user_type].quiz)
 
 
@@ -231,5 +230,5 @@ def test_persistent_belief_is_taken_from_the_configuration() -> None:
     offline = explain(study.plan.problem, study.policies["personalized"], user, study.belief)
     while state.stage == "evaluation":
         labels = study.plan.true_labels[0, : state.step + 1, state.given].tolist()
-        state = protocol.advance(study, state, "labels", {"labels": labels}).state
+        state = machine.advance(study, state, "labels", {"labels": labels}).state
     assert state.belief == tuple(offline.beliefs[-1].tolist())

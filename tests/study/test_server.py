@@ -19,14 +19,14 @@ from tests.study.conftest import FAULTLESS, GENEROUS, Visitor
 from tests.study.server import ServerProcess
 from tests.study.stand_in import street_study
 from xplain.errors import InputError
-from xplain.participants.server.participant_pages import create_app
+from xplain.participants.server.app import create_app
 from xplain.participants.server.store import Store
 from xplain.participants.simulation import bots
 from xplain.participants.simulation.bots import Researcher
 from xplain.participants.simulation.http_client import Browser, Page, Refusal, fill, visit
+from xplain.study.analysis import main as analyse
+from xplain.study.analysis import replay
 from xplain.study.analysis.export import export
-from xplain.study.analysis.table2 import main as analyse
-from xplain.study.analysis.table2 import replay
 from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import Habits, Person
 

@@ -14,8 +14,8 @@ import pytest
 from tests.study.conftest import GENEROUS, Visitor, consent
 from tests.study.stand_in import street_plan, street_study
 from xplain.errors import XplainError
+from xplain.participants.server.app import create_app
 from xplain.participants.server.database import Clock, read_plan
-from xplain.participants.server.participant_pages import create_app
 from xplain.participants.server.slots import Full
 from xplain.participants.server.store import MAX_TAB_EVENTS, Store, Unknown
 from xplain.participants.simulation.http_client import visit

@@ -15,8 +15,9 @@ from flask.testing import FlaskClient
 from tests.study.conftest import FAULTLESS, GENEROUS, Visitor, enter, field
 from tests.study.stand_in import street_plan
 from xplain.errors import InputError
+from xplain.participants.server.app import create_app
+from xplain.participants.server.http import Server
 from xplain.participants.server.map_svg import legend, picture
-from xplain.participants.server.participant_pages import Server, create_app
 from xplain.participants.server.security import Keys, RateLimit
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import Page, fill, visit

@@ -38,7 +38,7 @@ def serve(cfg: DictConfig) -> None:
     Raises:
         XplainError: the configuration or the database cannot be used.
     """
-    from xplain.participants.server.participant_pages import Server
+    from xplain.participants.server.http import Server
 
     check_address(cfg)
     path = Path(cfg.database).absolute()
@@ -82,7 +82,7 @@ def running_study(cfg: DictConfig, path: Path) -> tuple[Any, list[str]]:
 def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
     from gunicorn.app.base import BaseApplication  # type: ignore[import-untyped]
 
-    from xplain.participants.server.participant_pages import create_app
+    from xplain.participants.server.app import create_app
     from xplain.participants.server.store import Store
 
     class Application(BaseApplication):  # type: ignore[misc]

@@ -15,8 +15,7 @@ from xplain.domains.base import Domain, Scene, transition_features
 from xplain.errors import InputError, XplainError
 from xplain.experiment.pipeline import Costs
 from xplain.randomness import derived_seed, stream
-from xplain.study.protocol import content
-from xplain.study.protocol import machine as protocol
+from xplain.study.protocol import content, machine
 from xplain.study.protocol.plan import Asked, Rules, Study, StudyPlan, Texts, Training
 from xplain.study.settings import fixed
 from xplain.users.setting import Setting
@@ -220,14 +219,14 @@ def probes(study: Study) -> dict[str, tuple[str, ...]]:
         walks = []
         for walk in range(PROBES):
             rng = stream(0, "probes", walk)
-            state = protocol.State(stage="eligibility", user_type=0, condition=condition)
+            state = machine.State(stage="eligibility", user_type=0, condition=condition)
             right = [question.answer for question in study.plan.roles[0].eligibility]
-            state = protocol.advance(study, state, "eligibility", {"answers": right}).state
+            state = machine.advance(study, state, "eligibility", {"answers": right}).state
             messages = [state.new]
             while state.stage == "evaluation":
                 # Mostly 1, so that beliefs stay apart rather than settle at once.
                 labels = (rng.random(state.step + 1) < 0.8).astype(int).tolist()
-                state = protocol.advance(study, state, "labels", {"labels": labels}).state
+                state = machine.advance(study, state, "labels", {"labels": labels}).state
                 messages.append(state.new)
             walks.append(f"{messages} {[float(b).hex() for b in state.belief]}")
         found[condition] = tuple(walks)

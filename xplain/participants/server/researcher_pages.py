@@ -11,9 +11,9 @@ from flask import Blueprint, Response, make_response, redirect, render_template,
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.participants.server import forms
-from xplain.participants.server.participant_pages import context, error_page, set_cookie
+from xplain.participants.server.http import context, error_page, genuine, set_cookie
 from xplain.participants.server.store import STREAMS
-from xplain.study.protocol import machine as protocol
+from xplain.study.protocol import machine
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
 COOKIE, WHO = "researcher", "researcher"
@@ -26,8 +26,7 @@ def _known() -> bool:
 
 
 def _genuine() -> bool:
-    keys = context().keys
-    return _known() and keys.same(request.form.get("token", ""), keys.form(WHO))
+    return _known() and genuine(WHO)
 
 
 @pages.get("")
@@ -62,11 +61,11 @@ def _overview(invitations: list[str]) -> Response:
             people=people,
             now=now,
             slots=slots,
-            stages=(*protocol.STAGES, *protocol.ENDS),
+            stages=(*machine.STAGES, *machine.ENDS),
             flow={(row["stream"], row["stage"]): row["number"] for row in flow},
             streams=[name for name in STREAMS if any(row["stream"] == name for row in flow)],
             roles=own.study.plan.roles,
-            entrance=url_for("entrance", _external=True),
+            entrance=url_for("participant.entrance", _external=True),
             invitations=invitations,
             plan_hash=own.study.plan.hash,
         )

@@ -16,7 +16,7 @@ from typing import Any
 from xplain.errors import InputError
 from xplain.participants.server import slots
 from xplain.participants.server.database import Clock, Database, Do
-from xplain.study.protocol import machine as protocol
+from xplain.study.protocol import machine
 from xplain.study.protocol.machine import Refused, State
 from xplain.study.protocol.plan import Study
 
@@ -212,7 +212,7 @@ class Store(Database):
         payload: Mapping[str, Any],
         browser: float | None,
     ) -> State:
-        outcome = protocol.advance(self.study, state, kind, payload)
+        outcome = machine.advance(self.study, state, kind, payload)
         after = outcome.state
         self._record(do, who, "protocol", state.accepted, kind, payload, browser)
         if answer := outcome.answer:

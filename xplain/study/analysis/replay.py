@@ -15,7 +15,7 @@ from pathlib import Path
 
 from xplain.study.analysis.export import plan_of, reading
 from xplain.study.prepare import study_of
-from xplain.study.protocol import machine as protocol
+from xplain.study.protocol import machine
 from xplain.study.protocol.machine import Refused, State
 from xplain.study.protocol.plan import Study
 from xplain.study.settings import one_clear_line
@@ -67,7 +67,7 @@ def _replay_one(
             found.differences.append(f"{who}: event {event['sequence']} is out of order")
             return
         try:
-            outcome = protocol.advance(study, state, event["kind"], json.loads(event["payload"]))
+            outcome = machine.advance(study, state, event["kind"], json.loads(event["payload"]))
         except Refused as error:
             found.differences.append(f"{who}: event {event['sequence']} is refused: {error}")
             return
