@@ -15,7 +15,11 @@ from xplain.domains.base import Item, Parameter, Scene
 from xplain.domains.mdp import MDP
 from xplain.study.prepare import assemble, study_of
 from xplain.study.protocol.plan import Study, StudyPlan
+from xplain.study.simulation.participant import Habits
 from xplain.users.setting import Setting, UserType
+
+FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
+"""Of a participant who errs, forgets and leaves nowhere."""
 
 PLACES = ("bridge", "market", "school", "tunnel")
 

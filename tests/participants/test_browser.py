@@ -18,9 +18,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.study.conftest import FAULTLESS
-from tests.study.server import ROOT, ServerProcess
-from tests.study.stand_in import street_study
+from tests.participants.server_process import ROOT, ServerProcess
+from tests.study.stand_in import FAULTLESS, street_study
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
 from xplain.participants.simulation.chromium import (

@@ -14,8 +14,9 @@ from urllib.parse import quote, urlencode
 import numpy as np
 import pytest
 
-from tests.study.conftest import FAULTLESS, GENEROUS, Visitor, consent
-from tests.study.server import ServerProcess
+from tests.participants.server_process import ServerProcess
+from tests.participants.visitors import GENEROUS, Visitor, consent
+from tests.study.stand_in import FAULTLESS
 from xplain.participants.server.app import create_app
 from xplain.participants.server.security import Keys
 from xplain.participants.server.store import Store
@@ -160,7 +161,7 @@ def prey(store: Store) -> tuple[list[tuple[str, str]], list[str]]:
 
 
 def _way(visitor: Visitor, person: Person, invitation: str) -> Iterator[Page]:
-    from tests.study.conftest import enter
+    from tests.participants.visitors import enter
 
     page = Page(enter(visitor, invitation))
     while True:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from typing import Any
@@ -12,14 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.study.conftest import FAULTLESS
-from tests.study.stand_in import street_plan, street_study
-from xplain.errors import XplainError
+from tests.study.stand_in import FAULTLESS, street_study
 from xplain.evaluation.episode import SimulatedUser, explain
-from xplain.study import prepare
-from xplain.study.protocol import content, machine
+from xplain.study.protocol import machine
 from xplain.study.protocol.machine import Refused, State
-from xplain.study.protocol.plan import Study, StudyPlan
+from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import take_part
 
 ORDERS = {"eligibility": (2, 0, 1, 3), "quiz": (3, 2, 1, 0)}
@@ -128,6 +124,8 @@ PAYLOADS = st.recursive(
     lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=3), inner),
     max_leaves=6,
 )
+
+
 KEYS = ("agree", "text", "label", "labels", "answers", "chosen", "age", "comment")
 
 
@@ -169,60 +167,6 @@ def test_pages_carry_nothing_that_tells_type_condition_or_answers(study: Study) 
         assert sorted(texts) == sorted(s.text for s in study.plan.roles[user_type].quiz)
 
 
-def test_a_plan_survives_storage_to_the_last_bit() -> None:
-    for shown in (True, False):
-        plan = street_plan(shown)
-        again = StudyPlan.from_text(plan.text)
-        assert again.text == plan.text
-        assert again.hash == plan.hash
-        assert again.problem.p_explicable.tobytes() == plan.problem.p_explicable.tobytes()
-        assert (again.scene, again.path, again.roles) == (plan.scene, plan.path, plan.roles)
-
-
-def test_code_that_decides_differently_does_not_run_the_study() -> None:
-    plan = street_plan()
-    value = json.loads(plan.text)
-    value["conditions"]["personalized"] = value["conditions"]["conformant"]
-    with pytest.raises(XplainError, match="decides differently"):
-        prepare.study_of(StudyPlan.from_text(json.dumps(value)))
-
-
-def test_needed_messages_are_smallest(study: Study) -> None:
-    plan = study.plan
-    for role, labels in zip(plan.roles, plan.true_labels, strict=True):
-        mask = content.needed(labels)
-        assert mask == sum(1 << j for j in role.wrong)
-        assert labels[:, mask].all()
-        smaller = [m for m in range(16) if m.bit_count() < mask.bit_count()]
-        assert not any(labels[:, m].all() for m in smaller)
-
-
-def test_roles_follow_from_the_sentences(study: Study) -> None:
-    plan = study.plan
-    for role in plan.roles:
-        for j, (fact, told) in enumerate(zip(plan.facts, role.briefing, strict=True)):
-            assert told == (fact.belief if j in role.wrong else fact.message)
-        true = [s for s in role.quiz if s.true]
-        assert [plan.facts[j].name for j in role.wrong] == [s.fact for s in true]
-        assert all(s.text == plan.facts[_of(plan, s.fact)].message for s in true)
-        false = [s for s in role.quiz if not s.true]
-        assert len(false) == 2
-        assert not {s.fact for s in false} & {s.fact for s in true}
-        assert all(s.text == plan.facts[_of(plan, s.fact)].belief for s in false)
-    # A reward with a phrase gets the paper's question; what is no number gets the sentences.
-    assert plan.roles[0].eligibility[0].options == ("0 or more", "less than 0")
-    assert plan.roles[0].eligibility[0].answer == 1
-    assert plan.roles[2].eligibility[0].answer == 0
-    assert set(plan.roles[0].eligibility[3].options) == {
-        plan.facts[3].message,
-        plan.facts[3].belief,
-    }
-
-
-def _of(plan: StudyPlan, name: str) -> int:
-    return [fact.name for fact in plan.facts].index(name)
-
-
 def test_persistent_belief_is_taken_from_the_configuration() -> None:
     study = street_study(belief={"_target_": "xplain.explanation.belief.Persistent"})
     state = at_evaluation(study, 0, "personalized")
@@ -232,3 +176,8 @@ def test_persistent_belief_is_taken_from_the_configuration() -> None:
         labels = study.plan.true_labels[0, : state.step + 1, state.given].tolist()
         state = machine.advance(study, state, "labels", {"labels": labels}).state
     assert state.belief == tuple(offline.beliefs[-1].tolist())
+
+
+def test_states_are_read_back_as_they_were() -> None:
+    state = State(stage="evaluation", belief=(0.1 + 0.2, 1 / 3), labels=(1, 0), previous=0)
+    assert State.from_text(state.text) == state

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.study.conftest import GENEROUS, Visitor, consent
+from tests.participants.visitors import GENEROUS, Visitor, consent
 from tests.study.stand_in import street_plan, street_study
 from xplain.errors import XplainError
 from xplain.participants.server.app import create_app

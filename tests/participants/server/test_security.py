@@ -1,0 +1,44 @@
+"""Cookies and tokens that only the server can make, and the limit of requests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from flask import Flask
+
+from tests.participants.visitors import Visitor, enter, field
+from xplain.participants.server.security import RateLimit
+from xplain.participants.server.store import Store
+
+
+def test_nobody_can_be_somebody_else(
+    store: Store, app: Flask, browser: Callable[[], Visitor]
+) -> None:
+    one, two = browser(), browser()
+    first, second = (
+        enter(v, t) for v, t in zip((one, two), store.invite(2, "person"), strict=True)
+    )
+    # The other one's form with one's own cookie.
+    fields = [(n, field(first, n)) for n in ("token", "sequence", "kind", "text")]
+    status, _ = two.post("/study", [*fields, ("agree", "1")])
+    assert status == 403
+    assert field(first, "token") != field(second, "token")
+    # A cookie made from the other one's id, without the server's key.
+    ids = [row["id"] for row in store.query("SELECT id FROM participant")]
+    for value in (*ids, f"{ids[0]}.", f"{ids[0]}.{'0' * 64}", "." * 9, "\x00", "é" * 40):
+        client = app.test_client()
+        client.set_cookie("participant", value)
+        assert client.get("/study").status_code == 403
+        assert client.post("/events", json={}).status_code == 403
+
+
+def test_a_bucket_fills_up_again_and_forgets_the_oldest() -> None:
+    now = [0.0]
+    limit = RateLimit(2.0, 3.0, lambda: now[0], most=2)
+    assert [limit.allows("a") for _ in range(4)] == [True, True, True, False]
+    now[0] = 0.5
+    assert [limit.allows("a") for _ in range(2)] == [True, False]
+    limit.allows("b")
+    limit.allows("c")
+    assert len(limit._buckets) == 2
+    assert limit.allows("a")
