@@ -60,7 +60,11 @@ def _only(store: Store) -> str:
 
 def test_requests_are_limited_by_participant_and_by_address(tmp_path: Path, study: Study) -> None:
     store = Store(tmp_path / "s.sqlite", study)
-    app = create_app(store, Server(burst=20, visitor_burst=10))
+    slow = {
+        "requests_per_second": 1e-6,
+        "visitors_per_second": 1e-6,
+    }
+    app = create_app(store, Server(burst=20, visitor_burst=10, **slow))
     client = app.test_client()
     statuses = [client.get("/").status_code for _ in range(12)]
     assert statuses[:10] == [200] * 10
@@ -69,7 +73,7 @@ def test_requests_are_limited_by_participant_and_by_address(tmp_path: Path, stud
     with client.get("/static/study.css") as style:
         assert style.status_code == 200
     other = app.test_client()
-    other.set_cookie("participant", Keys(store.keyed).cookie(store.enter_open()))
+    other.set_cookie("participant", Keys(store.secret).cookie(store.enter_open()))
     assert other.get("/study").status_code == 200  # not held back by the crowd
     assert {other.get("/study").status_code for _ in range(25)} == {200, 429}
     store.close()
