@@ -128,7 +128,7 @@ def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
 def _researcher_key(store: Any) -> str:
     from xplain.participants.server.security import Keys
 
-    return Keys(store.keyed).researcher
+    return Keys(store.secret).researcher
 
 
 if __name__ == "__main__":

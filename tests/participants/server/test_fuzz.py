@@ -143,7 +143,7 @@ def attack(send: Send, count: int, seed: int, cookies: list[tuple[str, str]]) ->
 
 def prey(store: Store) -> tuple[list[tuple[str, str]], list[str]]:
     """Participants at every stage: some owned by the attacker, and as many others."""
-    keys, owned, others = Keys(store.keyed), [], []
+    keys, owned, others = Keys(store.secret), [], []
     app = create_app(store, GENEROUS)
     for number in range(20):
         (invitation,) = store.invite(1, "bot")

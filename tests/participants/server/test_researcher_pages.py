@@ -16,7 +16,7 @@ def test_the_researchers_page_needs_its_key(store: Store, client: FlaskClient) -
     for path in ("/researcher/invitations", "/researcher/export"):
         assert client.post(path, data={"count": "1", "stream": "bot"}).status_code == 403
     assert client.post("/researcher/login", data={"key": "guess"}).status_code == 403
-    keys = Keys(store.keyed)
+    keys = Keys(store.secret)
     done = client.post("/researcher/login", data={"key": keys.researcher})
     assert done.status_code == 303
     assert "SameSite=Strict" in done.headers["Set-Cookie"]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from flask import Flask
 
 from tests.participants.visitors import Visitor, enter, field
-from xplain.participants.server.security import RateLimit
+from xplain.participants.server.security import Keys, RateLimit
 from xplain.participants.server.store import Store
 
 
@@ -30,6 +30,28 @@ def test_nobody_can_be_somebody_else(
         client.set_cookie("participant", value)
         assert client.get("/study").status_code == 403
         assert client.post("/events", json={}).status_code == 403
+
+
+def test_what_is_signed_is_good_for_one_purpose_one_owner_and_one_server() -> None:
+    keys, others = Keys(b"k" * 32), Keys(b"o" * 32)
+    cookie, token = keys.cookie("anna"), keys.form("anna")
+    assert keys.owner(cookie) == "anna"
+    assert others.owner(cookie) is None
+    assert keys.owner(cookie.replace("anna", "bert")) is None
+    assert keys.owner(f"anna.{token}") is None  # a form's token makes no cookie
+    assert keys.owns_form("anna", token)
+    assert not others.owns_form("anna", token)
+    assert not keys.owns_form("bert", token)
+    assert not keys.owns_form("anna", cookie.partition(".")[2])
+    assert not keys.owns_form("anna", "\ud800")  # half a character, as JSON may bring it
+    session = keys.researcher_cookie
+    assert keys.is_researcher_cookie(session)
+    assert not others.is_researcher_cookie(session)
+    assert not keys.is_researcher_cookie(keys.cookie("researcher"))
+    assert keys.is_researcher(keys.researcher)
+    assert not keys.is_researcher(others.researcher)
+    assert not keys.is_researcher("é")
+    assert "kkkk" not in repr(keys)
 
 
 def test_a_bucket_fills_up_again_and_forgets_the_oldest() -> None:

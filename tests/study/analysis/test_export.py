@@ -34,7 +34,7 @@ def test_tables_say_what_their_codebook_says(snapshot: Path, store: Store, tmp_p
         assert row["interaction_time_s"] > 0
     assert json.loads((out / "plan.json").read_text())["seed"] == store.study.plan.seed
     everything = "".join(path.read_text() for path in out.glob("*.csv"))
-    assert store._key.hex() not in everything
+    assert store.secret.hex() not in everything
 
 
 def test_a_database_in_use_is_not_read(

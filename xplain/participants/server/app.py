@@ -43,7 +43,7 @@ def create_app(store: Store, server: Server) -> Flask:
     app.extensions["study"] = Context(
         store,
         store.study,
-        Keys(store.keyed),
+        Keys(store.secret),
         server,
         RateLimit(server.requests_per_second, server.burst),
         RateLimit(server.visitors_per_second, server.visitor_burst),

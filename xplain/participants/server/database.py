@@ -79,7 +79,7 @@ class Database:
         except Timeout:
             raise XplainError(f"database={path}: another process is using it") from None
         try:
-            self._key = _key(path)
+            self.secret = _secret(path)
             self._lock = threading.RLock()
             self._connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
             os.chmod(path, 0o600)
@@ -137,12 +137,13 @@ class Database:
             self._connection.execute("VACUUM INTO ?", (str(path),))
 
     def keyed(self, *parts: str) -> str:
-        """A keyed hash: nobody without the server's key can make or reverse it."""
+        """A hash of texts that are only ever looked up (invitations, outside ids): nobody without
+        the server's secret can make or reverse it."""
         message = "\x1f".join(parts).encode(errors="replace")
-        return hmac.new(self._key, message, hashlib.sha256).hexdigest()
+        return hmac.new(self.secret, message, hashlib.sha256).hexdigest()
 
 
-def _key(path: Path) -> bytes:
+def _secret(path: Path) -> bytes:
     """The server's secret, in a file of its own beside the database, for its owner only."""
     file = path.with_name(path.name + ".key")
     try:
@@ -150,8 +151,8 @@ def _key(path: Path) -> bytes:
     except FileExistsError:
         return file.read_bytes()
     with os.fdopen(handle, "wb") as out:
-        key = secrets.token_bytes(32)
-        out.write(key)
+        secret = secrets.token_bytes(32)
+        out.write(secret)
         out.flush()
         os.fsync(out.fileno())
-    return key
+    return secret

@@ -164,9 +164,9 @@ def events() -> AnyResponse:
         value: Any = request.get_json(force=True, silent=True)
     except RecursionError:  # brackets within brackets
         value = None
-    keys = context().keys
     token = value.get("token") if isinstance(value, dict) else None
-    if found is None or not isinstance(token, str) or not keys.same(token, keys.form(found.id)):
+    keys = context().keys
+    if found is None or not isinstance(token, str) or not keys.owns_form(found.id, token):
         return make_response({"error": "not yours"}, 403)
     try:
         tab, items = forms.tab_items(value)

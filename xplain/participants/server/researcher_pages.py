@@ -21,8 +21,7 @@ MOST_INVITATIONS = 500
 
 
 def _known() -> bool:
-    keys = context().keys
-    return keys.same(request.cookies.get(COOKIE, ""), keys.researcher_session)
+    return context().keys.is_researcher_cookie(request.cookies.get(COOKIE, ""))
 
 
 def _genuine() -> bool:
@@ -76,10 +75,10 @@ def _overview(invitations: list[str]) -> Response:
 def login() -> AnyResponse:
     """Trades the token for a cookie."""
     keys = context().keys
-    if not keys.same(request.form.get("key", ""), keys.researcher):
+    if not keys.is_researcher(request.form.get("key", "")):
         return error_page(403, "This is not the researcher's key. The server prints it at start.")
     response = redirect(url_for("researcher.overview"), 303)
-    set_cookie(response, COOKIE, keys.researcher_session, "Strict")
+    set_cookie(response, COOKIE, keys.researcher_cookie, "Strict")
     return response
 
 
