@@ -27,7 +27,8 @@ from tests.participants.server_process import ServerProcess
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
 from xplain.participants.simulation.http_client import Browser, Page, fill
-from xplain.study.prepare import study_of, study_plan
+from xplain.study.policies import study_of
+from xplain.study.prepare import study_plan
 from xplain.study.protocol.plan import StudyPlan
 from xplain.study.settings import composed
 from xplain.study.simulation.participant import Habits, Person

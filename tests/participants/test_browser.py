@@ -36,7 +36,8 @@ from xplain.participants.simulation.chromium import (
 )
 from xplain.participants.simulation.http_client import Page, fill
 from xplain.study.analysis import replay
-from xplain.study.prepare import study_of, study_plan
+from xplain.study.policies import study_of
+from xplain.study.prepare import study_plan
 from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import Habits, Person
 

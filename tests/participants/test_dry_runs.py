@@ -209,7 +209,8 @@ def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFix
 
 @pytest.mark.slow
 def test_forty_bots_in_the_rescue_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from xplain.study.prepare import study_of, study_plan
+    from xplain.study.policies import study_of
+    from xplain.study.prepare import study_plan
     from xplain.study.settings import composed
 
     study = study_of(study_plan(composed(["rules.per_cell=4", "rules.timeout_minutes=0.05"])))

@@ -8,7 +8,7 @@ import pytest
 
 from tests.study.stand_in import street_plan
 from xplain.errors import XplainError
-from xplain.study import prepare
+from xplain.study.policies import study_of
 from xplain.study.protocol.plan import StudyPlan
 
 
@@ -17,4 +17,4 @@ def test_code_that_decides_differently_does_not_run_the_study() -> None:
     value = json.loads(plan.text)
     value["conditions"]["personalized"] = value["conditions"]["conformant"]
     with pytest.raises(XplainError, match="decides differently"):
-        prepare.study_of(StudyPlan.from_text(json.dumps(value)))
+        study_of(StudyPlan.from_text(json.dumps(value)))

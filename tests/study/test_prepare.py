@@ -18,7 +18,8 @@ from xplain.study.simulation.participant import Person
 
 
 def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
-    from xplain.study.prepare import study_of, study_plan
+    from xplain.study.policies import study_of
+    from xplain.study.prepare import study_plan
     from xplain.study.settings import composed
 
     cfg = composed(["observers.points=150", "trace.candidates=40"])
@@ -39,7 +40,8 @@ def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
 
 
 def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) -> None:
-    from xplain.study.prepare import study_of, study_plan
+    from xplain.study.policies import study_of
+    from xplain.study.prepare import study_plan
     from xplain.study.settings import composed
 
     cfg = composed(["domain=four_rooms", "observers.points=150", "trace.candidates=40"])

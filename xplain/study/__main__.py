@@ -66,16 +66,17 @@ def check_address(cfg: DictConfig) -> None:
 
 def running_study(cfg: DictConfig, path: Path) -> tuple[Any, list[str]]:
     """The study in the database, or a new one; and the keys of ``cfg`` that it does not follow."""
-    from xplain.participants.server.database import read_plan
-    from xplain.study.prepare import study_of, study_plan
+    from xplain.study.policies import study_of
+    from xplain.study.prepare import study_plan
     from xplain.study.settings import fixed
+    from xplain.study.stored import read_plan, renamed
 
     plan = read_plan(path)
     if plan is None:
         print("study: preparing a new study …", file=sys.stderr)
         return study_of(study_plan(cfg)), []
     now = fixed(cfg)
-    ignored = [key for key in now if now[key] != plan.config.get(key)]
+    ignored = [key for key in now if now[key] != renamed(plan.config.get(key))]
     return study_of(plan), ignored
 
 

@@ -164,7 +164,7 @@ def test_the_platform_gets_its_code_back(store: Store, person: Callable[[], Pers
 
 
 def test_a_domain_without_a_map_gets_its_study(tmp_path: Path) -> None:
-    from xplain.study.prepare import study_of
+    from xplain.study.policies import study_of
 
     study = study_of(street_plan(map_shown=False, questions=[]))
     store = Store(tmp_path / "s.sqlite", study)

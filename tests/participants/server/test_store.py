@@ -15,7 +15,7 @@ from tests.participants.visitors import GENEROUS, Visitor, consent
 from tests.study.stand_in import street_plan, street_study
 from xplain.errors import XplainError
 from xplain.participants.server.app import create_app
-from xplain.participants.server.database import Clock, read_plan
+from xplain.participants.server.database import Clock
 from xplain.participants.server.security import Keys
 from xplain.participants.server.slots import Full
 from xplain.participants.server.store import MAX_TAB_EVENTS, Store, Unknown
@@ -23,6 +23,7 @@ from xplain.participants.simulation.http_client import visit
 from xplain.study.protocol.machine import Refused
 from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import Habits, Person
+from xplain.study.stored import read_plan
 
 
 class Time:

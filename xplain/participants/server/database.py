@@ -22,7 +22,6 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from xplain.errors import InputError, XplainError
-from xplain.study.protocol.plan import StudyPlan
 
 Do = Callable[..., sqlite3.Cursor]
 """Executes a statement within a transaction."""
@@ -43,22 +42,6 @@ class Clock:
     wall: Callable[[], float] = time.time
     monotonic: Callable[[], float] = time.monotonic
     boot: str = field(default_factory=boot_id)
-
-
-def read_plan(path: Path) -> StudyPlan | None:
-    """The plan in a database; None where there is none yet.
-
-    Raises:
-        InputError: the file is no study's database.
-    """
-    if not path.exists() or not path.stat().st_size:
-        return None
-    try:
-        with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as connection:
-            row = connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()
-    except sqlite3.DatabaseError as error:
-        raise InputError("database", str(path), f"not a study's database ({error})") from None
-    return row and StudyPlan.from_text(row[0])
 
 
 class Database:

@@ -11,7 +11,6 @@ import argparse
 import http.client
 import io
 import re
-import sqlite3
 import tempfile
 import time
 import zipfile
@@ -24,10 +23,10 @@ from xplain.errors import InputError, XplainError
 from xplain.participants.simulation import chromium
 from xplain.participants.simulation.http_client import Browser, Page, visit
 from xplain.randomness import stream
-from xplain.study.analysis.export import plan_of
 from xplain.study.protocol.plan import StudyPlan
 from xplain.study.settings import one_clear_line
 from xplain.study.simulation.participant import Habits, Person
+from xplain.study.stored import opened, plan_of
 
 
 class Researcher:
@@ -72,13 +71,9 @@ class Researcher:
         """The study's plan, from a snapshot."""
         with tempfile.TemporaryDirectory() as folder:
             with zipfile.ZipFile(io.BytesIO(self.archive())) as archive:
-                path = archive.extract("study/snapshot.sqlite", folder)
-            connection = sqlite3.connect(path)
-            try:
-                connection.row_factory = sqlite3.Row
+                path = Path(archive.extract("study/snapshot.sqlite", folder))
+            with opened(path) as connection:
                 return plan_of(connection)
-            finally:
-                connection.close()
 
 
 def run(

@@ -13,12 +13,12 @@ import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from xplain.study.analysis.export import plan_of, reading
-from xplain.study.prepare import study_of
+from xplain.study.policies import study_of
 from xplain.study.protocol import machine
 from xplain.study.protocol.machine import Refused, State
 from xplain.study.protocol.plan import Study
 from xplain.study.settings import one_clear_line
+from xplain.study.stored import plan_of, reading
 
 
 @dataclass

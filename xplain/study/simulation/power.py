@@ -236,7 +236,8 @@ def main(arguments: list[str] | None = None) -> None:
         for key in ("people", "studies", "n"):
             if getattr(given, key) < 2:
                 raise InputError(f"--{key}", getattr(given, key), "a whole number ≥ 2")
-        from xplain.study.prepare import study_of, study_plan
+        from xplain.study.policies import study_of
+        from xplain.study.prepare import study_plan
 
         study = study_of(study_plan(composed(given.overrides)))
         seed, habits = study.plan.seed, Habits()
