@@ -13,6 +13,8 @@ from filelock import FileLock, Timeout
 from xplain.errors import InputError
 from xplain.study.protocol.plan import StudyPlan
 
+STREAMS = ("person", "pilot", "bot")
+"""Whose data it is; fixed by the invitation, and never mixed in an analysis."""
 MOVED = {
     "xplain.learning.dirichlet.DirichletMixture": (
         "xplain.learning.fact_model.dirichlet.DirichletMixture"

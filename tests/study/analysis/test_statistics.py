@@ -43,11 +43,15 @@ def test_holm_by_hand() -> None:
     with_gap = holm([0.01, float("nan"), 0.04])
     assert with_gap[0] == pytest.approx(0.02)
     assert np.isnan(with_gap[1])
+    # Each study is corrected by itself, with as many tests as it has.
+    together = holm([[0.01, float("nan"), 0.04], [0.01, 0.04, 0.03]])
+    assert together[0] == pytest.approx(with_gap, nan_ok=True)
+    assert together[1] == pytest.approx([0.03, 0.06, 0.06])
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=8))
 def test_holm_lies_between_plain_and_bonferroni(p: list[float]) -> None:
-    adjusted = np.array(holm(p))
+    adjusted = holm(p)
     assert (adjusted >= np.array(p)).all()
     assert (adjusted <= np.minimum(1, len(p) * np.array(p)) + 1e-12).all()
     order = np.argsort(p, kind="stable")

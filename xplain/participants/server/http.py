@@ -44,7 +44,7 @@ class Server:
     visitor_burst: float = 300.0
 
     def __post_init__(self) -> None:
-        """Raises InputError."""
+        """Raises InputError: an unknown way to come in."""
         object.__setattr__(self, "entry", tuple(self.entry))
         for kind in self.entry:
             if kind not in ("invitation", "prolific", "open"):

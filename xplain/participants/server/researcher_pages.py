@@ -1,4 +1,4 @@
-"""The researcher's page: who is where, which places are left, invitations, the data."""
+"""The researcher's page: who is where, which slots are left, invitations, the data."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.participants.server import forms
 from xplain.participants.server.http import context, error_page, genuine, set_cookie
-from xplain.participants.server.store import STREAMS
 from xplain.study.protocol import machine
+from xplain.study.stored import STREAMS
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
 COOKIE, WHO = "researcher", "researcher"

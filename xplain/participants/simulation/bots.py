@@ -49,7 +49,7 @@ class Researcher:
         self.token = Page(html).hidden["token"]
 
     def invite(self, count: int, stream_name: str = "bot") -> list[str]:
-        """New invitations."""
+        """Makes ``count`` invitations of a stream; their tokens."""
         fields = [("token", self.token), ("count", str(count)), ("stream", stream_name)]
         _, html = self.browser.post("/researcher/invitations", fields)
         self.browser.close()
@@ -119,7 +119,7 @@ def run(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """The command."""
+    """Parses the command's arguments, lets bots take part, prints how many ended where."""
     parser = argparse.ArgumentParser(
         prog="python -m xplain.participants.simulation.bots",
         description="Lets simulated participants take part in a running study, over HTTP. They "

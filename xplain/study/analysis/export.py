@@ -130,14 +130,14 @@ def _step(plan: StudyPlan, step: dict[str, Any]) -> dict[str, Any]:
 
 def _labels(plan: StudyPlan, step: dict[str, Any]) -> Iterator[dict[str, Any]]:
     names = plan.problem.message_names
-    shown = step["given"] | step["messages"]
+    on_page = step["given"] | step["messages"]
     for i, label in enumerate(json.loads(step["labels"] or "[]")):
         yield {
             "participant": step["participant"],
             "k": step["k"],
             "i": i,
             "transition": plan.trace[i],
-            "messages_shown": ";".join(names_of(shown, names)),
+            "messages_shown": ";".join(names_of(on_page, names)),
             "label": label,
         }
 
@@ -182,7 +182,7 @@ def _quiz(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """The command."""
+    """Parses the command's arguments and writes the tables; exit code 2 for an error."""
     parser = argparse.ArgumentParser(
         prog="python -m xplain.study.analysis.export",
         description="CSV and Parquet tables, and their codebook, from a study's database that no "

@@ -99,7 +99,7 @@ class State:
 
     @classmethod
     def from_text(cls, text: str) -> State:
-        """Reads :attr:`text`."""
+        """The state that :attr:`text` was made from, equal to the last bit."""
         value = json.loads(text)
         orders = value["orders"]
         return cls(
@@ -122,6 +122,18 @@ class Decision:
     messages: int
     values: Mapping[int, float]
 
+    @property
+    def columns(self) -> dict[str, str | int | None]:
+        """Of the step table, by name; what the answer will fill in is None."""
+        return {
+            "belief_before": json.dumps(self.belief),
+            "given": self.given,
+            "messages": self.messages,
+            "action_values": json.dumps({str(mask): v for mask, v in self.values.items()}),
+            "labels": None,
+            "belief_after": None,
+        }
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -130,6 +142,11 @@ class Answer:
     step: int
     labels: tuple[int, ...]
     belief: tuple[float, ...]
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Of the step table, by name: those that :attr:`Decision.columns` leaves None."""
+        return {"labels": json.dumps(self.labels), "belief_after": json.dumps(self.belief)}
 
 
 @dataclass(frozen=True)

@@ -183,8 +183,8 @@ def take_part(
     while state.stage == "evaluation":
         if person.leaves():
             return None
-        shown = [plan.facts[j].message for j in indices(state.given)]
-        labels, took = person.labels(state.step + 1, shown)
+        on_page = [plan.facts[j].message for j in indices(state.given)]
+        labels, took = person.labels(state.step + 1, on_page)
         seconds += took
         state = machine.advance(study, state, "labels", {"labels": labels}).state
     if state.stage != "quiz":
