@@ -22,7 +22,7 @@ def study_of(plan: StudyPlan) -> Study:
     Raises:
         XplainError: the installed code decides differently from the code that made the plan.
     """
-    study = at_work(plan)
+    study = _at_work(plan)
     if probes(study) != plan.probes:
         raise XplainError(
             "database: this version of xplain decides differently from the one that started the "
@@ -31,7 +31,7 @@ def study_of(plan: StudyPlan) -> Study:
     return study
 
 
-def at_work(plan: StudyPlan) -> Study:
+def _at_work(plan: StudyPlan) -> Study:
     """The policies of a plan, made from its conditions' configurations."""
     seed = derived_seed(plan.seed, "solver")
     policies = {
@@ -43,7 +43,7 @@ def at_work(plan: StudyPlan) -> Study:
 
 def with_probes(plan: StudyPlan) -> StudyPlan:
     """The plan with what its policies decide, as it is stored."""
-    return replace(plan, probes=probes(at_work(plan)))
+    return replace(plan, probes=probes(_at_work(plan)))
 
 
 def probes(study: Study) -> dict[str, tuple[str, ...]]:

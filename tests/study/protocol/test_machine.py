@@ -16,6 +16,7 @@ from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.study.protocol import machine
 from xplain.study.protocol.machine import Refused, State
 from xplain.study.protocol.plan import Study
+from xplain.study.protocol.view import page
 from xplain.study.simulation.participant import take_part
 
 ORDERS = {"eligibility": (2, 0, 1, 3), "quiz": (3, 2, 1, 0)}
@@ -95,7 +96,7 @@ def test_failing_the_check_leads_to_the_briefing_then_to_a_polite_end(study: Stu
     state = State(stage="eligibility", user_type=0, condition="conformant")
     state = machine.advance(study, state, "eligibility", {"answers": wrong}).state
     assert (state.stage, state.attempts, state.wrong) == ("briefing", 1, True)
-    assert machine.page(study, state)["attempts_left"] == 1
+    assert page(study, state)["attempts_left"] == 1
     state = machine.advance(study, state, "read", {}).state
     assert state.stage == "eligibility"  # the practice is not repeated
     state = machine.advance(study, state, "eligibility", {"answers": wrong}).state
@@ -154,16 +155,16 @@ def test_whatever_comes_is_refused_or_leads_to_a_stage(study: Study, data: Any) 
     assert after.accepted == state.accepted + 1
     assert after.stage in (*machine.STAGES, *machine.ENDS)
     assert State.from_text(after.text) == after
-    machine.page(study, after)
+    page(study, after)
 
 
 def test_pages_carry_nothing_that_tells_type_condition_or_answers(study: Study) -> None:
     for user_type, condition in study.plan.cells:
         state = at_evaluation(study, user_type, condition)
-        view = machine.page(study, state)
+        view = page(study, state)
         assert not view.keys() & {"belief", "condition", "user_type", "true", "score", "values"}
         quiz = State(stage="quiz", user_type=user_type, condition=condition, orders=ORDERS)
-        texts = [text for _, text in machine.page(study, quiz)["statements"]]
+        texts = [text for _, text in page(study, quiz)["statements"]]
         assert sorted(texts) == sorted(s.text for s in study.plan.roles[user_type].quiz)
 
 

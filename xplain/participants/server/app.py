@@ -73,7 +73,9 @@ def _limit() -> AnyResponse | None:
         return None
     who, own = owner(), context()
     allowed = (
-        own.participants.allows(who) if who else own.visitors.allows(request.remote_addr or "?")
+        own.participant_limit.allows(who)
+        if who
+        else own.visitor_limit.allows(request.remote_addr or "?")
     )
     if allowed:
         return None

@@ -59,8 +59,8 @@ class Context:
     study: Study
     keys: Keys
     server: Server
-    participants: RateLimit
-    visitors: RateLimit
+    participant_limit: RateLimit
+    visitor_limit: RateLimit
 
 
 def context() -> Context:

@@ -22,6 +22,7 @@ from xplain.participants.server.slots import Full
 from xplain.participants.server.store import Participant, Unknown
 from xplain.study.protocol import machine
 from xplain.study.protocol.machine import Refused
+from xplain.study.protocol.view import page
 
 pages = Blueprint("participant", __name__)
 VISITOR = "visitor"
@@ -40,7 +41,7 @@ def entrance() -> AnyResponse:
         visitor = secrets.token_hex(16)
     own = context()
     prolific = [request.args.get(key, "")[:100] for key in _PROLIFIC]
-    page = make_response(
+    response = make_response(
         render_template(
             "entrance.html",
             token=own.keys.form(visitor),
@@ -49,8 +50,8 @@ def entrance() -> AnyResponse:
             entry=own.server.entry,
         )
     )
-    set_cookie(page, VISITOR, visitor)
-    return page
+    set_cookie(response, VISITOR, visitor)
+    return response
 
 
 @pages.post("/enter")
@@ -105,7 +106,7 @@ def show() -> AnyResponse:
 
 def _page(found: Participant, problem: str = "", status: int = 200) -> Response:
     own = context()
-    view = machine.page(own.study, found.state)
+    view = page(own.study, found.state)
     stage = found.state.stage
     own.store.shown(found.id, found.state.accepted, stage)
     code = own.server.completion_code or found.code
