@@ -23,12 +23,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
-from tests.study.server import ServerProcess
+from tests.participants.server_process import ServerProcess
 from xplain.config import composed
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
 from xplain.participants.simulation.http_client import Browser, Page, fill
-from xplain.study.prepare import study_of, study_plan
+from xplain.study.policies import study_of
+from xplain.study.prepare import study_plan
 from xplain.study.protocol.plan import StudyPlan
 from xplain.study.simulation.participant import Habits, Person
 

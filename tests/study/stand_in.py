@@ -13,9 +13,14 @@ import numpy as np
 
 from xplain.domains.base import Item, Parameter, Scene
 from xplain.domains.mdp import MDP
-from xplain.study.prepare import assemble, study_of
+from xplain.study.policies import study_of
+from xplain.study.prepare import assemble
 from xplain.study.protocol.plan import Study, StudyPlan
+from xplain.study.simulation.participant import Habits
 from xplain.users.setting import Setting, UserType
+
+FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
+"""Of a participant who errs, forgets and leaves nowhere."""
 
 PLACES = ("bridge", "market", "school", "tunnel")
 

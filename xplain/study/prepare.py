@@ -1,4 +1,4 @@
-"""From configuration to the plan of a study, and from a plan to its policies at work."""
+"""From configuration to the plan of a study."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from numpy.typing import NDArray
 
 from xplain.data.rollouts import sample_trace
 from xplain.domains.base import Domain, Scene, transition_features
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError, whole_number
 from xplain.experiment.explanations import Costs
-from xplain.randomness import derived_seed, stream
+from xplain.experiment.pipeline import learn, observe
+from xplain.randomness import stream
+from xplain.study.policies import with_probes
 from xplain.study.protocol import content
-from xplain.study.protocol import machine as protocol
-from xplain.study.protocol.plan import Asked, Rules, Study, StudyPlan, Texts, Training
+from xplain.study.protocol.plan import Asked, Rules, StudyPlan, Texts, Training
 from xplain.study.settings import fixed
 from xplain.users.setting import Setting
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-PROBES = 16
-"""Walks with random labels, a condition, that a changed code would have to repeat."""
+COSTS = ("message_cost", "inexplicability_cost", "discount", "discount_per", "prior")
+"""Keys of the configuration that the explanation problem takes as they are."""
 
 
 def study_plan(cfg: DictConfig) -> StudyPlan:
@@ -39,26 +40,26 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     """
     from hydra.utils import instantiate
 
-    from xplain.learning.user_types import learn_types
-
     config = fixed(cfg)
     Rules(**config["rules"])  # refused before the work, not after it
-    seed = cfg.seed
-    domain: Domain = instantiate(cfg.domain)
-    types = instantiate(cfg.users).types(domain, stream(seed, "users"))
-    setting = Setting.build(domain, types)
-    transitions = choose_trace(setting, config["trace"], config["max_steps"], seed)
-    trainer = instantiate(cfg.labeler)
-    dataset, truth = instantiate(cfg.observers).collect(setting, seed)
-    clustering = instantiate(cfg.clusterer).cluster(
-        dataset, trainer, derived_seed(seed, "clusterer"), truth
+    observed = observe(
+        instantiate(cfg.domain), instantiate(cfg.users), instantiate(cfg.observers), cfg.seed
     )
-    learned = learn_types(dataset, clustering, trainer, derived_seed(seed, "labelers"))
-    if len(learned.labelers) != len(types):
-        raise InputError("clusterer", len(learned.labelers), f"{len(types)} types (use perfect)")
-    features = transition_features(domain, transitions)
-    tables = [labeler.table(features, setting.n_messages) for labeler in learned.labelers]
-    return assemble(setting, transitions, np.stack(tables), config)
+    setting = observed.setting
+    transitions = choose_trace(setting, config["trace"], config["max_steps"], cfg.seed)
+    learned = learn(
+        observed.dataset,
+        instantiate(cfg.labeler),
+        instantiate(cfg.clusterer),
+        cfg.seed,
+        observed.truth,
+    )
+    if len(learned.labelers) != len(setting.types):
+        wanted = f"{len(setting.types)} types (use perfect)"
+        raise InputError("clusterer", len(learned.labelers), wanted)
+    features = transition_features(setting.domain, transitions)
+    table = learned.p_explicable(features, setting.n_messages)
+    return assemble(setting, transitions, table, config)
 
 
 def choose_trace(
@@ -84,8 +85,7 @@ def choose_trace(
         starts = np.array([s for s in starts if domain.position(int(s)) == cell], dtype=np.int64)
         if not len(starts):
             raise InputError("trace.start", list(cell), "a cell where traces start")
-    if trace["candidates"] < 1:
-        raise InputError("trace.candidates", trace["candidates"], "a whole number ≥ 1")
+    whole_number("trace.candidates", trace["candidates"], 1)
 
     def draw(index: int) -> NDArray[np.int64]:
         rng = stream(seed, "trace", index)
@@ -116,50 +116,23 @@ def assemble(
     Raises:
         XplainError: a part contradicts another.
     """
-    domain, types = setting.domain, setting.types
+    domain, types, wording = setting.domain, setting.types, config["wording"]
     labels = setting.label_table(transitions)
-    costs = Costs(
-        trade_off=config["lambda"],
-        **{
-            key: config[key]
-            for key in (
-                "message_cost",
-                "inexplicability_cost",
-                "discount",
-                "discount_per",
-                "prior",
-            )
-        },
-    )
+    costs = Costs(trade_off=config["lambda"], **{key: config[key] for key in COSTS})
     names = tuple(user_type.name for user_type in types)
     uniform = np.full(len(types), 1 / len(types))
-    states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]
-    cells = [domain.position(state) for state in states]
-    wording = config["wording"]
     plan = StudyPlan(
         seed=config["seed"],
         domain=domain.name,
-        texts=Texts(
-            title=wording["title"],
-            consent=tuple(wording["consent"]),
-            introduction=tuple(wording["introduction"]),
-            task=tuple(wording["task"]),
-            goodbye=tuple(wording["goodbye"]),
-            contact=wording["contact"],
-        ),
+        texts=_texts(wording),
         training=Training(**wording["training"]),
         rules=Rules(**config["rules"]),
-        asked=tuple(
-            Asked(**asked | {"choices": tuple(asked.get("choices", ()))})
-            for asked in config["questions"]
-        ),
+        asked=tuple(_asked(question) for question in config["questions"]),
         facts=content.facts_of(domain.parameters),
         roles=content.roles_of(domain.parameters, types, labels, wording["rewards"]),
         trace=tuple(domain.describe(transition) for transition in transitions),
-        path=None
-        if domain.scene is None or None in cells
-        else tuple(pairwise(cell for cell in cells if cell is not None)),
-        scene=domain.scene and _shown(domain.scene, wording["hide"]),
+        path=_path(domain, transitions),
+        scene=domain.scene and _without(domain.scene, wording["hide"]),
         problem=costs.problem(p_explicable, setting.message_names, names, uniform),
         true_labels=labels,
         conditions=config["conditions"],
@@ -168,12 +141,35 @@ def assemble(
         icons=wording["icons"],
         config=config,
     )
-    object.__setattr__(plan, "probes", probes(_at_work(plan)))
     # What is stored is what runs, from the first participant on.
-    return StudyPlan.from_text(plan.text)
+    return StudyPlan.from_text(with_probes(plan).text)
 
 
-def _shown(scene: Scene, hide: Sequence[str]) -> Scene:
+def _texts(wording: Mapping[str, Any]) -> Texts:
+    paragraphs = ("consent", "introduction", "task", "goodbye")
+    return Texts(
+        title=wording["title"],
+        contact=wording["contact"],
+        **{key: tuple(wording[key]) for key in paragraphs},
+    )
+
+
+def _asked(question: Mapping[str, Any]) -> Asked:
+    return Asked(**{**question, "choices": tuple(question.get("choices", ()))})
+
+
+def _path(
+    domain: Domain, transitions: NDArray[np.int64]
+) -> tuple[tuple[tuple[int, int], tuple[int, int]], ...] | None:
+    """The robot's way as (cell before, cell after), m of them; None where there is no map."""
+    states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]
+    cells = [cell for state in states if (cell := domain.position(state)) is not None]
+    if domain.scene is None or len(cells) < len(states):
+        return None
+    return tuple(pairwise(cells))
+
+
+def _without(scene: Scene, hide: Sequence[str]) -> Scene:
     """The map without the items of these symbols.
 
     Raises:
@@ -184,51 +180,3 @@ def _shown(scene: Scene, hide: Sequence[str]) -> Scene:
         if symbol not in symbols:
             raise InputError("wording.hide", symbol, f"symbols on the map: {', '.join(symbols)}")
     return replace(scene, items=tuple(i for i in scene.items if i.symbol not in hide))
-
-
-def study_of(plan: StudyPlan) -> Study:
-    """A plan with its policies at work.
-
-    Raises:
-        XplainError: the installed code decides differently from the code that made the plan.
-    """
-    study = _at_work(plan)
-    if probes(study) != plan.probes:
-        raise XplainError(
-            "database: this version of xplain decides differently from the one that started the "
-            "study; go on with that version, or start a new study in another database"
-        )
-    return study
-
-
-def _at_work(plan: StudyPlan) -> Study:
-    from hydra.utils import instantiate
-
-    seed = derived_seed(plan.seed, "solver")
-    policies = {
-        condition: instantiate(dict(solver)).plan(plan.problem, seed)
-        for condition, solver in plan.conditions.items()
-    }
-    return Study(plan, policies, instantiate(dict(plan.belief)))
-
-
-def probes(study: Study) -> dict[str, tuple[str, ...]]:
-    """What the protocol decides for participants who label at random: by condition, one text a
-    walk, with the messages of every step and the last belief to the last bit."""
-    found: dict[str, tuple[str, ...]] = {}
-    for condition in study.plan.conditions:
-        walks = []
-        for walk in range(PROBES):
-            rng = stream(0, "probes", walk)
-            state = protocol.State(stage="eligibility", user_type=0, condition=condition)
-            right = [question.answer for question in study.plan.roles[0].eligibility]
-            state = protocol.advance(study, state, "eligibility", {"answers": right}).state
-            messages = [state.new]
-            while state.stage == "evaluation":
-                # Mostly 1, so that beliefs stay apart rather than settle at once.
-                labels = (rng.random(state.step + 1) < 0.8).astype(int).tolist()
-                state = protocol.advance(study, state, "labels", {"labels": labels}).state
-                messages.append(state.new)
-            walks.append(f"{messages} {[float(b).hex() for b in state.belief]}")
-        found[condition] = tuple(walks)
-    return found

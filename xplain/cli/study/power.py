@@ -26,7 +26,8 @@ def main(arguments: list[str]) -> None:
     given = parser.parse_intermixed_args(arguments)
     for key in ("people", "studies", "n"):
         whole_number(f"--{key}", getattr(given, key), 2)
-    from xplain.study.prepare import study_of, study_plan
+    from xplain.study.policies import study_of
+    from xplain.study.prepare import study_plan
     from xplain.study.simulation import power
 
     study = study_of(study_plan(composed("study", given.overrides)))

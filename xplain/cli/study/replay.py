@@ -18,9 +18,9 @@ def main(arguments: list[str]) -> None:
     parser = Parser("xplain study replay")
     parser.add_argument("database", type=Path)
     given = parser.parse_args(arguments)
-    from xplain.study.analysis.export import plan_of, reading
     from xplain.study.analysis.replay import replay
-    from xplain.study.prepare import study_of
+    from xplain.study.policies import study_of
+    from xplain.study.stored import plan_of, reading
 
     with reading(given.database) as connection:
         found = replay(connection, study_of(plan_of(connection)))

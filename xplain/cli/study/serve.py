@@ -30,7 +30,7 @@ def serve(cfg: DictConfig) -> None:
     Raises:
         XplainError: the configuration or the database cannot be used.
     """
-    from xplain.participants.server.participant_pages import Server
+    from xplain.participants.server.http import Server
 
     check_address(cfg)
     path = Path(cfg.database).absolute()
@@ -58,22 +58,23 @@ def check_address(cfg: DictConfig) -> None:
 
 def running_study(cfg: DictConfig, path: Path) -> tuple[Any, list[str]]:
     """The study in the database, or a new one; and the keys of ``cfg`` that it does not follow."""
-    from xplain.participants.server.database import read_plan
-    from xplain.study.prepare import study_of, study_plan
+    from xplain.study.policies import study_of
+    from xplain.study.prepare import study_plan
+    from xplain.study.stored import read_plan, renamed
 
     plan = read_plan(path)
     if plan is None:
         print("study: preparing a new study …", file=sys.stderr)
         return study_of(study_plan(cfg)), []
     now = fixed(cfg)
-    ignored = [key for key in now if now[key] != plan.config.get(key)]
+    ignored = [key for key in now if now[key] != renamed(plan.config.get(key))]
     return study_of(plan), ignored
 
 
 def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
     from gunicorn.app.base import BaseApplication  # type: ignore[import-untyped]
 
-    from xplain.participants.server.participant_pages import create_app
+    from xplain.participants.server.app import create_app
     from xplain.participants.server.store import Store
 
     class Application(BaseApplication):  # type: ignore[misc]
@@ -119,4 +120,4 @@ def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
 def _researcher_key(store: Any) -> str:
     from xplain.participants.server.security import Keys
 
-    return Keys(store.keyed).researcher
+    return Keys(store.secret).researcher

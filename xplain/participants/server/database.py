@@ -22,7 +22,6 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from xplain.errors import InputError, XplainError
-from xplain.study.protocol.plan import StudyPlan
 
 Do = Callable[..., sqlite3.Cursor]
 """Executes a statement within a transaction."""
@@ -45,22 +44,6 @@ class Clock:
     boot: str = field(default_factory=boot_id)
 
 
-def read_plan(path: Path) -> StudyPlan | None:
-    """The plan in a database; None where there is none yet.
-
-    Raises:
-        InputError: the file is no study's database.
-    """
-    if not path.exists() or not path.stat().st_size:
-        return None
-    try:
-        with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as connection:
-            row = connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()
-    except sqlite3.DatabaseError as error:
-        raise InputError("database", str(path), f"not a study's database ({error})") from None
-    return row and StudyPlan.from_text(row[0])
-
-
 class Database:
     """The open file. Safe to use from several threads."""
 
@@ -79,7 +62,7 @@ class Database:
         except Timeout:
             raise XplainError(f"database={path}: another process is using it") from None
         try:
-            self._key = _key(path)
+            self.secret = _secret(path)
             self._lock = threading.RLock()
             self._connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
             os.chmod(path, 0o600)
@@ -137,12 +120,13 @@ class Database:
             self._connection.execute("VACUUM INTO ?", (str(path),))
 
     def keyed(self, *parts: str) -> str:
-        """A keyed hash: nobody without the server's key can make or reverse it."""
+        """A hash of texts that are only ever looked up (invitations, outside ids): nobody without
+        the server's secret can make or reverse it."""
         message = "\x1f".join(parts).encode(errors="replace")
-        return hmac.new(self._key, message, hashlib.sha256).hexdigest()
+        return hmac.new(self.secret, message, hashlib.sha256).hexdigest()
 
 
-def _key(path: Path) -> bytes:
+def _secret(path: Path) -> bytes:
     """The server's secret, in a file of its own beside the database, for its owner only."""
     file = path.with_name(path.name + ".key")
     try:
@@ -150,8 +134,8 @@ def _key(path: Path) -> bytes:
     except FileExistsError:
         return file.read_bytes()
     with os.fdopen(handle, "wb") as out:
-        key = secrets.token_bytes(32)
-        out.write(key)
+        secret = secrets.token_bytes(32)
+        out.write(secret)
         out.flush()
         os.fsync(out.fileno())
-    return key
+    return secret

@@ -1,4 +1,4 @@
-"""The researcher's page: who is where, which places are left, invitations, the data."""
+"""The researcher's page: who is where, which slots are left, invitations, the data."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from flask import Blueprint, Response, make_response, redirect, render_template,
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.participants.server import forms
-from xplain.participants.server.participant_pages import context, error_page, set_cookie
-from xplain.participants.server.store import STREAMS
-from xplain.study.protocol import machine as protocol
+from xplain.participants.server.http import context, error_page, genuine, set_cookie
+from xplain.study.protocol import machine
+from xplain.study.stored import STREAMS
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
 COOKIE, WHO = "researcher", "researcher"
@@ -21,13 +21,11 @@ MOST_INVITATIONS = 500
 
 
 def _known() -> bool:
-    keys = context().keys
-    return keys.same(request.cookies.get(COOKIE, ""), keys.researcher_session)
+    return context().keys.is_researcher_cookie(request.cookies.get(COOKIE, ""))
 
 
 def _genuine() -> bool:
-    keys = context().keys
-    return _known() and keys.same(request.form.get("token", ""), keys.form(WHO))
+    return _known() and genuine(WHO)
 
 
 @pages.get("")
@@ -62,11 +60,11 @@ def _overview(invitations: list[str]) -> Response:
             people=people,
             now=now,
             slots=slots,
-            stages=(*protocol.STAGES, *protocol.ENDS),
+            stages=(*machine.STAGES, *machine.ENDS),
             flow={(row["stream"], row["stage"]): row["number"] for row in flow},
             streams=[name for name in STREAMS if any(row["stream"] == name for row in flow)],
             roles=own.study.plan.roles,
-            entrance=url_for("entrance", _external=True),
+            entrance=url_for("participant.entrance", _external=True),
             invitations=invitations,
             plan_hash=own.study.plan.hash,
         )
@@ -77,10 +75,10 @@ def _overview(invitations: list[str]) -> Response:
 def login() -> AnyResponse:
     """Trades the token for a cookie."""
     keys = context().keys
-    if not keys.same(request.form.get("key", ""), keys.researcher):
+    if not keys.is_researcher(request.form.get("key", "")):
         return error_page(403, "This is not the researcher's key. The server prints it at start.")
     response = redirect(url_for("researcher.overview"), 303)
-    set_cookie(response, COOKIE, keys.researcher_session, "Strict")
+    set_cookie(response, COOKIE, keys.researcher_cookie, "Strict")
     return response
 
 

@@ -1,7 +1,8 @@
-"""What keeps the server safe: keyed cookies, forgery tokens, headers, limits."""
+"""What keeps the server safe: signed cookies, forgery tokens, headers, limits."""
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import threading
 import time
@@ -12,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from flask import Response
+from itsdangerous import BadSignature, Signer
 
 MAX_BODY = 64 * 1024
 """Bytes of a request; the largest honest one has a few thousand."""
@@ -101,40 +103,68 @@ class RateLimit:
         return allowed
 
 
+_COOKIE, _FORM, _SESSION = "participant", "form", "researcher session"
+_RESEARCHER = "researcher"
+"""Purpose of the key that is typed in. Nothing is signed with it: half of it is shown."""
+
+
 @dataclass(frozen=True)
 class Keys:
-    """Cookies and form tokens that only this server can make.
+    """Cookies and form tokens that only this server can make, each good for one purpose.
 
     Attributes:
-        keyed: a keyed hash of some texts (the store's).
+        secret: of the server; it never leaves it.
     """
 
-    keyed: Callable[..., str]
+    secret: bytes = field(repr=False)
 
     def cookie(self, participant: str) -> str:
-        """What the participant's browser holds: unguessable, bound to the id."""
-        return f"{participant}.{self.keyed('participant', participant)}"
+        """What the participant's browser holds: the id, signed."""
+        return self._signer(_COOKIE).sign(participant).decode()
 
     def owner(self, cookie: str) -> str | None:
         """The participant of a cookie; None if it is forged."""
-        participant, _, proof = cookie.partition(".")
-        return participant if self.same(proof, self.keyed("participant", participant)) else None
+        return self._signed(_COOKIE, cookie)
 
     def form(self, who: str) -> str:
-        """The token in every form of a participant, visitor or researcher."""
-        return self.keyed("form", who)
+        """The token in every form of a participant, visitor or researcher: a signature alone."""
+        return self._signer(_FORM).get_signature(who).decode()
+
+    def owns_form(self, who: str, token: str) -> bool:
+        """Whether this token was made for that participant, visitor or researcher."""
+        return self._signer(_FORM).verify_signature(_bytes(who), _bytes(token))
 
     @property
     def researcher(self) -> str:
-        """What the researcher types in to see who is where."""
-        return self.keyed("researcher")[:32]
+        """What the researcher types in to see who is where; the same at every start."""
+        return self._signer(_RESEARCHER).derive_key().hex()[:32]
+
+    def is_researcher(self, typed: str) -> bool:
+        """Whether this is the researcher's key, compared in constant time."""
+        return hmac.compare_digest(_bytes(typed), _bytes(self.researcher))
 
     @property
-    def researcher_session(self) -> str:
-        """The researcher's cookie."""
-        return self.keyed("researcher session")
+    def researcher_cookie(self) -> str:
+        """What the researcher's browser holds after the key was typed in."""
+        return self._signer(_SESSION).sign(_RESEARCHER).decode()
 
-    @staticmethod
-    def same(a: str, b: str) -> bool:
-        """Whether two texts are equal, in constant time."""
-        return hmac.compare_digest(a.encode(errors="replace"), b.encode(errors="replace"))
+    def is_researcher_cookie(self, cookie: str) -> bool:
+        """Whether a cookie is the researcher's and genuine."""
+        return self._signed(_SESSION, cookie) == _RESEARCHER
+
+    def _signer(self, purpose: str) -> Signer:
+        """HMAC-SHA256 with a key of this purpose's own, compared in constant time."""
+        return Signer(
+            self.secret, salt=purpose, key_derivation="hmac", digest_method=hashlib.sha256
+        )
+
+    def _signed(self, purpose: str, value: str) -> str | None:
+        try:
+            return self._signer(purpose).unsign(_bytes(value)).decode()
+        except BadSignature:
+            return None
+
+
+def _bytes(text: str) -> bytes:
+    """What a browser sent may hold anything, half a surrogate pair too."""
+    return text.encode(errors="replace")

@@ -1,6 +1,6 @@
-"""Which type and condition a participant gets: permuted blocks, places that come back.
+"""Which type and condition a participant gets: permuted blocks, slots that come back.
 
-A place is reserved in the transaction that admits a participant, comes back when they drop out,
+A slot is reserved in the transaction that admits a participant, comes back when they drop out,
 time out or are not eligible, and is used up only when they complete.
 """
 
@@ -16,7 +16,7 @@ from xplain.study.protocol.plan import StudyPlan
 
 
 class Full(Refused):
-    """No place is free now."""
+    """No slot is free now."""
 
 
 def add_block(do: Do, plan: StudyPlan, stream_name: str, block: int) -> None:
@@ -31,11 +31,11 @@ def add_block(do: Do, plan: StudyPlan, stream_name: str, block: int) -> None:
 
 
 def reserve(do: Do, plan: StudyPlan, person: sqlite3.Row) -> dict[str, Any]:
-    """Takes the first free place of the person's stream, and draws the orders of questions:
+    """Takes the first free slot of the person's stream, and draws the orders of questions:
     what the consent event carries.
 
     Raises:
-        Full: people only; pilots and bots get more places.
+        Full: people only; pilots and bots get more slots.
     """
     own = person["stream"]
     free = (
@@ -68,7 +68,7 @@ def reserve(do: Do, plan: StudyPlan, person: sqlite3.Row) -> dict[str, Any]:
 
 
 def settle(do: Do, who: str, stage: str) -> None:
-    """The end of somebody's part: the place is used up or comes back."""
+    """The end of somebody's part: the slot is used up or comes back."""
     if stage == "done":
         do("UPDATE slot SET used = 1 WHERE holder = ?", (who,))
     else:

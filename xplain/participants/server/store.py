@@ -16,11 +16,11 @@ from typing import Any
 from xplain.errors import InputError
 from xplain.participants.server import slots
 from xplain.participants.server.database import Clock, Database, Do
-from xplain.study.protocol import machine as protocol
+from xplain.study.protocol import machine
 from xplain.study.protocol.machine import Refused, State
 from xplain.study.protocol.plan import Study
+from xplain.study.stored import STREAMS
 
-STREAMS = ("person", "pilot", "bot")
 MAX_TAB_EVENTS = 5000
 """Events of a participant's pages that are kept; a study page makes a few dozen."""
 
@@ -157,7 +157,11 @@ class Store(Database):
     # The participant's way ---------------------------------------------------------------------
 
     def participant(self, who: str) -> Participant:
-        """Raises Unknown."""
+        """The participant with this id, with their present state.
+
+        Raises:
+            Unknown: there is none.
+        """
         rows = self.query("SELECT id, stream, state, code FROM participant WHERE id = ?", (who,))
         if not rows:
             raise Unknown
@@ -212,25 +216,20 @@ class Store(Database):
         payload: Mapping[str, Any],
         browser: float | None,
     ) -> State:
-        outcome = protocol.advance(self.study, state, kind, payload)
+        outcome = machine.advance(self.study, state, kind, payload)
         after = outcome.state
         self._record(do, who, "protocol", state.accepted, kind, payload, browser)
         if answer := outcome.answer:
             do(
-                "UPDATE step SET labels = ?, belief_after = ? WHERE participant = ? AND k = ?",
-                (json.dumps(answer.labels), json.dumps(answer.belief), who, answer.step),
+                "UPDATE step SET labels = :labels, belief_after = :belief_after "
+                "WHERE participant = :participant AND k = :k",
+                {"participant": who, "k": answer.step, **answer.columns},
             )
         if decision := outcome.decision:
             do(
-                "INSERT INTO step VALUES (?, ?, ?, ?, ?, ?, NULL, NULL)",
-                (
-                    who,
-                    decision.step,
-                    json.dumps(decision.belief),
-                    decision.given,
-                    decision.messages,
-                    json.dumps({str(mask): v for mask, v in decision.values.items()}),
-                ),
+                "INSERT INTO step VALUES (:participant, :k, :belief_before, :given, :messages, "
+                ":action_values, :labels, :belief_after)",
+                {"participant": who, "k": decision.step, **decision.columns},
             )
         do(
             "UPDATE participant SET state = ?, over = ? WHERE id = ?",

@@ -10,21 +10,21 @@ from __future__ import annotations
 import http.client
 import io
 import re
-import sqlite3
 import tempfile
 import time
 import zipfile
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from urllib.parse import urlencode, urlsplit
 
 from xplain.errors import InputError
 from xplain.participants.simulation import chromium
 from xplain.participants.simulation.http_client import Browser, Page, visit
 from xplain.randomness import stream
-from xplain.study.analysis.export import plan_of
 from xplain.study.protocol.plan import StudyPlan
 from xplain.study.simulation.participant import Habits, Person
+from xplain.study.stored import opened, plan_of
 
 
 class Researcher:
@@ -47,7 +47,7 @@ class Researcher:
         self.token = Page(html).hidden["token"]
 
     def invite(self, count: int, stream_name: str = "bot") -> list[str]:
-        """New invitations."""
+        """Makes ``count`` invitations of a stream; their tokens."""
         fields = [("token", self.token), ("count", str(count)), ("stream", stream_name)]
         _, html = self.browser.post("/researcher/invitations", fields)
         self.browser.close()
@@ -69,13 +69,9 @@ class Researcher:
         """The study's plan, from a snapshot."""
         with tempfile.TemporaryDirectory() as folder:
             with zipfile.ZipFile(io.BytesIO(self.archive())) as archive:
-                path = archive.extract("study/snapshot.sqlite", folder)
-            connection = sqlite3.connect(path)
-            try:
-                connection.row_factory = sqlite3.Row
+                path = Path(archive.extract("study/snapshot.sqlite", folder))
+            with opened(path) as connection:
                 return plan_of(connection)
-            finally:
-                connection.close()
 
 
 def run(

@@ -76,7 +76,7 @@ class Page(HTMLParser):
         self._text = []
 
     def handle_data(self, data: str) -> None:
-        """Collects."""
+        """Adds to the text that is being collected, if any."""
         if self._text is not None and self._inside[-1:] != ["tag"]:
             self._text.append(data)
 
@@ -202,7 +202,7 @@ class Browser:
         return response.status, {k.lower(): v for k, v in response.getheaders()}, text
 
     def close(self) -> None:
-        """Drops the connection."""
+        """Closes the connection; the next request opens another."""
         if self._connection is not None:
             self._connection.close()
         self._connection = None

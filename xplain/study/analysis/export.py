@@ -10,60 +10,18 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from filelock import FileLock, Timeout
-
-from xplain.errors import InputError
 from xplain.message_sets import names_of
 from xplain.study.analysis.codebook import CODEBOOK
 from xplain.study.analysis.timing import Interaction, interaction
 from xplain.study.protocol.machine import State
 from xplain.study.protocol.plan import StudyPlan
+from xplain.study.stored import plan_of, reading
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-@contextmanager
-def reading(path: Path) -> Iterator[sqlite3.Connection]:
-    """A read-only connection to a study's database that no server has open.
-
-    Raises:
-        InputError: there is none, it is in use, or it is no study's database.
-    """
-    if not path.is_file():
-        raise InputError("database", str(path), "a study's database or a snapshot of one")
-    lock = FileLock(f"{path}.lock")
-    guarded = Path(f"{path}.lock").exists()
-    try:
-        if guarded:
-            lock.acquire(timeout=0)
-    except Timeout:
-        raise InputError(
-            "database",
-            str(path),
-            "in use by a server; take the snapshot that the researcher's page offers",
-        ) from None
-    connection = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
-    connection.row_factory = sqlite3.Row
-    try:
-        connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()[0]
-        yield connection
-    except sqlite3.DatabaseError as error:
-        raise InputError("database", str(path), f"not a study's database ({error})") from None
-    finally:
-        connection.close()
-        if guarded:
-            lock.release()
-
-
-def plan_of(connection: sqlite3.Connection) -> StudyPlan:
-    """The plan that the data was collected under."""
-    (text,) = connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()
-    return StudyPlan.from_text(text)
 
 
 def export(database: Path, folder: Path) -> None:
@@ -170,14 +128,14 @@ def _step(plan: StudyPlan, step: dict[str, Any]) -> dict[str, Any]:
 
 def _labels(plan: StudyPlan, step: dict[str, Any]) -> Iterator[dict[str, Any]]:
     names = plan.problem.message_names
-    shown = step["given"] | step["messages"]
+    on_page = step["given"] | step["messages"]
     for i, label in enumerate(json.loads(step["labels"] or "[]")):
         yield {
             "participant": step["participant"],
             "k": step["k"],
             "i": i,
             "transition": plan.trace[i],
-            "messages_shown": ";".join(names_of(shown, names)),
+            "messages_shown": ";".join(names_of(on_page, names)),
             "label": label,
         }
 

@@ -10,7 +10,7 @@ import json
 import sqlite3
 from dataclasses import dataclass, field
 
-from xplain.study.protocol import machine as protocol
+from xplain.study.protocol import machine
 from xplain.study.protocol.machine import Refused, State
 from xplain.study.protocol.plan import Study
 
@@ -61,24 +61,14 @@ def _replay_one(
             found.differences.append(f"{who}: event {event['sequence']} is out of order")
             return
         try:
-            outcome = protocol.advance(study, state, event["kind"], json.loads(event["payload"]))
+            outcome = machine.advance(study, state, event["kind"], json.loads(event["payload"]))
         except Refused as error:
             found.differences.append(f"{who}: event {event['sequence']} is refused: {error}")
             return
         if answer := outcome.answer:
-            steps[answer.step] |= {
-                "labels": json.dumps(answer.labels),
-                "belief_after": json.dumps(answer.belief),
-            }
+            steps[answer.step] |= answer.columns
         if decision := outcome.decision:
-            steps[decision.step] = {
-                "belief_before": json.dumps(decision.belief),
-                "given": decision.given,
-                "messages": decision.messages,
-                "action_values": json.dumps({str(m): v for m, v in decision.values.items()}),
-                "labels": None,
-                "belief_after": None,
-            }
+            steps[decision.step] = decision.columns
         state = outcome.state
     if state.text != person["state"] or state.over != bool(person["over"]):
         found.differences.append(f"{who}: the stored state differs")

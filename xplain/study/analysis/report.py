@@ -46,7 +46,7 @@ def show(analysis: Analysis, console: Console) -> None:
     from rich.table import Table
 
     whose = {"person": "participants", "pilot": "PILOTS", "bot": "SIMULATED PARTICIPANTS"}
-    shown = Table(title=f"Table 2: {whose[analysis.stream]} (conformant − personalized)")
+    measures = Table(title=f"Table 2: {whose[analysis.stream]} (conformant − personalized)")
     for heading in (
         "Measure",
         "Conformant\nmean (SD), n",
@@ -58,10 +58,10 @@ def show(analysis: Analysis, console: Console) -> None:
         "Hedges' g [95 %]",
         "Paper: means, p",
     ):
-        shown.add_column(heading, overflow="fold")
+        measures.add_column(heading, overflow="fold")
     for row in analysis.rows:
-        shown.add_row(*_cells(row))
-    console.print(shown)
+        measures.add_row(*_cells(row))
+    console.print(measures)
     flow = Table(title="Flow of participants")
     for heading in ("", "all", *CONDITIONS):
         flow.add_column(heading, justify="left" if not heading else "right")

@@ -128,16 +128,20 @@ def hedges(t: float, n_a: int, n_b: int, level: float = 0.95) -> tuple[float, fl
     return (t * to_g, low, high) if t >= 0 else (t * to_g, -high, -low)
 
 
-def holm(p: Sequence[float]) -> list[float]:
-    """Holm's step-down adjusted p values, in the order given; NaN stays, and does not count."""
+def holm(p: ArrayLike) -> NDArray[np.float64]:
+    """Holm's step-down adjusted p values along the last axis, in the order given.
+
+    Args:
+        p: [..., tests]; NaN stays, and does not count as a test.
+    """
     values = np.asarray(p, dtype=float)
-    adjusted = np.full(len(values), np.nan)
-    order = [i for i in np.argsort(values) if not np.isnan(values[i])]
-    largest = 0.0
-    for rank, i in enumerate(order):
-        largest = max(largest, min(1.0, (len(order) - rank) * float(values[i])))
-        adjusted[i] = largest
-    return [float(value) for value in adjusted]
+    order = np.argsort(values, axis=-1)  # NaN last
+    ranked = np.take_along_axis(values, order, axis=-1)
+    tests = (~np.isnan(values)).sum(axis=-1, keepdims=True)
+    steps = ranked * (tests - np.arange(values.shape[-1]))
+    adjusted = np.minimum(1.0, np.maximum.accumulate(steps, axis=-1))
+    found: NDArray[np.float64] = np.take_along_axis(adjusted, np.argsort(order, axis=-1), axis=-1)
+    return found
 
 
 def stratified_permutation(

@@ -14,6 +14,7 @@ from xplain.errors import InputError
 from xplain.randomness import derived_seed
 from xplain.study.analysis.statistics import Comparison, compare, holm
 from xplain.study.protocol.machine import ENDS
+from xplain.study.stored import STREAMS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,8 +102,8 @@ def analyse(
     Raises:
         InputError: an unknown stream, participant or condition, or nobody to analyse.
     """
-    if stream not in ("person", "pilot", "bot"):
-        raise InputError("stream", stream, "person, pilot or bot")
+    if stream not in STREAMS:
+        raise InputError("stream", stream, ", ".join(STREAMS))
     unknown = set(excluded) - set(data["participant"])
     if unknown:
         raise InputError("exclude", min(unknown), "a participant in the data")
@@ -119,7 +120,7 @@ def analyse(
             "data", counts, f"at least 2 completed participants (stream {stream}) a condition"
         )
     primary = [_compare(kept, m, title, seed) for m, title in MEASURES.items()]
-    adjusted = holm([c.student.p for _, _, c in primary])
+    adjusted = holm([c.student.p for _, _, c in primary]).tolist()
     rows = [
         Row(m, title, c, p, paper_table()[m])
         for (m, title, c), p in zip(primary, adjusted, strict=True)

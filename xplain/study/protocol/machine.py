@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 
 from xplain.explanation import belief as beliefs
-from xplain.message_sets import indices
 from xplain.study.protocol.plan import Study
 
 STAGES = (
@@ -88,6 +87,12 @@ class State:
     score: int | None = None
 
     @property
+    def slot_type(self) -> int:
+        """The user type, in the stages after consent: each of them has a slot."""
+        assert self.user_type is not None, f"no slot at {self.stage}"
+        return self.user_type
+
+    @property
     def over(self) -> bool:
         """Whether nothing more can happen."""
         return self.stage == "done" or self.stage in ENDS
@@ -99,7 +104,7 @@ class State:
 
     @classmethod
     def from_text(cls, text: str) -> State:
-        """Reads :attr:`text`."""
+        """The state that :attr:`text` was made from, equal to the last bit."""
         value = json.loads(text)
         orders = value["orders"]
         return cls(
@@ -122,6 +127,18 @@ class Decision:
     messages: int
     values: Mapping[int, float]
 
+    @property
+    def columns(self) -> dict[str, str | int | None]:
+        """Of the step table, by name; what the answer will fill in is None."""
+        return {
+            "belief_before": json.dumps(self.belief),
+            "given": self.given,
+            "messages": self.messages,
+            "action_values": json.dumps({str(mask): v for mask, v in self.values.items()}),
+            "labels": None,
+            "belief_after": None,
+        }
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -130,6 +147,11 @@ class Answer:
     step: int
     labels: tuple[int, ...]
     belief: tuple[float, ...]
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Of the step table, by name: those that :attr:`Decision.columns` leaves None."""
+        return {"labels": json.dumps(self.labels), "belief_after": json.dumps(self.belief)}
 
 
 @dataclass(frozen=True)
@@ -200,7 +222,7 @@ def _training(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome
 
 
 def _eligibility(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
-    questions = study.plan.roles[_type(state)].eligibility
+    questions = study.plan.roles[state.slot_type].eligibility
     answers = payload.get("answers")
     if not isinstance(answers, list) or len(answers) != len(questions):
         raise Refused("Please answer every question.")
@@ -254,7 +276,7 @@ def _decide(study: Study, state: State, answer: Answer | None) -> Outcome:
 
 
 def _quiz(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
-    statements = study.plan.roles[_type(state)].quiz
+    statements = study.plan.roles[state.slot_type].quiz
     chosen = payload.get("chosen")
     if not isinstance(chosen, list) or len(chosen) > len(statements):
         raise Refused("Please tick the statements that are true.")
@@ -279,11 +301,6 @@ def _questions(study: Study, state: State, payload: Mapping[str, Any]) -> Outcom
     return _to(state, stage="done")
 
 
-def _type(state: State) -> int:
-    assert state.user_type is not None, "every stage after consent has a slot"
-    return state.user_type
-
-
 def _choice(value: object, count: int, otherwise: str) -> int:
     """An integer 0 … count − 1 (true booleans count as what they are)."""
     if not isinstance(value, int) or not 0 <= value < count:
@@ -300,35 +317,3 @@ _STEPS = {
     "quiz": _quiz,
     "questions": _questions,
 }
-
-
-def page(study: Study, state: State) -> dict[str, Any]:
-    """What the participant sees now, in plain values: sentences, questions in their order.
-
-    Nothing of the type, the condition, the belief or the right answers is in it.
-    """
-    plan = study.plan
-    view: dict[str, Any] = {"stage": state.stage, "sequence": state.accepted, "wrong": state.wrong}
-    if state.stage in ("briefing", "evaluation"):
-        view["briefing"] = plan.roles[_type(state)].briefing
-    if state.stage == "briefing":
-        view["attempts_left"] = plan.rules.max_attempts - state.attempts
-    elif state.stage == "training":
-        view |= {"training": plan.training, "part": state.part}
-    elif state.stage == "eligibility":
-        questions = plan.roles[_type(state)].eligibility
-        view["questions"] = [(i, questions[i]) for i in (state.orders or {})["eligibility"]]
-    elif state.stage == "evaluation":
-        view |= {
-            "step": state.step,
-            "trace": plan.trace[: state.step + 1],
-            "labels": state.labels,
-            "old": [plan.facts[j].message for j in indices(state.given & ~state.new)],
-            "new": [plan.facts[j].message for j in indices(state.new)],
-        }
-    elif state.stage == "quiz":
-        statements = plan.roles[_type(state)].quiz
-        view["statements"] = [(i, statements[i].text) for i in (state.orders or {})["quiz"]]
-    elif state.stage == "questions":
-        view["asked"] = plan.asked
-    return view

@@ -200,7 +200,7 @@ class StudyPlan:
 
     @property
     def n_steps(self) -> int:
-        """m."""
+        """m, the number of transitions of the trace."""
         return len(self.trace)
 
     @property
@@ -229,7 +229,7 @@ class StudyPlan:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of :attr:`text`."""
+        """SHA-256 of :attr:`text`; names the plan in the data."""
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     @classmethod

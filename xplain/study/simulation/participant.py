@@ -13,7 +13,7 @@ import numpy as np
 
 from xplain.errors import InputError
 from xplain.message_sets import indices
-from xplain.study.protocol import machine as protocol
+from xplain.study.protocol import machine
 from xplain.study.protocol.plan import Study, StudyPlan
 
 
@@ -166,7 +166,7 @@ def take_part(
     plan = study.plan
     person = Person(plan, habits, rng)
     person.briefed(plan.roles[user_type].briefing)
-    state = protocol.State(
+    state = machine.State(
         stage="eligibility",
         user_type=user_type,
         condition=condition,
@@ -178,18 +178,18 @@ def take_part(
         payload: dict[str, object] = {}
         if state.stage == "eligibility":
             kind, payload = "eligibility", {"answers": person.checked(questions)}
-        state = protocol.advance(study, state, kind, payload).state
+        state = machine.advance(study, state, kind, payload).state
     seconds = 0.0
     while state.stage == "evaluation":
         if person.leaves():
             return None
-        shown = [plan.facts[j].message for j in indices(state.given)]
-        labels, took = person.labels(state.step + 1, shown)
+        on_page = [plan.facts[j].message for j in indices(state.given)]
+        labels, took = person.labels(state.step + 1, on_page)
         seconds += took
-        state = protocol.advance(study, state, "labels", {"labels": labels}).state
+        state = machine.advance(study, state, "labels", {"labels": labels}).state
     if state.stage != "quiz":
         return None
     sentences = [statement.text for statement in plan.roles[user_type].quiz]
-    after = protocol.advance(study, state, "quiz", {"chosen": person.quiz(sentences)}).state
+    after = machine.advance(study, state, "quiz", {"chosen": person.quiz(sentences)}).state
     assert after.score is not None, "a quiz has a score"
     return Measures(seconds, state.labels.count(0), after.score, state.given.bit_count())

@@ -11,17 +11,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.study.conftest import GENEROUS, Visitor, consent
+from tests.participants.visitors import GENEROUS, Visitor, consent
 from tests.study.stand_in import street_plan, street_study
 from xplain.errors import XplainError
-from xplain.participants.server.database import Clock, read_plan
-from xplain.participants.server.participant_pages import create_app
+from xplain.participants.server.app import create_app
+from xplain.participants.server.database import Clock
+from xplain.participants.server.security import Keys
 from xplain.participants.server.slots import Full
 from xplain.participants.server.store import MAX_TAB_EVENTS, Store, Unknown
 from xplain.participants.simulation.http_client import visit
 from xplain.study.protocol.machine import Refused
 from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import Habits, Person
+from xplain.study.stored import read_plan
 
 
 class Time:
@@ -332,10 +334,10 @@ def test_state_survives_a_restart(tmp_path: Path, study: Study) -> None:
     (token,) = store.invite(1, "person")
     who = store.enter_invited(token)
     state = consent(store, who)
-    key = store.keyed("participant", who)
+    cookie = Keys(store.secret).cookie(who)
     store.close()
     store = Store(tmp_path / "s.sqlite", study)
     assert store.participant(who).state == state
-    assert store.keyed("participant", who) == key  # cookies stay valid
+    assert Keys(store.secret).cookie(who) == cookie  # cookies stay valid
     assert store.enter_invited(token) == who
     store.close()

@@ -70,7 +70,7 @@ class ServerProcess:
         self._end(signal.SIGKILL)
 
     def stop(self) -> None:
-        """A polite end."""
+        """SIGTERM: the server answers what it has begun, then ends."""
         self._end(signal.SIGTERM)
 
     def _end(self, how: signal.Signals) -> None:

@@ -18,9 +18,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.study.conftest import FAULTLESS
-from tests.study.server import ROOT, ServerProcess
-from tests.study.stand_in import street_study
+from tests.participants.server_process import ROOT, ServerProcess
+from tests.study.stand_in import FAULTLESS, street_study
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
 from xplain.participants.simulation.chromium import (
@@ -36,8 +35,9 @@ from xplain.participants.simulation.chromium import (
     wait,
 )
 from xplain.participants.simulation.http_client import Page, fill
-from xplain.study.analysis.table2 import replay
-from xplain.study.prepare import study_of, study_plan
+from xplain.study.analysis import replay
+from xplain.study.policies import study_of
+from xplain.study.prepare import study_plan
 from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import Habits, Person
 

@@ -14,21 +14,22 @@ from urllib.parse import quote, urlencode
 import numpy as np
 import pytest
 
-from tests.study.conftest import FAULTLESS, GENEROUS, Visitor, consent
-from tests.study.server import ServerProcess
-from xplain.participants.server.participant_pages import create_app
+from tests.participants.server_process import ServerProcess
+from tests.participants.visitors import GENEROUS, Visitor, consent
+from tests.study.stand_in import FAULTLESS
+from xplain.participants.server.app import create_app
 from xplain.participants.server.security import Keys
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
 from xplain.participants.simulation.http_client import Page, fill
-from xplain.study.analysis.table2 import replay
+from xplain.study.analysis import replay
 from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import Person
 
 Send = Callable[[str, str, dict[str, str], bytes], int]
 ROUTES = (
     *("/", "/enter", "/study", "/events", "/alive", "/researcher", "/researcher/login"),
-    *("/researcher/invitations", "/researcher/export", "/static/study.js", "/static/../web.py"),
+    *("/researcher/invitations", "/researcher/export", "/static/study.js", "/static/../app.py"),
     *("/static/%2e%2e/schema.sql", "/nowhere", "//", "/study/", "/%00", "/study;x=1"),
 )
 METHODS = ("GET", "POST", "POST", "POST", "POST", "PUT", "DELETE", "HEAD", "OPTIONS", "PATCH")
@@ -142,7 +143,7 @@ def attack(send: Send, count: int, seed: int, cookies: list[tuple[str, str]]) ->
 
 def prey(store: Store) -> tuple[list[tuple[str, str]], list[str]]:
     """Participants at every stage: some owned by the attacker, and as many others."""
-    keys, owned, others = Keys(store.keyed), [], []
+    keys, owned, others = Keys(store.secret), [], []
     app = create_app(store, GENEROUS)
     for number in range(20):
         (invitation,) = store.invite(1, "bot")
@@ -160,7 +161,7 @@ def prey(store: Store) -> tuple[list[tuple[str, str]], list[str]]:
 
 
 def _way(visitor: Visitor, person: Person, invitation: str) -> Iterator[Page]:
-    from tests.study.conftest import enter
+    from tests.participants.visitors import enter
 
     page = Page(enter(visitor, invitation))
     while True:

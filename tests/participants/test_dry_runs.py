@@ -1,8 +1,7 @@
-"""The real server: dry runs over HTTP, kill -9, one process a database, one-line errors."""
+"""The real server: dry runs over HTTP, kill -9, one process a database."""
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 import zipfile
@@ -15,18 +14,15 @@ import pandas as pd
 import pytest
 
 from tests.conftest import Command
-from tests.study.conftest import FAULTLESS, GENEROUS, Visitor
-from tests.study.server import ServerProcess
-from tests.study.stand_in import street_study
-from xplain.errors import InputError
-from xplain.participants.server.participant_pages import create_app
+from tests.participants.server_process import ServerProcess
+from tests.study.stand_in import FAULTLESS, street_study
 from xplain.participants.server.store import Store
 from xplain.participants.simulation import bots
 from xplain.participants.simulation.bots import Researcher
 from xplain.participants.simulation.http_client import Browser, Page, Refusal, fill, visit
+from xplain.study.analysis import main as analyse
+from xplain.study.analysis import replay
 from xplain.study.analysis.export import export
-from xplain.study.analysis.table2 import main as analyse
-from xplain.study.analysis.table2 import replay
 from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import Habits, Person
 
@@ -214,7 +210,8 @@ def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.slow
 def test_forty_bots_in_the_rescue_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from xplain.config import composed
-    from xplain.study.prepare import study_of, study_plan
+    from xplain.study.policies import study_of
+    from xplain.study.prepare import study_plan
 
     study = study_of(
         study_plan(composed("study", ["rules.per_cell=4", "rules.timeout_minutes=0.05"]))
@@ -246,84 +243,3 @@ def test_a_running_study_keeps_its_plan(database: Path, study: Study) -> None:
         assert "lambda" in server.log()
         plan = Researcher(server.url, server.key).plan()
     assert plan.hash == study.plan.hash
-
-
-@pytest.mark.parametrize(
-    ("module", "arguments", "said"),
-    [
-        ("xplain study", ["port=0"], "port=0: a whole number"),
-        ("xplain study", ["port=many"], "port='many'"),
-        ("xplain study", ["prot=1"], "did you mean port?"),
-        ("xplain study", ["threads=0"], "threads=0"),
-        ("xplain study", ["8080"], "key=value"),
-        ("xplain study", ["server.entry=[anybody]"], "server.entry='anybody'"),
-        ("xplain study", ["database=broken.sqlite"], "not a study's database"),
-        ("xplain study", ["rules.per_cell=0"], "rules.per_cell=0"),
-        ("xplain study", ["trace.start=[99,99]"], "trace.start=[99, 99]"),
-        ("xplain study", ["trace.candidates=0"], "trace.candidates=0"),
-        ("xplain study export", ["nothing.sqlite", "out"], "nothing.sqlite"),
-        ("xplain study replay", ["broken.sqlite"], "not a study's database"),
-        ("xplain study analyse", ["nowhere"], "participants.csv"),
-        (
-            "xplain.participants.simulation.bots",
-            ["--key", "k", "--url", "http://127.0.0.1:9"],
-            "a running study",
-        ),
-        ("xplain study power", ["--people", "1"], "--people=1"),
-    ],
-)
-def test_what_is_wrong_is_one_line(
-    command: Command, tmp_path: Path, module: str, arguments: list[str], said: str
-) -> None:
-    (tmp_path / "broken.sqlite").write_text("broken " * 500)
-    done = command(module, *arguments)
-    assert done.returncode == 2
-    assert said in done.stderr
-    assert "Traceback" not in done.stderr
-    lines = [line for line in done.stderr.splitlines() if "preparing" not in line]
-    assert len(lines) == 1
-    assert not (tmp_path / "outputs" / "study" / "study.sqlite").exists()
-
-
-def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
-    from xplain.config import composed
-    from xplain.study.prepare import study_of, study_plan
-
-    cfg = composed("study", ["observers.points=150", "trace.candidates=40"])
-    plan = study_plan(cfg)
-    assert study_plan(cfg).hash == plan.hash  # same configuration, same study
-    study_of(plan)
-    assert (len(plan.roles), plan.problem.trade_off) == (5, 1.0)
-    assert set(plan.conditions) == {"personalized", "conformant"}
-    agree = (plan.problem.p_explicable > 0.5) == plan.true_labels.astype(bool)
-    assert agree.mean() > 0.95
-    assert plan.scene is not None
-    assert set(plan.icons) >= {item.name for item in plan.scene.items}
-    for role in plan.roles:
-        assert len(role.wrong) == 2
-        assert all(q.options == ("0 or more", "less than 0") for q in role.eligibility)
-        assert [q.answer for q in role.eligibility] == [int(j in role.wrong) for j in range(6)]
-    assert json.loads(plan.text)["config"]["lambda"] == 1.0
-
-
-def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) -> None:
-    from xplain.config import composed
-    from xplain.study.prepare import study_of, study_plan
-
-    cfg = composed("study", ["domain=four_rooms", "observers.points=150", "trace.candidates=40"])
-    plan = study_plan(cfg)
-    assert plan.scene is not None
-    assert plan.scene.items == ()  # goals and penalties are among what types hold wrong
-    assert "four rooms" in plan.texts.introduction[0]
-    for role in plan.roles:
-        assert len(role.quiz) == 4
-    study = study_of(plan)
-    store = Store(tmp_path / "s.sqlite", study)
-    client = Visitor(create_app(store, GENEROUS).test_client())
-    person = Person(plan, FAULTLESS, np.random.default_rng(0))
-    assert visit(client, person, store.invite(1, "bot")[0]) == "done"
-    store.close()
-    with pytest.raises(InputError, match=r"wording\.hide"):
-        study_plan(
-            composed("study", ["domain=four_rooms", "wording.hide=[Q]", "observers.points=50"])
-        )

@@ -1,0 +1,22 @@
+"""The map and the robot's way on it."""
+
+from __future__ import annotations
+
+import re
+
+from tests.study.stand_in import street_plan
+from xplain.participants.server.map_svg import legend, picture
+from xplain.study.protocol.plan import Study
+
+
+def test_the_map_says_what_happened_and_a_domain_without_one_does_without(study: Study) -> None:
+    plan = study.plan
+    assert [name for name, _ in legend(plan)] == ["bridge", "market", "school", "tunnel"]
+    for k in range(1, plan.n_steps + 1):
+        svg = picture(plan, k)
+        numbers = re.findall(r'font-weight="700" fill="#fff">([\d·]+)</text>', svg)
+        assert [int(n) for text in numbers for n in text.split("·")] == list(range(1, k + 1))
+        assert "style=" not in svg
+    assert ">B<" in picture(plan, 1)  # a letter where there is no icon
+    assert plan.icons["market"] in picture(plan, 1)
+    assert picture(street_plan(map_shown=False), 1) == ""

@@ -1,0 +1,174 @@
+"""The way through the participants' pages, one page at a time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.participants.visitors import GENEROUS, Visitor, enter, field, pages
+from tests.study.stand_in import FAULTLESS, street_plan
+from xplain.errors import InputError
+from xplain.participants.server.app import create_app
+from xplain.participants.server.http import Server
+from xplain.participants.server.store import Store
+from xplain.participants.simulation.http_client import Page, visit
+from xplain.study.simulation.participant import Person
+
+
+def test_the_way_from_entrance_to_code(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+) -> None:
+    (token,) = store.invite(1, "person")
+    seen = [page.stage for _, page in pages(browser(), person(), token)]
+    m = store.study.plan.n_steps
+    assert seen == [
+        *("consent", "briefing", "training", "training", "eligibility"),
+        *["evaluation"] * m,
+        *("quiz", "questions", "done"),
+    ]
+    who = store.enter_invited(token)
+    assert store.participant(who).code in browser_html(store, browser(), token)
+
+
+def browser_html(store: Store, visitor: Visitor, token: str) -> str:
+    enter(visitor, token)
+    return visitor.get("/study")[1]
+
+
+def test_reload_back_second_tab_and_double_click_change_nothing(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+) -> None:
+    (token,) = store.invite(1, "person")
+    one, two, old = browser(), browser(), []
+    someone = person()
+    for html, page in pages(one, someone, token):
+        assert Page(one.get("/study")[1]).stage == page.stage  # reload
+        enter(two, token)
+        assert Page(two.get("/study")[1]).hidden == page.hidden  # another tab, another device
+        for fields in old:  # every page before, sent once more
+            status, again = one.post("/study", fields)
+            assert status == 200
+            assert Page(again).hidden == page.hidden
+        if page.hidden:
+            old.append([*page.hidden.items(), *_anything(page)])
+        del html
+    kinds = [e["kind"] for e in store.query("SELECT kind FROM event WHERE source = 'protocol'")]
+    assert kinds == [
+        *("consent", "read", "example", "example", "eligibility"),
+        *["labels"] * store.study.plan.n_steps,
+        *("quiz", "answers"),
+    ]
+
+
+def _anything(page: Page) -> list[tuple[str, str]]:
+    return [(name, choices[-1].value) for name, choices in page.groups().items()]
+
+
+def test_earlier_labels_stay_and_only_the_new_one_is_needed(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+) -> None:
+    visitor = browser()
+    for _, page in pages(visitor, person(), store.invite(1, "person")[0]):
+        if page.stage == "evaluation":
+            break
+    hidden = dict(page.hidden)
+    _, html = visitor.post("/study", [*hidden.items(), ("label_0", "0")])
+    hidden = Page(html).hidden
+    assert 'name="label_0" value="0" required checked' in html
+    status, html = visitor.post("/study", [*hidden.items()])
+    assert status == 400
+    assert "Please label" in html
+    status, html = visitor.post("/study", [*hidden.items(), ("label_1", "1")])
+    assert status == 200
+    labels = store.query("SELECT labels FROM step WHERE k = 1")
+    assert labels == [{"labels": "[0, 1]"}]
+
+
+def test_pages_have_no_inline_script_or_style_and_load_nothing_from_elsewhere(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+) -> None:
+    for html, page in pages(browser(), person(), store.invite(1, "bot")[0]):
+        assert not re.search(r"<script(?! src=\"/static)", html), page.stage
+        assert not re.search(r"\son\w+=|\sstyle=|<style|javascript:", html), page.stage
+        assert not re.search(r"(src|href)=\"(?!/|#)", html), page.stage
+        assert "Simulated participant" in html  # bots are marked on every page too
+        assert not re.search(r"conformant|personalized|type [XYZ]", html), page.stage
+
+
+def test_what_people_write_is_escaped_everywhere(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+) -> None:
+    attack = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)>{{7*7}}\x00\u202e"
+    visitor = browser()
+    _, html = visitor.get("/?invitation=" + "%3Cscript%3Ealert(1)%3C/script%3E&PROLIFIC_PID=%22%3E")
+    assert "<script>alert" not in html
+    for html, page in pages(visitor, person(), store.invite(1, "person")[0]):
+        assert "<script>alert" not in html
+        if page.stage == "questions":
+            fields = [*page.hidden.items(), ("age", attack), ("comment", attack)]
+            status, html = visitor.post("/study", fields)
+            assert status == 400
+            assert "<script>alert" not in html
+            visitor.post("/study", [*page.hidden.items(), ("age", "30"), ("comment", attack)])
+            break
+    (row,) = store.query("SELECT payload FROM event WHERE kind = 'answers'")
+    assert "<script>" in row["payload"]  # kept as it was written
+    _, html = visitor.get("/researcher")
+    assert "<script>alert" not in html
+    # The domain's own sentences are text, too.
+    plan = street_plan()
+    assert "<robot>" in plan.facts[0].belief
+
+
+def test_sentences_of_the_domain_are_escaped(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+) -> None:
+    for html, page in pages(browser(), person(), store.invite(1, "person")[0]):
+        assert "<robot>" not in html
+        if page.stage == "briefing":
+            assert "&lt;robot&gt;" in html
+            assert "fine for the robot &amp; quick" in html
+
+
+def test_entry_is_as_configured(store: Store) -> None:
+    closed = create_app(store, Server(entry=("prolific",))).test_client()
+    html = closed.get("/").text
+    visitor = field(html, "token")
+    assert 'name="invitation"' not in html
+    (token,) = store.invite(1, "person")
+    for data in ({"invitation": token}, {}, {"invitation": ""}):
+        assert closed.post("/enter", data=data | {"token": visitor}).status_code == 403
+    ids = {"PROLIFIC_PID": "p", "STUDY_ID": "s", "SESSION_ID": "x"}
+    assert closed.post("/enter", data=ids).status_code == 403  # without the form's token
+    assert closed.post("/enter", data=ids | {"token": visitor}).status_code == 303
+    long = ids | {"PROLIFIC_PID": "p" * 101, "token": visitor}
+    assert closed.post("/enter", data=long).status_code == 403
+    with pytest.raises(InputError, match=r"server\.entry"):
+        Server(entry=("anybody",))
+
+
+def test_the_platform_gets_its_code_back(store: Store, person: Callable[[], Person]) -> None:
+    server = Server(
+        completion_url="https://example.org/back?cc={code}",
+        completion_code="C0DE",
+        burst=1e9,
+        visitor_burst=1e9,
+    )
+    visitor = Visitor(create_app(store, server).test_client())
+    *_, (html, _) = pages(visitor, person(), store.invite(1, "person")[0])
+    assert 'href="https://example.org/back?cc=C0DE"' in html
+
+
+def test_a_domain_without_a_map_gets_its_study(tmp_path: Path) -> None:
+    from xplain.study.policies import study_of
+
+    study = study_of(street_plan(map_shown=False, questions=[]))
+    store = Store(tmp_path / "s.sqlite", study)
+    visitor = Visitor(create_app(store, GENEROUS).test_client())
+    person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
+    assert visit(visitor, person, store.invite(1, "bot")[0]) == "done"
+    store.close()

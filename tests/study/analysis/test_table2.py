@@ -1,0 +1,82 @@
+"""Table 2 from the data of people, against scipy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from xplain.errors import InputError
+from xplain.study.analysis import main as analyse
+from xplain.study.analysis.table2 import analyse as analysis_of
+from xplain.study.analysis.table2 import paper_table, read
+
+
+def _data(n: int) -> pd.DataFrame:
+    """n completed participants a condition, and a bot that would spoil everything."""
+    rng = np.random.default_rng(0)
+    rows = [
+        {
+            "participant": f"{condition}{i}",
+            "stream": "person",
+            "stage": "done",
+            "type": "ABCDE"[i % 5],
+            "condition": condition,
+            "eligible": 1,
+            "interaction_time_s": 100 + shift + rng.normal(0, 20),
+            "inexplicable_transitions": int(rng.poisson(1)),
+            "quiz_score": int(rng.integers(0, 5)),
+            "visible_time_s": 90.0 + i,
+        }
+        for condition, shift in (("conformant", 30), ("personalized", 0))
+        for i in range(n)
+    ]
+    bot = rows[0] | {"participant": "bot", "stream": "bot", "interaction_time_s": 1e9}
+    return pd.DataFrame([*rows, bot])
+
+
+def test_the_table_is_what_scipy_computes_from_people_alone() -> None:
+    from scipy import stats
+
+    data = _data(20)
+    found = analysis_of(data, "person", {"conformant3": "was interrupted"})
+    assert found.excluded == {"was interrupted": 1}
+    own = data[(data["stream"] == "person") & (data["participant"] != "conformant3")]
+    for row in found.rows:
+        a, b = (own.loc[own["condition"] == c, row.measure] for c in ("conformant", "personalized"))
+        student, welch = stats.ttest_ind(a, b), stats.ttest_ind(a, b, equal_var=False)
+        assert row.ours.student.p == pytest.approx(student.pvalue)
+        assert row.ours.student.df == 37
+        assert row.ours.welch.p == pytest.approx(welch.pvalue)
+        assert (row.ours.a.n, row.ours.b.n) == (19, 20)
+        assert row.ours.a.mean == pytest.approx(a.mean())
+    assert [row.measure for row in found.rows][:3] == list(paper_table())
+    with pytest.raises(InputError, match="exclude"):
+        analysis_of(data, "person", {"nobody": "x"})
+    with pytest.raises(InputError, match="stream"):
+        analysis_of(data, "people", {})
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_small_studies_are_analysed_or_refused(n: int, tmp_path: Path) -> None:
+    data = _data(n + 1).iloc[: 2 * n] if n < 2 else _data(n)
+    data.assign(interaction_time_s=5.0).to_csv(tmp_path / "participants.csv", index=False)
+    if n < 2:
+        with pytest.raises(InputError):
+            analysis_of(read(tmp_path), "person", {})
+    else:  # no spread in time: no t test, but no failure
+        found = analysis_of(read(tmp_path), "person", {})
+        assert np.isnan(found.rows[0].ours.student.p)
+        assert found.rows[0].ours.permutation_p == 1
+
+
+def test_files_that_are_no_export_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"participants\.csv"):
+        read(tmp_path)
+    (tmp_path / "participants.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match="lacks the column participant"):
+        read(tmp_path)
+    with pytest.raises(InputError, match="participant, reason"):
+        analyse.exclusions(tmp_path / "participants.csv")

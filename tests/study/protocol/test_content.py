@@ -1,0 +1,42 @@
+"""What participants are told and asked follows from the domain's sentences."""
+
+from __future__ import annotations
+
+from xplain.study.protocol import content
+from xplain.study.protocol.plan import Study, StudyPlan
+
+
+def test_needed_messages_are_smallest(study: Study) -> None:
+    plan = study.plan
+    for role, labels in zip(plan.roles, plan.true_labels, strict=True):
+        mask = content.needed(labels)
+        assert mask == sum(1 << j for j in role.wrong)
+        assert labels[:, mask].all()
+        smaller = [m for m in range(16) if m.bit_count() < mask.bit_count()]
+        assert not any(labels[:, m].all() for m in smaller)
+
+
+def test_roles_follow_from_the_sentences(study: Study) -> None:
+    plan = study.plan
+    for role in plan.roles:
+        for j, (fact, told) in enumerate(zip(plan.facts, role.briefing, strict=True)):
+            assert told == (fact.belief if j in role.wrong else fact.message)
+        true = [s for s in role.quiz if s.true]
+        assert [plan.facts[j].name for j in role.wrong] == [s.fact for s in true]
+        assert all(s.text == plan.facts[_of(plan, s.fact)].message for s in true)
+        false = [s for s in role.quiz if not s.true]
+        assert len(false) == 2
+        assert not {s.fact for s in false} & {s.fact for s in true}
+        assert all(s.text == plan.facts[_of(plan, s.fact)].belief for s in false)
+    # A reward with a phrase gets the paper's question; what is no number gets the sentences.
+    assert plan.roles[0].eligibility[0].options == ("0 or more", "less than 0")
+    assert plan.roles[0].eligibility[0].answer == 1
+    assert plan.roles[2].eligibility[0].answer == 0
+    assert set(plan.roles[0].eligibility[3].options) == {
+        plan.facts[3].message,
+        plan.facts[3].belief,
+    }
+
+
+def _of(plan: StudyPlan, name: str) -> int:
+    return [fact.name for fact in plan.facts].index(name)

@@ -1,0 +1,184 @@
+"""The protocol as a pure machine: what it accepts, what it never shows, what the policies do."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.study.stand_in import FAULTLESS, street_study
+from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.study.protocol import machine
+from xplain.study.protocol.machine import Refused, State
+from xplain.study.protocol.plan import Study
+from xplain.study.protocol.view import page
+from xplain.study.simulation.participant import take_part
+
+ORDERS = {"eligibility": (2, 0, 1, 3), "quiz": (3, 2, 1, 0)}
+
+
+def test_the_protocol_knows_no_web_no_store_no_configuration() -> None:
+    script = "import sys, xplain.study.protocol.machine; print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    outer = {"flask", "werkzeug", "sqlite3", "hydra", "omegaconf", "gunicorn", "http.server"}
+    assert not outer & set(done.stdout.split())
+
+
+def at_evaluation(study: Study, user_type: int, condition: str) -> State:
+    slot = {"user_type": user_type, "condition": condition, "orders": ORDERS}
+    text = study.plan.texts.consent_hash
+    right = [q.answer for q in study.plan.roles[user_type].eligibility]
+    state = State()
+    for kind, payload in (
+        ("consent", {"agree": 1, "text": text, **slot}),
+        ("read", {}),
+        ("example", {"label": 0}),
+        ("example", {"label": 1}),
+        ("eligibility", {"answers": right}),
+    ):
+        state = machine.advance(study, state, kind, payload).state
+    return state
+
+
+@pytest.mark.parametrize("condition", ["personalized", "conformant"])
+@pytest.mark.parametrize("user_type", range(3))
+def test_participants_meet_what_the_offline_experiment_computes(
+    study: Study, user_type: int, condition: str
+) -> None:
+    plan = study.plan
+    user = SimulatedUser(plan.true_labels[user_type])
+    offline = explain(plan.problem, study.policies[condition], user, study.belief)
+    state = at_evaluation(study, user_type, condition)
+    for k in range(plan.n_steps):
+        assert (state.step, state.new) == (k, offline.messages[k])
+        assert state.belief == tuple(offline.beliefs[k].tolist())
+        labels = plan.true_labels[user_type, : k + 1, state.given].tolist()
+        state = machine.advance(study, state, "labels", {"labels": labels}).state
+    assert state.stage == "quiz"
+    assert state.belief == tuple(offline.beliefs[-1].tolist())
+
+
+def test_conformant_does_not_listen_and_personalized_does(study: Study) -> None:
+    def given(condition: str, user_type: int) -> int:
+        state = at_evaluation(study, user_type, condition)
+        while state.stage == "evaluation":
+            labels = study.plan.true_labels[user_type, : state.step + 1, state.given].tolist()
+            state = machine.advance(study, state, "labels", {"labels": labels}).state
+        return state.given
+
+    assert len({given("conformant", t) for t in range(3)}) == 1
+    assert len({given("personalized", t) for t in range(3)}) > 1
+
+
+def test_a_faultless_participant_errs_only_where_nothing_was_said(study: Study) -> None:
+    plan = study.plan
+    for user_type, condition in plan.cells:
+        user = SimulatedUser(plan.true_labels[user_type])
+        offline = explain(plan.problem, study.policies[condition], user, study.belief)
+        found = take_part(study, user_type, condition, FAULTLESS, np.random.default_rng(0))
+        assert found is not None
+        assert found.inexplicable == (offline.labels[-1] == 0).sum()
+        assert found.messages == offline.n_messages
+        told = sum(int(mask) for mask in offline.messages)
+        untold = [j for j in plan.roles[user_type].wrong if not told >> j & 1]
+        assert found.score == 4 - len(untold)
+
+
+def test_failing_the_check_leads_to_the_briefing_then_to_a_polite_end(study: Study) -> None:
+    wrong = [1 - q.answer for q in study.plan.roles[0].eligibility]
+    state = State(stage="eligibility", user_type=0, condition="conformant")
+    state = machine.advance(study, state, "eligibility", {"answers": wrong}).state
+    assert (state.stage, state.attempts, state.wrong) == ("briefing", 1, True)
+    assert page(study, state)["attempts_left"] == 1
+    state = machine.advance(study, state, "read", {}).state
+    assert state.stage == "eligibility"  # the practice is not repeated
+    state = machine.advance(study, state, "eligibility", {"answers": wrong}).state
+    assert (state.stage, state.over) == ("ineligible", True)
+
+
+def test_practice_goes_on_until_it_is_understood(study: Study) -> None:
+    state = State(stage="training", user_type=0, condition="conformant")
+    state = machine.advance(study, state, "example", {"label": 1}).state
+    assert (state.part, state.wrong) == (0, True)
+    state = machine.advance(study, state, "example", {"label": 0}).state
+    assert (state.part, state.wrong) == (1, False)
+    assert machine.advance(study, state, "example", {"label": 1}).state.stage == "eligibility"
+
+
+def test_quiz_scores_every_statement_judged_rightly(study: Study) -> None:
+    state = State(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
+    true = [i for i, s in enumerate(study.plan.roles[1].quiz) if s.true]
+    for chosen, score in ((true, 4), ([], 2), ([0, 1, 2, 3], 2), (true[:1], 3)):
+        outcome = machine.advance(study, state, "quiz", {"chosen": chosen})
+        assert outcome.state.score == score
+
+
+PAYLOADS = st.recursive(
+    st.none() | st.booleans() | st.integers(-5, 9) | st.text(max_size=5) | st.floats(),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=6,
+)
+
+
+KEYS = ("agree", "text", "label", "labels", "answers", "chosen", "age", "comment")
+
+
+@settings(max_examples=300, deadline=None)
+@given(data=st.data())
+def test_whatever_comes_is_refused_or_leads_to_a_stage(study: Study, data: Any) -> None:
+    state = data.draw(
+        st.sampled_from(
+            [
+                State(),
+                State(stage="training", user_type=0, condition="personalized", orders=ORDERS),
+                State(stage="eligibility", user_type=1, condition="personalized", orders=ORDERS),
+                at_evaluation(study, 2, "personalized"),
+                State(stage="quiz", user_type=0, condition="conformant", orders=ORDERS),
+                State(stage="questions", user_type=0, condition="conformant", orders=ORDERS),
+                State(stage="withdrawn"),
+            ]
+        )
+    )
+    kind = data.draw(st.sampled_from([*machine.KINDS.values(), "withdraw", "", "x"]))
+    payload = data.draw(st.dictionaries(st.sampled_from(KEYS), PAYLOADS))
+    try:
+        after = machine.advance(study, state, kind, payload).state
+    except Refused:
+        return
+    assert after.accepted == state.accepted + 1
+    assert after.stage in (*machine.STAGES, *machine.ENDS)
+    assert State.from_text(after.text) == after
+    page(study, after)
+
+
+def test_pages_carry_nothing_that_tells_type_condition_or_answers(study: Study) -> None:
+    for user_type, condition in study.plan.cells:
+        state = at_evaluation(study, user_type, condition)
+        view = page(study, state)
+        assert not view.keys() & {"belief", "condition", "user_type", "true", "score", "values"}
+        quiz = State(stage="quiz", user_type=user_type, condition=condition, orders=ORDERS)
+        texts = [text for _, text in page(study, quiz)["statements"]]
+        assert sorted(texts) == sorted(s.text for s in study.plan.roles[user_type].quiz)
+
+
+def test_persistent_belief_is_taken_from_the_configuration() -> None:
+    study = street_study(belief={"_target_": "xplain.explanation.belief.Persistent"})
+    state = at_evaluation(study, 0, "personalized")
+    user = SimulatedUser(study.plan.true_labels[0])
+    offline = explain(study.plan.problem, study.policies["personalized"], user, study.belief)
+    while state.stage == "evaluation":
+        labels = study.plan.true_labels[0, : state.step + 1, state.given].tolist()
+        state = machine.advance(study, state, "labels", {"labels": labels}).state
+    assert state.belief == tuple(offline.beliefs[-1].tolist())
+
+
+def test_states_are_read_back_as_they_were() -> None:
+    state = State(stage="evaluation", belief=(0.1 + 0.2, 1 / 3), labels=(1, 0), previous=0)
+    assert State.from_text(state.text) == state

@@ -1,0 +1,53 @@
+"""Power curves against theory, and what simulated participants do to them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.study.stand_in import street_study
+from xplain.errors import InputError
+from xplain.study.analysis.statistics import (
+    t_power,
+)
+from xplain.study.analysis.table2 import MEASURES
+from xplain.study.simulation.participant import Habits
+from xplain.study.simulation.power import Pool, power, simulate
+
+
+def test_false_alarms_are_as_rare_as_promised() -> None:
+    rng = np.random.default_rng(3)
+    noise = rng.normal(size=(5, 300, len(MEASURES)))
+    pool = Pool({"conformant": noise, "personalized": noise})
+    plain, corrected = power(pool, 20, 4000, rng)
+    assert (np.abs(plain - 0.05) < 0.015).all()
+    assert corrected.max() < 0.03
+
+
+def test_simulated_power_agrees_with_theory() -> None:
+    rng = np.random.default_rng(4)
+    a, b = rng.normal(0.7, 1, (1, 40_000, 3)), rng.normal(0, 1, (1, 40_000, 3))
+    plain, corrected = power(Pool({"conformant": a, "personalized": b}), 20, 3000, rng)
+    assert plain == pytest.approx(t_power(0.7, 20), abs=0.035)
+    assert (corrected <= plain).all()
+
+
+def test_what_people_forget_changes_what_the_study_would_find() -> None:
+    study = street_study()
+    perfect = simulate(study, Habits(0, 0, 0, 0, mistake=0), 20, seed=0)
+    overloaded = simulate(study, Habits(0, 0, 0.4, 0, mistake=0), 20, seed=0)
+    slow = simulate(study, Habits(message_seconds=30, spread=0.1), 20, seed=0)
+    fast = simulate(study, Habits(message_seconds=0, spread=0.1), 20, seed=0)
+    inexplicable = list(MEASURES).index("inexplicable_transitions")
+    for condition in ("conformant", "personalized"):
+        better, worse = (
+            p.values[condition][..., inexplicable].mean() for p in (perfect, overloaded)
+        )
+        assert better < worse
+        assert fast.values[condition][..., 0].mean() < slow.values[condition][..., 0].mean()
+    # Whoever needs long for a message gains most from getting fewer of them.
+    assert slow.effect()[0] > fast.effect()[0]
+    with pytest.raises(InputError):
+        simulate(study, Habits(mistake=1), 2, seed=0)
+    with pytest.raises(InputError):
+        Habits(label_noise=2)

@@ -1,0 +1,69 @@
+"""From a plan to its policies at work, and what they decide for participants drawn at random."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hydra.utils import instantiate
+
+from xplain.errors import XplainError
+from xplain.randomness import derived_seed, stream
+from xplain.study.protocol import machine
+from xplain.study.protocol.plan import Study, StudyPlan
+from xplain.study.stored import renamed
+
+PROBES = 16
+"""Walks with random labels, a condition, that a changed code would have to repeat."""
+
+
+def study_of(plan: StudyPlan) -> Study:
+    """A plan with its policies at work.
+
+    Raises:
+        XplainError: the installed code decides differently from the code that made the plan.
+    """
+    study = _at_work(plan)
+    if probes(study) != plan.probes:
+        raise XplainError(
+            "database: this version of xplain decides differently from the one that started the "
+            "study; go on with that version, or start a new study in another database"
+        )
+    return study
+
+
+def _at_work(plan: StudyPlan) -> Study:
+    """The policies of a plan, made from its conditions' configurations."""
+    seed = derived_seed(plan.seed, "solver")
+    policies = {
+        condition: instantiate(renamed(solver)).plan(plan.problem, seed)
+        for condition, solver in plan.conditions.items()
+    }
+    return Study(plan, policies, instantiate(renamed(plan.belief)))
+
+
+def with_probes(plan: StudyPlan) -> StudyPlan:
+    """The plan with what its policies decide, as it is stored."""
+    return replace(plan, probes=probes(_at_work(plan)))
+
+
+def probes(study: Study) -> dict[str, tuple[str, ...]]:
+    """What the protocol decides for participants who label at random: by condition, one text a
+    walk, with the messages of every step and the last belief to the last bit."""
+    return {
+        condition: tuple(_walk(study, condition, number) for number in range(PROBES))
+        for condition in study.plan.conditions
+    }
+
+
+def _walk(study: Study, condition: str, number: int) -> str:
+    rng = stream(0, "probes", number)
+    state = machine.State(stage="eligibility", user_type=0, condition=condition)
+    right = [question.answer for question in study.plan.roles[0].eligibility]
+    state = machine.advance(study, state, "eligibility", {"answers": right}).state
+    messages = [state.new]
+    while state.stage == "evaluation":
+        # Mostly 1, so that beliefs stay apart rather than settle at once.
+        labels = (rng.random(state.step + 1) < 0.8).astype(int).tolist()
+        state = machine.advance(study, state, "labels", {"labels": labels}).state
+        messages.append(state.new)
+    return f"{messages} {[float(b).hex() for b in state.belief]}"

@@ -1,0 +1,110 @@
+"""A study's database, read only: for exports, replays, and the next start of its server."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from xplain.errors import InputError
+from xplain.study.protocol.plan import StudyPlan
+
+STREAMS = ("person", "pilot", "bot")
+"""Whose data it is; fixed by the invitation, and never mixed in an analysis."""
+MOVED = {
+    "xplain.learning.dirichlet.DirichletMixture": (
+        "xplain.learning.fact_model.dirichlet.DirichletMixture"
+    ),
+    "xplain.learning.mixture.Mixture": "xplain.learning.em_mixture.Mixture",
+    "xplain.solvers.certified.Certified": "xplain.solvers.hsvi.solver.Certified",
+    "xplain.solvers.pomcp.POMCP": "xplain.solvers.pomcp.solver.POMCP",
+    "xplain.users.observers.FileObservers": "xplain.data.observers.FileObservers",
+    "xplain.users.observers.SimulatedObservers": "xplain.data.observers.SimulatedObservers",
+}
+"""Classes by the names that older plans carry. A stored plan is never rewritten: its hash is in
+the data. What it names is looked up here whenever it is used."""
+
+
+def renamed(config: Any) -> Any:
+    """A stored configuration with today's names of classes, wherever a ``_target_`` stands."""
+    if isinstance(config, Mapping):
+        return {
+            key: MOVED.get(value, value) if key == "_target_" else renamed(value)
+            for key, value in config.items()
+        }
+    return [renamed(value) for value in config] if isinstance(config, list | tuple) else config
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[sqlite3.Connection]:
+    """A read-only connection to a study's database.
+
+    Raises:
+        InputError: it is no study's database.
+    """
+    connection = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+    connection.row_factory = sqlite3.Row
+    try:
+        connection.execute("SELECT 1 FROM meta")
+        yield connection
+    except sqlite3.DatabaseError as error:
+        raise InputError("database", str(path), f"not a study's database ({error})") from None
+    finally:
+        connection.close()
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[sqlite3.Connection]:
+    """A read-only connection to a study's database that no server has open.
+
+    Raises:
+        InputError: there is none, it is in use, or it is no study's database.
+    """
+    if not path.is_file():
+        raise InputError("database", str(path), "a study's database or a snapshot of one")
+    lock = FileLock(f"{path}.lock")
+    guarded = Path(f"{path}.lock").exists()
+    try:
+        if guarded:
+            lock.acquire(timeout=0)
+    except Timeout:
+        raise InputError(
+            "database",
+            str(path),
+            "in use by a server; take the snapshot that the researcher's page offers",
+        ) from None
+    try:
+        with opened(path) as connection:
+            yield connection
+    finally:
+        if guarded:
+            lock.release()
+
+
+def plan_of(connection: sqlite3.Connection) -> StudyPlan:
+    """The plan that the data was collected under.
+
+    Raises:
+        InputError: there is none yet, or another version made it.
+    """
+    row = connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()
+    if row is None:
+        raise InputError("database", "its plan", "a database in which a study was started")
+    return StudyPlan.from_text(row[0])
+
+
+def read_plan(path: Path) -> StudyPlan | None:
+    """The plan in a database; None where there is none yet.
+
+    Raises:
+        InputError: the file is no study's database.
+    """
+    if not path.exists() or not path.stat().st_size:
+        return None
+    with opened(path) as connection:
+        started = connection.execute("SELECT 1 FROM meta WHERE key = 'plan'").fetchone()
+        return plan_of(connection) if started else None
