@@ -14,8 +14,9 @@ from hydra.utils import instantiate
 
 from tests.configurations import composed
 from tests.conftest import ROOT
+from xplain.cli.commands import COMMANDS
 from xplain.cli.completion import completions
-from xplain.cli.main import COMMANDS, main
+from xplain.cli.main import main
 from xplain.config import CONF
 
 HEAVY = ("mlflow", "sklearn", "kneed", "numba", "scipy", "pandas", "matplotlib")
@@ -237,7 +238,7 @@ def test_completion_knows_commands_keys_and_choices(line, among, not_among):
     GlobalHydra.instance().clear()
     found = {word.partition("=")[0] + "=" if "=" in word and word.count("=") == 1
              and not line.rpartition(" ")[2].count("=") else word
-             for word in completions(line, COMMANDS)}  # fmt: skip
+             for word in completions(line)}  # fmt: skip
     assert among <= found
     assert not not_among & found
 

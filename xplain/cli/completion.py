@@ -7,47 +7,41 @@ Hydra completes one configuration, this the one of the command in question.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
+from xplain.cli.commands import COMMANDS
 from xplain.config import CONF, register
 
-if TYPE_CHECKING:
-    from xplain.cli.main import Command
 
-
-def main(words: list[str], commands: Mapping[str, Command]) -> None:
+def main(words: list[str]) -> None:
     """``-sc`` with what follows it.
 
     Args:
         words: ``install=SHELL``, ``uninstall=SHELL`` or ``query=SHELL``.
-        commands: of the door.
     """
     if words[:1] == ["query=bash"]:
-        print(" ".join(completions(os.environ.get("COMP_LINE", ""), commands)))
+        print(" ".join(completions(os.environ.get("COMP_LINE", ""))))
         return
     from xplain.cli import run
 
     run.main(["--shell-completion", *words])
 
 
-def completions(line: str, commands: Mapping[str, Command]) -> list[str]:
+def completions(line: str) -> list[str]:
     """What the last word of a command line may become.
 
     Args:
         line: from the program's name to the cursor.
-        commands: by name; the empty line may become any of them.
     """
     typed = line.lstrip().partition(" ")[2].lstrip()
-    name = max((n for n in commands if typed.startswith(f"{n} ")), key=len, default="")
+    name = max((n for n in COMMANDS if typed.startswith(f"{n} ")), key=len, default="")
     begun = [
         command[typed.rfind(" ") + 1 :]
-        for command in commands
+        for command in COMMANDS
         if command.startswith(typed) and command.count(" ") == typed.count(" ")
     ]
-    if name and not commands[name].config:
+    if name and not COMMANDS[name].config:
         return begun
-    config = commands[name].config if name else "config"
+    config = COMMANDS[name].config if name else "config"
     return sorted({*begun, *_keys(config, typed[len(name) :].lstrip())})
 
 

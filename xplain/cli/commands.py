@@ -1,0 +1,37 @@
+"""The commands behind the door, in the order of the help text."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command.
+
+    Attributes:
+        module: has ``main(arguments)``; its docstring is the command's help.
+        meaning: in a line.
+        config: name of its file in conf/, "" where it has none of its own.
+    """
+
+    module: str
+    meaning: str
+    config: str = ""
+
+
+COMMANDS = {
+    "discover": Command("discover", "find the user types in a table of labels", "discover"),
+    "observe": Command("observe", "write labels of simulated observers", "observe"),
+    "plan": Command("plan", "plan for a saved explanation problem", "plan"),
+    "export": Command("export", "write a saved problem for POMDP solvers", "export"),
+    "report": Command("report", "tables, plots and a page of a sweep, anew"),
+    "sync": Command("sync", "send results on disk to MLflow"),
+    "demo": Command("demo", "play one explanation, with a simulated user or you"),
+    "study": Command("study.serve", "serve the user study", "study"),
+    "study bots": Command("study.bots", "let simulated participants take part"),
+    "study export": Command("study.export", "its data as tables"),
+    "study replay": Command("study.replay", "compute it again from its log"),
+    "study analyse": Command("study.analyse", "the paper's Table 2 of its data"),
+    "study power": Command("study.power", "how many participants it needs"),
+}
