@@ -1,4 +1,4 @@
-"""Named random streams of one seed (SPEC §8).
+"""Named random streams of one seed (docs/method.md, section 8).
 
 Each component draws from a stream of its own, so that choosing another solver leaves data and
 traces as they were, and results do not depend on the number of processes.

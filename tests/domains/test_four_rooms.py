@@ -107,7 +107,7 @@ def test_no_trace_starts_at_a_goal() -> None:
 
 
 def test_each_parameter_held_wrong_alone_matters() -> None:
-    """SPEC §1: at least 2 % of on-policy transitions."""
+    """docs/choices.md: at least 2 % of on-policy transitions."""
     domain = domain_of(FOUR_ROOMS)
     values = accurate(domain)
     wrong = [values | {p.name: p.inaccurate} for p in domain.parameters]

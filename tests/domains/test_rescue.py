@@ -1,4 +1,4 @@
-"""The rescue task against its rules written out by hand, and SPEC §1 "Default map"."""
+"""The rescue task against its rules written out by hand, and its map against docs/choices.md."""
 
 from __future__ import annotations
 
@@ -223,7 +223,7 @@ def smallest_and_silence(table: np.ndarray) -> tuple[int, int]:
 
 @pytest.mark.parametrize("length", [10, 40])
 def test_most_traces_need_both_facts_and_early(length: int) -> None:
-    """SPEC §1: 200 random starts, both as observers see traces (10 steps) and to their end."""
+    """docs/choices.md, the rescue map: traces as observers see them (10 steps) and to their end."""
     setting = setting_of(RESCUE)
     sizes, worth = [], []
     for trace in traces_of(setting, 200, length):

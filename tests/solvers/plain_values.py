@@ -8,7 +8,7 @@ from xplain.explanation.problem import Problem
 
 
 def plain_optimal_value(problem: Problem, t: int, step: int = 0, given: int = 0) -> float:
-    """The Bellman recursion over single actions, as SPEC §5 states it."""
+    """The Bellman recursion over single actions, as docs/method.md, section 5 states it."""
     per_message = problem.discount if problem.discount_per == "action" else 1.0
 
     @cache

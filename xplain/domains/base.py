@@ -1,4 +1,7 @@
-"""What a domain is: a robot's task with parameters that people may hold wrong (SPEC §1)."""
+"""What a domain is: a robot's task with parameters that people may hold wrong.
+
+docs/method.md, section 1.
+"""
 
 from __future__ import annotations
 
@@ -104,7 +107,8 @@ def transition_feature_names(domain: Domain) -> tuple[str, ...]:
 
 
 def transition_features(domain: Domain, transitions: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Features of transitions [T, 3]: state, one-hot action, next state: [T, 2F + A] (SPEC §3)."""
+    """Features [T, 2F + A] of transitions [T, 3]: of the state (F), the action one-hot (A), of the
+    next state (F). docs/method.md, section 3."""
     s, a, after = transitions.T
     action = np.eye(len(domain.actions))[a]
     return np.hstack([domain.state_features[s], action, domain.state_features[after]])

@@ -1,7 +1,7 @@
-"""Four rooms (Sutton, Precup & Singh 1999; SPEC §1): reach a goal through the doors of four rooms.
+"""Four rooms (Sutton, Precup & Singh 1999): reach a goal through the doors of four rooms.
 
 Five facts about the task can be held wrong: where the goals and the penalty cells lie, the
-discount, the cost of a step, and the penalty.
+discount, the cost of a step, and the penalty. Their values are ours: docs/choices.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Grids from ASCII maps: cells, walls, moves with slip; shared by the grid domains (SPEC §1)."""
+"""Grids from ASCII maps: cells, walls, moves with slip; shared by the grid domains."""
 
 from __future__ import annotations
 

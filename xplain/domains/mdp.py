@@ -1,4 +1,4 @@
-"""Tabular Markov decision processes, solved many at a time (SPEC §1).
+"""Tabular Markov decision processes, solved many at a time (docs/method.md, section 1).
 
 A robot's task and each user's idea of it are models over the same states and actions; they are
 solved in one batch, to an accuracy at which "is this action optimal?" has a safe answer.

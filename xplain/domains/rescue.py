@@ -1,7 +1,8 @@
-"""Disaster rescue (paper, "Illustrative example"; SPEC §1): a robot brings a victim to a shelter.
+"""Disaster rescue (paper, "Illustrative example"): a robot brings a victim to a shelter.
 
 On its way it may pick up first aid, extinguish a fire and refuel, each rewarded once. Rubble,
 puddles and fences cost it nothing, though people may think so.
+What the paper leaves open about the task: docs/choices.md.
 """
 
 from __future__ import annotations

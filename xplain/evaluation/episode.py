@@ -1,4 +1,7 @@
-"""One interaction: a policy explains a trace, step by step, to a user who answers (SPEC §5, §7)."""
+"""One interaction: a policy explains a trace, step by step, to a user who answers.
+
+docs/method.md, sections 5 and 7.
+"""
 
 from __future__ import annotations
 

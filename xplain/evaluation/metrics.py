@@ -1,4 +1,7 @@
-"""From episodes to the figures that the paper reports, and the further ones of SPEC §7."""
+"""From episodes to the figures that the paper reports, and further ones.
+
+docs/method.md, section 7.
+"""
 
 from __future__ import annotations
 

@@ -24,7 +24,10 @@ from xplain.solvers.cached_policy import Remembered
 
 @dataclass(frozen=True)
 class Costs:
-    """What messages and inexplicable labels cost, and how plans discount (SPEC §5)."""
+    """What messages and inexplicable labels cost, and how plans discount.
+
+    docs/method.md, section 5.
+    """
 
     trade_off: float
     message_cost: float

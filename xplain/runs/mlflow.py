@@ -1,4 +1,4 @@
-"""Runs in MLflow (SPEC §7): made from a run's folder on disk, so they can be sent later as well.
+"""Runs in MLflow: made from a run's folder on disk, so they can be sent later as well.
 
 MLflow is imported when it is used: it takes a second.
 """

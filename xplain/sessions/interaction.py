@@ -1,4 +1,4 @@
-"""One step of an explanation after the other: decide, say, hear, believe (SPEC §5).
+"""One step of an explanation after the other: decide, say, hear, believe.
 
 The experiments and the sessions that people embed run this same loop.
 """
@@ -17,7 +17,7 @@ from xplain.solvers.base import Policy
 
 @dataclass
 class Interaction:
-    """One trace being explained (SPEC §5), by masks and arrays.
+    """One trace being explained (docs/method.md, section 5), by masks and arrays.
 
     Attributes:
         problem: what the agent believes of users.

@@ -1,6 +1,7 @@
-"""A setting: a domain and its user types, with the labels that each type would give (SPEC §1).
+"""A setting: a domain and its user types, with the labels that each type would give.
 
-Many types and message sets share one model of the task; each distinct model is solved once.
+docs/method.md, section 1. Many types and message sets share one model of the task; each distinct
+model is solved once.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Type sources: where the user types of a setting come from (SPEC §1).
+"""Type sources: where the user types of a setting come from (docs/method.md, section 1).
 
 Each has one method, ``types(domain, rng)``.
 """
@@ -82,7 +82,7 @@ class Explicit:
 @dataclass(frozen=True)
 class Completions:
     """The completions of a partly known list of types: the paper's figure with three of its five
-    rescue types is lost (SPEC §1).
+    rescue types is lost (docs/choices.md).
 
     A completion gives each free name one bonus and one obstacle, so that all types are distinct
     and all facts are in use. For ``rescue`` 27 exist (as sets of types: which of the free names
