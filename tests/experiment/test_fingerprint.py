@@ -13,7 +13,12 @@ import sklearn
 
 from tests.configurations import CHOICES, composed, dotted, each_changed
 from xplain.experiment import fingerprint as stamps
-from xplain.experiment.fingerprint import component_code, configuration, fingerprint
+from xplain.experiment.fingerprint import (
+    NOT_IN_NUMBERS,
+    component_code,
+    configuration,
+    fingerprint,
+)
 
 
 @pytest.fixture
@@ -34,6 +39,7 @@ CONFIG = {"solver": {"_target_": "their_solver.best.Best"}, "lambda": 1.0}
 
 
 NO_NUMBER = {
+    "hydra": "where and how jobs run; only what a sweep is planned with has it",
     "outputs": "where files are written",
     "tracking": "where results go besides the disk",
     "resume": "which jobs of a sweep run again, not what they give",
@@ -51,6 +57,7 @@ def test_every_key_counts_but_those_without_a_number(choices):
         counts = fingerprint(configuration(cfg)) != before
         assert counts == (path[0] not in NO_NUMBER), dotted(path)
     assert {path[0] for path in paths} == set(cfg)
+    assert set(NOT_IN_NUMBERS) == NO_NUMBER.keys() <= {*cfg, "hydra"}  # no dead one
     assert fingerprint(configuration(cfg)) == before  # all was put back
 
 

@@ -27,8 +27,9 @@ import xplain
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "kneed", "numba", "pandas", "pyarrow")
 """Distributions whose version may change a number."""
 
-NOT_IN_NUMBERS = ("hydra", "outputs", "tracking", "sweeps", "resume")
-"""Keys of a configuration that cannot change a number."""
+NOT_IN_NUMBERS = ("hydra", "outputs", "tracking", "resume")
+"""Keys of a configuration that cannot change a number. Hydra takes its own from a job's, but not
+from the one that a sweep is planned with."""
 
 _OWN = {"xplain", "numpy", "scipy", "sklearn", "kneed", "numba", "pandas", "pyarrow"}
 
