@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.configurations import composed
 from tests.handmade import a_prepared, with_cases
 from tests.solvers.test_policy_evaluation import worth_by_enumeration
 from xplain.errors import InputError
@@ -22,6 +23,7 @@ from xplain.solvers.qmdp import QMDP
 
 COSTS = Costs(0.8, 0.6, 1.5, 0.9, "action", "observers")
 PREPARED = a_prepared(steps=(2, 3))
+EFFORT = composed().certify
 
 
 def problem_of(case: Case) -> Problem:
@@ -50,7 +52,7 @@ KNOWN = [
 
 
 def found_for(solver, prepared: Prepared = PREPARED, seed: int = 4, **effort) -> dict[str, float]:
-    return Certify(**effort).certificates(prepared, COSTS, solver, seed)
+    return Certify(**{**EFFORT, **effort}).certificates(prepared, COSTS, solver, seed)
 
 
 def test_bounds_enclose_the_optimum_and_are_as_close_as_asked():
@@ -166,4 +168,4 @@ def test_traces_alike_to_the_types_are_not_alike_to_everyone():
 )
 def test_effort_is_checked(key, value):
     with pytest.raises(InputError, match=f"certify.{key}"):
-        Certify(**{key: value})
+        Certify(**{**EFFORT, key: value})

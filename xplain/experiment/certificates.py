@@ -1,5 +1,5 @@
 """What every run reports of its explanation problems: how good any policy could be, how good the
-one that ran is, and what it costs not to know the type (all under the learned model)."""
+one that ran is, and what knowing the type would be worth (all under the learned model)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from xplain.solvers.policy_evaluation import evaluate
 
 @dataclass(frozen=True)
 class Certify:
-    """How much work the certificates may be.
+    """How much work the certificates may be; ``certify`` in conf/config.yaml gives the numbers.
 
     Attributes:
         traces: certificates are made for the first so many; 0 makes none.
@@ -29,11 +29,11 @@ class Certify:
         episodes: and from so many simulated episodes otherwise.
     """
 
-    traces: int = 3
-    gap: float = 1e-3
-    nodes: int = 2_000
-    beliefs: int = 1_000
-    episodes: int = 100
+    traces: int
+    gap: float
+    nodes: int
+    beliefs: int
+    episodes: int
 
     def __post_init__(self) -> None:
         """Checks the numbers."""
@@ -50,8 +50,10 @@ class Certify:
         ``optimal_lower`` and ``optimal_upper`` enclose the optimum; ``policy_value`` (with the
         standard error ``policy_value_se``, and ``policy_value_exact``, the share of traces where
         it is exact) is what the policy earns; ``policy_cost`` its expected undiscounted cost.
-        Prices have a ``_low`` and a ``_high`` end, 95 % limits where the value is simulated. A
-        solver that is told the user's type has no value of its own here.
+        ``price_of_not_knowing`` is the expected value of perfect information about the type,
+        ``price_of_approximation`` the policy's suboptimality; both have a ``_low`` and a ``_high``
+        end, 95 % limits where the value is simulated. A solver that is told the user's type has
+        no value of its own here. docs/method.md, section 7.
         """
         rows: list[dict[str, float]] = []
         seen: dict[tuple[bytes, bytes], dict[str, float]] = {}
