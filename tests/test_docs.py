@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
 import re
@@ -9,11 +10,13 @@ import shlex
 import socket
 import subprocess
 import sys
+import tomllib
 from importlib.util import find_spec
 
 import pytest
 
 from tests.conftest import ROOT
+from xplain.cli.main import COMMANDS
 
 
 def module(name):
@@ -28,6 +31,17 @@ def module(name):
 run, config_reference = module("run"), module("config_reference")
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SHOWING = [page for page in PAGES if run.blocks_of(page.read_text(encoding="utf-8"))]
+TEXTS = [
+    *PAGES,
+    *(ROOT / name for name in ("benchmarks/README.md", "Makefile", "pyproject.toml")),
+    *(
+        file
+        for folder in ("xplain", "conf", "sweeps", "examples", "benchmarks", "docs")
+        for ending in ("py", "yaml", "html", "js")
+        for file in sorted((ROOT / folder).rglob(f"*.{ending}"))
+    ),
+]
+IN_A_WHEEL = ("xplain/conf", "xplain/sweeps")
 OURS = ("config.yaml", "observers", "labeler", "clusterer", "solver", "belief", "tracking")
 
 
@@ -122,26 +136,77 @@ def test_links_lead_somewhere():
                 assert (page.parent / target).exists(), f"{page.name} → {target}"
 
 
-def test_code_named_in_the_docs_exists():
-    """`xplain/…/file.py` and `xplain.module.Name` in words."""
-    import importlib
+def named(pattern):
+    """``(file, name)`` of what the pattern finds in the repository's own texts."""
+    for file in TEXTS:
+        for name in sorted(set(re.findall(pattern, file.read_text(encoding="utf-8")))):
+            yield file.relative_to(ROOT), name
 
-    for page in PAGES:
-        text = page.read_text(encoding="utf-8")
-        for path in re.findall(
-            r"`((?:xplain|conf|sweeps|examples|benchmarks|tests)/[\w./]+)`", text
-        ):
-            assert (ROOT / path).exists(), f"{page.name}: {path}"
-        for name in re.findall(r"`(xplain(?:\.\w+)+)(?:\(\))?`", text):
-            parts = name.split(".")
-            for cut in range(len(parts), 0, -1):
-                try:
-                    found = importlib.import_module(".".join(parts[:cut]))
-                except ModuleNotFoundError:
-                    continue
-                for attribute in parts[cut:]:
-                    found = getattr(found, attribute)
-                break
+
+def resolves(name):
+    """Whether a dotted name is a module, or something in one; fields of a class count."""
+    parts = name.split(".")
+    for cut in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:cut]))
+        except ModuleNotFoundError:
+            continue
+        for attribute in parts[cut:]:
+            if attribute in getattr(found, "__annotations__", {}):
+                return True
+            if not hasattr(found, attribute):
+                return False
+            found = getattr(found, attribute)
+        return True
+    return False
+
+
+def test_files_that_are_named_exist():
+    folders = "xplain|conf|sweeps|examples|benchmarks|tests|docs"
+    paths = rf"(?<![\w./-])((?:{folders})/[\w./-]*\w)"
+    missing = [
+        f"{file}: {path}"
+        for file, path in named(paths)
+        if not (ROOT / path).exists() and path not in IN_A_WHEEL
+    ]
+    assert missing == []
+
+
+def test_modules_classes_and_targets_that_are_named_exist():
+    missing = [
+        f"{file}: {name}"
+        for file, name in named(r"(?<![\w.\"'/-])(xplain(?:\.\w+)+)")
+        if name != "xplain.log" and not resolves(name)
+    ]
+    assert missing == []
+
+
+def test_sections_of_the_method_that_are_named_exist():
+    sections = set(
+        re.findall(r"^## (\d+)\.", (ROOT / "docs" / "method.md").read_text(encoding="utf-8"), re.M)
+    )
+    found = list(named(r"docs/method\.md,\s+sections?\s+(\d+(?: and \d+)?)"))
+    missing = [f"{file}: {n}" for file, n in found if not set(n.split(" and ")) <= sections]
+    assert found
+    assert missing == []
+
+
+def test_every_command_goes_through_the_one_door():
+    gone = [f"{file}: {name}" for file, name in named(r"python -m xplain\.\w+")]
+    words = named(r"(?<![\w/])python -m xplain ([a-z]\w*)(?![\w/=.])")
+    unknown = [f"{file}: {word}" for file, word in words if word not in COMMANDS]
+    study = named(r"python -m xplain (study [a-z]+)(?![\w/=.])")
+    unknown += [f"{file}: {words}" for file, words in study if words not in COMMANDS]
+    assert gone + unknown == []
+
+
+def test_no_command_fetches_another_project_of_this_name():
+    """``xplain`` on the package index is not ours; ``xplain-hri`` is."""
+    wrong = r"""pip install +(?:-[\w-]+ +)*['"]?xplain(?!-hri)[^\n]*"""
+    assert [f"{file}: {command}" for file, command in named(wrong)] == []
+    for project in (ROOT / "examples").glob("*/pyproject.toml"):
+        wanted = tomllib.loads(project.read_text(encoding="utf-8"))["project"]["dependencies"]
+        assert wanted == ["xplain-hri"], project
 
 
 @pytest.mark.parametrize(

@@ -183,7 +183,7 @@ NO_OPTION = {
 @pytest.mark.parametrize(("group", "choice"), choices())
 def test_a_choice_lists_every_option_and_the_component_takes_it(group, choice):
     if choice in ("taxi", "cliff_walking", "frozen_lake"):
-        pytest.importorskip("gymnasium", reason="pip install 'xplain[gym]'")
+        pytest.importorskip("gymnasium", reason="pip install 'xplain-hri[gym]'")
     filled = {"file": ["observers.path=labels.csv"], "explicit": ["users.groups={A: [fire]}"]}
     chosen = composed(f"{group}={choice}", *filled.get(choice, []))[group]
     options = {key: chosen[key] for key in chosen if not key.startswith("_")}

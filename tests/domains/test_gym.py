@@ -264,5 +264,5 @@ def test_bad_input_is_one_clear_line(changes: dict[str, Any], text: str) -> None
 def test_without_gymnasium_the_error_names_the_fix(monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = given("cliff_walking")
     monkeypatch.setitem(sys.modules, "gymnasium", None)
-    with pytest.raises(XplainError, match=r"pip install 'xplain\[gym\]'"):
+    with pytest.raises(XplainError, match=r"pip install 'xplain-hri\[gym\]'"):
         Gymnasium(**arguments)

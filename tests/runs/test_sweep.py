@@ -136,7 +136,7 @@ def test_every_launcher_gives_the_same_table(finished, tmp_path):
     ],
 )
 def test_launchers_of_the_extras_give_the_same_table(finished, tmp_path, package, launcher):
-    pytest.importorskip(package, reason="an extra: pip install 'xplain[ray]' or 'xplain[submitit]'")
+    pytest.importorskip(package, reason="pip install 'xplain-hri[ray,submitit]'")
     folder = finished.folder
     code, output = sweeps.run(tmp_path, *sweeps.TINY, *launcher, "tracking=none")
     assert code == 0, output
