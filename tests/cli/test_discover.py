@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pandas as pd
@@ -12,8 +11,7 @@ from hydra.core.global_hydra import GlobalHydra
 from sklearn.metrics import adjusted_rand_score
 
 from tests.conftest import Command
-from xplain.cli import discover as discovering
-from xplain.cli import observe as observing
+from xplain.cli.main import main
 from xplain.learning.saved_types import LearnedTypes
 
 
@@ -23,11 +21,10 @@ def run(tmp_path, monkeypatch, capsys):
 
     def command(name: str, *arguments: str) -> tuple[int, str, str]:
         monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "argv", [name, *arguments])
         GlobalHydra.instance().clear()
         code = 0
         try:
-            {"observe": observing, "discover": discovering}[name].main()
+            main([name, *arguments])
         except SystemExit as error:
             code = error.code if isinstance(error.code, int) else 1
         out = capsys.readouterr()

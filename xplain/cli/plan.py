@@ -107,5 +107,8 @@ def _compare(rows: list[Row]) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
-    print(json.dumps(plan(arguments)))
+    """Plans and prints the JSON line, below a table where solvers are compared."""
+    found = plan(arguments)
+    if isinstance(found, list):
+        _compare(found)
+    print(json.dumps(found))
