@@ -22,7 +22,7 @@ from xplain.errors import InputError, whole_number
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
+    """Plays one session on the terminal, or writes it as a page."""
     parser = Parser("xplain demo")
     who = parser.add_mutually_exclusive_group()
     who.add_argument("--user", metavar="TYPE")

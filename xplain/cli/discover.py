@@ -57,9 +57,9 @@ def discover(arguments: list[str]) -> Row:
         derived_seed(cfg.seed, "labelers"),
         none_of_these=cfg.none_of_these,
     )
-    foretold = None
+    likelihood = None
     if cfg.held_out:
-        foretold = held_out_log_likelihood(dataset, clusterer, trainer, cfg.seed)
+        likelihood = held_out_log_likelihood(dataset, clusterer, trainer, cfg.seed)
     row: Row = {
         "n_types": clustering.n_types,
         "assignment": {
@@ -68,7 +68,7 @@ def discover(arguments: list[str]) -> Row:
         },
         "method": clustering.method,
         "rule": clustering.rule,
-        "held_out_log_likelihood": foretold,
+        "held_out_log_likelihood": likelihood,
         "seconds": time.perf_counter() - began,
     }
     _write(folder, dataset, types, row)
@@ -168,5 +168,5 @@ def _show(row: Row, known: list[Row], folder: Path) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
+    """Finds the types, writes the files and prints the JSON line."""
     print(json.dumps(discover(arguments)))

@@ -27,5 +27,5 @@ def export(arguments: list[str]) -> Path:
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
+    """Writes the file and prints its path."""
     print(export(arguments))

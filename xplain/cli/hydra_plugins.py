@@ -33,7 +33,7 @@ class SweepFiles(FileConfigSource):
         return "xplain-sweeps"
 
     def load_config(self, config_path: str) -> ConfigResult:
-        """Reads ``sweeps/<name>``."""
+        """The content of ``sweeps/<name>.yaml``."""
         if not self.is_config(config_path):
             raise ConfigLoadError(f"Config not found : {config_path}")
         return super().load_config(self._inside(config_path))

@@ -30,7 +30,7 @@ Completion in bash: eval "$(xplain -sc install=bash)". `python -m xplain` is the
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """The door; every error that a person can mend is one line, exit code 2.
+    """Runs the command; an error that a person can put right is one line, exit code 2.
 
     Args:
         arguments: of the command line; None takes those of the process.

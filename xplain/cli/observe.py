@@ -62,5 +62,5 @@ def observe(arguments: list[str]) -> dict[str, Any]:
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
+    """Writes both tables and prints the JSON line."""
     print(json.dumps(observe(arguments)))

@@ -15,5 +15,5 @@ class Parser(argparse.ArgumentParser):
         super().__init__(prog, add_help=False)
 
     def error(self, message: str) -> NoReturn:
-        """Raises XplainError."""
+        """Raises XplainError with argparse's message and where the help is."""
         raise XplainError(f"{message}; see {self.prog} --help")

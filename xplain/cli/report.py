@@ -11,7 +11,7 @@ from xplain.errors import InputError
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
+    """Writes the report anew, prints its table and the paths of its files."""
     folder = _folder(arguments)
     from xplain.report.console import print_sweep
     from xplain.report.write import write_report

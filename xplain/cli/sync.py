@@ -48,7 +48,7 @@ def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
+    """Sends the results and prints how many there are."""
     # Names of jobs' folders have an equals sign as well.
     named = [word for word in arguments if Path(word).exists() or "=" not in word]
     keys = [word for word in arguments if word not in named]

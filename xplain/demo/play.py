@@ -99,7 +99,7 @@ class Played:
 
 
 class Audience(Protocol):
-    """Who watches."""
+    """Whoever is told of a session as it is played."""
 
     def said(self, session: Session) -> None:
         """The robot has said its messages and shown its transitions."""

@@ -102,7 +102,7 @@ class FourRooms:
         return goals
 
     def position(self, state: int) -> Cell:
-        """The robot's cell."""
+        """The robot's cell (row, column), from 0."""
         return self.grid.position(state)
 
     def describe(self, transition: NDArray[np.int64]) -> str:

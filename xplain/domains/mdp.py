@@ -67,12 +67,12 @@ class MDP:
 
     @property
     def n_states(self) -> int:
-        """S."""
+        """S, the number of states, terminal ones included."""
         return int(self.successor.shape[0])
 
     @property
     def n_actions(self) -> int:
-        """A."""
+        """A, the number of actions, whether available in a state or not."""
         return int(self.successor.shape[1])
 
     def possible(self, transitions: NDArray[np.int64]) -> NDArray[np.bool_]:

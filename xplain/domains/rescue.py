@@ -147,7 +147,7 @@ class Rescue:
         return MDP(self._successor, self._probability, reward, self.discount, self._terminal)
 
     def position(self, state: int) -> Cell:
-        """The robot's cell."""
+        """The robot's cell (row, column), from 0."""
         return self.grid.position(state // self._flags)
 
     def describe(self, transition: NDArray[np.int64]) -> str:
@@ -168,7 +168,7 @@ class Rescue:
 
     @property
     def scene(self) -> Scene:
-        """The map with its items."""
+        """The map for people: walls, and the cells of each item."""
         return self.grid.scene(
             [
                 Item(name, symbol, self.grid.where[symbol])

@@ -62,7 +62,7 @@ class Episode:
 
     @property
     def n_messages(self) -> int:
-        """How many messages were given."""
+        """Number of messages given over all steps."""
         return sum(int(mask).bit_count() for mask in self.messages)
 
     @property

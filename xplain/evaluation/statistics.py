@@ -17,7 +17,7 @@ class Estimate:
     high: float
 
     def negated(self) -> Estimate:
-        """Of the negative."""
+        """The estimate of minus the quantity: the ends of the interval change places."""
         return Estimate(-self.mean, -self.high, -self.low)
 
 

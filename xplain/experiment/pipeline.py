@@ -40,7 +40,7 @@ Track = Callable[[Iterable[T], str, int], Iterable[T]]
 
 
 def untracked(items: Iterable[Any], what: str, count: int) -> Iterator[Any]:
-    """Shows nothing."""
+    """Yields the items without showing progress."""
     return iter(items)
 
 

@@ -133,22 +133,22 @@ class Results(Provenance):
 
     @property
     def domain(self) -> str:
-        """The chosen domain."""
+        """Name of the file in conf/domain/ that was chosen."""
         return self.choices["domain"]
 
     @property
     def solver(self) -> str:
-        """The chosen solver."""
+        """Name of the file in conf/solver/ that was chosen."""
         return self.choices["solver"]
 
     @property
     def trade_off(self) -> float:
-        """λ of the run."""
+        """λ, the weight of a message's cost against that of inexplicable labels."""
         return float(self.config["lambda"])
 
     @property
     def seed(self) -> int:
-        """The seed of the run."""
+        """Seed of every random stream."""
         return int(self.config["seed"])
 
     @property

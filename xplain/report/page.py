@@ -45,7 +45,7 @@ class Picture:
 
 @dataclass
 class Pictures:
-    """Those of the page, by section."""
+    """The pictures of the page, by section."""
 
     regret: list[Picture] = field(default_factory=list)
     diagnostics: list[Picture] = field(default_factory=list)
@@ -54,7 +54,7 @@ class Pictures:
 
 
 def page(summary: Summary, pictures: Pictures) -> str:
-    """The page's HTML."""
+    """HTML of the whole page, with every picture inside it."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup, escape
 

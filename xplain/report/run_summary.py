@@ -119,13 +119,13 @@ def _bounds(bounds: Mapping[str, float]) -> list[str]:
         return []
     lines = [
         f"certificates, {bounds['traces']:.0f} traces, discounted returns under the learned model:",
-        f"  optimum between {bounds['optimal_lower']:.4f} and {bounds['optimal_upper']:.4f}; price "
-        f"of not knowing the type {_range(bounds, 'price_of_not_knowing')}",
+        f"  optimum between {bounds['optimal_lower']:.4f} and {bounds['optimal_upper']:.4f}; "
+        f"expected value of perfect information {_range(bounds, 'price_of_not_knowing')}",
     ]
     if "policy_value" in bounds:
         how = "exact" if bounds["policy_value_exact"] == 1 else f"± {bounds['policy_value_se']:.4f}"
         lines.append(
-            f"  this policy {bounds['policy_value']:.4f} ({how}), price of approximation "
+            f"  this policy {bounds['policy_value']:.4f} ({how}), suboptimality "
             f"{_range(bounds, 'price_of_approximation')}; its expected cost "
             f"{bounds['policy_cost']:.3f}"
         )

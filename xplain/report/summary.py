@@ -112,28 +112,28 @@ class Summary:
 
     @cached_property
     def methods(self) -> list[str]:
-        """The paper's columns first."""
+        """Names of the methods that were run, those of the paper's columns first."""
         names = set(self.episodes["method"]) if len(self.episodes) else set()
         return sorted(names, key=lambda name: (_rank(name), name))
 
     @cached_property
     def domains(self) -> list[str]:
-        """In the order of the sweep."""
+        """Names of the domains, in the order of the sweep."""
         return list(dict.fromkeys(self.episodes["domain"])) if len(self.episodes) else []
 
     def settings(self, domain: str) -> list[str]:
-        """Of a domain, in the order of the sweep."""
+        """Names of a domain's settings, in the order of the sweep."""
         frame = self.episodes
         return list(dict.fromkeys(frame.loc[frame["domain"] == domain, "setting"]))
 
     @cached_property
     def trade_offs(self) -> list[float]:
-        """Every λ, ascending."""
+        """Every λ that was run, ascending."""
         return sorted(set(self.episodes["lambda"])) if len(self.episodes) else []
 
     @property
     def seeds(self) -> int:
-        """How many seeds were run."""
+        """Number of different seeds that were run."""
         return int(self.episodes["seed"].nunique()) if len(self.episodes) else 0
 
     def estimate(
@@ -181,7 +181,7 @@ class Summary:
         return None
 
     def messages(self, domain: str) -> dict[str, str]:
-        """``{message: sentence}``."""
+        """``{message: its sentence}`` of a domain; empty where no job of it has finished."""
         for _, results in self.results:
             if results.domain == domain:
                 return dict(results.messages)

@@ -199,12 +199,12 @@ def number(value: float | None, decimals: int = 2) -> str:
 
 
 def signed(value: float | None) -> str:
-    """With its sign."""
+    """Two decimals with their sign, + or -; empty where there is no value."""
     return "" if value is None else f"{round(value, 2) + 0.0:+.2f}"
 
 
 def interval(estimate: Estimate) -> str:
-    """``[0.31, 0.73]``."""
+    """The ends of the interval as text, such as ``[0.31, 0.73]``."""
     return f"[{number(estimate.low)}, {number(estimate.high)}]"
 
 

@@ -76,13 +76,13 @@ class SweepFolder:
         return content
 
     def jobs(self) -> tuple[Job, ...]:
-        """The jobs, in order."""
+        """The jobs in the order in which the sweep runs them."""
         return tuple(
             Job(**{**job, "overrides": tuple(job["overrides"])}) for job in self.load()["jobs"]
         )
 
     def of(self, job: Job) -> Path:
-        """The job's own folder."""
+        """Path of the job's own folder, whether it exists or not."""
         return self.path / "jobs" / job.name
 
     def state(self, job: Job) -> State:
@@ -165,7 +165,7 @@ def _here() -> dict[str, Any]:
 
 
 def mark_failed(folder: Path, error: BaseException) -> None:
-    """The job raised."""
+    """Writes the error of a job that raised, with its traceback, into its folder."""
     text = " ".join(str(error).split()) or "no message"
     content = {
         "error": f"{type(error).__name__}: {text}",

@@ -39,7 +39,7 @@ class Disk:
     """Tracks nothing: results stay on disk."""
 
     def log(self, folder: Path, outputs: Path, parent: str | None = None) -> str | None:
-        """Does nothing."""
+        """Sends nothing and returns None: there is no run in MLflow."""
         return None
 
 
@@ -56,7 +56,7 @@ class MLflow:
     experiment: str = "xplain"
 
     def tracking_uri(self, outputs: Path) -> str:
-        """Where runs go."""
+        """URI of the server or database to which runs are sent."""
         return self.uri or f"sqlite:///{outputs.resolve() / 'mlflow.db'}"
 
     def log(self, folder: Path, outputs: Path, parent: str | None = None) -> str | None:
@@ -130,7 +130,7 @@ class MLflow:
 
 def _create_whole(uri: str) -> None:
     """Creates an SQLite database that is not there, all of it or nothing: one whose creation
-    was cut short cannot be used, nor mended."""
+    was cut short can be neither used nor completed."""
     path = Path(uri.removeprefix("sqlite:///"))
     if not uri.startswith("sqlite:///") or path.exists():
         return

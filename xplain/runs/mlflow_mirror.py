@@ -61,16 +61,16 @@ def mirror_of(
 
 
 class NoMirror:
-    """Of a sweep whose results stay on disk."""
+    """The mirror of a sweep whose results stay on disk: nothing is sent."""
 
     def start(self) -> None:
-        """Does nothing."""
+        """See :meth:`Mirror.start`; here nothing is sent."""
 
     def update(self, job: Job, state: State) -> None:
-        """Does nothing."""
+        """See :meth:`Mirror.update`; here nothing is sent."""
 
     def finish(self, status: str, summary: Summary | None, report: Path | None) -> Links:
-        """Does nothing."""
+        """See :meth:`Mirror.finish`; here there are no links."""
         return []
 
 

@@ -20,11 +20,11 @@ class Listener(Protocol):
     """Whoever wants to know how far the jobs are; called from one thread."""
 
     def start(self) -> None:
-        """The watch begins."""
+        """Called once, before the first look at the jobs' folders."""
         ...
 
     def update(self, job: Job, state: State) -> None:
-        """A job changed its state."""
+        """Called when a job has come into another state."""
         ...
 
 

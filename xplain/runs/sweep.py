@@ -205,7 +205,7 @@ class Run:
 
     @property
     def failed(self) -> list[Job]:
-        """Jobs that failed."""
+        """Jobs whose folder tells of an error, in the order of the sweep."""
         return [job for job in self._plan.jobs if self._folder.state(job) == "failed"]
 
     def tell(self) -> None:

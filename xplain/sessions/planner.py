@@ -125,9 +125,9 @@ class LazyPolicy:
         return self.solver.plan(self.problem, self.seed)
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Messages of the plan; see :meth:`xplain.solvers.base.Policy.messages`."""
         return self._policy.messages(step, given, belief)
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """Values of the plan; see :meth:`xplain.solvers.base.Policy.values`."""
         return self._policy.values(step, given, belief)

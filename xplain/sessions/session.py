@@ -83,12 +83,12 @@ class Session:
 
     @property
     def said(self) -> tuple[str, ...]:
-        """All messages given so far."""
+        """Names of all messages given so far, sorted."""
         return self._names(self._talk.given)
 
     @property
     def belief(self) -> dict[str, float]:
-        """P(type), by name."""
+        """``{type: probability}``, given all labels so far; they sum to 1."""
         names = self._talk.problem.type_names
         return dict(zip(names, self._talk.belief.tolist(), strict=True))
 

@@ -69,7 +69,7 @@ class ClustererConformance:
         assert (found == 0).all(), f"{found.tolist()}"
 
     def test_a_single_observer_is_a_type(self) -> None:
-        """Nothing to divide."""
+        """With one observer there is one cluster."""
         data, truth = rule_data(np.random.default_rng(5), [[1]], per_type=1)
         assert self._cluster(data, truth).assignment.tolist() == [0]
 

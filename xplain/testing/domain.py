@@ -87,7 +87,7 @@ class DomainConformance:
             assert (halves[:, :, 0] != halves[:, :, 1]).any(), f"{name} never changes a label"
 
     def test_transitions_are_told_in_words(self) -> None:
-        """One line each."""
+        """A phrase of one line for each transition."""
         for transition in self._setting.reachable[:500]:
             phrase = self.component.describe(transition)
             assert phrase.strip(), f"no words for {transition}"

@@ -83,7 +83,7 @@ class SolverConformance:
             for step in range(steps):
                 assert policy.messages(step, 0, self._belief(problem)) == 0, "it spoke in vain"
 
-    def test_says_at_once_what_mends_the_whole_trace(self) -> None:
+    def test_says_at_once_what_makes_the_whole_trace_explicable(self) -> None:
         """One cheap message of two makes every transition explicable; silence costs 10 zeros."""
         good = 1.0 if self.component.knows == "labels" else 0.95
         table = np.full((self._types(2), 4, 4), 1 - good)

@@ -14,7 +14,7 @@ from xplain.cli.parser import Parser
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
+    """Writes and prints Table 2 of an export."""
     parser = Parser("xplain study analyse")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--stream", default="person")

@@ -17,7 +17,7 @@ from xplain.errors import InputError, XplainError
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
+    """Runs the bots and prints how far each came."""
     parser = Parser("xplain study bots")
     parser.add_argument("--url", default="http://127.0.0.1:8080")
     parser.add_argument("--key", required=True)

@@ -12,7 +12,7 @@ from xplain.cli.parser import Parser
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
+    """Writes the tables and their codebook into the folder."""
     parser = Parser("xplain study export")
     parser.add_argument("database", type=Path)
     parser.add_argument("folder", type=Path)

@@ -16,7 +16,7 @@ from xplain.errors import whole_number
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
+    """Writes the curves, as tables and plots, into the folder."""
     parser = Parser("xplain study power")
     parser.add_argument("overrides", nargs="*", metavar="key=value")
     parser.add_argument("--out", type=Path, default=Path("outputs/study/power"))

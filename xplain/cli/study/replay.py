@@ -14,7 +14,7 @@ from xplain.cli.parser import Parser
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
+    """Compares, and ends the process with exit code 1 where anything differs."""
     parser = Parser("xplain study replay")
     parser.add_argument("database", type=Path)
     given = parser.parse_args(arguments)

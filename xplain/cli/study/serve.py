@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def main(arguments: list[str]) -> None:
-    """The command."""
+    """Serves the study that overrides of conf/study.yaml describe."""
     serve(composed("study", arguments))
 
 
