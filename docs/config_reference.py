@@ -25,6 +25,8 @@ GROUPS = {
     "belief": "which labels are evidence",
     "tracking": "where results go besides the disk",
 }
+COMMANDS = ("discover", "observe", "plan", "export")
+"""Commands with keys of their own."""
 UNTOLD = ("defaults", "hydra", "_convert_")
 """Sections that are no settings of an experiment."""
 SENTENCES = ("message", "belief")
@@ -62,7 +64,10 @@ def page() -> str:
         "Written by `python docs/config_reference.py` from the comments in `conf/`; edit those.\n",
         "Any key can be set on the command line (`python -m xplain lambda=2 solver=qhr`), "
         "`group=choice` takes another file, `+group=...` is never needed. "
-        "`python -m xplain --cfg job` prints what a command would run.\n",
+        "`python -m xplain --cfg job` prints what a run would be given, "
+        "`python -m xplain --keys` every key and choice. Commands have keys of their own: "
+        f"{', '.join(f'[{name}](#the-command-{name}-conf{name}yaml)' for name in COMMANDS)} and "
+        "[study](#the-user-study-confstudyyaml).\n",
         "## The experiment (`conf/config.yaml`)\n",
         section(CONF / "config.yaml", ""),
     ]
@@ -71,9 +76,10 @@ def page() -> str:
         parts.append(f"## {group}: {what}\n")
         for file in files:
             parts += [f"### `{group}={file.stem}`\n", section(file, f"{group}.")]
-    study = CONF / "study.yaml"
-    if study.exists():
-        parts += ["## The user study (`conf/study.yaml`)\n", section(study, "")]
+    for command in COMMANDS:
+        parts.append(f"## The command `{command}` (`conf/{command}.yaml`)\n")
+        parts.append(section(CONF / f"{command}.yaml", ""))
+    parts += ["## The user study (`conf/study.yaml`)\n", section(CONF / "study.yaml", "")]
     return "\n".join(parts)
 
 

@@ -1,4 +1,4 @@
-"""A stamp changes with everything that may change a number, and with nothing else."""
+"""A fingerprint changes with everything that may change a number, and with nothing else."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import scipy
 import sklearn
 
 from tests.configurations import CHOICES, composed, dotted, each_changed
-from xplain.experiment import fingerprint as stamps
+from xplain.experiment import fingerprint as fingerprints
 from xplain.experiment.fingerprint import (
     NOT_IN_NUMBERS,
     component_code,
@@ -29,10 +29,10 @@ def plugin(tmp_path, monkeypatch):
     (tmp_path / "their_solver" / "best.py").write_text("import their_helper\nclass Best: ...\n")
     (tmp_path / "their_helper.py").write_text("ANSWER = 42\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    stamps._package.cache_clear()
+    fingerprints._package.cache_clear()
     yield tmp_path
-    stamps._package.cache_clear()
-    stamps._distributions.cache_clear()
+    fingerprints._package.cache_clear()
+    fingerprints._distributions.cache_clear()
 
 
 CONFIG = {"solver": {"_target_": "their_solver.best.Best"}, "lambda": 1.0}
@@ -79,7 +79,7 @@ def test_code_plugged_in_counts_with_all_that_it_imports(plugin, path):
     before = fingerprint(CONFIG)
     file = plugin / path
     file.write_text(file.read_text() + "# changed\n")
-    stamps._package.cache_clear()
+    fingerprints._package.cache_clear()
     assert fingerprint(CONFIG) != before
 
 
@@ -88,7 +88,7 @@ def test_a_module_under_another_name_counts(plugin, moved):
     before = fingerprint(CONFIG)
     (plugin / moved).parent.mkdir(exist_ok=True)
     (plugin / "their_solver" / "best.py").rename(plugin / moved)
-    stamps._package.cache_clear()
+    fingerprints._package.cache_clear()
     assert fingerprint(CONFIG) != before
 
 
@@ -100,8 +100,8 @@ def test_an_installed_plugin_counts_by_the_hashes_of_its_files(plugin):
     found = set()
     for content in ("aaa", "bbb"):
         (installed / "RECORD").write_text(f"their_solver/__init__.py,sha256={content},23\n")
-        stamps._package.cache_clear()
-        stamps._distributions.cache_clear()
+        fingerprints._package.cache_clear()
+        fingerprints._distributions.cache_clear()
         assert component_code(CONFIG).keys() == {"their_solver"}
         found.add(fingerprint(CONFIG))
     assert len(found) == 2
@@ -140,7 +140,7 @@ def test_the_content_of_files_counts(tmp_path):
 
 
 def test_the_versions_are_those_that_run():
-    versions = stamps.library_versions()
+    versions = fingerprints.library_versions()
     for name, module in (("numpy", np), ("scipy", scipy), ("numba", numba), ("pandas", pd)):
         assert versions[name] == module.__version__
     assert versions["scikit-learn"] == sklearn.__version__
@@ -149,8 +149,8 @@ def test_the_versions_are_those_that_run():
 
 def test_code_and_libraries_count(monkeypatch):
     before = fingerprint({})
-    monkeypatch.setattr(stamps, "code_version", lambda: "other")
+    monkeypatch.setattr(fingerprints, "code_version", lambda: "other")
     other = fingerprint({})
     assert other != before
-    monkeypatch.setattr(stamps, "library_versions", lambda: {"numpy": "0.1"})
+    monkeypatch.setattr(fingerprints, "library_versions", lambda: {"numpy": "0.1"})
     assert fingerprint({}) not in (before, other)

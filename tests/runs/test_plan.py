@@ -16,7 +16,7 @@ SETTINGS = [
 ]
 
 
-def stamps(resolved):
+def fingerprints(resolved):
     content = str(sorted(resolved.items()))
     return hashlib.sha256(content.encode()).hexdigest(), str(resolved.get("domain"))
 
@@ -25,8 +25,8 @@ def compose(overrides):
     return dict(override.split("=", 1) for override in overrides)
 
 
-def plan(settings=SETTINGS, arguments=(), name="sweep", stamps=stamps):
-    return make_plan(name, settings, list(arguments), compose, stamps)
+def plan(settings=SETTINGS, arguments=(), name="sweep", fingerprints=fingerprints):
+    return make_plan(name, settings, list(arguments), compose, fingerprints)
 
 
 def test_jobs_are_the_union_of_the_settings_products():
@@ -105,7 +105,7 @@ def test_identity_follows_what_jobs_compute_and_nothing_else():
     assert plan().identity == one.identity
     assert plan(name="other").identity != one.identity
     assert plan(arguments=["lambda=0.5"]).identity != one.identity
-    changed = plan(stamps=lambda resolved: (stamps(resolved)[0] + "new code", ""))
+    changed = plan(fingerprints=lambda resolved: (fingerprints(resolved)[0] + "new code", ""))
     assert changed.identity != one.identity
 
 

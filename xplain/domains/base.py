@@ -93,7 +93,7 @@ class Domain(Protocol):
 
     @property
     def scene(self) -> Scene | None:
-        """The map; None where the domain has none."""
+        """The map for people: size, walls, items; None where the domain has none."""
         ...
 
 

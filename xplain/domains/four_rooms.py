@@ -106,7 +106,7 @@ class FourRooms:
         return self.grid.position(state)
 
     def describe(self, transition: NDArray[np.int64]) -> str:
-        """Such as "moves right to (3, 6)"."""
+        """A phrase for the transition [3], such as "moves right to (3, 6)"."""
         state, action, after = (int(x) for x in transition)
         move = self.actions[action]
         if after == state:

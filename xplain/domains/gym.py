@@ -77,7 +77,7 @@ class Features:
         return np.asarray(np.ravel_multi_index(tuple(codes.T), self.sizes), dtype=np.int64)
 
     def differences(self, before: int, after: int) -> list[str]:
-        """Such as "row 2 → 3", one a feature that differs."""
+        """The features that the transition changes, such as "row 2 → 3"."""
         return [
             f"{feature} {values[a]} → {values[b]}"
             for (feature, values), a, b in zip(

@@ -151,7 +151,7 @@ class Rescue:
         return self.grid.position(state // self._flags)
 
     def describe(self, transition: NDArray[np.int64]) -> str:
-        """Such as "moves right into the puddle at (2, 3)" or "extinguishes the fire"."""
+        """A phrase for the transition [3], such as "moves right through the puddle at (2, 3)"."""
         state, action, after = (int(x) for x in transition)
         if action >= 4:
             return [*(DONE[kind] for kind in self.bonuses), "picks up the victim"][action - 4]

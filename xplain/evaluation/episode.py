@@ -67,7 +67,7 @@ class Episode:
 
     @property
     def n_inexplicable(self) -> int:
-        """How many labels were 0, over all steps."""
+        """Number of labels 0 over all steps."""
         return int((self.labels == 0).sum())
 
 

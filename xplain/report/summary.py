@@ -314,7 +314,7 @@ def method_of(values: dict[str, str], solver: str) -> str:
 
 
 def _metric(name: str) -> str:
-    """Without what MLflow refuses in names."""
+    """The text without the characters that MLflow refuses in names."""
     return re.sub(r"[^\w./ -]", " ", name).replace(" ", "_")
 
 

@@ -27,7 +27,7 @@ class Entry:
 
     @property
     def difference(self) -> float | None:
-        """Ours less the paper's."""
+        """Our value minus the paper's; None where the paper has none."""
         return None if self.paper is None else self.estimate.mean - self.paper
 
 

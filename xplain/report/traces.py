@@ -45,12 +45,12 @@ class Story:
 
     @property
     def n_messages(self) -> int:
-        """How many messages were given."""
+        """Number of messages given over all steps."""
         return sum(map(len, self.messages))
 
     @property
     def n_inexplicable(self) -> int:
-        """How many labels were 0, over all steps."""
+        """Number of labels 0 over all steps."""
         return sum(row.count(0) for row in self.labels)
 
 
@@ -74,7 +74,7 @@ def stories(folder: Path, solver: str) -> Iterator[Story]:
 
 
 def telling(found: list[Story]) -> list[Story]:
-    """Of the trace to which users' needs differ most: who got most messages, who got fewest."""
+    """Those with most and fewest messages of the trace on which users' needs differ most."""
     by_trace: dict[int, list[Story]] = {}
     for story in found:
         by_trace.setdefault(story.trace, []).append(story)

@@ -38,7 +38,7 @@ class SweepFolder:
 
     @property
     def identity(self) -> str:
-        """Name and digest of the sweep."""
+        """Name of the folder: the sweep's name and the digest of its jobs."""
         return self.path.name
 
     @contextmanager

@@ -189,7 +189,7 @@ def fill(client: MlflowClient, run_id: str, folder: Path, results: Results) -> N
 
 
 def source_tags(git: Mapping[str, str]) -> dict[str, str]:
-    """Who ran what; the client sets none of these by itself."""
+    """Tags that tell who ran what; the client sets none of these by itself."""
     tags = {
         "mlflow.user": _user(),
         "mlflow.source.name": "python -m xplain",

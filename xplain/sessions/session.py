@@ -68,7 +68,7 @@ class Session:
 
     @property
     def trace(self) -> tuple[Any, ...]:
-        """The transitions known so far."""
+        """All transitions known so far, in order, as they were given."""
         return tuple(self._trace)
 
     @property
@@ -78,7 +78,7 @@ class Session:
 
     @property
     def finished(self) -> bool:
-        """The user has answered about every transition known."""
+        """Whether the user has labelled the whole trace known so far."""
         return len(self._answers) == len(self._trace)
 
     @property

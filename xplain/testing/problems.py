@@ -10,9 +10,9 @@ from xplain.explanation.problem import Problem
 def random_problem(
     rng: np.random.Generator, max_types: int = 3, max_steps: int = 3, max_messages: int = 2
 ) -> Problem:
-    """Of every kind that has broken a solver: unequal costs (some nought), any discount in (0, 1],
-    sharp and soft probabilities, prior entries of zero, repeated transitions, messages without
-    effect."""
+    """A problem of the kinds that have broken a solver: unequal costs (some nought), any discount
+    in (0, 1], sharp and soft probabilities, prior entries of zero, repeated transitions, messages
+    without effect."""
     types = int(rng.integers(1, max_types + 1))
     steps = int(rng.integers(1, max_steps + 1))
     n = int(rng.integers(0, max_messages + 1))
