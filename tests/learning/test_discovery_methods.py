@@ -1,4 +1,4 @@
-"""Methods for independent questions: mixtures, the Dirichlet process, stopping rules."""
+"""Methods for independent questions: mixtures and the Dirichlet process."""
 
 from dataclasses import replace
 from math import lgamma
@@ -14,13 +14,11 @@ from xplain.data.dataset import Dataset
 from xplain.errors import InputError, TooLargeError
 from xplain.learning.clustering import Clusterer, Perfect, Single
 from xplain.learning.cross_validation import folds, held_out_log_likelihood
-from xplain.learning.disagreements import disagreements
 from xplain.learning.em_mixture import Mixture
 from xplain.learning.fact_model import gibbs as sampler
 from xplain.learning.fact_model import model as facts
 from xplain.learning.fact_model import split_merge as crowds
 from xplain.learning.fact_model.dirichlet import DirichletMixture
-from xplain.learning.hierarchy import Gap, HeldOut, Hierarchy, Share
 from xplain.learning.labelers import LabelerTrainer, points
 from xplain.learning.user_types import base_rate, learn_types
 
@@ -58,26 +56,6 @@ def test_the_posterior_is_a_distribution_and_no_more_certain_than_the_data() -> 
         assert sum(posterior.values()) == pytest.approx(1)
     assert sure[3] > 0.9
     assert max(unsure.values()) < sure[3]
-
-
-def test_new_observers_are_placed_and_strangers_are_known_as_such() -> None:
-    rng = np.random.default_rng(6)
-    dataset, truth = made(rng, TYPES, size=250)
-    found = DirichletMixture().cluster(dataset, LabelerTrainer(), 0, None)
-    assert found.model is not None
-    fresh, kinds = made(rng, [*TYPES, [0, 2, 3]], per_type=2, size=60)
-    for o, kind in enumerate(kinds):
-        own = fresh.of(np.array([o]))
-        where = found.model.place(fresh.features[own.transition], own.message_set, own.label)
-        assert where.sum() == pytest.approx(1)
-        cluster = found.assignment[np.flatnonzero(truth == kind)[0]] if kind < 3 else 3
-        assert where[cluster] > 0.95
-    # Somebody who answers at random is none of these either; who has said nothing is anybody.
-    own = fresh.of(np.array([0]))
-    said = rng.integers(2, size=len(own)).astype(np.uint8)
-    assert found.model.place(fresh.features[own.transition], own.message_set, said)[-1] > 0.95
-    nothing = found.model.place(fresh.features[:0], own.message_set[:0], said[:0])
-    assert nothing == pytest.approx([3 / 10, 3 / 10, 3 / 10, 1 / 10])
 
 
 def test_chains_in_threads_change_nothing() -> None:
@@ -185,30 +163,6 @@ def test_score_is_the_joint_probability_by_its_definition(seed: int) -> None:
     assert score == pytest.approx(expected, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    "stop", [Share(0.0), HeldOut()], ids=["share of disagreements", "held-out likelihood"]
-)
-def test_hierarchies_stop_at_the_types(stop: Share | HeldOut) -> None:
-    for seed in range(3):
-        dataset, truth = made(np.random.default_rng(seed), TYPES, size=400, shared=True)
-        found = Hierarchy(stop).cluster(dataset, LabelerTrainer(), seed, None)
-        assert adjusted_rand_score(truth, found.assignment) == 1
-        assert found.curve is not None
-        for k, value in enumerate(found.curve[:4], start=1):
-            if k == found.n_types:
-                assert value == disagreements(dataset, found.assignment)
-
-
-def test_gap_statistic_counts_groups_far_apart() -> None:
-    # Published behaviour: far groups are counted, one cloud is one (Tibshirani et al. 2001).
-    needs = [[0, 1, 2, 3], [4, 5, 6, 7]]
-    dataset, truth = made(np.random.default_rng(1), needs, per_type=10, n=8, size=600)
-    found = Hierarchy(Gap()).cluster(dataset, LabelerTrainer(), 0, None)
-    assert adjusted_rand_score(truth, found.assignment) == 1
-    alike, _ = made(np.random.default_rng(1), [[0, 1]], per_type=20, n=8, size=600)
-    assert Hierarchy(Gap()).cluster(alike, LabelerTrainer(), 0, None).n_types == 1
-
-
 def test_every_point_is_held_out_once() -> None:
     dataset, _ = made(np.random.default_rng(2), TYPES, size=50)
     masks = list(folds(dataset, 4, 1))
@@ -255,8 +209,6 @@ def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
         (Mixture, {"max_types": 0}, "max_types"),
         (Mixture, {"folds": 1}, "folds"),
         (Mixture, {"floor": 0.5}, "floor"),
-        (Share, {"few": 1.0}, "few"),
-        (Gap, {"references": 1}, "references"),
     ],
 )
 def test_bad_values_are_named(component: type, options: dict[str, float], key: str) -> None:

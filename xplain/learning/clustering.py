@@ -43,7 +43,6 @@ class Clustering:
         posterior: P(number of types = k) by k; None where the method gives no posterior.
         needs: [N] int64 messages that people of each type need to be told; None where the method
             does not say.
-        model: what the method learned, where it can place a new observer (see :class:`Places`).
     """
 
     assignment: NDArray[np.int64]
@@ -53,7 +52,6 @@ class Clustering:
     vectors: NDArray[np.int64] | None = None
     posterior: Mapping[int, float] | None = None
     needs: NDArray[np.int64] | None = None
-    model: Places | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "assignment", by_first_appearance(self.assignment))
@@ -66,20 +64,6 @@ class Clustering:
     def members(self, cluster: int) -> NDArray[np.int64]:
         """The observers of a cluster."""
         return np.flatnonzero(self.assignment == cluster)
-
-
-class Places(Protocol):
-    """Says of which type a new observer is."""
-
-    def place(
-        self,
-        features: NDArray[np.float64],
-        message_sets: NDArray[np.int64],
-        labels: NDArray[np.uint8],
-    ) -> NDArray[np.float64]:
-        """P(type | the labels [P] of transitions [P, F] under message sets [P]): [N + 1], the last
-        of "none of these"."""
-        ...
 
 
 class Clusterer(Protocol):

@@ -202,37 +202,3 @@ def matters(state: State, tables: Tables) -> int:
     are behaviourally one."""
     used = np.unique(tables.subsets[state.subset])
     return sum(1 << int(j) for j in used if j >= 0)
-
-
-def cells(answers: Answers, tables: Tables, state: State) -> NDArray[np.int64]:
-    """Ones − zeros of every cell (τ, M ∩ S_τ): [T, 2^depth]."""
-    held = state.facts[answers.owner] & ~answers.given
-    ahead = np.zeros((len(state.subset), 1 << tables.subsets.shape[1]), dtype=np.int64)
-    where = _locals(tables.subsets[state.subset[answers.tau]], held)
-    np.add.at(ahead, (answers.tau, where), 2 * answers.label - 1)
-    return ahead
-
-
-def log_likelihood(
-    tables: Tables,
-    state: State,
-    ahead: NDArray[np.int64],
-    facts: NDArray[np.int64],
-    tau: NDArray[np.int64],
-    given: NDArray[np.int64],
-    label: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """log P(labels [P] | type R, everybody's answers in ``ahead``) for each R of ``facts`` [N],
-    each label on its own: [N, P]."""
-    result = np.empty((len(facts), len(tau)))
-    for i, one in enumerate(facts):
-        where = _locals(tables.subsets[state.subset[tau]], one & ~given)
-        lead = np.clip(ahead[tau, where], -REACH, REACH) + REACH
-        result[i] = tables.predictive[(where == 0).astype(int), state.noise[tau], lead, label]
-    return result
-
-
-def _locals(positions: NDArray[np.int64], masks: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The bits of masks [P] at positions [P, depth], packed: [P]."""
-    bits = (masks[:, None] >> np.maximum(positions, 0) & 1) * (positions >= 0)
-    return np.asarray((bits << np.arange(positions.shape[1])).sum(axis=1))
