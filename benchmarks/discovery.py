@@ -49,7 +49,7 @@ from xplain.explanation.problem import Problem
 from xplain.learning.clustering import Clustering, Perfect
 from xplain.learning.cross_validation import log_likelihoods
 from xplain.learning.labelers import LabelerTrainer, split
-from xplain.learning.user_types import UserTypes, learn_types
+from xplain.learning.user_types import UserTypes, learn_types, p_explicable
 from xplain.randomness import derived_seed, stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
 from xplain.solvers.qmdp import QMDP
@@ -143,7 +143,8 @@ def regrets(found: Found, seed: int, traces: int) -> dict[str, float]:
         features, labels = transition_features(setting.domain, trace), setting.label_table(trace)
         n = setting.n_messages
         problems = {
-            key: Problem(one.p_explicable(features, n), np.ones(n)) for key, one in plans.items()
+            key: Problem(p_explicable(one.labelers, features, n), np.ones(n))
+            for key, one in plans.items()
         }
         policies = {key: QMDP().plan(problem) for key, problem in problems.items()}
         for t in range(len(setting.types)):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
-from xplain.data.dataset import Dataset
+from xplain.data.dataset import Dataset, query_index
 from xplain.errors import InputError, TooLargeError
 from xplain.learning.clustering import Clusterer, Perfect, Single
 from xplain.learning.cross_validation import folds, held_out_log_likelihood
@@ -19,8 +19,8 @@ from xplain.learning.fact_model import gibbs as sampler
 from xplain.learning.fact_model import model as facts
 from xplain.learning.fact_model import split_merge as crowds
 from xplain.learning.fact_model.dirichlet import DirichletMixture
-from xplain.learning.labelers import LabelerTrainer, points
-from xplain.learning.user_types import base_rate, learn_types
+from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.user_types import base_rate, learn_types, p_explicable
 
 TYPES = [[0, 1], [2], [1, 3]]
 
@@ -167,9 +167,9 @@ def test_every_point_is_held_out_once() -> None:
     dataset, _ = made(np.random.default_rng(2), TYPES, size=50)
     masks = list(folds(dataset, 4, 1))
     assert (np.sum(masks, axis=0) == 1).all()
-    point = points(dataset)
+    query = query_index(dataset)
     for mask in masks:
-        assert not set(point[mask].tolist()) & set(point[~mask].tolist())
+        assert not set(query[mask].tolist()) & set(query[~mask].tolist())
 
 
 def test_true_types_foretell_better_than_one_for_all() -> None:
@@ -190,7 +190,7 @@ def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
     types = learn_types(dataset, clustering, LabelerTrainer(), 0, none_of_these=1.0)
     assert types.names[-1] == "none of these"
     assert types.prior == pytest.approx([0.3, 0.3, 0.3, 0.1])
-    stranger = types.p_explicable(dataset.features, dataset.n_messages)[-1]
+    stranger = p_explicable(types.labelers, dataset.features, dataset.n_messages)[-1]
     assert np.ptp(stranger) == 0
     assert stranger[0, 0] == pytest.approx(dataset.label.mean(), abs=0.01)
     only = dataset.take(np.flatnonzero(dataset.label == 0))

@@ -63,6 +63,18 @@ class Dataset:
         )
 
 
+def query_index(dataset: Dataset) -> NDArray[np.int64]:
+    """The number of each label's query (transition, message set): [P], 0 … distinct queries − 1,
+    in the order of (transition, message set)."""
+    key = np.stack([dataset.transition, dataset.message_set])
+    order = np.lexsort(key[::-1])
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (key[:, order[1:]] != key[:, order[:-1]]).any(axis=0)
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.cumsum(new) - 1
+    return number
+
+
 def inputs(
     features: NDArray[np.float64], message_sets: NDArray[np.int64], n_messages: int
 ) -> NDArray[np.float32]:

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
+from xplain.data.observers import Observers
 from xplain.data.rollouts import sample_trace
 from xplain.domains.base import (
     Domain,
@@ -42,14 +43,6 @@ Track = Callable[[Iterable[T], str, int], Iterable[T]]
 def untracked(items: Iterable[Any], what: str, count: int) -> Iterator[Any]:
     """Shows nothing."""
     return iter(items)
-
-
-class Observers(Protocol):
-    """People, simulated or real, who labelled transitions."""
-
-    def collect(self, setting: Setting, seed: int) -> tuple[Dataset, NDArray[np.int64] | None]:
-        """Their labels, and the index of each observer's true type where it is known."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
-from xplain.learning.labelers import points
+from xplain.data.dataset import Dataset, query_index
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class Cells:
     @classmethod
     def of(cls, dataset: Dataset) -> Cells:
         """Sorts by cell. Cells whose labels all agree never count and are left out."""
-        cell = points(dataset)
+        cell = query_index(dataset)
         ones = np.bincount(cell, weights=dataset.label)
         split = (ones > 0) & (ones < np.bincount(cell))
         rows = np.flatnonzero(split[cell])

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset, inputs
 from xplain.errors import InputError
-from xplain.learning.clustering import Agglomerative, Clustering, Partition
+from xplain.learning.clustering import Clustering
 from xplain.learning.cross_validation import folds
 from xplain.learning.labelers import LabelerTrainer, share_of_ones
-from xplain.learning.message_vectors import vectors
+from xplain.learning.message_vectors import minimal_message_sets
+from xplain.learning.paper_clusterer import Agglomerative, Partition
 from xplain.message_sets import bits_of
 from xplain.randomness import derived_seed, stream
 
@@ -65,7 +66,7 @@ class Mixture:
         truth: NDArray[np.int64] | None,
     ) -> Clustering:
         """Each observer's likeliest component, at the k of the highest held-out likelihood."""
-        masks = vectors(dataset, trainer, seed)
+        masks = minimal_message_sets(dataset, trainer, seed)
         bits = bits_of(masks, dataset.n_messages)
         observers = len(dataset.observers)
         data = _Data(dataset, trainer, self.folds, self.floor, derived_seed(seed, "mixture"))
