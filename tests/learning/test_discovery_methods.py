@@ -15,10 +15,11 @@ from xplain.errors import InputError, TooLargeError
 from xplain.learning.clustering import Clusterer, Perfect, Single
 from xplain.learning.cross_validation import folds, held_out_log_likelihood
 from xplain.learning.em_mixture import Mixture
-from xplain.learning.fact_model import gibbs as sampler
-from xplain.learning.fact_model import model as facts
-from xplain.learning.fact_model import split_merge as crowds
 from xplain.learning.fact_model.dirichlet import DirichletMixture
+from xplain.learning.fact_model.gibbs import sample
+from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior
+from xplain.learning.fact_model.resample_transitions import WIDE
+from xplain.learning.fact_model.split_merge import CROWD
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.user_types import base_rate, learn_types, p_explicable
 
@@ -80,7 +81,7 @@ def test_many_messages() -> None:
 
 @pytest.mark.parametrize("n", [20, 30])
 def test_more_messages_than_are_tried_at_once(n: int) -> None:
-    assert n > sampler.WIDE
+    assert n > WIDE
     dataset, truth = made(np.random.default_rng(8), [[0, 7], [3], [2, 5], [1, 4]], n=n, size=200)
     found = DirichletMixture(depth=2).cluster(dataset, LabelerTrainer(), 0, None)
     assert adjusted_rand_score(truth, found.assignment) == 1
@@ -101,7 +102,7 @@ def test_many_observers_whose_answers_say_nothing_share_types_as_the_process_has
 ) -> None:
     """Told everything, nobody's label depends on the type: the sampler draws from the prior, an urn
     with α / 4 balls of each of the four fact sets."""
-    observers = crowds.CROWD + 20
+    observers = CROWD + 20
     everybody = np.arange(observers)
     dataset = Dataset(
         features=np.arange(24.0)[:, None],
@@ -113,10 +114,10 @@ def test_many_observers_whose_answers_say_nothing_share_types_as_the_process_has
         message_set=np.full(observers, 3),
         label=(everybody % 5 > 1).astype(np.uint8),
     )
-    answers, tables = facts.Answers.of(dataset), facts.Tables.of(2, 2)
+    answers, prior = Answers.of(dataset), Prior.of(2, 2)
     first = np.zeros(observers, dtype=np.int64)
     rng = np.random.default_rng(1)
-    found = facts.sample(answers, tables, concentration, first, 6000, 1.0, rng).types
+    found = sample(answers, prior, concentration, first, 6000, 1.0, rng).types
     step = np.arange(observers)
     not_one = np.log((step + 0.75 * concentration) / (step + concentration)).sum()
     batches = found.reshape(20, -1).mean(axis=1)
@@ -138,26 +139,26 @@ def log_evidence(ones: int, zeros: int, noise: float, prior: float) -> float:
 @settings(max_examples=8, deadline=None)
 def test_score_is_the_joint_probability_by_its_definition(seed: int) -> None:
     dataset, _ = made(np.random.default_rng(seed), [[0], [1]], per_type=2, size=25, n=2)
-    answers, tables = facts.Answers.of(dataset), facts.Tables.of(2, 2)
+    answers, prior = Answers.of(dataset), Prior.of(2, 2)
     first = np.array([0, 1, 3, 3])
     rng = np.random.default_rng(seed)
     # One sweep: the score is that of the first state, before anything is drawn.
-    score = facts.sample(answers, tables, 0.7, first, 1, 1.0, rng).best.score
+    score = sample(answers, prior, 0.7, first, 1, 1.0, rng).score
     expected = 2 * (np.log(0.7) - 2 * np.log(2)) + lgamma(1) * 2 + lgamma(2)
     expected += np.log(0.7) - 2 * np.log(2)
     held = first[dataset.observer] & ~dataset.message_set
     for t in range(len(dataset.features)):
         rows = dataset.transition == t
         terms = []
-        for z, positions in enumerate(tables.subsets):
+        for z, positions in enumerate(prior.subsets):
             mask = sum(1 << int(j) for j in positions if j >= 0)
-            for noise in facts.NOISE:
-                value = tables.log_subset[z] - np.log(len(facts.NOISE))
+            for noise in NOISE:
+                value = prior.log_subset[z] - np.log(len(NOISE))
                 for cell in np.unique(held[rows] & mask):
                     labels = dataset.label[rows & (held & mask == cell)]
                     ones = int(labels.sum())
-                    prior = facts.CELL[int(cell == 0)]
-                    value += log_evidence(ones, len(labels) - ones, noise, prior)
+                    before = CELL[int(cell == 0)]
+                    value += log_evidence(ones, len(labels) - ones, noise, before)
                 terms.append(value)
         expected += np.logaddexp.reduce(terms)
     assert score == pytest.approx(expected, abs=1e-6)

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from xplain.data.dataset import Dataset
 from xplain.errors import InputError, TooLargeError
 from xplain.learning.clustering import Clustering, by_first_appearance
-from xplain.learning.fact_model import model as facts
-from xplain.learning.fact_model.gibbs import WIDE
+from xplain.learning.fact_model.gibbs import Chain, sample
+from xplain.learning.fact_model.model import Answers, Prior, facts_that_matter
+from xplain.learning.fact_model.resample_transitions import WIDE
 from xplain.learning.labelers import LabelerTrainer
 from xplain.randomness import stream
 
@@ -83,12 +84,12 @@ class DirichletMixture:
             raise TooLargeError(
                 f"clusterer.depth={depth}: too many sets of {n} messages; use a smaller depth"
             )
-        answers, tables = facts.Answers.of(dataset), facts.Tables.of(n, depth)
+        answers, prior = Answers.of(dataset), Prior.of(n, depth)
         sweeps = min(self.sweeps, max(self.updates // observers, FEWEST_SWEEPS))
-        chains: list[facts.Chain] = Parallel(n_jobs=self.jobs, prefer="threads")(
-            delayed(facts.sample)(
+        chains: list[Chain] = Parallel(n_jobs=self.jobs, prefer="threads")(
+            delayed(sample)(
                 answers,
-                tables,
+                prior,
                 self.concentration,
                 self._first(observers, n, chain, seed),
                 sweeps,
@@ -97,12 +98,12 @@ class DirichletMixture:
             )
             for chain in range(self.chains)
         )
-        best = max((chain.best for chain in chains), key=lambda state: state.score)
+        best = max(chains, key=lambda chain: chain.score).best
         number, times = np.unique(
             np.concatenate([chain.types for chain in chains]), return_counts=True
         )
         posterior = {int(k): float(c / times.sum()) for k, c in zip(number, times, strict=True)}
-        held = best.facts & facts.matters(best, tables)
+        held = best.facts & facts_that_matter(prior, best)
         types = len(np.unique(held))
         log.info(
             "%d user types by the rule posterior: %.0f%% of the samples have as many",
