@@ -1,4 +1,4 @@
-"""Labelers compared at equal budgets: what they foretell, how well calibrated, what it costs.
+"""Labelers compared at equal budgets: what they predict, how well calibrated, what it costs.
 
     python benchmarks/labelers.py            some minutes
     python benchmarks/labelers.py --quick    some seconds, nothing written
@@ -139,7 +139,7 @@ def measure(
 
 
 def picture(names: list[str], reliability: dict[str, np.ndarray]) -> Figure:
-    """Share of labels that are 1 against the probability foretold, and how many labels."""
+    """Share of labels that are 1 against the probability predicted, and how many labels."""
     figure, axes = plt.subplots(1, 2, figsize=(10, 4))
     axes[0].plot([0, 1], [0, 1], color="0.6", linewidth=1)
     for index, name in enumerate(names):
@@ -148,8 +148,8 @@ def picture(names: list[str], reliability: dict[str, np.ndarray]) -> Figure:
         axes[0].plot(said[some] / count[some], ones[some] / count[some], label=name,
                      **series_style(index))  # fmt: skip
         axes[1].plot((BINS[:-1] + BINS[1:]) / 2, count / count.sum(), **series_style(index))
-    axes[0].set(xlabel="P(label = 1) foretold", ylabel="share of labels that are 1")
-    axes[1].set(xlabel="P(label = 1) foretold", ylabel="share of all labels", yscale="log")
+    axes[0].set(xlabel="P(label = 1) predicted", ylabel="share of labels that are 1")
+    axes[1].set(xlabel="P(label = 1) predicted", ylabel="share of all labels", yscale="log")
     figure.legend(loc="upper center", ncol=4, fontsize=8, bbox_to_anchor=(0.5, 1.08))
     return figure
 

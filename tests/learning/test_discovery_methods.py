@@ -19,7 +19,7 @@ from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.learning.fact_model.gibbs import sample
 from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior
 from xplain.learning.fact_model.resample_transitions import WIDE
-from xplain.learning.fact_model.split_merge import CROWD
+from xplain.learning.fact_model.split_merge import MANY_OBSERVERS
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.user_types import base_rate, learn_types, p_explicable
 
@@ -88,7 +88,7 @@ def test_more_messages_than_are_tried_at_once(n: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_no_type_stays_split_in_a_crowd(seed: int) -> None:
+def test_no_type_stays_split_among_many_observers(seed: int) -> None:
     dataset, truth = made(
         np.random.default_rng(seed), [[0], [1, 2], [3]], per_type=80, size=60, noise=0.05
     )
@@ -102,7 +102,7 @@ def test_many_observers_whose_answers_say_nothing_share_types_as_the_process_has
 ) -> None:
     """Told everything, nobody's label depends on the type: the sampler draws from the prior, an urn
     with α / 4 balls of each of the four fact sets."""
-    observers = CROWD + 20
+    observers = MANY_OBSERVERS + 20
     everybody = np.arange(observers)
     dataset = Dataset(
         features=np.arange(24.0)[:, None],
@@ -173,7 +173,7 @@ def test_every_point_is_held_out_once() -> None:
         assert not set(query[mask].tolist()) & set(query[~mask].tolist())
 
 
-def test_true_types_foretell_better_than_one_for_all() -> None:
+def test_true_types_predict_better_than_one_for_all() -> None:
     dataset, truth = made(np.random.default_rng(3), TYPES, size=300)
 
     class Known(Perfect):

@@ -1,4 +1,4 @@
-"""Tables of labels, CSV or Parquet: one row a label (SPEC §2).
+"""Tables of labels, CSV or Parquet: one row a label (docs/your-own-data.md).
 
 Columns: ``observer``; ``messages``, names joined by ``;``, empty for none; ``label``, 0 or 1; every
 other column is a feature of the transition unless a list names them. Numbers stay numbers, text

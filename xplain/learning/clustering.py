@@ -50,16 +50,16 @@ class Clustering:
 
     @property
     def n_types(self) -> int:
-        """Clusters found."""
+        """N: how many types were found."""
         return int(self.assignment.max()) + 1
 
     def members(self, cluster: int) -> NDArray[np.int64]:
-        """The observers of a cluster."""
+        """Indices of the observers of a cluster, ascending."""
         return np.flatnonzero(self.assignment == cluster)
 
 
 class Clusterer(Protocol):
-    """Finds the observers' types."""
+    """Groups observers by user type: the interface of every component ``clusterer``."""
 
     def cluster(
         self,
@@ -68,13 +68,25 @@ class Clusterer(Protocol):
         seed: int,
         truth: NDArray[np.int64] | None,
     ) -> Clustering:
-        """One cluster a user type."""
+        """One cluster a user type.
+
+        Args:
+            dataset: labels of O observers.
+            trainer: fits labelers where the method needs them.
+            seed: of every draw.
+            truth: [O] the true types, where they are known; only :class:`Perfect` reads them.
+
+        Raises:
+            InputError: the method needs what the data do not have.
+            TooLargeError: the data, or the messages, are too many for the method.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class Perfect:
-    """The true types (SPEC: perfect clustering, the source of L_pc)."""
+    """The true types: perfect clustering, the source of the oracle's labelers (docs/method.md,
+    section 6)."""
 
     def cluster(
         self,
@@ -102,7 +114,7 @@ class Single:
         seed: int,
         truth: NDArray[np.int64] | None,
     ) -> Clustering:
-        """One cluster."""
+        """All O observers in cluster 0."""
         return Clustering(np.zeros(len(dataset.observers), dtype=np.int64), "single", "one type")
 
 

@@ -1,4 +1,4 @@
-"""How well labelers foretell labels that they, and the clustering, have not seen."""
+"""How well labelers predict labels that they, and the clustering, have not seen."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def log_likelihoods(
     seed: int,
 ) -> NDArray[np.float64]:
     """log P of each label of ``test`` under the labeler of its observer's cluster, fitted to
-    ``train``: [P]. A cluster without labels in ``train`` is foretold by everybody's."""
+    ``train``: [P]. A cluster without labels in ``train`` is predicted by everybody's."""
     result = np.empty(len(test))
     for cluster in np.unique(assignment):
         members = np.flatnonzero(assignment == cluster)

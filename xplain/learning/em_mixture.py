@@ -1,7 +1,7 @@
 """A finite mixture of labelers, fitted by expectation maximisation over observers.
 
 Any classifier can be the labeler of a component; nothing is assumed of how labels come about. A
-classifier that has seen an observer's labels foretells them too well, so an observer is always
+classifier that has seen an observer's labels predicts them too well, so an observer is always
 judged by labelers that were fitted without the points in question (cross-fitting).
 """
 
@@ -98,16 +98,17 @@ class Mixture:
             share = (weight.sum(axis=0) + 1) / (len(weight) + k)
             joint = data.log_likelihood(weight) + np.log(share)
             top = joint.max(axis=1, keepdims=True)
-            evidence = top[:, 0] + np.log(np.exp(joint - top).sum(axis=1))
-            before, value = value, float(evidence.sum() / data.size)
-            weight = np.exp(joint - evidence[:, None])
+            log_marginal = top[:, 0] + np.log(np.exp(joint - top).sum(axis=1))
+            before, value = value, float(log_marginal.sum() / data.size)
+            weight = np.exp(joint - log_marginal[:, None])
             if value - before < 1e-4:
                 break
         return value, weight.argmax(axis=1)
 
 
 class _Data:
-    """The labels, ready for cross-fitting."""
+    """The labels as classifier inputs [P, F + n], split into folds by query: each fold is judged by
+    classifiers that were fitted to the others."""
 
     def __init__(
         self, dataset: Dataset, trainer: LabelerTrainer, count: int, floor: float, seed: int

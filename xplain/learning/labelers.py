@@ -1,4 +1,5 @@
-"""Labelers: what people of a type would find explicable, learned from their labels (SPEC §3)."""
+"""Labelers: what people of a type would find explicable, learned from their labels
+(docs/method.md, section 3)."""
 
 from __future__ import annotations
 

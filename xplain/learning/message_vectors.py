@@ -1,5 +1,6 @@
 """The vector of an observer: the smallest message set that makes every transition explicable to
-the observer's own labeler (SPEC §4, paper "Learning the set of labeling models").
+the observer's own labeler (docs/method.md, section 4; paper, "Learning the set of labeling
+models").
 
 Exact: fewest inexplicable transitions first (0 where possible), then fewest messages, then the
 order of the messages (of {0, 5} and {1, 2} the first, for it has the first message).

@@ -34,7 +34,7 @@ class Partition(Protocol):
 
 @dataclass(frozen=True)
 class Elbow:
-    """The paper's learner: observers as smallest message sets, partitioned into k = 1, 2, …
+    """The paper's learner: observers as minimal message sets, partitioned into k = 1, 2, …
     groups, k at the elbow of the disagreements.
 
     Attributes:
@@ -60,7 +60,11 @@ class Elbow:
         seed: int,
         truth: NDArray[np.int64] | None,
     ) -> Clustering:
-        """Vectors, partitions, disagreements, elbow."""
+        """The partition at the elbow, with the curve of disagreements and the message sets.
+
+        Raises:
+            TooLargeError: as :func:`~xplain.learning.message_vectors.minimal_message_set`.
+        """
         masks = minimal_message_sets(dataset, trainer, seed)
         bits = bits_of(masks, dataset.n_messages)
         longest = min(len(masks), self.max_types or len(masks))

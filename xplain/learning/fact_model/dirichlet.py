@@ -40,7 +40,7 @@ class DirichletMixture:
         chains: independent runs; half start from one type, half from types at random.
         sweeps: of each chain, the first half of them heated. Large data need few:
         updates: a chain stops at this many updates of an observer (but makes 20 sweeps).
-        heat: temperature at the start.
+        heat: initial temperature.
         jobs: chains run at a time (threads); no result depends on it.
     """
 

@@ -27,7 +27,7 @@ from xplain.learning.fact_model.resample_transitions import (
     resample_transitions_wide,
 )
 from xplain.learning.fact_model.resample_transitions import Scratch as TransitionScratch
-from xplain.learning.fact_model.split_merge import CROWD, merge_types, split_merge
+from xplain.learning.fact_model.split_merge import MANY_OBSERVERS, merge_types, split_merge
 
 
 class Chain(NamedTuple):
@@ -81,9 +81,9 @@ def sample(
             best, best_score = state.copy(), score
         in_use = InUse.of(used, members, len(first))
         draw_facts(answers, prior, state, in_use, len(used), log_new, temperature, rng, of_observer)
-        if len(first) >= CROWD:
+        if len(first) >= MANY_OBSERVERS:
             split_merge(answers, prior, state, log_new, temperature, rng)
-    if len(first) >= CROWD:
+    if len(first) >= MANY_OBSERVERS:
         best_score += merge_types(answers, prior, best, log_new)
     return Chain(best, best_score, types[sweeps // 2 :])
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from xplain.learning.fact_model.counts import ADDED, REACH, TAKEN, count_rows, table_row
 from xplain.learning.fact_model.model import Answers, Prior, State
 
-CROWD = 100
+MANY_OBSERVERS = 100
 """Observers from which types are moved whole too."""
 MOVES = 20
 """So many of these moves are tried in a sweep."""
