@@ -135,17 +135,18 @@ def log_evidence(ones: int, zeros: int, noise: float, prior: float) -> float:
     )
 
 
+@pytest.mark.parametrize("n", [2, 10])
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=8, deadline=None)
-def test_score_is_the_joint_probability_by_its_definition(seed: int) -> None:
-    dataset, _ = made(np.random.default_rng(seed), [[0], [1]], per_type=2, size=25, n=2)
-    answers, prior = Answers.of(dataset), Prior.of(2, 2)
-    first = np.array([0, 1, 3, 3])
+def test_score_is_the_joint_probability_by_its_definition(n: int, seed: int) -> None:
+    dataset, _ = made(np.random.default_rng(seed), [[0], [1]], per_type=2, size=25 * n, n=n)
+    answers, prior = Answers.of(dataset), Prior.of(n, 2)
+    everything = (1 << n) - 1
+    first = np.array([0, 1, everything, everything])
     rng = np.random.default_rng(seed)
     # One sweep: the score is that of the first state, before anything is drawn.
     score = sample(answers, prior, 0.7, first, 1, 1.0, rng).score
-    expected = 2 * (np.log(0.7) - 2 * np.log(2)) + lgamma(1) * 2 + lgamma(2)
-    expected += np.log(0.7) - 2 * np.log(2)
+    expected = 3 * (np.log(0.7) - n * np.log(2)) + 2 * lgamma(1) + lgamma(2)
     held = first[dataset.observer] & ~dataset.message_set
     for t in range(len(dataset.features)):
         rows = dataset.transition == t
