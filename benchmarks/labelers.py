@@ -1,4 +1,4 @@
-"""Labelers compared at equal budgets: what they foretell, how well calibrated, what it costs.
+"""Labelers compared at equal budgets: what they predict, how well calibrated, what it costs.
 
     python benchmarks/labelers.py            some minutes
     python benchmarks/labelers.py --quick    some seconds, nothing written
@@ -40,7 +40,7 @@ from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.learning.clustering import Perfect
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.user_types import UserTypes, learn_types
+from xplain.learning.user_types import UserTypes, learn_types, p_explicable
 from xplain.randomness import stream
 from xplain.report.plots import series_style
 from xplain.solvers.qmdp import QMDP
@@ -92,7 +92,7 @@ def costs(setting: Setting, types: UserTypes, traces: int, seed: int) -> dict[st
         rng = stream(seed, "traces", index)
         trace = sample_trace(setting.models[0], setting.optimal[0], setting.domain.starts, rng, 40)
         labels = setting.label_table(trace)
-        p = types.p_explicable(transition_features(setting.domain, trace), n)
+        p = p_explicable(types.labelers, transition_features(setting.domain, trace), n)
         unknown = Problem(p, np.ones(n))
         policy = QMDP().plan(unknown)
         for t in range(len(setting.types)):
@@ -139,7 +139,7 @@ def measure(
 
 
 def picture(names: list[str], reliability: dict[str, np.ndarray]) -> Figure:
-    """Share of labels that are 1 against the probability foretold, and how many labels."""
+    """Share of labels that are 1 against the probability predicted, and how many labels."""
     figure, axes = plt.subplots(1, 2, figsize=(10, 4))
     axes[0].plot([0, 1], [0, 1], color="0.6", linewidth=1)
     for index, name in enumerate(names):
@@ -148,8 +148,8 @@ def picture(names: list[str], reliability: dict[str, np.ndarray]) -> Figure:
         axes[0].plot(said[some] / count[some], ones[some] / count[some], label=name,
                      **series_style(index))  # fmt: skip
         axes[1].plot((BINS[:-1] + BINS[1:]) / 2, count / count.sum(), **series_style(index))
-    axes[0].set(xlabel="P(label = 1) foretold", ylabel="share of labels that are 1")
-    axes[1].set(xlabel="P(label = 1) foretold", ylabel="share of all labels", yscale="log")
+    axes[0].set(xlabel="P(label = 1) predicted", ylabel="share of labels that are 1")
+    axes[1].set(xlabel="P(label = 1) predicted", ylabel="share of all labels", yscale="log")
     figure.legend(loc="upper center", ncol=4, fontsize=8, bbox_to_anchor=(0.5, 1.08))
     return figure
 
