@@ -108,7 +108,8 @@ class Areas:
         )
         left_out = set(self.table.get("left_out", ()))
         wider = dict.fromkeys(chain(importers, self.table["areas"][area].get("tests", ())))
-        further = tuple(test for test in wider if test not in left_out and test not in near)
+        further = tuple(test for test in wider if test not in {*left_out, *near, *plain})
+        near = [test for test in near if test not in plain]
         stages = [Stage(plain, compiled=False), Stage(tuple(near)), Stage(further)]
         return [stage for stage in stages if stage.tests]
 

@@ -30,6 +30,10 @@ from tests.mutants.areas import Areas, Mutant, Stage
 KILLED, SURVIVED, TIMEOUT = "killed", "survived", "timeout"
 MEMORY = 8 << 30
 """Bytes that a process may take: a loop that never ends may fill the memory first."""
+SLACK = 20
+"""Seconds that a stage may take beyond four times what it takes without a mutant."""
+NONE_COLLECTED = 5
+"""pytest's exit code where all tests of a file are slow or need a browser."""
 _LEFT_BEHIND = (".*", "outputs", "build", "dist", "*.egg-info")
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
 
@@ -126,7 +130,7 @@ class Copy:
             seconds = time.monotonic() - began
             output.seek(0)
             text = output.read().decode(errors="replace")
-        if code == 0:
+        if code in (0, NONE_COLLECTED):
             return SURVIVED, "", seconds
         failed = _FAILED.search(text)
         return KILLED, failed[1] if failed else f"pytest ended with {code}", seconds
@@ -172,7 +176,9 @@ class Campaign:
         """What the session holds, the last of each mutant."""
         found: dict[str, Outcome] = {}
         if self.session.exists():
-            for line in self.session.read_text("utf-8").splitlines():
+            for line in self.session.read_text("utf-8").splitlines(keepends=True):
+                if not line.endswith("}\n"):
+                    continue  # cut short by a crash
                 entry = json.loads(line)
                 outcome = Outcome(**entry | {"mutant": Mutant(**entry["mutant"])})
                 found[outcome.mutant.key] = outcome
@@ -252,7 +258,7 @@ class Campaign:
                 self._baseline[copy, alone] = seconds if outcome == SURVIVED else None
             if (seconds := self._baseline[copy, alone]) is not None:
                 taken[test] = seconds
-        return Stage(tuple(taken), stage.compiled), 20 + 4 * sum(taken.values())
+        return Stage(tuple(taken), stage.compiled), SLACK + 4 * sum(taken.values())
 
     def _go_on(self) -> None:
         if self._stopped.is_set():

@@ -195,10 +195,10 @@ def _left_alone(node: Node, operator: str) -> bool:
         return True
     if operator == "AddNot" and _told_otherwise(node):
         return True
-    child = node
+    child = node.children[0] if node.type == "simple_stmt" else node
     while child is not None:
         parent = child.parent
-        if child.type in _UNTOUCHED or _is_text(child) or _logs(child):
+        if child.type in _UNTOUCHED or _exports(child) or _logs(child):
             return True
         if parent is not None:
             if parent.type == "annassign" and child is parent.children[1]:
@@ -218,11 +218,8 @@ def _told_otherwise(node: Node) -> bool:
     return simple or condition.type == "not_test" or condition.get_code().strip() == "TYPE_CHECKING"
 
 
-def _is_text(node: Node) -> bool:
-    """A statement that is a text, or the list of what a module exports."""
-    if node.type != "expr_stmt":
-        return False
-    return bool(node.children[0].get_code().strip() == "__all__")
+def _exports(node: Node) -> bool:
+    return node.type == "expr_stmt" and node.children[0].get_code().strip() == "__all__"
 
 
 def _logs(node: Node) -> bool:
