@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 
 from tests.mutants.areas import Areas
-from tests.mutants.campaign import SURVIVED, Campaign, Interrupted
+from tests.mutants.campaign import Campaign, Interrupted, Session
 from tests.mutants.report import equivalents, report
+from tests.mutants.scratch import SURVIVED
 
 ROOT = Path(__file__).parents[2]
 
@@ -25,13 +26,14 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--again", action="store_true", help="survivors are tried once more")
     parser.add_argument("--report", action="store_true", help="tells what is known, runs nothing")
     given = parser.parse_args(arguments)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGTERM, signal.SIGINT):  # a shell's background job ignores the latter
+        signal.signal(number, signal.default_int_handler)
 
     areas = Areas.load(ROOT)
-    session = given.session or ROOT / f"outputs/mutants/seed-{given.seed}.jsonl"
+    session = Session(given.session or ROOT / f"outputs/mutants/seed-{given.seed}.jsonl")
     campaign = Campaign(areas, session, say=lambda line: print(line, flush=True))
     drawn = areas.draw(given.sample, given.seed, given.areas)
-    known = campaign.outcomes()
+    known = session.outcomes()
     pending = [
         mutant
         for mutant in drawn
@@ -39,12 +41,12 @@ def main(arguments: list[str]) -> int:
     ]
     interrupted = False
     if not given.report:
-        print(f"{len(drawn)} mutants, {len(pending)} to be tried; {session}", flush=True)
+        print(f"{len(drawn)} mutants, {len(pending)} to be tried; {session.path}", flush=True)
         try:
             campaign.run(pending, given.jobs)
         except (KeyboardInterrupt, Interrupted):
             interrupted = True
-    known = campaign.outcomes()
+    known = session.outcomes()
     found = [known[mutant.key] for mutant in drawn if mutant.key in known]
     print(report(found, equivalents(Path(__file__).with_name("equivalent.toml")), ROOT))
     return 130 if interrupted else 0

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.mutants.areas import Mutant
-from tests.mutants.campaign import KILLED, SURVIVED, TIMEOUT, Outcome
+from tests.mutants.campaign import Outcome
+from tests.mutants.scratch import KILLED, SURVIVED, TIMEOUT
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ def report(outcomes: Iterable[Outcome], known: list[Equivalent], root: Path) -> 
         for outcome in every
         if outcome.outcome == SURVIVED and any(one.is_(outcome.mutant, root) for one in known)
     }
-    lines = [_row("area", "mutants", KILLED, TIMEOUT, "explained", SURVIVED, "share", "s each")]
+    lines = [_row("area", "mutants", KILLED, TIMEOUT, "explained", SURVIVED, "share", "CPU s each")]
     for area, found in [*rows.items(), ("all", every)]:
         killed, late, survived = (
             sum(outcome.outcome == kind for outcome in found)

@@ -17,8 +17,9 @@ pytest.importorskip("cosmic_ray", reason="make mutants installs it")
 
 from tests.mutants import campaign, operators
 from tests.mutants.areas import Areas, Mutant, Stage
-from tests.mutants.campaign import KILLED, SURVIVED, TIMEOUT, Campaign, Copy
+from tests.mutants.campaign import Campaign, Session
 from tests.mutants.report import Equivalent, equivalents, report
+from tests.mutants.scratch import KILLED, SURVIVED, TIMEOUT, Copy
 
 ROOT = Path(__file__).parents[2]
 BOX = '''
@@ -93,8 +94,8 @@ def test_a_mistake_is_killed_by_name_an_equivalent_survives_an_endless_loop_is_e
     mistake, same, endless = (
         _one(toy, line) for line in ("if x <= LIMIT:", "if x >= LIMIT:", "done -= 1")
     )
-    Campaign(toy, tmp_path / "session", say=list).run([mistake, same, endless], jobs=2)
-    found = Campaign(toy, tmp_path / "session").outcomes()
+    Campaign(toy, Session(tmp_path / "session"), say=str).run([mistake, same, endless], jobs=2)
+    found = Session(tmp_path / "session").outcomes()
     assert found[mistake.key].outcome == KILLED
     assert found[mistake.key].killer == "tests/test_lid.py::test_clamp"
     assert found[same.key].outcome == SURVIVED
@@ -114,8 +115,10 @@ def test_tests_that_fail_anyway_kill_nothing(toy: Areas, tmp_path: Path) -> None
     broken = toy.root / "tests/test_lid.py"
     broken.write_text(broken.read_text() + "\n\ndef test_broken():\n    assert False\n")
     said: list[str] = []
-    Campaign(toy, tmp_path / "session", said.append).run([_one(toy, "if x <= LIMIT:")], jobs=1)
-    (found,) = Campaign(toy, tmp_path / "session").outcomes().values()
+    Campaign(toy, Session(tmp_path / "session"), said.append).run(
+        [_one(toy, "if x <= LIMIT:")], jobs=1
+    )
+    (found,) = Session(tmp_path / "session").outcomes().values()
     assert found.outcome == SURVIVED
     assert "test_broken" in said[0]
 
@@ -129,9 +132,10 @@ def test_ctrl_c_leaves_nothing_and_the_session_goes_on(toy: Areas, tmp_path: Pat
     program = f"""if True:
         from pathlib import Path
         from tests.mutants.areas import Areas
-        from tests.mutants.campaign import Campaign
+        from tests.mutants.campaign import Campaign, Session
         areas = Areas(Path({str(toy.root)!r}), {TABLE!r})
-        Campaign(areas, Path({str(tmp_path / "session")!r})).run(areas.draw(30, 1, []), jobs=2)
+        session = Session(Path({str(tmp_path / "session")!r}))
+        Campaign(areas, session).run(areas.draw(30, 1, []), jobs=2)
     """
     process = subprocess.Popen(
         [sys.executable, "-c", program],
@@ -139,7 +143,7 @@ def test_ctrl_c_leaves_nothing_and_the_session_goes_on(toy: Areas, tmp_path: Pat
         env=os.environ | {"TMPDIR": str(scratch)},
         stderr=subprocess.PIPE,
     )
-    session = Campaign(toy, tmp_path / "session")
+    session = Session(tmp_path / "session")
     ends = time.monotonic() + 60
     while len(session.outcomes()) < 2 and time.monotonic() < ends:
         time.sleep(0.1)
@@ -153,9 +157,12 @@ def test_ctrl_c_leaves_nothing_and_the_session_goes_on(toy: Areas, tmp_path: Pat
     known = session.outcomes()
     assert 2 <= len(known) < 30
     assert set(known) <= {mutant.key for mutant in toy.draw(30, 1, [])}
-    with session.session.open("a") as file:
+    with session.path.open("a") as file:
         file.write('{"mutant": {"area"')  # as a crash leaves it
     assert set(session.outcomes()) == set(known)
+    session.add("baseline", test="a", compiled=True, cpu=1.0, wall=2.0)
+    assert set(session.outcomes()) == set(known)
+    assert session.baselines()[Stage(("a",))] == (1.0, 2.0)
 
 
 def _command_line(process: Path) -> str:
