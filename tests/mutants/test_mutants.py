@@ -308,6 +308,8 @@ def test_an_equivalent_follows_its_line_and_its_file(toy: Areas) -> None:
     assert shifted.line == mutant.line + 4
     assert entry.is_(shifted, toy.root)
     assert not entry.is_(_one(toy, "if x <= LIMIT:"), toy.root)
+    other = Equivalent("box/__init__.py", mutant.function, mutant.before, mutant.after, "why")
+    assert not other.is_(shifted, toy.root)
     lid.rename(toy.root / "box/cover.py")
     assert entry.is_(_one(toy, "if x >= LIMIT:"), toy.root)
 
