@@ -108,9 +108,13 @@ class Areas:
         )
         left_out = set(self.table.get("left_out", ()))
         wider = dict.fromkeys(chain(importers, self.table["areas"][area].get("tests", ())))
-        further = tuple(test for test in wider if test not in {*left_out, *near, *plain})
+        further = [test for test in wider if test not in {*left_out, *near, *plain}]
         near = [test for test in near if test not in plain]
-        stages = [Stage(plain, compiled=False), Stage(tuple(near)), Stage(further)]
+        stages = [Stage(plain, compiled=False), Stage(tuple(near))]
+        if self.kernels_behind(path):  # at once: they are compiled anew for every stage
+            stages.append(Stage(tuple(further)))
+        else:
+            stages += [Stage((test,)) for test in further]
         return [stage for stage in stages if stage.tests]
 
     def kernels_behind(self, path: str) -> list[str]:

@@ -289,7 +289,13 @@ def test_stages_are_near_before_wide(tmp_path: Path) -> None:
     }
     assert Areas(tmp_path, table).stages("box", "box/lid/a.py") == [
         Stage(("tests/lid/test_a.py",)),
-        Stage(("tests/lid/test_b.py", "tests/test_c.py", "tests/test_d.py")),
+        Stage(("tests/lid/test_b.py",)),
+        Stage(("tests/test_c.py",)),
+        Stage(("tests/test_d.py",)),
+    ]
+    (tmp_path / "box/lid/a.py").write_text("from numba import njit")
+    assert Areas(tmp_path, table).stages("box", "box/lid/a.py")[1:] == [
+        Stage(("tests/lid/test_b.py", "tests/test_c.py", "tests/test_d.py"))
     ]
     table["uncompiled"] = {"box/lid/a.py": ["tests/lid/test_a.py"]}
     assert Areas(tmp_path, table).stages("box", "box/lid/a.py")[0] == Stage(
