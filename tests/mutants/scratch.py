@@ -147,9 +147,17 @@ class Copy:
         return None if late else self._process.returncode, used.ru_utime + used.ru_stime
 
     def _kill(self) -> None:
+        """Ends the tests and all that they started, also what has a session of its own: it is
+        known by the folder for temporary files that it was given."""
         if self._process is not None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._process.pid, signal.SIGKILL)
+        mark = f"\0TMPDIR={self.folder / 'tmp'}\0".encode()
+        while found := [pid for pid in _processes() if mark in _environment(pid)]:
+            for pid in found:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+            time.sleep(0.01)
 
     def end(self) -> None:
         """Ends the tests that run, and all that they started; later ones end at once."""
@@ -169,3 +177,15 @@ class Copy:
         # A .pyc tells a change by size and second alone.
         for compiled in path.parent.glob(f"__pycache__/{path.stem}.*.pyc"):
             compiled.unlink()
+
+
+def _processes() -> list[int]:
+    return [int(path.name) for path in Path("/proc").glob("[0-9]*")]
+
+
+def _environment(pid: int) -> bytes:
+    """With a zero before and after each variable; none of a process that has ended."""
+    try:
+        return b"\0" + Path(f"/proc/{pid}/environ").read_bytes()
+    except OSError:
+        return b""

@@ -124,8 +124,16 @@ def test_tests_that_fail_anyway_kill_nothing(toy: Areas, tmp_path: Path) -> None
 
 
 def test_ctrl_c_leaves_nothing_and_the_session_goes_on(toy: Areas, tmp_path: Path) -> None:
-    endless = toy.root / "tests/test_slow.py"
-    endless.write_text("import time, box.lid\n\ndef test_slow():\n    time.sleep(2)\n")
+    slow = """
+        import subprocess, sys, time
+
+        def test_slow():
+            apart = [sys.executable, "-c", "import time; time.sleep(300)"]
+            subprocess.Popen(apart, start_new_session=True)
+            time.sleep(1)
+    """
+    tests = toy.root / "tests/test_lid.py"
+    tests.write_text(textwrap.dedent(slow) + tests.read_text())
     before = _state(toy.root)
     scratch = tmp_path / "scratch"
     scratch.mkdir()
@@ -153,7 +161,7 @@ def test_ctrl_c_leaves_nothing_and_the_session_goes_on(toy: Areas, tmp_path: Pat
     assert b"KeyboardInterrupt" in error
     assert not list(scratch.iterdir())
     assert _state(toy.root) == before
-    assert not [pid for pid in Path("/proc").glob("[0-9]*") if str(scratch) in _command_line(pid)]
+    assert not [pid for pid in Path("/proc").glob("[0-9]*") if str(scratch) in _environment(pid)]
     known = session.outcomes()
     assert 2 <= len(known) < 30
     assert set(known) <= {mutant.key for mutant in toy.draw(30, 1, [])}
@@ -165,9 +173,9 @@ def test_ctrl_c_leaves_nothing_and_the_session_goes_on(toy: Areas, tmp_path: Pat
     assert session.baselines()[Stage(("a",))] == (1.0, 2.0)
 
 
-def _command_line(process: Path) -> str:
+def _environment(process: Path) -> str:
     try:
-        return (process / "cmdline").read_text()
+        return (process / "environ").read_text()
     except OSError:
         return ""
 
