@@ -56,7 +56,7 @@ def report(outcomes: Iterable[Outcome], known: list[Equivalent], root: Path) -> 
         for outcome in every
         if outcome.outcome == SURVIVED and any(one.is_(outcome.mutant, root) for one in known)
     }
-    lines = [_row("area", "mutants", KILLED, TIMEOUT, "explained", SURVIVED, "share", "CPU s each")]
+    lines = [_row("area", "mutants", KILLED, TIMEOUT, "explained", SURVIVED, "share", "CPU s")]
     for area, found in [*rows.items(), ("all", every)]:
         killed, late, survived = (
             sum(outcome.outcome == kind for outcome in found)
