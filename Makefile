@@ -2,6 +2,7 @@
 # make test   sets everything up, then lint, types, layers and tests (minutes)
 # make test-slow  the long ones: twenty kill -9, ten thousand hostile requests, every command of
 #                 the docs, the examples against a built wheel; browser-test needs Chromium
+# make mutants  puts mistakes in at random, and tells which ones no test noticed (tests/mutants)
 # make study  starts the study's server
 # make bench  the benchmarks, whole
 PYTHON ?= python3
@@ -9,7 +10,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready
 
-.PHONY: run test test-docs test-slow browser-test lint docs bench bench-quick study ui clean
+.PHONY: run test test-docs test-slow browser-test mutants lint docs bench bench-quick study ui clean
 
 run: $(READY)
 	$(BIN)/python -m xplain solver=pomcp domain=rescue lambda=1.5
@@ -25,6 +26,15 @@ test-slow: $(READY)
 
 browser-test: $(READY)
 	$(BIN)/python -m pytest -q -m browser
+
+# Interrupted, it goes on where it was; another SEED is another sample.
+SAMPLE ?= 60
+SEED ?= 1
+JOBS ?= 2
+mutants: $(READY)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[mutants]"
+	$(BIN)/python -m pytest -q tests/mutants
+	$(BIN)/python -m tests.mutants --sample $(SAMPLE) --seed $(SEED) --jobs $(JOBS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -48,9 +48,8 @@ from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.learning.clustering import Clustering, Perfect
 from xplain.learning.cross_validation import log_likelihoods
-from xplain.learning.disagreements import Cells
 from xplain.learning.labelers import LabelerTrainer, split
-from xplain.learning.user_types import UserTypes, learn_types
+from xplain.learning.user_types import UserTypes, learn_types, p_explicable
 from xplain.randomness import derived_seed, stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
 from xplain.solvers.qmdp import QMDP
@@ -144,7 +143,8 @@ def regrets(found: Found, seed: int, traces: int) -> dict[str, float]:
         features, labels = transition_features(setting.domain, trace), setting.label_table(trace)
         n = setting.n_messages
         problems = {
-            key: Problem(one.p_explicable(features, n), np.ones(n)) for key, one in plans.items()
+            key: Problem(p_explicable(one.labelers, features, n), np.ones(n))
+            for key, one in plans.items()
         }
         policies = {key: QMDP().plan(problem) for key, problem in problems.items()}
         for t in range(len(setting.types)):
@@ -226,18 +226,13 @@ def meaning(domain: str, method: str) -> str:
 
 
 def growth(quick: bool) -> pd.DataFrame:
-    """Time of the disagreements along a whole hierarchy, and of whole discoveries."""
+    """Time and success of whole discoveries, by the number of observers."""
     setting = setting_of("rescue", None, 0)
     rows = []
     for observers in (30, 100) if quick else (100, 1000, 10_000):
         crowd = SimulatedObservers(observers // 5, points=100, queries="independent")
         dataset, truth = crowd.collect(setting, FIRST_SEED)
-        joined = observers + np.arange(observers - 2)
-        merges = np.stack([np.concatenate([[0], joined]), np.arange(1, observers)], axis=1)
-        began = time.process_time()
-        Cells.of(dataset).along(merges)
-        curve = time.process_time() - began
-        for method in ("dirichlet", "hierarchy_share", "kmeans"):
+        for method in ("dirichlet", "kmeans"):
             began = time.process_time()
             found = clusterer(method).cluster(dataset, LabelerTrainer(), 0, None)
             learn_types(dataset, found, LabelerTrainer(), 0)
@@ -246,7 +241,6 @@ def growth(quick: bool) -> pd.DataFrame:
                     "observers": observers,
                     "labels": len(dataset),
                     "method": method,
-                    "curve_cpu_seconds": curve,
                     "cpu_seconds": time.process_time() - began,
                     "ari": score(truth, found.assignment),
                     "found": found.n_types,
@@ -358,7 +352,7 @@ def main() -> None:
         "growth": (
             lambda: growth(quick),
             ["observers", "labels", "method"],
-            ["curve_cpu_seconds", "cpu_seconds", "ari", "found"],
+            ["cpu_seconds", "ari", "found"],
         ),
     }
     for name in [arguments.part] if arguments.part else list(parts):

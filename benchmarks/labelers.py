@@ -40,7 +40,7 @@ from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.learning.clustering import Perfect
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.user_types import UserTypes, learn_types
+from xplain.learning.user_types import UserTypes, learn_types, p_explicable
 from xplain.randomness import stream
 from xplain.report.plots import series_style
 from xplain.solvers.qmdp import QMDP
@@ -92,7 +92,7 @@ def costs(setting: Setting, types: UserTypes, traces: int, seed: int) -> dict[st
         rng = stream(seed, "traces", index)
         trace = sample_trace(setting.models[0], setting.optimal[0], setting.domain.starts, rng, 40)
         labels = setting.label_table(trace)
-        p = types.p_explicable(transition_features(setting.domain, trace), n)
+        p = p_explicable(types.labelers, transition_features(setting.domain, trace), n)
         unknown = Problem(p, np.ones(n))
         policy = QMDP().plan(unknown)
         for t in range(len(setting.types)):

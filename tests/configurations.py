@@ -14,7 +14,7 @@ from xplain.config import CONF, register
 Path = tuple[str | int, ...]
 
 CHOICES = (
-    ("domain=rescue", "solver=pomcp", "labeler=practice", "clusterer=hierarchy_gap"),
+    ("domain=rescue", "solver=pomcp", "labeler=practice", "clusterer=agglomerative"),
     ("domain=four_rooms", "solver=certified", "labeler=pruned", "clusterer=dirichlet"),
     ("domain=rescue", "solver=lookahead", "clusterer=agglomerative", "users=rescue_completions"),
     ("domain=frozen_lake", "solver=oracle", "clusterer=em", "belief=persistent", "tracking=none"),
@@ -27,7 +27,7 @@ CHOICES = (
     ),
     (
         "domain=four_rooms",
-        "clusterer=hierarchy_heldout",
+        "clusterer=em",
         "users=explicit",
         "users.groups={A: [goals]}",
     ),

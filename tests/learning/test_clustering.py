@@ -4,19 +4,11 @@ from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
 from xplain.errors import InputError
-from xplain.learning.clustering import (
-    Agglomerative,
-    Clusterer,
-    Clustering,
-    Elbow,
-    KMeans,
-    Partition,
-    Perfect,
-    Single,
-)
+from xplain.learning.clustering import Clusterer, Clustering, Perfect, Single
 from xplain.learning.disagreements import disagreements
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.user_types import learn_types
+from xplain.learning.paper_clusterer import Agglomerative, Elbow, KMeans, Partition
+from xplain.learning.user_types import learn_types, p_explicable
 
 
 class ClustererSuite:
@@ -136,7 +128,7 @@ def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> No
     types = learn_types(dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0)
     assert types.prior == pytest.approx([2 / 3, 1 / 3])
     assert [labeler.n_train + labeler.n_test for labeler in types.labelers] == [1600, 800]
-    table = types.p_explicable(dataset.features, dataset.n_messages)
+    table = p_explicable(types.labelers, dataset.features, dataset.n_messages)
     assert table.shape == (2, len(dataset.features), 16)
     # The last type needs message 2 at transition 2, whatever else is said.
     assert (table[1, 2] > 0.5).tolist() == [bool(h & 4) for h in range(16)]

@@ -1,4 +1,4 @@
-"""Methods for independent questions: mixtures, the Dirichlet process, stopping rules."""
+"""Methods for independent questions: mixtures and the Dirichlet process."""
 
 from dataclasses import replace
 from math import lgamma
@@ -10,19 +10,18 @@ from hypothesis import strategies as st
 from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
-from xplain.data.dataset import Dataset
+from xplain.data.dataset import Dataset, query_index
 from xplain.errors import InputError, TooLargeError
 from xplain.learning.clustering import Clusterer, Perfect, Single
 from xplain.learning.cross_validation import folds, held_out_log_likelihood
-from xplain.learning.disagreements import disagreements
 from xplain.learning.em_mixture import Mixture
-from xplain.learning.fact_model import gibbs as sampler
-from xplain.learning.fact_model import model as facts
-from xplain.learning.fact_model import split_merge as crowds
 from xplain.learning.fact_model.dirichlet import DirichletMixture
-from xplain.learning.hierarchy import Gap, HeldOut, Hierarchy, Share
-from xplain.learning.labelers import LabelerTrainer, points
-from xplain.learning.user_types import base_rate, learn_types
+from xplain.learning.fact_model.gibbs import sample
+from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior
+from xplain.learning.fact_model.resample_transitions import WIDE
+from xplain.learning.fact_model.split_merge import MANY_OBSERVERS
+from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.user_types import base_rate, learn_types, p_explicable
 
 TYPES = [[0, 1], [2], [1, 3]]
 
@@ -71,26 +70,6 @@ def test_the_posterior_is_a_distribution_and_no_more_certain_than_the_data() -> 
     assert max(unsure.values()) < sure[3]
 
 
-def test_new_observers_are_placed_and_strangers_are_known_as_such() -> None:
-    rng = np.random.default_rng(6)
-    dataset, truth = made(rng, TYPES, size=250)
-    found = DirichletMixture().cluster(dataset, LabelerTrainer(), 0, None)
-    assert found.model is not None
-    fresh, kinds = made(rng, [*TYPES, [0, 2, 3]], per_type=2, size=60)
-    for o, kind in enumerate(kinds):
-        own = fresh.of(np.array([o]))
-        where = found.model.place(fresh.features[own.transition], own.message_set, own.label)
-        assert where.sum() == pytest.approx(1)
-        cluster = found.assignment[np.flatnonzero(truth == kind)[0]] if kind < 3 else 3
-        assert where[cluster] > 0.95
-    # Somebody who answers at random is none of these either; who has said nothing is anybody.
-    own = fresh.of(np.array([0]))
-    said = rng.integers(2, size=len(own)).astype(np.uint8)
-    assert found.model.place(fresh.features[own.transition], own.message_set, said)[-1] > 0.95
-    nothing = found.model.place(fresh.features[:0], own.message_set[:0], said[:0])
-    assert nothing == pytest.approx([3 / 10, 3 / 10, 3 / 10, 1 / 10])
-
-
 def test_chains_in_threads_change_nothing() -> None:
     dataset, _ = made(np.random.default_rng(7), TYPES, size=60)
     one, two = (
@@ -113,14 +92,14 @@ def test_many_messages() -> None:
 
 @pytest.mark.parametrize("n", [20, 30])
 def test_more_messages_than_are_tried_at_once(n: int) -> None:
-    assert n > sampler.WIDE
+    assert n > WIDE
     dataset, truth = made(np.random.default_rng(8), [[0, 7], [3], [2, 5], [1, 4]], n=n, size=200)
     found = DirichletMixture(depth=2).cluster(dataset, LabelerTrainer(), 0, None)
     assert adjusted_rand_score(truth, found.assignment) == 1
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_no_type_stays_split_in_a_crowd(seed: int) -> None:
+def test_no_type_stays_split_among_many_observers(seed: int) -> None:
     dataset, truth = made(
         np.random.default_rng(seed), [[0], [1, 2], [3]], per_type=80, size=60, noise=0.05
     )
@@ -134,7 +113,7 @@ def test_many_observers_whose_answers_say_nothing_share_types_as_the_process_has
 ) -> None:
     """Told everything, nobody's label depends on the type: the sampler draws from the prior, an urn
     with α / 4 balls of each of the four fact sets."""
-    observers = crowds.CROWD + 20
+    observers = MANY_OBSERVERS + 20
     everybody = np.arange(observers)
     dataset = Dataset(
         features=np.arange(24.0)[:, None],
@@ -146,10 +125,10 @@ def test_many_observers_whose_answers_say_nothing_share_types_as_the_process_has
         message_set=np.full(observers, 3),
         label=(everybody % 5 > 1).astype(np.uint8),
     )
-    answers, tables = facts.Answers.of(dataset), facts.Tables.of(2, 2)
+    answers, prior = Answers.of(dataset), Prior.of(2, 2)
     first = np.zeros(observers, dtype=np.int64)
     rng = np.random.default_rng(1)
-    found = facts.sample(answers, tables, concentration, first, 6000, 1.0, rng).types
+    found = sample(answers, prior, concentration, first, 6000, 1.0, rng).types
     step = np.arange(observers)
     not_one = np.log((step + 0.75 * concentration) / (step + concentration)).sum()
     batches = found.reshape(20, -1).mean(axis=1)
@@ -167,68 +146,46 @@ def log_evidence(ones: int, zeros: int, noise: float, prior: float) -> float:
     )
 
 
+@pytest.mark.parametrize("n", [2, 10])
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=8, deadline=None)
-def test_score_is_the_joint_probability_by_its_definition(seed: int) -> None:
-    dataset, _ = made(np.random.default_rng(seed), [[0], [1]], per_type=2, size=25, n=2)
-    answers, tables = facts.Answers.of(dataset), facts.Tables.of(2, 2)
-    first = np.array([0, 1, 3, 3])
+def test_score_is_the_joint_probability_by_its_definition(n: int, seed: int) -> None:
+    dataset, _ = made(np.random.default_rng(seed), [[0], [1]], per_type=2, size=25 * n, n=n)
+    answers, prior = Answers.of(dataset), Prior.of(n, 2)
+    everything = (1 << n) - 1
+    first = np.array([0, 1, everything, everything])
     rng = np.random.default_rng(seed)
     # One sweep: the score is that of the first state, before anything is drawn.
-    score = facts.sample(answers, tables, 0.7, first, 1, 1.0, rng).best.score
-    expected = 2 * (np.log(0.7) - 2 * np.log(2)) + lgamma(1) * 2 + lgamma(2)
-    expected += np.log(0.7) - 2 * np.log(2)
+    score = sample(answers, prior, 0.7, first, 1, 1.0, rng).score
+    expected = 3 * (np.log(0.7) - n * np.log(2)) + 2 * lgamma(1) + lgamma(2)
     held = first[dataset.observer] & ~dataset.message_set
     for t in range(len(dataset.features)):
         rows = dataset.transition == t
         terms = []
-        for z, positions in enumerate(tables.subsets):
+        for z, positions in enumerate(prior.subsets):
             mask = sum(1 << int(j) for j in positions if j >= 0)
-            for noise in facts.NOISE:
-                value = tables.log_subset[z] - np.log(len(facts.NOISE))
+            for noise in NOISE:
+                value = prior.log_subset[z] - np.log(len(NOISE))
                 for cell in np.unique(held[rows] & mask):
                     labels = dataset.label[rows & (held & mask == cell)]
                     ones = int(labels.sum())
-                    prior = facts.CELL[int(cell == 0)]
-                    value += log_evidence(ones, len(labels) - ones, noise, prior)
+                    before = CELL[int(cell == 0)]
+                    value += log_evidence(ones, len(labels) - ones, noise, before)
                 terms.append(value)
         expected += np.logaddexp.reduce(terms)
     assert score == pytest.approx(expected, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    "stop", [Share(0.0), HeldOut()], ids=["share of disagreements", "held-out likelihood"]
-)
-def test_hierarchies_stop_at_the_types(stop: Share | HeldOut) -> None:
-    for seed in range(3):
-        dataset, truth = made(np.random.default_rng(seed), TYPES, size=400, shared=True)
-        found = Hierarchy(stop).cluster(dataset, LabelerTrainer(), seed, None)
-        assert adjusted_rand_score(truth, found.assignment) == 1
-        assert found.curve is not None
-        assert found.curve[0] == disagreements(dataset, np.zeros_like(truth))
-        assert found.curve[found.n_types - 1] == disagreements(dataset, found.assignment)
-
-
-def test_gap_statistic_counts_groups_far_apart() -> None:
-    # Published behaviour: far groups are counted, one cloud is one (Tibshirani et al. 2001).
-    needs = [[0, 1, 2, 3], [4, 5, 6, 7]]
-    dataset, truth = made(np.random.default_rng(1), needs, per_type=10, n=8, size=600)
-    found = Hierarchy(Gap()).cluster(dataset, LabelerTrainer(), 0, None)
-    assert adjusted_rand_score(truth, found.assignment) == 1
-    alike, _ = made(np.random.default_rng(1), [[0, 1]], per_type=20, n=8, size=600)
-    assert Hierarchy(Gap()).cluster(alike, LabelerTrainer(), 0, None).n_types == 1
 
 
 def test_every_point_is_held_out_once() -> None:
     dataset, _ = made(np.random.default_rng(2), TYPES, size=50)
     masks = list(folds(dataset, 4, 1))
     assert (np.sum(masks, axis=0) == 1).all()
-    point = points(dataset)
+    query = query_index(dataset)
     for mask in masks:
-        assert not set(point[mask].tolist()) & set(point[~mask].tolist())
+        assert not set(query[mask].tolist()) & set(query[~mask].tolist())
 
 
-def test_true_types_foretell_better_than_one_for_all() -> None:
+def test_true_types_predict_better_than_one_for_all() -> None:
     dataset, truth = made(np.random.default_rng(3), TYPES, size=300)
 
     class Known(Perfect):
@@ -248,7 +205,7 @@ def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
     assert types.prior == pytest.approx([0.3, 0.3, 0.3, 0.1])
     heavy = learn_types(dataset, clustering, LabelerTrainer(), 0, none_of_these=3.0)
     assert heavy.prior == pytest.approx([0.25] * 4)
-    stranger = types.p_explicable(dataset.features, dataset.n_messages)[-1]
+    stranger = p_explicable(types.labelers, dataset.features, dataset.n_messages)[-1]
     assert np.ptp(stranger) == 0
     assert stranger[0, 0] == pytest.approx(dataset.label.mean(), abs=0.01)
     only = dataset.take(np.flatnonzero(dataset.label == 0))
@@ -267,8 +224,6 @@ def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
         (Mixture, {"max_types": 0}, "max_types"),
         (Mixture, {"folds": 1}, "folds"),
         (Mixture, {"floor": 0.5}, "floor"),
-        (Share, {"few": 1.0}, "few"),
-        (Gap, {"references": 1}, "references"),
     ],
 )
 def test_bad_values_are_named(component: type, options: dict[str, float], key: str) -> None:

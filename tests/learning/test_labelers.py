@@ -9,9 +9,9 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.tree import DecisionTreeClassifier
 
 from tests.learning.conftest import made
-from xplain.data.dataset import Dataset
+from xplain.data.dataset import Dataset, query_index
 from xplain.errors import InputError
-from xplain.learning.labelers import Labeler, LabelerTrainer, points, split
+from xplain.learning.labelers import Labeler, LabelerTrainer, split
 
 
 @given(seed=st.integers(0, 10_000), size=st.integers(2, 60), holdout=st.floats(0.05, 0.95))
@@ -33,7 +33,7 @@ def test_points_number_distinct_pairs(rng: np.random.Generator) -> None:
     for tau, given_set, point in zip(
         dataset.transition.tolist(),
         dataset.message_set.tolist(),
-        points(dataset).tolist(),
+        query_index(dataset).tolist(),
         strict=True,
     ):
         seen.setdefault((tau, given_set), set()).add(point)

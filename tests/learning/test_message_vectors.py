@@ -13,7 +13,7 @@ from sklearn.tree import DecisionTreeClassifier
 from tests.learning.conftest import made
 from xplain.data.dataset import inputs
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.message_vectors import smallest, vectors
+from xplain.learning.message_vectors import minimal_message_set, minimal_message_sets
 from xplain.learning.tree_leaves import cubes
 
 
@@ -45,14 +45,14 @@ def fitted(model: object, seed: int, n: int, ones: float, rows: int = 80) -> tup
 @settings(max_examples=60, deadline=None)
 def test_tree_search_is_enumeration(seed: int, n: int, ones: float) -> None:
     classifier, features = fitted(DecisionTreeClassifier(random_state=0), seed, n, ones)
-    assert smallest(classifier, features, n) == enumerated(classifier, features, n)
+    assert minimal_message_set(classifier, features, n) == enumerated(classifier, features, n)
 
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("model", [LogisticRegression(), RandomForestClassifier(5, random_state=0)])
 def test_search_by_predictions_is_enumeration(model: object, seed: int) -> None:
     classifier, features = fitted(model, seed, 5, 0.7)
-    assert smallest(classifier, features, 5) == enumerated(classifier, features, 5)
+    assert minimal_message_set(classifier, features, 5) == enumerated(classifier, features, 5)
 
 
 class AnyOf:
@@ -88,8 +88,8 @@ def test_of_many_equally_good_sets_the_first_in_message_order_is_taken(hate: flo
         best = [mask for mask in fewest if mask.bit_count() == size]
         first = min(best, key=lambda mask: [j for j in range(n) if mask >> j & 1])
         ties += len(best) > 1
-        assert smallest(tree, features, n) == first
-        assert smallest(rule, features, n) == first
+        assert minimal_message_set(tree, features, n) == first
+        assert minimal_message_set(rule, features, n) == first
     assert ties > 15
 
 
@@ -97,7 +97,7 @@ def test_of_many_equally_good_sets_the_first_in_message_order_is_taken(hate: flo
 def test_thirty_messages_as_integer_programming_says(seed: int) -> None:
     n = 30
     classifier, features = fitted(DecisionTreeClassifier(random_state=0), seed, n, 0.8, rows=300)
-    found = smallest(classifier, features, n)
+    found = minimal_message_set(classifier, features, n)
     x = inputs(features, np.full(len(features), found), n)
     cost = int((classifier.predict(x) == 0).sum())  # type: ignore[attr-defined]
     assert (cost, found.bit_count()) == programmed(classifier, features, n)
@@ -146,4 +146,4 @@ def programmed(classifier: object, features: NDArray[np.float64], n: int) -> tup
 def test_observers_vectors_are_what_their_type_needs(rng: np.random.Generator) -> None:
     dataset, truth = made(rng, [[0, 2], [1], []], size=400)
     needed = np.array([0b0101, 0b0010, 0])
-    assert vectors(dataset, LabelerTrainer(), 0).tolist() == needed[truth].tolist()
+    assert minimal_message_sets(dataset, LabelerTrainer(), 0).tolist() == needed[truth].tolist()

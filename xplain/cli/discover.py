@@ -118,7 +118,7 @@ def _write(folder: Path, dataset: Dataset, types: UserTypes, row: Row) -> None:
 
 def summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
     """What is known of each type."""
-    from xplain.learning.message_vectors import smallest
+    from xplain.learning.message_vectors import minimal_message_set
     from xplain.message_sets import names_of
 
     rows: list[Row] = []
@@ -138,7 +138,7 @@ def summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
             if known is not None:  # by all observers' labels, not by this type's alone
                 needed = int(known[t])
             else:
-                needed = smallest(labeler.classifier, shown, dataset.n_messages)
+                needed = minimal_message_set(labeler.classifier, shown, dataset.n_messages)
             row["needs"] = list(names_of(needed, dataset.messages))
         except TooLargeError:  # no tree, and too many messages to try them all
             row["needs"] = None

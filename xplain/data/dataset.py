@@ -1,4 +1,5 @@
-"""Labels given by observers: who, which transition, given which messages, which label (SPEC §2).
+"""Labels given by observers: who, which transition, given which messages, which label
+(docs/method.md, section 2).
 
 Simulated observers and files of real people's labels make the same table.
 """
@@ -42,7 +43,7 @@ class Dataset:
 
     @property
     def n_messages(self) -> int:
-        """n."""
+        """n: messages that there are."""
         return len(self.messages)
 
     def of(self, observers: NDArray[np.int64]) -> Dataset:
@@ -50,7 +51,7 @@ class Dataset:
         return self.take(np.flatnonzero(np.isin(self.observer, observers)))
 
     def take(self, rows: NDArray[np.int64]) -> Dataset:
-        """Some rows, in this order."""
+        """The labels ``rows`` [R], in this order; the tables of names and features stay whole."""
         return Dataset(
             self.features,
             self.feature_names,
@@ -61,6 +62,18 @@ class Dataset:
             self.message_set[rows],
             self.label[rows],
         )
+
+
+def query_index(dataset: Dataset) -> NDArray[np.int64]:
+    """The number of each label's query (transition, message set): [P], 0 … distinct queries − 1,
+    in the order of (transition, message set)."""
+    key = np.stack([dataset.transition, dataset.message_set])
+    order = np.lexsort(key[::-1])
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (key[:, order[1:]] != key[:, order[:-1]]).any(axis=0)
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.cumsum(new) - 1
+    return number
 
 
 def inputs(

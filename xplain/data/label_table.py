@@ -1,4 +1,4 @@
-"""Tables of labels, CSV or Parquet: one row a label (SPEC §2).
+"""Tables of labels, CSV or Parquet: one row a label (docs/your-own-data.md).
 
 Columns: ``observer``; ``messages``, names joined by ``;``, empty for none; ``label``, 0 or 1; every
 other column is a feature of the transition unless a list names them. Numbers stay numbers, text
@@ -23,9 +23,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
+from xplain.data.dataset import Dataset, query_index
 from xplain.errors import InputError
-from xplain.learning.labelers import points
 from xplain.message_sets import mask_of, names_of
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ COLUMNS = ("observer", "messages", "label")
 MISSING = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "<NA>", "#N/A"]
 MAX_MASK = 62
 """Messages a table may name; a message set is the bits of one integer."""
-MIN_POINTS = 4
+MIN_QUERIES = 4
 """Distinct (transition, message set) below which no part of a split would mean anything."""
 
 
@@ -289,16 +288,16 @@ def _check(dataset: Dataset) -> None:
         raise InputError("data", dataset.observers[0], "one observer only; types need at least two")
     if dataset.label.min() == dataset.label.max():
         raise InputError("data", int(dataset.label[0]), "all labels are equal; nothing to learn")
-    point = points(dataset)
-    count = int(point.max()) + 1
-    if count < MIN_POINTS:
+    query = query_index(dataset)
+    count = int(query.max()) + 1
+    if count < MIN_QUERIES:
         raise InputError(
-            "data", count, f"a split needs at least {MIN_POINTS} distinct (transition, messages)"
+            "data", count, f"a split needs at least {MIN_QUERIES} distinct (transition, messages)"
         )
     single = np.bincount(dataset.observer) == 1
     if single.any():
         log.warning("%d observers gave one label only: kept, placed by it", int(single.sum()))
-    own = point * len(dataset.observers) + dataset.observer
+    own = query * len(dataset.observers) + dataset.observer
     _, where = np.unique(own, return_inverse=True)
     ones = np.bincount(where, weights=dataset.label)
     torn = int(((ones > 0) & (ones < np.bincount(where))).sum())

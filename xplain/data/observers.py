@@ -1,11 +1,5 @@
-"""Observers: people, simulated or real, whose labels the user types are learned from (SPEC §2).
-
-An *observers* component has one method (this signature is what other stages build on)::
-
-    collect(setting, seed) -> (dataset, truth)
-
-``truth`` [O] is the true type of each observer; None for real people.
-"""
+"""Observers: people, simulated or real, whose labels the user types are learned from
+(docs/method.md, section 2)."""
 
 from __future__ import annotations
 
@@ -26,12 +20,18 @@ from xplain.users.setting import Setting
 
 
 class Observers(Protocol):
-    """Where labels come from."""
+    """Where the labels come from: the interface of every component ``observers``."""
 
-    def collect(
-        self, setting: Setting | None, seed: int
-    ) -> tuple[Dataset, NDArray[np.int64] | None]:
-        """The labels, and the true type of each observer where it is known."""
+    def collect(self, setting: Setting, seed: int) -> tuple[Dataset, NDArray[np.int64] | None]:
+        """P labels of transitions of ``setting.domain``, with its features and its messages.
+
+        Returns:
+            The labels, and [O] each observer's true type (index into ``setting.types``); None
+            where it is unknown, as of real people.
+
+        Raises:
+            InputError: the labels, or the component's options, do not fit the setting.
+        """
         ...
 
 
@@ -78,14 +78,12 @@ class SimulatedObservers:
             if not isinstance(value, (int, float)) or not 0 <= value <= high:
                 raise InputError(f"observers.{key}", value, f"a number in [0, {high:g}]")
 
-    def collect(self, setting: Setting | None, seed: int) -> tuple[Dataset, NDArray[np.int64]]:
+    def collect(self, setting: Setting, seed: int) -> tuple[Dataset, NDArray[np.int64]]:
         """Labels of all observers and their true types (index into ``setting.types``).
 
         Raises:
-            InputError: no setting, or ``per_type`` does not fit its types.
+            InputError: ``per_type`` does not fit the types.
         """
-        if setting is None:
-            raise InputError("observers", "simulated", "needs a domain and user types")
         truth = np.repeat(np.arange(len(setting.types)), self._counts(len(setting.types)))
         low, *_, high = _whole_numbers(self.points) * 2
         sizes = stream(seed, "observers", "points").integers(low, high + 1, len(truth))
@@ -167,11 +165,12 @@ class FileObservers:
     features: Sequence[str] | None = None
     ignore: Sequence[str] = ()
 
-    def collect(self, setting: Setting | None, seed: int) -> tuple[Dataset, None]:
-        """The table. With a setting, its messages are the domain's, and its features are put in
-        the order of the domain's, so that the labelers can be asked about the domain's traces."""
-        messages = None if setting is None else setting.message_names
-        dataset = read_table(self.path, messages, self.features, self.ignore)
-        if setting is not None:
-            dataset = align(dataset, transition_feature_names(setting.domain))
-        return dataset, None
+    def collect(self, setting: Setting, seed: int) -> tuple[Dataset, None]:
+        """The table, its features in the order of the domain's, so that labelers trained on it
+        can be asked about the domain's traces; ``seed`` is not used.
+
+        Raises:
+            InputError: the file cannot be read, or its messages or features are not the domain's.
+        """
+        dataset = read_table(self.path, setting.message_names, self.features, self.ignore)
+        return align(dataset, transition_feature_names(setting.domain)), None

@@ -1,4 +1,5 @@
-"""Traces: what the robot did, from a random start along an optimal policy (SPEC §2)."""
+"""Traces: what the robot did, from a random start along an optimal policy
+(docs/method.md, section 2)."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ from xplain.domains.base import (
 from xplain.errors import InputError, whole_number
 from xplain.learning.clustering import Clusterer, Perfect
 from xplain.learning.labelers import Labeler, LabelerTrainer
-from xplain.learning.user_types import UserTypes, learn_types
+from xplain.learning.user_types import UserTypes, learn_types, p_explicable
 from xplain.randomness import derived_seed, stream
 from xplain.users.setting import Setting
 from xplain.users.types import TypeSource
@@ -288,9 +288,9 @@ def build_case(
         transitions=transitions,
         phrases=tuple(domain.describe(transition) for transition in transitions),
         positions=tuple(cell for cell in cells if cell is not None),
-        learned=types.p_explicable(features, n),
-        everyone=_tables([everyone], features, n),
-        perfect=None if oracle is None else _tables(oracle, features, n),
+        learned=p_explicable(types.labelers, features, n),
+        everyone=p_explicable([everyone], features, n),
+        perfect=None if oracle is None else p_explicable(oracle, features, n),
         labels=setting.label_table(transitions),
     )
 
@@ -324,12 +324,6 @@ def learning_figures(
         figures["perfect_labeler_accuracy"] = _mean_accuracy(references.perfect.labelers)
         figures["true_types"] = float(len(np.unique(alike)))
     return figures
-
-
-def _tables(
-    labelers: Iterable[Labeler], features: NDArray[np.float64], n_messages: int
-) -> NDArray[np.float64]:
-    return np.stack([labeler.table(features, n_messages) for labeler in labelers])
 
 
 def _mean_accuracy(labelers: Iterable[Any]) -> float:

@@ -1,4 +1,4 @@
-"""How well labelers foretell labels that they, and the clustering, have not seen."""
+"""How well labelers predict labels that they, and the clustering, have not seen."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
+from xplain.data.dataset import Dataset, query_index
 from xplain.learning.clustering import Clusterer
-from xplain.learning.labelers import Labeler, LabelerTrainer, points, split
+from xplain.learning.labelers import Labeler, LabelerTrainer, split
 from xplain.randomness import derived_seed, stream
 
 
@@ -35,7 +35,7 @@ def log_likelihoods(
     seed: int,
 ) -> NDArray[np.float64]:
     """log P of each label of ``test`` under the labeler of its observer's cluster, fitted to
-    ``train``: [P]. A cluster without labels in ``train`` is foretold by everybody's."""
+    ``train``: [P]. A cluster without labels in ``train`` is predicted by everybody's."""
     result = np.empty(len(test))
     for cluster in np.unique(assignment):
         members = np.flatnonzero(assignment == cluster)
@@ -56,8 +56,8 @@ def log_likelihood(labeler: Labeler, dataset: Dataset) -> NDArray[np.float64]:
 
 def folds(dataset: Dataset, count: int, seed: int) -> Iterator[NDArray[np.bool_]]:
     """``count`` masks [P]: each label is held out once, a distinct point always as a whole."""
-    point = points(dataset)
-    distinct = int(point.max()) + 1
+    query = query_index(dataset)
+    distinct = int(query.max()) + 1
     number = stream(seed, "folds").permutation(distinct) % count
     for fold in range(min(count, distinct)):
-        yield number[point] == fold
+        yield number[query] == fold

@@ -1,4 +1,5 @@
-"""Where the curve of disagreements bends: the number of user types (SPEC §4)."""
+"""Where the curve of disagreements bends: the number of user types
+(docs/method.md, section 4; docs/choices.md, "no elbow")."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A finite mixture of labelers, fitted by expectation maximisation over observers.
 
 Any classifier can be the labeler of a component; nothing is assumed of how labels come about. A
-classifier that has seen an observer's labels foretells them too well, so an observer is always
+classifier that has seen an observer's labels predicts them too well, so an observer is always
 judged by labelers that were fitted without the points in question (cross-fitting).
 """
 
@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset, inputs
 from xplain.errors import InputError
-from xplain.learning.clustering import Agglomerative, Clustering, Partition
+from xplain.learning.clustering import Clustering
 from xplain.learning.cross_validation import folds
 from xplain.learning.labelers import LabelerTrainer, share_of_ones
-from xplain.learning.message_vectors import vectors
+from xplain.learning.message_vectors import minimal_message_sets
+from xplain.learning.paper_clusterer import Agglomerative, Partition
 from xplain.message_sets import bits_of
 from xplain.randomness import derived_seed, stream
 
@@ -65,7 +66,7 @@ class Mixture:
         truth: NDArray[np.int64] | None,
     ) -> Clustering:
         """Each observer's likeliest component, at the k of the highest held-out likelihood."""
-        masks = vectors(dataset, trainer, seed)
+        masks = minimal_message_sets(dataset, trainer, seed)
         bits = bits_of(masks, dataset.n_messages)
         observers = len(dataset.observers)
         data = _Data(dataset, trainer, self.folds, self.floor, derived_seed(seed, "mixture"))
@@ -97,16 +98,17 @@ class Mixture:
             share = (weight.sum(axis=0) + 1) / (len(weight) + k)
             joint = data.log_likelihood(weight) + np.log(share)
             top = joint.max(axis=1, keepdims=True)
-            evidence = top[:, 0] + np.log(np.exp(joint - top).sum(axis=1))
-            before, value = value, float(evidence.sum() / data.size)
-            weight = np.exp(joint - evidence[:, None])
+            log_marginal = top[:, 0] + np.log(np.exp(joint - top).sum(axis=1))
+            before, value = value, float(log_marginal.sum() / data.size)
+            weight = np.exp(joint - log_marginal[:, None])
             if value - before < 1e-4:
                 break
         return value, weight.argmax(axis=1)
 
 
 class _Data:
-    """The labels, ready for cross-fitting."""
+    """The labels as classifier inputs [P, F + n], split into folds by query: each fold is judged by
+    classifiers that were fitted to the others."""
 
     def __init__(
         self, dataset: Dataset, trainer: LabelerTrainer, count: int, floor: float, seed: int

@@ -1,4 +1,5 @@
-"""Labelers: what people of a type would find explicable, learned from their labels (SPEC §3)."""
+"""Labelers: what people of a type would find explicable, learned from their labels
+(docs/method.md, section 3)."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset, inputs
+from xplain.data.dataset import Dataset, inputs, query_index
 from xplain.errors import InputError
 from xplain.learning.tree_leaves import cubes
 from xplain.randomness import derived_seed, stream
@@ -192,24 +193,13 @@ def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:
 
     Both parts get at least one distinct point where there are two.
     """
-    point = points(dataset)
-    count = int(point.max()) + 1
+    query = query_index(dataset)
+    count = int(query.max()) + 1
     held = round(holdout * count) if count < 2 else min(max(round(holdout * count), 1), count - 1)
     order = stream(seed, "labeler", "split").permutation(count)
     out = np.zeros(count, dtype=bool)
     out[order[: held if count > 1 else 0]] = True
-    return np.asarray(out[point])
-
-
-def points(dataset: Dataset) -> NDArray[np.int64]:
-    """The number of each label's distinct (transition, message set): [P], from 0, ascending."""
-    key = np.stack([dataset.transition, dataset.message_set])
-    order = np.lexsort(key[::-1])
-    new = np.ones(len(order), dtype=bool)
-    new[1:] = (key[:, order[1:]] != key[:, order[:-1]]).any(axis=0)
-    number = np.empty(len(order), dtype=np.int64)
-    number[order] = np.cumsum(new) - 1
-    return number
+    return np.asarray(out[query])
 
 
 def share_of_ones(classifier: Any, shares: NDArray[np.float64]) -> NDArray[np.float64]:

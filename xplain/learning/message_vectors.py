@@ -1,5 +1,6 @@
 """The vector of an observer: the smallest message set that makes every transition explicable to
-the observer's own labeler (SPEC §4, paper "Learning the set of labeling models").
+the observer's own labeler (docs/method.md, section 4; paper, "Learning the set of labeling
+models").
 
 Exact: fewest inexplicable transitions first (0 where possible), then fewest messages, then the
 order of the messages (of {0, 5} and {1, 2} the first, for it has the first message).
@@ -25,7 +26,7 @@ MAX_PREDICTIONS = 1 << 28
 """A classifier that is no tree is asked at most this often (some minutes)."""
 
 
-def vectors(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> NDArray[np.int64]:
+def minimal_message_sets(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> NDArray[np.int64]:
     """The vector of each observer, as a message set: [O].
 
     Each observer's classifier is fitted to all of the observer's own labels; it is only asked
@@ -33,7 +34,7 @@ def vectors(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> NDArray[np.
     alike get the same vector. An observer without labels gets the empty set.
 
     Raises:
-        TooLargeError: as :func:`smallest`.
+        TooLargeError: as :func:`minimal_message_set`.
     """
     x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
     found = np.zeros(len(dataset.observers), dtype=np.int64)
@@ -44,11 +45,11 @@ def vectors(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> NDArray[np.
         if len(own):
             classifier = trainer.fitted(x[own], dataset.label[own], seed)
             features = dataset.features[np.unique(dataset.transition[own])]
-            found[o] = smallest(classifier, features, dataset.n_messages)
+            found[o] = minimal_message_set(classifier, features, dataset.n_messages)
     return found
 
 
-def smallest(classifier: Any, features: NDArray[np.float64], n_messages: int) -> int:
+def minimal_message_set(classifier: Any, features: NDArray[np.float64], n_messages: int) -> int:
     """The smallest message set that makes every transition [T, F] explicable, as a bitmask.
 
     Args:

@@ -19,7 +19,7 @@ from xplain.data.dataset import Dataset
 from xplain.data.label_table import MAX_MASK
 from xplain.errors import InputError
 from xplain.learning.labelers import Labeler
-from xplain.learning.user_types import UserTypes
+from xplain.learning.user_types import UserTypes, p_explicable
 
 FORMAT = 1
 NODES = ("feature", "threshold", "children_left", "children_right", "weighted_n_node_samples")
@@ -84,7 +84,7 @@ class LearnedTypes:
             raise InputError("trace", rows.shape, wanted)
         if not np.isfinite(rows).all():
             raise InputError("trace", "NaN or infinite", wanted)
-        return np.stack([labeler.table(rows, len(self.messages)) for labeler in self.labelers])
+        return p_explicable(self.labelers, rows, len(self.messages))
 
     def save(self, path: str | Path) -> None:
         """Writes an ``.npz`` file.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -31,9 +32,21 @@ class UserTypes:
     names: tuple[str, ...]
     prior: NDArray[np.float64]
 
-    def p_explicable(self, features: NDArray[np.float64], n_messages: int) -> NDArray[np.float64]:
-        """P(label of transition [m, F] is 1 | type, message set): [N, m, 2^n]."""
-        return np.stack([labeler.table(features, n_messages) for labeler in self.labelers])
+
+def p_explicable(
+    labelers: Iterable[Labeler], features: NDArray[np.float64], n_messages: int
+) -> NDArray[np.float64]:
+    """P(label = 1) of m transitions under every message set, one table a labeler: [N, m, 2^n].
+
+    Args:
+        labelers: N ≥ 1 of them.
+        features: [m, F] of the transitions, as the labelers were trained on.
+        n_messages: n; the last axis is indexed by the message set's bitmask.
+
+    Raises:
+        InputError: a labeler was trained with another number of messages.
+    """
+    return np.stack([labeler.table(features, n_messages) for labeler in labelers])
 
 
 def learn_types(

@@ -15,6 +15,7 @@ from xplain.domains.base import Domain, Scene, transition_features
 from xplain.errors import InputError, whole_number
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import learn, observe
+from xplain.learning.user_types import p_explicable
 from xplain.randomness import stream
 from xplain.study.policies import with_probes
 from xplain.study.protocol import content
@@ -58,7 +59,7 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
         wanted = f"{len(setting.types)} types (use perfect)"
         raise InputError("clusterer", len(learned.labelers), wanted)
     features = transition_features(setting.domain, transitions)
-    table = learned.p_explicable(features, setting.n_messages)
+    table = p_explicable(learned.labelers, features, setting.n_messages)
     return assemble(setting, transitions, table, config)
 
 

@@ -1,7 +1,7 @@
-"""A setting: a domain and its user types, with the labels that each type would give.
+"""A setting: a domain and its user types, with the labels that each type would give
+(docs/method.md, section 1).
 
-docs/method.md, section 1. Many types and message sets share one model of the task; each distinct
-model is solved once.
+Many types and message sets share one model of the task; each distinct model is solved once.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class Setting:
 
     @property
     def n_messages(self) -> int:
-        """n."""
+        """n: messages, one a parameter of the domain."""
         return len(self.domain.parameters)
 
     def model_index(self, user_type: int, message_sets: NDArray[np.int64]) -> NDArray[np.int64]:

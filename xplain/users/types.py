@@ -1,4 +1,5 @@
-"""Type sources: where the user types of a setting come from (docs/method.md, section 1).
+"""Type sources: where the user types of a setting come from (docs/choices.md, "Lost or not
+given").
 
 Each has one method, ``types(domain, rng)``.
 """
@@ -70,7 +71,7 @@ class Explicit:
     groups: Mapping[str, Sequence[str] | Mapping[str, Any]]
 
     def __post_init__(self) -> None:
-        """Checks that there are types."""
+        """Raises InputError where ``groups`` is no mapping with at least one type."""
         if not isinstance(self.groups, Mapping) or not self.groups:
             raise InputError("users.groups", self.groups, "at least one user type, {name: [facts]}")
 
@@ -102,7 +103,7 @@ class Completions:
     index: int = 0
 
     def __post_init__(self) -> None:
-        """Checks the index."""
+        """Raises InputError where ``index`` is not that of a completion."""
         count = len(self.completions())
         if isinstance(self.index, bool) or not isinstance(self.index, int):
             raise InputError("users.index", self.index, f"a whole number in 0 ... {count - 1}")
@@ -145,7 +146,7 @@ class RandomCover:
     attempts: int = 1000
 
     def __post_init__(self) -> None:
-        """Checks the counts."""
+        """Raises InputError where a count is not a whole number ≥ 1."""
         for key in ("count", "attempts"):
             whole_number(f"users.{key}", getattr(self, key), 1)
 

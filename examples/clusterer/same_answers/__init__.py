@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from xplain.data.dataset import Dataset
+from xplain.data.dataset import Dataset, query_index
 from xplain.errors import InputError
 from xplain.learning.clustering import Clustering
-from xplain.learning.labelers import LabelerTrainer, points
+from xplain.learning.labelers import LabelerTrainer
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class SameAnswers:
         truth: NDArray[np.int64] | None,
     ) -> Clustering:
         """Who agrees with whom makes a graph; a type is a connected part of it."""
-        question = points(dataset)
+        question = query_index(dataset)
         answers = np.zeros((2, len(dataset.observers), question.max() + 1))  # answers 0, answers 1
         answers[dataset.label, dataset.observer, question] = 1
         asked = answers.max(axis=0)

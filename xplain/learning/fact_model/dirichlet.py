@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from xplain.data.dataset import Dataset
 from xplain.errors import InputError, TooLargeError
 from xplain.learning.clustering import Clustering, by_first_appearance
-from xplain.learning.fact_model import model as facts
-from xplain.learning.fact_model.gibbs import WIDE
+from xplain.learning.fact_model.gibbs import Chain, sample
+from xplain.learning.fact_model.model import Answers, Prior, facts_that_matter
+from xplain.learning.fact_model.resample_transitions import WIDE
 from xplain.learning.labelers import LabelerTrainer
 from xplain.randomness import stream
 
@@ -25,8 +26,6 @@ log = logging.getLogger(__name__)
 FEWEST_SWEEPS = 20
 MAX_SUBSETS = 1 << 15
 """Fact sets S that may matter at a transition; all are weighed in every sweep."""
-DRAWS = 1 << 12
-"""Fact sets that stand for all others when a new observer is placed."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class DirichletMixture:
         chains: independent runs; half start from one type, half from types at random.
         sweeps: of each chain, the first half of them heated. Large data need few:
         updates: a chain stops at this many updates of an observer (but makes 20 sweeps).
-        heat: temperature at the start.
+        heat: initial temperature.
         jobs: chains run at a time (threads); no result depends on it.
     """
 
@@ -71,7 +70,7 @@ class DirichletMixture:
         seed: int,
         truth: NDArray[np.int64] | None,
     ) -> Clustering:
-        """Types, the posterior over their number, and a model that places new observers.
+        """Types, what each needs to be told, and the posterior over their number.
 
         Raises:
             TooLargeError: ``depth`` is too large for so many messages.
@@ -85,12 +84,12 @@ class DirichletMixture:
             raise TooLargeError(
                 f"clusterer.depth={depth}: too many sets of {n} messages; use a smaller depth"
             )
-        answers, tables = facts.Answers.of(dataset), facts.Tables.of(n, depth)
+        answers, prior = Answers.of(dataset), Prior.of(n, depth)
         sweeps = min(self.sweeps, max(self.updates // observers, FEWEST_SWEEPS))
-        chains: list[facts.Chain] = Parallel(n_jobs=self.jobs, prefer="threads")(
-            delayed(facts.sample)(
+        chains: list[Chain] = Parallel(n_jobs=self.jobs, prefer="threads")(
+            delayed(sample)(
                 answers,
-                tables,
+                prior,
                 self.concentration,
                 self._first(observers, n, chain, seed),
                 sweeps,
@@ -99,115 +98,23 @@ class DirichletMixture:
             )
             for chain in range(self.chains)
         )
-        best = max((chain.best for chain in chains), key=lambda state: state.score)
+        best = max(chains, key=lambda chain: chain.score).best
         number, times = np.unique(
             np.concatenate([chain.types for chain in chains]), return_counts=True
         )
         posterior = {int(k): float(c / times.sum()) for k, c in zip(number, times, strict=True)}
-        held = best.facts & facts.matters(best, tables)
+        held = best.facts & facts_that_matter(prior, best)
         types = len(np.unique(held))
         log.info(
             "%d user types by the rule posterior: %.0f%% of the samples have as many",
             types,
             100 * posterior.get(types, 0.0),
         )
-        model = FactsModel.of(dataset, answers, tables, best, held, self.concentration)
-        return Clustering(
-            held, "dirichlet", "posterior", posterior=posterior, needs=model.types, model=model
-        )
+        _, first = np.unique(by_first_appearance(held), return_index=True)
+        return Clustering(held, "dirichlet", "posterior", posterior=posterior, needs=held[first])
 
     def _first(self, observers: int, n: int, chain: int, seed: int) -> NDArray[np.int64]:
         everything = np.full(observers, (1 << n) - 1, dtype=np.int64)
         if chain % 2 == 0:
             return everything
         return stream(seed, "dirichlet", "first", chain).integers(0, 1 << n, observers)
-
-
-@dataclass(frozen=True)
-class FactsModel:
-    """What was learned, ready to place a new observer.
-
-    Attributes:
-        features: [T, F] of the transitions known.
-        tables, state: of the sampler.
-        ahead: [T, cells] of :func:`xplain.learning.fact_model.model.cells`.
-        types: [N] facts held wrong by each type, in the order of the clusters.
-        members: [N] observers of each.
-        concentration: α.
-        n_messages: n.
-        base_rate: share of labels 1 among everybody's.
-    """
-
-    features: NDArray[np.float64]
-    tables: facts.Tables
-    state: facts.State
-    ahead: NDArray[np.int64]
-    types: NDArray[np.int64]
-    members: NDArray[np.int64]
-    concentration: float
-    n_messages: int
-    base_rate: float
-
-    @classmethod
-    def of(
-        cls,
-        dataset: Dataset,
-        answers: facts.Answers,
-        tables: facts.Tables,
-        state: facts.State,
-        held: NDArray[np.int64],
-        concentration: float,
-    ) -> FactsModel:
-        """Counts the answers of a state whose observers hold ``held`` [O] wrong."""
-        number = by_first_appearance(held)
-        _, first = np.unique(number, return_index=True)
-        return cls(
-            dataset.features,
-            tables,
-            state,
-            facts.cells(answers, tables, state),
-            held[first],
-            np.bincount(number),
-            concentration,
-            dataset.n_messages,
-            float(dataset.label.mean()),
-        )
-
-    def place(
-        self,
-        features: NDArray[np.float64],
-        message_sets: NDArray[np.int64],
-        labels: NDArray[np.uint8],
-    ) -> NDArray[np.float64]:
-        """P(type | the labels [P] of transitions [P, F] under message sets [P]): [N + 1].
-
-        The last entry is "none of these": a set of facts that no type holds, or, as likely a
-        priori, somebody who answers 1 at everybody's rate whatever is asked. Transitions that
-        nobody was asked about tell nothing.
-        """
-        known = {row.tobytes(): t for t, row in enumerate(self.features)}
-        tau = np.array([known.get(row.tobytes(), -1) for row in features], dtype=np.int64)
-        asked = tau >= 0
-        rows = tau[asked], message_sets[asked], labels[asked].astype(np.int64)
-        if self.n_messages <= 12:
-            others = np.arange(1 << self.n_messages)
-        else:
-            others = stream(0, "place").integers(0, 1 << self.n_messages, DRAWS)
-        others = others[~np.isin(others, self.types)]
-        own = self._log_likelihood(self.types, *rows) + np.log(self.members)
-        other = self._log_likelihood(others, *rows) - np.log(len(others))
-        rate = np.log(np.where(rows[2] == 1, self.base_rate, 1 - self.base_rate)).sum()
-        none = np.log(self.concentration / 2) + np.append(other, rate)
-        weights = np.append(own, np.logaddexp.reduce(none))
-        weights = np.exp(weights - weights.max())
-        return np.asarray(weights / weights.sum())
-
-    def _log_likelihood(
-        self,
-        who: NDArray[np.int64],
-        tau: NDArray[np.int64],
-        given: NDArray[np.int64],
-        label: NDArray[np.int64],
-    ) -> NDArray[np.float64]:
-        each = facts.log_likelihood(self.tables, self.state, self.ahead, who, tau, given, label)
-        return np.asarray(each.sum(axis=1))

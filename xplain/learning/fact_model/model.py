@@ -1,4 +1,4 @@
-"""A generative model of labels: people hold some facts wrong, and each message mends one.
+"""A generative model of labels: people hold some facts wrong, and each message sets one right.
 
 An observer is of a type R, the set of facts (= messages) held wrong. Asked about transition τ
 under message set H, it still holds M = R \\ H wrong, and the label depends on τ and M alone::
@@ -19,16 +19,16 @@ base measure uniform over fact sets.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 from math import comb
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
 from xplain.learning.fact_model.counts import REACH
-from xplain.learning.fact_model.gibbs import WIDE, run_chain
+from xplain.learning.fact_model.resample_transitions import WIDE
 
 NOISE = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
 """ε_τ is one of these; how often each occurs is learned."""
@@ -39,200 +39,137 @@ SUBSET = 0.5
 """Each further fact that matters at a transition halves the prior of S_τ."""
 
 
-@dataclass(frozen=True)
-class Answers:
+class Answers(NamedTuple):
     """The labels of a dataset, sorted by observer and, of each observer, by transition.
+
+    P labels by O observers on T transitions.
 
     Attributes:
         start: [O + 1] int64 first row of each observer.
-        tau, given, label, owner: [P] int64 transition, message set, label, observer.
+        transition, message_set, label, owner: [P] int64; ``owner`` is the observer.
         rows: [P] int64 the rows of everybody in the order of their transition.
-        tau_start: [T + 1] int64 where each transition starts in ``rows``.
-        n: messages.
+        transition_start: [T + 1] int64 where each transition starts in ``rows``.
+        n_messages: n.
     """
 
     start: NDArray[np.int64]
-    tau: NDArray[np.int64]
-    given: NDArray[np.int64]
+    transition: NDArray[np.int64]
+    message_set: NDArray[np.int64]
     label: NDArray[np.int64]
     owner: NDArray[np.int64]
     rows: NDArray[np.int64]
-    tau_start: NDArray[np.int64]
-    n: int
+    transition_start: NDArray[np.int64]
+    n_messages: int
 
     @classmethod
     def of(cls, dataset: Dataset) -> Answers:
-        """Sorts."""
+        """Sorts the labels of a dataset."""
         order = np.lexsort((dataset.transition, dataset.observer))
-        owner, tau = dataset.observer[order], dataset.transition[order]
-        rows = np.argsort(tau, kind="stable")
+        owner, transition = dataset.observer[order], dataset.transition[order]
+        rows = np.argsort(transition, kind="stable")
         return cls(
             start=np.searchsorted(owner, np.arange(len(dataset.observers) + 1)).astype(np.int64),
-            tau=tau,
-            given=dataset.message_set[order],
+            transition=transition,
+            message_set=dataset.message_set[order],
             label=dataset.label[order].astype(np.int64),
             owner=owner,
             rows=rows,
-            tau_start=np.searchsorted(tau[rows], np.arange(len(dataset.features) + 1)),
-            n=dataset.n_messages,
+            transition_start=np.searchsorted(
+                transition[rows], np.arange(len(dataset.features) + 1)
+            ),
+            n_messages=dataset.n_messages,
         )
 
 
-@dataclass(frozen=True)
-class Tables:
-    """What the sampler looks up.
+class Prior(NamedTuple):
+    """What is known of f, S and ε before any answer, as tables to look up.
+
+    Z subsets of at most ``depth`` facts, E levels of noise.
 
     Attributes:
         subsets: [Z, depth] int64 positions of the facts of each possible S_τ, −1 where fewer.
+        size: [Z] int64 how many facts each has.
+        members: [Z] int64 the same facts as a bitmask.
         log_subset: [Z] log prior.
         log_block: [depth + 1] log P(the facts among which S_τ is sought | S_τ), by its size.
         predictive: [2, E, 2 · REACH + 1, 2] log P(next label | is M ∩ S empty, ε, ones − zeros).
-        marginal: [2, E, 2 · REACH + 1] log evidence of a cell beyond that of f = 1.
+        marginal: [2, E, 2 · REACH + 1] log marginal likelihood of a cell beyond that of f = 1.
+        log_flip: [E, 2] log(1 − ε) and log ε.
     """
 
     subsets: NDArray[np.int64]
+    size: NDArray[np.int64]
+    members: NDArray[np.int64]
     log_subset: NDArray[np.float64]
     log_block: NDArray[np.float64]
     predictive: NDArray[np.float64]
     marginal: NDArray[np.float64]
+    log_flip: NDArray[np.float64]
 
     @classmethod
-    def of(cls, n: int, depth: int) -> Tables:
+    def of(cls, n: int, depth: int) -> Prior:
         """For n messages, of which at most ``depth`` matter at a transition."""
         depth = min(depth, n)
-        members = [one for size in range(depth + 1) for one in combinations(range(n), size)]
-        subsets = np.full((len(members), max(depth, 1)), -1, dtype=np.int64)
-        for z, one in enumerate(members):
+        chosen = [one for size in range(depth + 1) for one in combinations(range(n), size)]
+        subsets = np.full((len(chosen), max(depth, 1)), -1, dtype=np.int64)
+        for z, one in enumerate(chosen):
             subsets[z, : len(one)] = one
-        prior = np.array([SUBSET ** len(one) / comb(n, len(one)) for one in members])
+        prior = np.array([SUBSET ** len(one) / comb(n, len(one)) for one in chosen])
         ahead = np.arange(-REACH, REACH + 1)[None, None, :]
         cell, noise = CELL[:, None, None], NOISE[None, :, None]
         odds = np.log(cell / (1 - cell)) + ahead * np.log((1 - noise) / noise)
         is_one = 1 / (1 + np.exp(-odds))
         next_one = is_one * (1 - noise) + (1 - is_one) * noise
         return cls(
-            subsets,
-            np.log(prior / prior.sum()),
-            np.array(
+            subsets=subsets,
+            size=np.array([len(one) for one in chosen]),
+            members=np.array([sum(1 << j for j in one) for one in chosen]),
+            log_subset=np.log(prior / prior.sum()),
+            log_block=np.array(
                 [-np.log(comb(max(n - k, 0), max(WIDE - k, 0)) or 1) for k in range(depth + 1)]
             ),
-            np.log(np.stack([1 - next_one, next_one], axis=-1)),
-            np.log(cell) + np.logaddexp(0, -odds),
+            predictive=np.log(np.stack([1 - next_one, next_one], axis=-1)),
+            marginal=np.log(cell) + np.logaddexp(0, -odds),
+            log_flip=np.log(np.stack([1 - NOISE, NOISE], axis=1)),
         )
 
 
-@dataclass(frozen=True)
-class State:
-    """One state of the model.
+class State(NamedTuple):
+    """One state of a chain, and what is counted of it. A step overwrites the arrays.
 
     Attributes:
         facts: [O] int64, R of each observer.
-        subset: [T] int64, S_τ as an index into :attr:`Tables.subsets`.
+        subset: [T] int64, S_τ as an index into :attr:`Prior.subsets`.
         noise: [T] int64, ε_τ as an index into :data:`NOISE`.
-        score: log of its joint probability with the labels, f integrated out, and up to ``WIDE``
-            facts S and ε too.
+        log_noise: [E] log share of each level of noise.
+        messages_given: [P] int64 the messages about S_τ that each answer was given, packed into
+            the lowest bits.
+        counts: [T, 2^depth, 2] int64 labels 0 and 1 by cell (τ, M ∩ S_τ).
+        order: [n] int64 the messages, those that were tried last for an observer first.
     """
 
     facts: NDArray[np.int64]
     subset: NDArray[np.int64]
     noise: NDArray[np.int64]
-    score: float
+    log_noise: NDArray[np.float64]
+    messages_given: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    order: NDArray[np.int64]
+
+    def copy(self) -> State:
+        """The same state in arrays of its own."""
+        return State(
+            self.facts.copy(),
+            self.subset.copy(),
+            self.noise.copy(),
+            self.log_noise.copy(),
+            self.messages_given.copy(),
+            self.counts.copy(),
+            self.order.copy(),
+        )
 
 
-@dataclass(frozen=True)
-class Chain:
-    """One run of the sampler.
-
-    Attributes:
-        best: its state of the highest score.
-        types: [sweeps / 2] int64, types that differ, after each sweep that counts (heated ones do
-            not).
-    """
-
-    best: State
-    types: NDArray[np.int64]
-
-
-def sample(
-    answers: Answers,
-    tables: Tables,
-    concentration: float,
-    first: NDArray[np.int64],
-    sweeps: int,
-    heat: float,
-    rng: np.random.Generator,
-) -> Chain:
-    """Runs the sampler from R = ``first`` [O]; over the first half of the sweeps it is heated
-    (probabilities to the power 1 / temperature, the temperature falling from ``heat`` to 1)."""
-    transitions = len(answers.tau_start) - 1
-    facts = first.copy()
-    best = np.zeros(len(facts), dtype=np.int64)
-    subset, noise = (np.zeros(transitions, dtype=np.int64) for _ in range(2))
-    types = np.zeros(sweeps, dtype=np.int64)
-    score = run_chain(
-        answers.start,
-        answers.tau,
-        answers.given,
-        answers.label,
-        answers.owner,
-        answers.rows,
-        answers.tau_start,
-        answers.n,
-        tables.subsets,
-        tables.log_subset,
-        tables.log_block,
-        tables.predictive,
-        tables.marginal,
-        np.log(np.stack([1 - NOISE, NOISE], axis=1)),
-        np.log(concentration) - answers.n * np.log(2),
-        sweeps // 2,
-        heat,
-        rng,
-        facts,
-        best,
-        subset,
-        noise,
-        types,
-    )
-    return Chain(State(best, subset, noise, float(score)), types[sweeps // 2 :])
-
-
-def matters(state: State, tables: Tables) -> int:
+def facts_that_matter(prior: Prior, state: State) -> int:
     """The facts that matter at some transition, as a bitmask: types that differ in others only
     are behaviourally one."""
-    used = np.unique(tables.subsets[state.subset])
-    return sum(1 << int(j) for j in used if j >= 0)
-
-
-def cells(answers: Answers, tables: Tables, state: State) -> NDArray[np.int64]:
-    """Ones − zeros of every cell (τ, M ∩ S_τ): [T, 2^depth]."""
-    held = state.facts[answers.owner] & ~answers.given
-    ahead = np.zeros((len(state.subset), 1 << tables.subsets.shape[1]), dtype=np.int64)
-    where = _locals(tables.subsets[state.subset[answers.tau]], held)
-    np.add.at(ahead, (answers.tau, where), 2 * answers.label - 1)
-    return ahead
-
-
-def log_likelihood(
-    tables: Tables,
-    state: State,
-    ahead: NDArray[np.int64],
-    facts: NDArray[np.int64],
-    tau: NDArray[np.int64],
-    given: NDArray[np.int64],
-    label: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """log P(labels [P] | type R, everybody's answers in ``ahead``) for each R of ``facts`` [N],
-    each label on its own: [N, P]."""
-    result = np.empty((len(facts), len(tau)))
-    for i, one in enumerate(facts):
-        where = _locals(tables.subsets[state.subset[tau]], one & ~given)
-        lead = np.clip(ahead[tau, where], -REACH, REACH) + REACH
-        result[i] = tables.predictive[(where == 0).astype(int), state.noise[tau], lead, label]
-    return result
-
-
-def _locals(positions: NDArray[np.int64], masks: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The bits of masks [P] at positions [P, depth], packed: [P]."""
-    bits = (masks[:, None] >> np.maximum(positions, 0) & 1) * (positions >= 0)
-    return np.asarray((bits << np.arange(positions.shape[1])).sum(axis=1))
+    return int(np.bitwise_or.reduce(prior.members[state.subset]))

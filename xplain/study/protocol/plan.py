@@ -10,18 +10,19 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import Item, Scene
+from xplain.domains.base import Scene
 from xplain.errors import InputError
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
+from xplain.storage import decode, encode
 
 VERSION = 1
 """Of the stored form; a database of another version is refused."""
@@ -211,20 +212,7 @@ class StudyPlan:
     @cached_property
     def text(self) -> str:
         """The plan as canonical JSON; floats survive to the last bit."""
-        value = {f.name: getattr(self, f.name) for f in fields(self)}
-        for key in ("texts", "training", "rules"):
-            value[key] = asdict(value[key])
-        value |= {
-            "version": VERSION,
-            "asked": [asdict(a) for a in self.asked],
-            "facts": [asdict(f) for f in self.facts],
-            "roles": [asdict(r) for r in self.roles],
-            "scene": None if self.scene is None else asdict(self.scene),
-            "true_labels": self.true_labels.tolist(),
-            "problem": {
-                f.name: _plain(getattr(self.problem, f.name)) for f in fields(self.problem)
-            },
-        }
+        value = encode(self) | {"version": VERSION}
         return json.dumps(value, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
 
     @property
@@ -242,24 +230,8 @@ class StudyPlan:
         value = json.loads(text)
         if value.pop("version", None) != VERSION:
             raise InputError("database", "its plan", f"made by another version (not {VERSION})")
-        path, scene = value["path"], value["scene"]
-        return cls(
-            **value
-            | {
-                "texts": Texts(**_tuples(value["texts"])),
-                "training": Training(**value["training"]),
-                "rules": Rules(**value["rules"]),
-                "asked": tuple(Asked(**_tuples(a)) for a in value["asked"]),
-                "facts": tuple(Fact(**f) for f in value["facts"]),
-                "roles": tuple(_role(r) for r in value["roles"]),
-                "trace": tuple(value["trace"]),
-                "path": path and tuple((tuple(a), tuple(b)) for a, b in path),
-                "scene": scene and _scene(scene),
-                "true_labels": np.array(value["true_labels"], dtype=np.uint8),
-                "probes": {c: tuple(p) for c, p in value["probes"].items()},
-                "problem": Problem(**value["problem"]),
-            }
-        )
+        plan: StudyPlan = decode(cls, value)
+        return plan
 
 
 @dataclass(frozen=True)
@@ -275,25 +247,3 @@ class Study:
     plan: StudyPlan
     policies: Mapping[str, Policy]
     belief: BeliefUpdate
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value
-
-
-def _tuples(value: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: tuple(v) if isinstance(v, list) else v for key, v in value.items()}
-
-
-def _role(value: dict[str, Any]) -> Role:
-    questions = tuple(Question(**_tuples(q)) for q in value["eligibility"])
-    statements = tuple(Statement(**s) for s in value["quiz"])
-    return Role(**_tuples(value) | {"eligibility": questions, "quiz": statements})
-
-
-def _scene(value: dict[str, Any]) -> Scene:
-    def cells(pairs: list[list[int]]) -> tuple[tuple[int, int], ...]:
-        return tuple((row, column) for row, column in pairs)
-
-    items = tuple(Item(i["name"], i["symbol"], cells(i["cells"])) for i in value["items"])
-    return Scene(value["rows"], value["columns"], cells(value["walls"]), items)

@@ -1,0 +1,93 @@
+"""One truth for a default: where a class has one too, it is that of its YAML file."""
+
+import dataclasses
+import inspect
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from hydra.utils import get_class, instantiate
+from omegaconf import DictConfig, OmegaConf
+
+from xplain.config import CONF
+
+GROUPS = ("labeler", "clusterer", "users", "observers", "belief", "domain", "solver")
+VARIANTS = {
+    "labeler/practice",
+    "labeler/pruned",
+    "solver/clairvoyant",
+    "solver/pomcp",  # POMCP's own default is fewer simulations
+    "solver/pomcp_paper",
+    "domain/cliff_walking",
+    "domain/frozen_lake",
+    "domain/taxi",
+}
+"""Files that choose other values for a class whose base is another file, or describe one of many
+tasks."""
+CHOICES = sorted(
+    f"{group}/{path.stem}" for group in GROUPS for path in (CONF / group).glob("*.yaml")
+)
+
+
+def components(node: DictConfig) -> Iterator[DictConfig]:
+    """Every part of a configuration that makes one of our classes."""
+    if str(node.get("_target_", "")).startswith("xplain."):
+        yield node
+    for key in node:
+        if not OmegaConf.is_missing(node, key) and isinstance(node[key], DictConfig):
+            yield from components(node[key])
+
+
+def defaults(cls: type) -> dict[str, Any]:
+    """What the class takes where nothing is given."""
+    if dataclasses.is_dataclass(cls):
+        made = {f.name: f.default_factory for f in dataclasses.fields(cls)}
+        found = {f.name: f.default for f in dataclasses.fields(cls)} | {
+            name: make() for name, make in made.items() if make is not dataclasses.MISSING
+        }
+        return {name: v for name, v in found.items() if v is not dataclasses.MISSING}
+    parameters = inspect.signature(cls).parameters.values()
+    return {p.name: p.default for p in parameters if p.default is not p.empty}
+
+
+def disagreeing(node: DictConfig) -> dict[str, tuple[Any, Any]]:
+    """Keys whose value is not the class's default, with both."""
+    found = {}
+    for key, default in defaults(get_class(node["_target_"])).items():
+        if key not in node or OmegaConf.is_missing(node, key):
+            continue
+        value = node[key]
+        if OmegaConf.is_config(value):
+            value = instantiate(value, _convert_="all")
+        if isinstance(value, list):
+            value = type(default)(value)
+        # Estimators of scikit-learn compare by identity; their repr shows what is not default.
+        if value != default and repr(value) != repr(default):
+            found[key] = (value, default)
+    return found
+
+
+def loaded(choice: str) -> DictConfig:
+    """A file of conf/, among the keys it refers to: those of the base domain."""
+    group, _ = choice.split("/")
+    root = OmegaConf.load(CONF / "domain" / "rescue.yaml")
+    own = OmegaConf.load(CONF / f"{choice}.yaml")
+    root[group] = own[group] if group == "domain" else own
+    return root[group]
+
+
+@pytest.mark.parametrize("choice", sorted(set(CHOICES) - VARIANTS))
+def test_a_default_of_a_class_is_that_of_its_file(choice: str) -> None:
+    for node in components(loaded(choice)):
+        assert disagreeing(node) == {}, node["_target_"]
+
+
+@pytest.mark.parametrize("choice", sorted(VARIANTS))
+def test_a_variant_varies(choice: str) -> None:
+    assert any(disagreeing(node) for node in components(loaded(choice)))
+
+
+def test_a_default_that_differs_is_seen() -> None:
+    node = loaded("clusterer/em")
+    node.patience = 3
+    assert disagreeing(node) == {"patience": (3, 2)}
