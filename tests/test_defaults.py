@@ -6,10 +6,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.config import CONF
+from xplain.config import CONF, composed, schema
+from xplain.participants.server.http import Server
+from xplain.runs.mlflow import MLflow
 
 GROUPS = ("labeler", "clusterer", "users", "observers", "belief", "domain", "solver")
 VARIANTS = {
@@ -91,3 +94,29 @@ def test_a_default_that_differs_is_seen() -> None:
     node = loaded("clusterer/em")
     node.patience = 3
     assert disagreeing(node) == {"patience": (3, 2)}
+
+
+@pytest.mark.parametrize(
+    ("config", "key", "made"), [("study", "server", Server), ("config", "tracking", MLflow)]
+)
+def test_a_class_and_its_file_have_one_default(
+    config: str, key: str, made: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    GlobalHydra.instance().clear()
+    chosen = composed(config, [])[key]
+    told = {name: chosen[name] for name in chosen if name != "_target_"}
+    assert told.keys() == {field.name for field in dataclasses.fields(made)}
+    assert made(**told) == made()
+
+
+def test_the_schema_holds_the_values_of_the_file() -> None:
+    """Types need a value beside them; the file's stands over it in a run."""
+    file = OmegaConf.load(CONF / "config.yaml")
+    assert isinstance(file, DictConfig)
+    typed = {str(key) for key in schema()} - {"outputs"}  # a folder: known at the start alone
+    assert {key: OmegaConf.to_container(schema())[key] for key in typed} == {
+        key: OmegaConf.to_container(file)[key] for key in typed
+    }
+    untyped = {str(key) for key in file} - typed
+    assert untyped == {"defaults", "hydra", "certify"}
