@@ -48,8 +48,8 @@ def _play(arguments: argparse.Namespace) -> None:
         played = play(scene, asked(terminal), terminal)
     else:
         user = scene.user_type(arguments.user)
-        shown = None if arguments.html else Terminal(scene, user)
-        played = play(scene, Simulated(scene, user), shown)
+        audience = None if arguments.html else Terminal(scene, user)
+        played = play(scene, Simulated(scene, user), audience)
     if arguments.html is not None:
         arguments.html.write_text(page(scene, played), encoding="utf-8")
         print(arguments.html, file=sys.stderr)

@@ -133,12 +133,12 @@ def summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
             "explicable": float(own.label.mean()),
             "confidence": labeler.confidence,
         }
-        shown = dataset.features[sorted(set(own.transition.tolist()))]
+        labelled = dataset.features[sorted(set(own.transition.tolist()))]
         try:
             if known is not None:  # by all observers' labels, not by this type's alone
                 needed = int(known[t])
             else:
-                needed = minimal_message_set(labeler.classifier, shown, dataset.n_messages)
+                needed = minimal_message_set(labeler.classifier, labelled, dataset.n_messages)
             row["needs"] = list(names_of(needed, dataset.messages))
         except TooLargeError:  # no tree, and too many messages to try them all
             row["needs"] = None

@@ -126,8 +126,8 @@ class Terminal:
         return table
 
     def _map(self, k: int) -> RenderableType | None:
-        scene, cells = self.stage.prepared.scene, self.stage.case.positions
-        if scene is None or len(cells) <= k:
+        scene, positions = self.stage.prepared.scene, self.stage.case.positions
+        if scene is None or len(positions) <= k:
             return None
         grid = [[Text(".", "dim") for _ in range(scene.columns)] for _ in range(scene.rows)]
         for row, column in scene.walls:
@@ -135,10 +135,10 @@ class Terminal:
         for item in scene.items:
             for row, column in item.cells:
                 grid[row][column] = Text(item.symbol, "bold green")
-        for row, column in cells[:k]:
+        for row, column in positions[:k]:
             if grid[row][column].plain == ".":
                 grid[row][column] = Text(PATH, "bold blue")
-        row, column = cells[k]
+        row, column = positions[k]
         grid[row][column] = Text(ROBOT, "bold reverse blue")
         lines = [Text(" ").join(line) for line in grid]
         legend = Text("  ".join(f"{item.symbol} {item.name}" for item in scene.items), "dim")

@@ -34,7 +34,7 @@ _WORDS = {"users.count": "{} types", "users.index": "completion {}"}
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """An estimate over the episodes of one domain, λ and measure."""
 
     domain: str
@@ -138,7 +138,7 @@ class Summary:
 
     def estimate(
         self, measure: str, domain: str, trade_off: float, method: str, setting: str | None = None
-    ) -> Cell | None:
+    ) -> TableCell | None:
         """Mean with interval of a column over a domain's settings (or one); None without data."""
         frame = self._cell(domain, trade_off, method, setting)
         frame = frame[np.isfinite(frame[measure])]
@@ -146,14 +146,16 @@ class Summary:
             return None
         estimate = clustered_mean(frame[measure], self._clusters(frame))
         label = "all" if setting is None else setting
-        return Cell(domain, label, trade_off, method, estimate, len(frame))
+        return TableCell(domain, label, trade_off, method, estimate, len(frame))
 
-    def oracle(self, domain: str, trade_off: float, setting: str | None = None) -> Cell | None:
+    def oracle(self, domain: str, trade_off: float, setting: str | None = None) -> TableCell | None:
         """The oracle's cost: it is the same in every job of a setting, so one method's will do."""
         for method in self.methods:
             cell = self.estimate("oracle", domain, trade_off, method, setting)
             if cell is not None:
-                return Cell(domain, cell.setting, trade_off, "oracle", cell.estimate, cell.episodes)
+                return TableCell(
+                    domain, cell.setting, trade_off, "oracle", cell.estimate, cell.episodes
+                )
         return None
 
     def differences(self) -> Iterator[tuple[str, float, str, str, Estimate]]:
@@ -175,8 +177,8 @@ class Summary:
         """Folder and results of the first finished job of a cell."""
         for job, results in self.results:
             own = method_of(job["values"], results.solver)
-            place = (results.domain, results.trade_off, own)
-            if place == (domain, trade_off, method):
+            key = (results.domain, results.trade_off, own)
+            if key == (domain, trade_off, method):
                 return self.folder / "jobs" / job["name"], results
         return None
 
@@ -242,15 +244,15 @@ class Summary:
         """``{(domain, setting): figure: mean over seeds}`` of the learning stage."""
         found: dict[tuple[str, str], dict[int, Mapping[str, float]]] = {}
         for job, results in self.results:
-            place = (results.domain, setting_of(job["values"]))
-            found.setdefault(place, {})[results.seed] = results.learning
+            key = (results.domain, setting_of(job["values"]))
+            found.setdefault(key, {})[results.seed] = results.learning
         return {
-            place: {
+            key: {
                 name: float(np.mean([figures[name] for figures in by_seed.values()]))
                 for name in next(iter(by_seed.values()))
                 if all(name in figures for figures in by_seed.values())
             }
-            for place, by_seed in found.items()
+            for key, by_seed in found.items()
         }
 
     def curves(self) -> list[tuple[str, float, float]]:

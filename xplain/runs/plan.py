@@ -106,12 +106,12 @@ def make_plan(
         fingerprint, source = fingerprints(compose(list(overrides)))
         if fingerprint in jobs:
             continue
-        shown = {key: values[key] for key in swept if key in values}
-        folder = _folder(shown)
+        differing = {key: values[key] for key in swept if key in values}
+        folder = _folder(differing)
         if folder in names:
             folder = f"{folder[:100]},{fingerprint[:8]}"
         names.add(folder)
-        jobs[fingerprint] = Job(folder, _label(shown), overrides, shown, fingerprint, source)
+        jobs[fingerprint] = Job(folder, _label(differing), overrides, differing, fingerprint, source)
     return Plan(name, tuple(jobs.values()))
 
 
