@@ -16,13 +16,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import kernel, tell_when_compiling
 from xplain.solvers.base import Policy
-from xplain.solvers.numba_kernels import tell_when_compiling
 
 log = logging.getLogger(__name__)
 
@@ -108,7 +107,7 @@ def table_bytes(problem: Problem) -> int:
     return (problem.n_steps + 2) * int(problem.p_explicable.shape[2]) * problem.n_types * 8
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _expected_zeros(p, zeros):  # type: ignore[no-untyped-def]
     """zeros[H, t] = Σ_i (1 − p[t, i, H]) over the whole trace."""
     types, steps, sets = p.shape
@@ -118,7 +117,7 @@ def _expected_zeros(p, zeros):  # type: ignore[no-untyped-def]
                 zeros[given, t] += 1.0 - p[t, i, given]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _backup(  # type: ignore[no-untyped-def]
     p, zeros, price, message_discount, inexplicability, discount, values, after
 ):
@@ -194,7 +193,7 @@ def messages_with_effect(problem: Problem) -> tuple[int, ...]:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _has_effect(p):  # type: ignore[no-untyped-def]
     for a in range(p.shape[0]):
         for b in range(p.shape[2]):

@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.base import Knowledge
 from xplain.solvers.count_lattice import branch, make_room
 from xplain.solvers.dynamic_programming import (
@@ -32,7 +32,6 @@ from xplain.solvers.dynamic_programming import (
     table_bytes,
 )
 from xplain.solvers.hsvi.initial_bounds import set_prices
-from xplain.solvers.numba_kernels import inlined
 
 
 @dataclass(frozen=True)
@@ -158,7 +157,7 @@ def _plan_value(looking: Looking, plan: list[int]) -> float:
     return value
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _look(  # type: ignore[no-untyped-def]
     p,
     table,

@@ -12,10 +12,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import kernel
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.dynamic_programming import TIE, message_price, subsets
 
@@ -67,7 +67,7 @@ class SilentAfterwards:
         return masks, -(price + problem.inexplicability_cost * zeros)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _expected_zeros(p, belief, times, masks, given):  # type: ignore[no-untyped-def]
     zeros = np.zeros(len(masks))
     for t in range(len(belief)):

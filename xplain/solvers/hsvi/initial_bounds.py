@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import kernel
 from xplain.solvers.dynamic_programming import message_discount, message_price, optimal_values
 from xplain.solvers.hsvi.pair_bounds import Pairs, no_pairs
 
@@ -81,7 +81,7 @@ def set_prices(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np.float6
     return price, factor
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _plan_step(  # type: ignore[no-untyped-def]
     p, k, values, prices, inexplicability, discount, message_discount, explain, plans
 ):

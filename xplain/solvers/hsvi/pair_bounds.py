@@ -18,10 +18,10 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.count_lattice import branch, make_room
 from xplain.solvers.dynamic_programming import (
     message_discount,
@@ -29,7 +29,6 @@ from xplain.solvers.dynamic_programming import (
     messages_worth_giving,
     restrict,
 )
-from xplain.solvers.numba_kernels import inlined
 
 GRID = np.concatenate([[0.0], 1 / (1 + np.exp(-np.linspace(-7, 7, 15))), [1.0]])
 """Beliefs in the first of two types, in equal steps of evidence."""
@@ -177,7 +176,7 @@ def _pair_tables(two: Problem) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return optimal, explain
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _pair_step(  # type: ignore[no-untyped-def]
     p,
     k,

@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 from xplain.errors import InputError
 from xplain.explanation.belief import rounded
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import tell_when_compiling
 from xplain.randomness import derived_seed
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.dynamic_programming import (
@@ -48,7 +49,6 @@ from xplain.solvers.dynamic_programming import (
     messages_worth_giving,
     restrict,
 )
-from xplain.solvers.numba_kernels import tell_when_compiling
 from xplain.solvers.pomcp.kernel import simulate
 from xplain.solvers.pomcp.tree import (
     Model,
