@@ -154,7 +154,7 @@ class _Listener(event.Listener):  # type: ignore[misc]
 
     def on_start(self, event: event.Event) -> None:
         kernel = event.data["dispatcher"].py_func
-        if not self.told and kernel.__module__.startswith("xplain."):
+        if not self.told and str(kernel.__module__).startswith("xplain."):
             self.told = True
             log.warning("compiling the solvers' kernels, once (seconds; later runs load them)")
 

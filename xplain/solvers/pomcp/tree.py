@@ -14,17 +14,19 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import uint64
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import kernel
+from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.dynamic_programming import (
     message_discount,
     message_price,
     optimal_values,
     table_bytes,
 )
-from xplain.solvers.pomcp.kernel import GOLDEN, SETTLED, mix
+from xplain.solvers.pomcp.random_words import GOLDEN, count_bits, mix
+from xplain.solvers.pomcp.rollout import SETTLED
 
 NODE = np.dtype(
     [
@@ -52,6 +54,11 @@ EDGE = np.dtype(
 )
 ENTRY = np.dtype([("node", np.int32), ("tag", np.uint32)])
 LIKELIEST = np.dtype([("probability", np.float64), ("code", np.uint64)])
+ROOT, END = 0, -1
+"""The node that a search begins at, and what comes after the last *explain*."""
+UNVISITED, UNOPENED = 0, 0
+"""``edge.child`` and ``entry.node`` where there is no node (the root is no child), and
+``node.edges`` until a simulation goes on from there (the first edges are unused)."""
 FIRST_TABLE = 1 << 12
 """Entries of the table that a search begins with."""
 REMEMBERED = 1 << 11
@@ -174,6 +181,75 @@ class Tree(NamedTuple):
         available = [a for a in range(actions) if not int(root["given"]) >> a & 1]
         edges[available] = self.edges[root["edges"] : root["edges"] + len(available)]
         return edges
+
+
+@inlined
+def find(tree, parent, code):  # type: ignore[no-untyped-def]
+    """Where the table holds this child, or has room for it; and the tag it bears there, without
+    which every other child on the way would have to be looked at."""
+    mask = tree.used[2]
+    h = mix(code + uint64(parent) * GOLDEN)
+    slot, tag = np.int64(h & uint64(mask)), np.uint32(h >> uint64(32))
+    while True:
+        node = tree.table[slot].node
+        if node == UNVISITED:
+            return slot, tag
+        if tree.table[slot].tag == tag:
+            record = tree.nodes[node]
+            if record.parent == parent and record.code == code:
+                return slot, tag
+        slot = (slot + 1) & mask
+
+
+@inlined
+def grow_table(tree):  # type: ignore[no-untyped-def]
+    """Where the table is half full, spreads the children over twice as much of it: a table no
+    larger than need be stays in the processor's cache."""
+    if 2 * tree.used[0] > tree.used[2]:
+        tree.used[2] = 2 * tree.used[2] + 1
+        for slot in range(tree.used[2] + 1):
+            tree.table[slot].node = UNVISITED
+        for node in range(1, tree.used[0]):
+            record = tree.nodes[node]
+            slot, tag = find(tree, np.int64(record.parent), record.code)
+            tree.table[slot].node = node
+            tree.table[slot].tag = tag
+
+
+@inlined
+def add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
+    """A node without edges; its step, given, base and belief are left to set."""
+    node = tree.used[0]
+    tree.used[0] += 1
+    tree.table[slot].node = node
+    tree.table[slot].tag = tag
+    record = tree.nodes[node]
+    record.parent = parent
+    record.code = code
+    record.edges = UNOPENED
+    record.visits = 0
+    record.value = 0.0
+    record.leaf = np.nan
+    return node
+
+
+@inlined
+def open_(model, tree, node):  # type: ignore[no-untyped-def]
+    """Gives a node its edges: one for each message not yet given, the last for *explain*."""
+    record = tree.nodes[node]
+    record.edges = tree.used[1]
+    record.untried = ((1 << (len(model.price) + 1)) - 1) & ~record.given
+    actions = count_bits(np.int64(record.untried))
+    tree.used[1] += actions
+    record.reward = 0.0
+    for t in range(tree.beliefs.shape[1]):
+        cost = model.explain_cost[record.given, record.step, t]
+        record.reward -= tree.beliefs[record.base, t] * cost
+    for a in range(actions):
+        edge = tree.edges[record.edges + a]
+        edge.value = -np.inf
+        edge.visits = 0
+        edge.child = UNVISITED
 
 
 def _table_size(simulations: int) -> int:
