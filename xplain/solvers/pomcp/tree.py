@@ -18,12 +18,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.solvers.dynamic_programming import (
-    message_discount,
-    message_price,
-    optimal_values,
-    table_bytes,
-)
+from xplain.solvers.model import explain_costs, optimal_values, table_bytes
+from xplain.solvers.model import model_of as reduced_model
 from xplain.solvers.pomcp.kernel import GOLDEN, SETTLED, mix
 
 NODE = np.dtype(
@@ -205,26 +201,26 @@ def model_of(problem: Problem) -> Model:
     """Lays a problem out for the search."""
     p = problem.p_explicable
     types, steps, sets = p.shape
+    reduced = reduced_model(problem)
     model = Model(
-        optimal_values(problem),
-        np.empty((sets, steps, types)),
+        optimal_values(reduced),
+        np.ascontiguousarray(explain_costs(reduced).transpose(1, 0, 2)),
         np.empty((sets, steps), np.int32),
         np.empty((sets, steps, types)),
         np.empty((sets, steps), np.uint64),
         np.empty((sets, steps, types), LIKELIEST),
         np.empty((sets, steps), np.int32),
-        message_price(problem),
-        problem.discount,
-        message_discount(problem),
+        reduced.price,
+        reduced.discount,
+        reduced.message_discount,
     )
-    cost = problem.inexplicability_cost
-    _lay_out(p, p.view(np.uint64), cost, *model[1:6])
+    _lay_out(p, p.view(np.uint64), *model[2:6])
     _want(model.optimal, model.explain_cost, *model[6:])
     return model
 
 
 @njit(cache=True, nogil=True)
-def _lay_out(p, bits, inexplicability, explain_cost, informative, news, weight, likeliest):  # type: ignore[no-untyped-def]
+def _lay_out(p, bits, informative, news, weight, likeliest):  # type: ignore[no-untyped-def]
     types, steps, sets = p.shape
     for given in range(sets):
         found = 0
@@ -232,8 +228,6 @@ def _lay_out(p, bits, inexplicability, explain_cost, informative, news, weight, 
             differs = False
             code = GOLDEN
             for t in range(types):
-                shown_before = explain_cost[given, i - 1, t] if i > 0 else 0.0
-                explain_cost[given, i, t] = shown_before + inexplicability * (1.0 - p[t, i, given])
                 differs |= p[t, i, given] != p[0, i, given]
                 code = mix((code + GOLDEN) ^ bits[t, i, given])
             if differs:
