@@ -10,11 +10,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
 from xplain.learning.labelers import points
+from xplain.numba_kernels import kernel
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def disagreements(dataset: Dataset, assignment: NDArray[np.int64]) -> int:
     return Cells.of(dataset).disagreements(assignment)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count(start, cluster, label, counts):  # type: ignore[no-untyped-def]
     """``counts`` [2, k]: zeros and ones by cluster in the current cell, all 0 between cells."""
     total = 0
@@ -121,7 +121,7 @@ def _highest(height: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.stack(rows)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _along(start, observer, label, position, highest, added):  # type: ignore[no-untyped-def]
     """Adds to ``added`` [step] the pairs that each step brings together; returns those of single
     observers. Within a cell the labels, by leaf position, are joined like the leaves of the

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.numba_kernels import inlined
 from xplain.solvers.model import explicable
-from xplain.solvers.numba_kernels import inlined
 
 SCALE = float(1 << 40)
 IMPOSSIBLE = -(1 << 62)

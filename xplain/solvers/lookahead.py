@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import kernel
 from xplain.solvers.base import Knowledge
 from xplain.solvers.count_lattice import branch, make_room
 from xplain.solvers.memory import check_memory, check_memory_gib
@@ -172,7 +172,7 @@ def _plan_value(tables: Tables, prior: NDArray[np.float64], plan: list[int]) -> 
     return value
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _look(tables, step, given, belief, candidates, out_weight, out_evidence, room):  # type: ignore[no-untyped-def]
     """The best sets by QMDP, their scores after a look at the answers, the best other score."""
     model, optimal = tables.model, tables.optimal
@@ -207,7 +207,7 @@ def _look(tables, step, given, belief, candidates, out_weight, out_evidence, roo
     return sets[:count], best[:count], scores.max()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _qmdp_scores(tables, step, given, belief):  # type: ignore[no-untyped-def]
     """[2^n] Σ_t b(t) Q*_t of every set of messages not given; −inf of the others."""
     model = tables.model
@@ -227,7 +227,7 @@ def _qmdp_scores(tables, step, given, belief):  # type: ignore[no-untyped-def]
             return scores
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _qmdp(tables, step, given, weight):  # type: ignore[no-untyped-def]
     """max_a Σ_t w(t) Q*_t(k, H, a), for a belief times its probability."""
     model = tables.model

@@ -19,11 +19,10 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.solvers.numba_kernels import inlined, tell_when_compiling
+from xplain.numba_kernels import inlined, kernel, tell_when_compiling
 
 TIE = 1e-9
 """Values closer than this, relative to 1 + their size, are equal."""
@@ -184,7 +183,7 @@ def expected(belief, row):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _accumulate(model, k, costs):  # type: ignore[no-untyped-def]
     """Fills ``costs[k]`` [2^n, N] from ``costs[k − 1]``."""
     for given in range(costs.shape[1]):
@@ -193,7 +192,7 @@ def _accumulate(model, k, costs):  # type: ignore[no-untyped-def]
             costs[k, given, t] = costs[k - 1, given, t] + newest if k > 0 else newest
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _back_up(model, values, after):  # type: ignore[no-untyped-def]
     """``values`` [2^n, N] holds C(k, ·), and leaves with V(k, ·), made from ``after``, V(k + 1, ·).
     A superset of H is a larger integer than H, so descending H meets it first."""

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.belief import update
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import kernel
 from xplain.randomness import stream
 from xplain.solvers.base import Policy
 from xplain.solvers.cached_policy import Remembered
@@ -161,7 +161,7 @@ def _next_layer(
     return out_given[:found], out_weight[:found], out_evidence[:found], tail
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _expand_layer(  # type: ignore[no-untyped-def]
     model, step, given, weight, evidence, negligible, out_given, out_weight, out_evidence, room
 ):

@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.message_sets import subsets
+from xplain.numba_kernels import kernel
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.model import Model, best_of, explicable, model_of
 
@@ -64,7 +64,7 @@ class SilentAfterwards:
         return masks, -(price + model.inexplicability * zeros)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _expected_zeros(model, belief, times, masks, given):  # type: ignore[no-untyped-def]
     zeros = np.zeros(len(masks))
     for t in range(len(belief)):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import signal
 import subprocess
@@ -16,13 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numba import njit
-from numba.core import event
 
 from tests.solvers.pomcp.plain_pomcp import PlainPOMCP
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
-from xplain.solvers.numba_kernels import _Listener
 from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.pomcp.solver import POMCP, Search, _roots
 from xplain.solvers.pomcp.solver import kernel as pomcp_kernel
@@ -321,23 +318,6 @@ def test_names_the_setting_that_is_wrong(key: str, value: object) -> None:
     """Key, value and what is allowed."""
     with pytest.raises(InputError, match=f"solver.{key}="):
         POMCP(**{key: value})  # type: ignore[arg-type]
-
-
-def test_tells_of_a_compilation_once(caplog: pytest.LogCaptureFixture) -> None:
-    """One line for the first kernel of ours; none for another package's."""
-
-    def kernel(x):  # type: ignore[no-untyped-def]
-        return x + 1
-
-    caplog.set_level(logging.WARNING)
-    with event.install_listener("numba:compile", _Listener()):
-        njit(kernel)(1)
-        assert not caplog.messages
-        kernel.__module__ = "xplain.somewhere"
-        njit(kernel)(1)
-        njit(kernel)(1.5)
-    assert len(caplog.messages) == 1
-    assert "compiling" in caplog.messages[0]
 
 
 def test_trees_take_no_more_than_told() -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from numba import njit
+from xplain.numba_kernels import kernel
 
 REACH = 64
 """Ones − zeros beyond which a cell's value is beyond doubt."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def packed(subsets, z, mask):  # type: ignore[no-untyped-def]
     """The bits of ``mask`` at the positions of subset z, packed."""
     packed = 0
@@ -19,13 +19,13 @@ def packed(subsets, z, mask):  # type: ignore[no-untyped-def]
     return packed
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def table_row(ahead):  # type: ignore[no-untyped-def]
     """Where ones − zeros is in the tables."""
     return min(max(ahead, -REACH), REACH) + REACH
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_in(first, last, tau, mended, label, facts, subsets, subset, count, sign):  # type: ignore[no-untyped-def]
     """Counts the rows of an observer who holds ``facts`` wrong; sign −1 takes them back."""
     for p in range(first, last):

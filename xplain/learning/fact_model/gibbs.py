@@ -7,10 +7,10 @@ The arguments are the arrays that :class:`~xplain.learning.fact_model.model.Answ
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from xplain.learning.fact_model.counts import REACH, count_in, packed, table_row
 from xplain.learning.fact_model.split_merge import CROWD, MOVES, join_types, move_type
+from xplain.numba_kernels import kernel
 
 BLOCK = 8
 """Facts whose combinations are tried at once for an observer."""
@@ -22,7 +22,7 @@ that matter now, and others at random."""
 # costs more than the work in the innermost loops.
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _draw(log_weight, temperature, rng):  # type: ignore[no-untyped-def]
     """An index with probability ∝ exp(log weight / temperature), and the log of the sum of the
     weights themselves."""
@@ -42,7 +42,7 @@ def _draw(log_weight, temperature, rng):  # type: ignore[no-untyped-def]
     return chosen, top + np.log(total)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _block(subsets, z, n, rng):  # type: ignore[no-untyped-def]
     """The facts of subset z and others at random, WIDE in all, as a bitmask."""
     block = np.int64(0)
@@ -57,7 +57,7 @@ def _block(subsets, z, n, rng):  # type: ignore[no-untyped-def]
     return block
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _among(subsets, block, out):  # type: ignore[no-untyped-def]
     """Writes to ``out`` the subsets of the facts in ``block``; how many."""
     size = 0
@@ -72,7 +72,7 @@ def _among(subsets, block, out):  # type: ignore[no-untyped-def]
     return size
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _weigh_subsets(  # type: ignore[no-untyped-def]
     masks, labels, subsets, among, log_subset, marginal, flip, log_noise, count, out
 ):
@@ -108,7 +108,7 @@ def _weigh_subsets(  # type: ignore[no-untyped-def]
             out[a, e] = value
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _weigh_facts(  # type: ignore[no-untyped-def]
     first, last, tau, mended, label, masks, subsets, subset, noise, count, table, local, values
 ):
@@ -145,7 +145,7 @@ def _weigh_facts(  # type: ignore[no-untyped-def]
         begin = end
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def run_chain(  # type: ignore[no-untyped-def]
     start,
     tau,

@@ -9,9 +9,9 @@ from __future__ import annotations
 from math import lgamma
 
 import numpy as np
-from numba import njit
 
 from xplain.learning.fact_model.counts import REACH, count_in, table_row
+from xplain.numba_kernels import kernel
 
 CROWD = 100
 """Observers from which types are moved whole too."""
@@ -19,7 +19,7 @@ MOVES = 20
 """So many of these moves are tried in a sweep."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _evidence(count, noise, marginal, flip):  # type: ignore[no-untyped-def]
     """log P(all labels | M of every answer, S, ε)."""
     total = 0.0
@@ -35,14 +35,14 @@ def _evidence(count, noise, marginal, flip):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _log_ways(whole, part):  # type: ignore[no-untyped-def]
     """log of the ways to choose a part of 1 … whole − 1, all sizes equally likely."""
     choose = lgamma(whole + 1.0) - lgamma(part + 1.0) - lgamma(whole - part + 1.0)
     return np.log(whole - 1.0) + choose
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _go_over(members, new, start, tau, mended, label, subsets, subset, count, facts):  # type: ignore[no-untyped-def]
     for o in members:
         first, last = start[o], start[o + 1]
@@ -51,7 +51,7 @@ def _go_over(members, new, start, tau, mended, label, subsets, subset, count, fa
         count_in(first, last, tau, mended, label, new, subsets, subset, count, 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def move_type(  # type: ignore[no-untyped-def]
     start, tau, mended, label, n, subsets, subset, noise, count, marginal, flip, log_new,
     temperature, rng, facts
@@ -89,7 +89,7 @@ def move_type(  # type: ignore[no-untyped-def]
         _go_over(members, old, start, tau, mended, label, subsets, subset, count, facts)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def join_types(  # type: ignore[no-untyped-def]
     start, tau, mended, label, subsets, subset, noise, count, marginal, flip, log_new, facts
 ):

@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import kernel
 from xplain.solvers.hsvi.pair_bounds import Pairs, no_pairs
 from xplain.solvers.model import (
     Model,
@@ -63,7 +63,7 @@ def make_tables(problem: Problem) -> Tables:
     return Tables(model, optimal, explain, plans, set_prices(model), no_pairs(model))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _plan_step(model, costs, optimal, explain, plans, after):  # type: ignore[no-untyped-def]
     """One step backwards in k: fills ``plans`` [2^n, N + 1, N] from ``after``, those of k + 1.
     ``costs``, ``optimal`` and ``explain`` are those of k, [2^n, N]."""

@@ -18,13 +18,12 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.count_lattice import branch, make_room
 from xplain.solvers.model import Model, explain_costs, model_of
-from xplain.solvers.numba_kernels import inlined
 from xplain.solvers.restriction import messages_worth_giving
 
 GRID = np.concatenate([[0.0], 1 / (1 + np.exp(-np.linspace(-7, 7, 15))), [1.0]])
@@ -159,7 +158,7 @@ def _pair_tables(two: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return optimal, explain
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _pair_step(  # type: ignore[no-untyped-def]
     model, k, costs, grid, optimal, explain, out_weight, out_evidence, tail, room
 ):

@@ -22,14 +22,13 @@ then everything is backed up: many nodes can then profit by what was learned sin
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from xplain.numba_kernels import inlined, lean_kernel
 from xplain.solvers.count_lattice import branch
 from xplain.solvers.hsvi.pair_bounds import SWEEPS, mix, mixed
 from xplain.solvers.hsvi.shared_bounds import ROUNDING, learn, list_candidates, teach
 from xplain.solvers.hsvi.tree import ACTIONS, ANSWERS, NODES, OPENED, WORK, copy, find
 from xplain.solvers.model import expected
-from xplain.solvers.numba_kernels import inlined
 
 DONE, WORKING, FULL = 0, 1, 2
 CLOSED, NO_ROOM = -1, -2
@@ -50,7 +49,7 @@ def _best_plan(plans, weight):  # type: ignore[no-untyped-def]
     return chosen
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean_kernel
 def add_node(tables, store, step, given, weight, evidence):  # type: ignore[no-untyped-def]
     """:func:`_add_node`, to be called from outside."""
     return _add_node(tables, store, step, given, weight, evidence)
@@ -247,7 +246,7 @@ def _gap(store, node):  # type: ignore[no-untyped-def]
     return store.upper[node] - store.lower[node]
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean_kernel
 def search(  # type: ignore[no-untyped-def]
     tables,
     store,
@@ -312,7 +311,7 @@ def search(  # type: ignore[no-untyped-def]
     return DONE
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean_kernel
 def sweep(tables, store, news):  # type: ignore[no-untyped-def]
     """Backs up all that is open, the last step first, and lets every node learn what others at its
     (k, H) found since it was last visited: a trial visits one node a step. ``news`` as in
@@ -330,7 +329,7 @@ def sweep(tables, store, news):  # type: ignore[no-untyped-def]
                 teach(tables, store, node, upper, lower, news)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean_kernel
 def tighten(tables, store):  # type: ignore[no-untyped-def]
     """Lowers upper bounds made before there were tables of pairs."""
     for node in range(store.used[NODES]):

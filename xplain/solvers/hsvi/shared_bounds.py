@@ -8,9 +8,9 @@ of messages that no plan dominates.
 
 from __future__ import annotations
 
+from xplain.numba_kernels import inlined
 from xplain.solvers.hsvi.tree import CANDIDATES, KEPT, PLACES, WORK, copy
 from xplain.solvers.model import expected
-from xplain.solvers.numba_kernels import inlined
 
 IRRELEVANT = -1e30
 """In an alpha vector, the value for a type that cannot be at its node."""

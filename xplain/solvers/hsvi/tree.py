@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from xplain.numba_kernels import inlined, lean_kernel
 from xplain.solvers.count_lattice import hash_key
 from xplain.solvers.hsvi.initial_bounds import Tables
-from xplain.solvers.numba_kernels import inlined
 
 KEPT = 32
 """Alpha vectors, and upper bounds, kept for each (k, H)."""
@@ -130,7 +129,7 @@ def store_bytes(store: Store) -> int:
     return sum(array.nbytes for array in store)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean_kernel
 def _rehash(store):  # type: ignore[no-untyped-def]
     for node in range(store.used[NODES]):
         slot = find(store, store.step[node], store.given[node], store.evidence[node])

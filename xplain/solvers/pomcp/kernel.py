@@ -1,7 +1,6 @@
 """The compiled search of :mod:`xplain.solvers.pomcp.solver`.
 
-All that ``simulate`` is made of stands in this one file: numba's cache looks at no other. The
-arrays (``Model``, ``Tree``, ``Options``) are described in :mod:`xplain.solvers.pomcp.tree`.
+The arrays (``Model``, ``Tree``, ``Options``) are described in :mod:`xplain.solvers.pomcp.tree`.
 """
 
 from __future__ import annotations
@@ -10,10 +9,10 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types, uint64
+from numba import types, uint64
 from numba.extending import intrinsic
 
-from xplain.solvers.numba_kernels import inlined
+from xplain.numba_kernels import inlined, lean_kernel
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 CERTAIN = 1 - 1e-6
@@ -322,7 +321,7 @@ def _open(model, tree, node):  # type: ignore[no-untyped-def]
         edge.child = 0
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean_kernel
 def simulate(simulations, model, options, tree, log_root, inverse_root):  # type: ignore[no-untyped-def]
     """Runs simulations from node 0, whose belief is set. ``log_root[v]`` is sqrt(log v), and
     ``inverse_root[v]`` is 1 / sqrt(v), but 0 for 0."""

@@ -38,11 +38,11 @@ from numpy.typing import NDArray
 from xplain.errors import InputError
 from xplain.explanation.belief import rounded
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import tell_when_compiling
 from xplain.randomness import derived_seed
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.memory import check_memory, check_memory_gib
 from xplain.solvers.model import best_set, one_by_one
-from xplain.solvers.numba_kernels import tell_when_compiling
 from xplain.solvers.pomcp.kernel import simulate
 from xplain.solvers.pomcp.tree import (
     Model,

@@ -14,10 +14,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import kernel
 from xplain.solvers.model import explain_costs, optimal_values, table_bytes
 from xplain.solvers.model import model_of as reduced_model
 from xplain.solvers.pomcp.kernel import GOLDEN, SETTLED, mix
@@ -219,7 +219,7 @@ def model_of(problem: Problem) -> Model:
     return model
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _lay_out(p, bits, informative, news, weight, likeliest):  # type: ignore[no-untyped-def]
     types, steps, sets = p.shape
     for given in range(sets):
@@ -246,7 +246,7 @@ def _lay_out(p, bits, informative, news, weight, likeliest):  # type: ignore[no-
                     usual.code += code if yes < 0.5 else np.uint64(0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _want(optimal, explain_cost, wanted, price, discount, message_discount):  # type: ignore[no-untyped-def]
     sets, steps, types = explain_cost.shape
     for given in range(sets):
