@@ -23,8 +23,9 @@ from xplain.explanation.problem import Problem
 from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.pomcp.kernel import simulate
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
+from xplain.solvers.pomcp.search_model import model_bytes, model_of
 from xplain.solvers.pomcp.solver import POMCP, Search, _roots
-from xplain.solvers.pomcp.tree import Tree, model_of
+from xplain.solvers.pomcp.tree import Tree, tree_bytes
 from xplain.testing.problems import random_problem
 
 
@@ -317,8 +318,6 @@ def test_names_the_setting_that_is_wrong(key: str, value: object) -> None:
 
 def test_trees_take_no_more_than_told() -> None:
     """What the refusal counts is what is allocated."""
-    from xplain.solvers.pomcp.tree import model_bytes, tree_bytes
-
     problem = soft_problem(15)
     tree = Tree.rooted(1000, 3, 4, 0, 0, problem.prior, 0)
     model = model_of(problem)

@@ -59,7 +59,7 @@ NODES, ACTIONS, ANSWERS, CANDIDATES, PLACES, OPENED, WORK = range(7)
 
 def make_store(tables: Tables, nodes: int = 1 << 10) -> Store:
     """An empty store."""
-    types, steps, sets = tables.p.shape
+    steps, sets, types = tables.explain.shape
     actions, answers, places = max(4 * nodes, 2 * sets), 4 * nodes, 16
     return Store(
         np.zeros(7, dtype=np.int64),
@@ -161,11 +161,3 @@ def copy(source, target):  # type: ignore[no-untyped-def]
     """Fills an array [N] from another. (``target[:] = source`` would allocate.)"""
     for t in range(len(target)):
         target[t] = source[t]
-
-
-@inlined
-def dot(a, b):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for t in range(len(a)):
-        total += a[t] * b[t]
-    return total

@@ -1,6 +1,8 @@
 """The compiled search of :mod:`xplain.solvers.pomcp.solver`: select, expand, evaluate, backward.
 
-``model``, ``options`` and ``tree`` are described in :mod:`xplain.solvers.pomcp.tree`.
+``model`` is a :class:`~xplain.solvers.pomcp.search_model.SearchModel`, ``tree`` a
+:class:`~xplain.solvers.pomcp.tree.Tree`, ``options``
+the :class:`~xplain.solvers.pomcp.tree.Options`.
 """
 
 from __future__ import annotations

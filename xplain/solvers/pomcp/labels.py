@@ -1,6 +1,7 @@
 """Labels of a simulated user, and the exact belief after them.
 
-``model`` and ``tree`` are described in :mod:`xplain.solvers.pomcp.tree`.
+``model`` is a :class:`~xplain.solvers.pomcp.search_model.SearchModel`, ``tree`` a
+:class:`~xplain.solvers.pomcp.tree.Tree`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """What a history is worth before there is a tree below it: QMDP's value, or a rollout's return.
 
-``model`` and ``tree`` are described in :mod:`xplain.solvers.pomcp.tree`; (step, given, belief) is
+``model`` is a :class:`~xplain.solvers.pomcp.search_model.SearchModel`, ``tree`` a
+:class:`~xplain.solvers.pomcp.tree.Tree`; (step, given, belief) is
 the history's (k, H, b).
 """
 
@@ -11,11 +12,10 @@ import numpy as np
 from xplain.numba_kernels import inlined
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
 from xplain.solvers.pomcp.random_words import count_bits, first_bit, next_below, nth_bit
+from xplain.solvers.pomcp.search_model import SETTLED
 
 CERTAIN = 1 - 1e-6
 """A belief from here on counts as certainty in rollouts."""
-SETTLED = -1
-"""In ``model.wanted``: no type should be given any message from here to the end."""
 
 MAX_OF_MEAN, MEAN_OF_MAX = 0, 1
 RANDOM, QMDP, SILENT = 0, 1, 2

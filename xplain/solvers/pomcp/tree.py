@@ -1,12 +1,8 @@
-"""The arrays that :mod:`xplain.solvers.pomcp.kernel` searches in.
+"""The search tree of :mod:`xplain.solvers.pomcp.kernel`: flat arrays, made before the search.
 
 A node is a history that ends in a belief: k transitions shown, messages H given, exact belief b.
 Children are found in one open-addressing table, by (node, labels) after *explain* and by (node
 where the step began, H) after a message: orders of the same messages lead to one node.
-
-What every type answers alike is no news and is not drawn. Labels with the same column P[:, i, H]
-are exchangeable, so an observation is known by Σ_i [l_i = 0] · w_i, with one 64-bit hash w a
-distinct column (two different observations of a node are taken for one with probability 2^-64).
 """
 
 from __future__ import annotations
@@ -18,15 +14,8 @@ from numba import uint64
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import inlined, kernel
-from xplain.solvers.dynamic_programming import (
-    message_discount,
-    message_price,
-    optimal_values,
-    table_bytes,
-)
+from xplain.numba_kernels import inlined
 from xplain.solvers.pomcp.random_words import GOLDEN, count_bits, mix
-from xplain.solvers.pomcp.rollout import SETTLED
 
 NODE = np.dtype(
     [
@@ -53,7 +42,6 @@ EDGE = np.dtype(
     align=True,
 )
 ENTRY = np.dtype([("node", np.int32), ("tag", np.uint32)])
-LIKELIEST = np.dtype([("probability", np.float64), ("code", np.uint64)])
 ROOT, END = 0, -1
 """The node that a search begins at, and what comes after the last *explain*."""
 UNVISITED, UNOPENED = 0, 0
@@ -63,35 +51,6 @@ FIRST_TABLE = 1 << 12
 """Entries of the table that a search begins with."""
 REMEMBERED = 1 << 11
 """Most observations whose likelihoods a search remembers: they stay in the processor's cache."""
-
-
-class Model(NamedTuple):
-    """A problem as the search wants it.
-
-    Attributes:
-        optimal: [m + 1, 2^n, N] V*_t(k, H).
-        explain_cost: [2^n, m, N] C_inexp Σ_{i ≤ k + 1} (1 − P[t, i, H]).
-        informative: [2^n, m] how many of the first k + 1 labels types answer differently.
-        p: [2^n, m, N] P of the informative labels, in order.
-        weight: [2^n, m] their w.
-        likeliest: [2^n, m, N] LIKELIEST, where each of the first k + 1 informative labels is the
-            likelier of the two: its probability (≥ ½ a label), and its code.
-        wanted: [2^n, m] bitmask of the messages that some type should be given next rather than
-            *explain*; SETTLED where no type should from here to the end.
-        price: [n] λ C_e.
-        discount, message_discount: γ of *explain* and of a message.
-    """
-
-    optimal: NDArray[np.float64]
-    explain_cost: NDArray[np.float64]
-    informative: NDArray[np.int32]
-    p: NDArray[np.float64]
-    weight: NDArray[np.uint64]
-    likeliest: NDArray[np.void]
-    wanted: NDArray[np.int32]
-    price: NDArray[np.float64]
-    discount: float
-    message_discount: float
 
 
 class Options(NamedTuple):
@@ -269,78 +228,3 @@ def tree_bytes(problem: Problem, simulations: int) -> int:
     table = _table_size(simulations)
     remembered = min(table, REMEMBERED) * 8 * (problem.n_types + 1)
     return (simulations + 2) * node + ENTRY.itemsize * table + remembered
-
-
-def model_bytes(problem: Problem) -> int:
-    """What :func:`model_of` takes."""
-    sets, steps = 1 << problem.n_messages, problem.n_steps
-    return table_bytes(problem) + sets * steps * (32 * problem.n_types + 16)
-
-
-def model_of(problem: Problem) -> Model:
-    """Lays a problem out for the search."""
-    p = problem.p_explicable
-    types, steps, sets = p.shape
-    model = Model(
-        optimal_values(problem),
-        np.empty((sets, steps, types)),
-        np.empty((sets, steps), np.int32),
-        np.empty((sets, steps, types)),
-        np.empty((sets, steps), np.uint64),
-        np.empty((sets, steps, types), LIKELIEST),
-        np.empty((sets, steps), np.int32),
-        message_price(problem),
-        problem.discount,
-        message_discount(problem),
-    )
-    cost = problem.inexplicability_cost
-    _lay_out(p, p.view(np.uint64), cost, *model[1:6])
-    _want(model.optimal, model.explain_cost, *model[6:])
-    return model
-
-
-@kernel
-def _lay_out(p, bits, inexplicability, explain_cost, informative, news, weight, likeliest):  # type: ignore[no-untyped-def]
-    types, steps, sets = p.shape
-    for given in range(sets):
-        found = 0
-        for i in range(steps):
-            differs = False
-            code = GOLDEN
-            for t in range(types):
-                shown_before = explain_cost[given, i - 1, t] if i > 0 else 0.0
-                explain_cost[given, i, t] = shown_before + inexplicability * (1.0 - p[t, i, given])
-                differs |= p[t, i, given] != p[0, i, given]
-                code = mix((code + GOLDEN) ^ bits[t, i, given])
-            if differs:
-                for t in range(types):  # a slice would compile for two seconds longer
-                    news[given, found, t] = p[t, i, given]
-                weight[given, found] = code
-                found += 1
-            informative[given, i] = found
-            for t in range(types):
-                usual = likeliest[given, i, t]
-                before = likeliest[given, max(i - 1, 0), t]
-                usual.probability = before.probability if i > 0 else 1.0
-                usual.code = before.code if i > 0 else np.uint64(0)
-                if differs:
-                    yes = p[t, i, given]
-                    usual.probability *= max(yes, 1.0 - yes)
-                    usual.code += code if yes < 0.5 else np.uint64(0)
-
-
-@kernel
-def _want(optimal, explain_cost, wanted, price, discount, message_discount):  # type: ignore[no-untyped-def]
-    sets, steps, types = explain_cost.shape
-    for given in range(sets):
-        for k in range(steps - 1, -1, -1):
-            mask = 0
-            for t in range(types):
-                silent = discount * optimal[k + 1, given, t] - explain_cost[given, k, t]
-                if optimal[k, given, t] > silent:
-                    for j in range(len(price)):
-                        if not given >> j & 1:
-                            said = message_discount * optimal[k, given | 1 << j, t] - price[j]
-                            mask |= (said > silent) << j
-            settled = mask == 0 and (k + 1 == steps or wanted[given, k + 1] == SETTLED)
-            wanted[given, k] = SETTLED if settled else mask
