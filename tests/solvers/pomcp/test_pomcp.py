@@ -8,12 +8,14 @@ import signal
 import subprocess
 import sys
 import threading
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from numba import njit
 
 from tests.solvers.pomcp.plain_pomcp import PlainPOMCP
@@ -314,6 +316,14 @@ def test_names_the_setting_that_is_wrong(key: str, value: object) -> None:
     """Key, value and what is allowed."""
     with pytest.raises(InputError, match=f"solver.{key}="):
         POMCP(**{key: value})  # type: ignore[arg-type]
+
+
+def test_defaults_are_the_configurations() -> None:
+    """Who embeds POMCP() gets what `solver=pomcp` runs."""
+    path = Path(__file__).parents[3] / "conf" / "solver" / "pomcp.yaml"
+    chosen = yaml.safe_load(path.read_text())
+    assert chosen.pop("_target_") == f"{POMCP.__module__}.{POMCP.__qualname__}"
+    assert chosen == {key: value for key, value in asdict(POMCP()).items() if key != "knows"}
 
 
 def test_trees_take_no_more_than_told() -> None:

@@ -76,7 +76,7 @@ class POMCP:
     memory_gib: most that tables and trees may take.
     """
 
-    simulations: int = 3_000
+    simulations: int = 6_000
     depth: int | None = 3
     depth_unit: Literal["actions", "steps"] = "actions"
     exploration: float = 8.0
