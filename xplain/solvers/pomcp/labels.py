@@ -10,7 +10,7 @@ import numpy as np
 from numba import uint64
 
 from xplain.numba_kernels import inlined
-from xplain.solvers.pomcp.random_words import GOLDEN, mix, next_uniform
+from xplain.solvers.pomcp.random_words import GOLDEN, next_uniform, splitmix64
 
 
 @inlined
@@ -47,7 +47,7 @@ def update_belief(model, tree, step, given, t, code, belief):  # type: ignore[no
     count = model.informative[given, step]
     if count == 0:
         return
-    key = mix(code + uint64(given * model.informative.shape[1] + step + 1) * GOLDEN)
+    key = splitmix64(code + uint64(given * model.informative.shape[1] + step + 1) * GOLDEN)
     slot = np.int64(key & uint64(len(tree.seen) - 1))
     if tree.seen[slot] != key:
         tree.seen[slot] = key

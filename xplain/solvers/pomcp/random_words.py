@@ -48,8 +48,8 @@ def nth_bit(mask, r):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def mix(x):  # type: ignore[no-untyped-def]
-    """The output function of splitmix64: also a hash."""
+def splitmix64(x):  # type: ignore[no-untyped-def]
+    """The word of a counter. Also a hash."""
     x = (x ^ (x >> uint64(30))) * uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> uint64(27))) * uint64(0x94D049BB133111EB)
     return x ^ (x >> uint64(31))
@@ -59,11 +59,11 @@ def mix(x):  # type: ignore[no-untyped-def]
 def next_below(counter, count):  # type: ignore[no-untyped-def]
     """A random number in 0 … count − 1, from the next word."""
     counter[0] += GOLDEN
-    return np.int64(((mix(counter[0]) >> uint64(32)) * uint64(count)) >> uint64(32))
+    return np.int64(((splitmix64(counter[0]) >> uint64(32)) * uint64(count)) >> uint64(32))
 
 
 @inlined
 def next_uniform(counter):  # type: ignore[no-untyped-def]
     """A random number in [0, 1), from the next word."""
     counter[0] += GOLDEN
-    return np.float64(mix(counter[0]) >> uint64(11)) * 2.0**-53
+    return np.float64(splitmix64(counter[0]) >> uint64(11)) * 2.0**-53

@@ -93,19 +93,19 @@ def roll_silent(model, step, given, belief):  # type: ignore[no-untyped-def]
 
 @inlined
 def roll_qmdp(model, tree, step, given, t, belief):  # type: ignore[no-untyped-def]
-    """The return of following QMDP with exact beliefs (in ``tree.now``), for a user of type t. Once
-    t is certain QMDP acts as if it were known, and where nothing is worth saying to anybody any
-    more it says nothing: V*_t is the rest of the return."""
+    """The return of following QMDP with exact beliefs, for a user of type t. Once t is certain QMDP
+    acts as if it were known, and where nothing is worth saying to anybody any more it says nothing:
+    V*_t is the rest of the return."""
     steps = model.explain_cost.shape[1]
     for other in range(len(belief)):
-        tree.now[other] = belief[other]
+        tree.rollout_belief[other] = belief[other]
     value, scale = 0.0, 1.0
     while step < steps:
-        if tree.now[t] > CERTAIN or model.wanted[given, step] == SETTLED:
+        if tree.rollout_belief[t] > CERTAIN or model.wanted[given, step] == SETTLED:
             return value + scale * model.optimal[step, given, t]
         action = len(model.price)
         if model.wanted[given, step] != 0:
-            _, action = _qmdp(model, step, given, tree.now)
+            _, action = _qmdp(model, step, given, tree.rollout_belief)
         if action < len(model.price):
             value -= scale * model.price[action]
             scale *= model.message_discount
@@ -115,6 +115,6 @@ def roll_qmdp(model, tree, step, given, t, belief):  # type: ignore[no-untyped-d
             scale *= model.discount
             if step + 1 < steps:
                 code = draw_labels(model, tree, step, given, t)
-                update_belief(model, tree, step, given, t, code, tree.now)
+                update_belief(model, tree, step, given, t, code, tree.rollout_belief)
             step += 1
     return value

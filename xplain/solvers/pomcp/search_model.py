@@ -16,7 +16,7 @@ from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
 from xplain.solvers.model import explain_costs, explicable, optimal_values, table_bytes
 from xplain.solvers.model import model_of as reduced_model
-from xplain.solvers.pomcp.random_words import GOLDEN, mix
+from xplain.solvers.pomcp.random_words import GOLDEN, splitmix64
 
 LIKELIEST = np.dtype([("probability", np.float64), ("code", np.uint64)])
 SETTLED = -1
@@ -92,7 +92,7 @@ def _code_observations(reduced, model):  # type: ignore[no-untyped-def]
             for t in range(types):
                 yes = explicable(reduced, i, given, t)
                 differs |= yes != first
-                code = mix((code + GOLDEN) ^ np.float64(yes).view(np.uint64))
+                code = splitmix64((code + GOLDEN) ^ np.float64(yes).view(np.uint64))
             for t in range(types):
                 usual = model.likeliest[given, i, t]
                 before = model.likeliest[given, max(i - 1, 0), t]

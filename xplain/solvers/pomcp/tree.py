@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined
-from xplain.solvers.pomcp.random_words import GOLDEN, count_bits, mix
+from xplain.solvers.pomcp.random_words import GOLDEN, count_bits, splitmix64
 
 NODE = np.dtype(
     [
@@ -47,6 +47,8 @@ ROOT, END = 0, -1
 UNVISITED, UNOPENED = 0, 0
 """``edge.child`` and ``entry.node`` where there is no node (the root is no child), and
 ``node.edges`` until a simulation goes on from there (the first edges are unused)."""
+NODES, EDGES, MASK = 0, 1, 2
+"""Positions in ``tree.used``."""
 FIRST_TABLE = 1 << 12
 """Entries of the table that a search begins with."""
 REMEMBERED = 1 << 11
@@ -54,13 +56,14 @@ REMEMBERED = 1 << 11
 
 
 class Options(NamedTuple):
-    """How to search, as numbers of :mod:`xplain.solvers.pomcp.kernel`.
+    """How to search.
 
     Attributes:
         depth: where simulations end.
         message_depth: what a message adds to the depth, 0 or 1; *explain* adds 1.
         exploration: in the problem's unit of cost.
-        leaf, rollout, backup: see :class:`xplain.solvers.pomcp.solver.POMCP`.
+        leaf, rollout, backup: see :class:`xplain.solvers.pomcp.solver.POMCP`; numbered as in
+            :mod:`xplain.solvers.pomcp.rollout` and :mod:`xplain.solvers.pomcp.kernel`.
     """
 
     depth: int
@@ -80,13 +83,13 @@ class Tree(NamedTuple):
             order, then *explain*. The first n + 1 are unused, so that 0 means none.
         beliefs: [S + 1, N], filled for nodes that begin a step.
         table: [a power of two > 2 S + 2] ENTRY, nodes by hash; 0 is none (the root is no child).
-            Only the first ``used[2] + 1`` entries are in use; they double as nodes come.
+            Only the first ``used[MASK] + 1`` entries are in use; they double as nodes come.
         seen: [a power of two] hashes of observations, 0 is none, and
         likelihoods: [.., N] what they are for each type.
-        zero: [m] labels drawn, and
-        now: [N] a belief: room for a rollout.
+        zero: [m] which of the labels drawn last are 0, where not all were the likelier.
+        rollout_belief: [N] a rollout keeps its belief here.
         path: [3, n + m + 1] nodes, edges and actions of a simulation.
-        used: [3] nodes and edges taken, and the table's mask.
+        used: [3] how many nodes and edges are taken (NODES, EDGES), and the table's MASK.
         counter: [1] of the random stream.
     """
 
@@ -97,7 +100,7 @@ class Tree(NamedTuple):
     seen: NDArray[np.uint64]
     likelihoods: NDArray[np.float64]
     zero: NDArray[np.bool_]
-    now: NDArray[np.float64]
+    rollout_belief: NDArray[np.float64]
     path: NDArray[np.int64]
     used: NDArray[np.int64]
     counter: NDArray[np.uint64]
@@ -146,8 +149,8 @@ class Tree(NamedTuple):
 def find(tree, parent, code):  # type: ignore[no-untyped-def]
     """Where the table holds this child, or has room for it; and the tag it bears there, without
     which every other child on the way would have to be looked at."""
-    mask = tree.used[2]
-    h = mix(code + uint64(parent) * GOLDEN)
+    mask = tree.used[MASK]
+    h = splitmix64(code + uint64(parent) * GOLDEN)
     slot, tag = np.int64(h & uint64(mask)), np.uint32(h >> uint64(32))
     while True:
         node = tree.table[slot].node
@@ -164,11 +167,11 @@ def find(tree, parent, code):  # type: ignore[no-untyped-def]
 def grow_table(tree):  # type: ignore[no-untyped-def]
     """Where the table is half full, spreads the children over twice as much of it: a table no
     larger than need be stays in the processor's cache."""
-    if 2 * tree.used[0] > tree.used[2]:
-        tree.used[2] = 2 * tree.used[2] + 1
-        for slot in range(tree.used[2] + 1):
+    if 2 * tree.used[NODES] > tree.used[MASK]:
+        tree.used[MASK] = 2 * tree.used[MASK] + 1
+        for slot in range(tree.used[MASK] + 1):
             tree.table[slot].node = UNVISITED
-        for node in range(1, tree.used[0]):
+        for node in range(1, tree.used[NODES]):
             record = tree.nodes[node]
             slot, tag = find(tree, np.int64(record.parent), record.code)
             tree.table[slot].node = node
@@ -178,8 +181,8 @@ def grow_table(tree):  # type: ignore[no-untyped-def]
 @inlined
 def add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
     """A node without edges; its step, given, base and belief are left to set."""
-    node = tree.used[0]
-    tree.used[0] += 1
+    node = tree.used[NODES]
+    tree.used[NODES] += 1
     tree.table[slot].node = node
     tree.table[slot].tag = tag
     record = tree.nodes[node]
@@ -196,10 +199,10 @@ def add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
 def open_(model, tree, node):  # type: ignore[no-untyped-def]
     """Gives a node its edges: one for each message not yet given, the last for *explain*."""
     record = tree.nodes[node]
-    record.edges = tree.used[1]
+    record.edges = tree.used[EDGES]
     record.untried = ((1 << (len(model.price) + 1)) - 1) & ~record.given
     actions = count_bits(np.int64(record.untried))
-    tree.used[1] += actions
+    tree.used[EDGES] += actions
     record.reward = 0.0
     for t in range(tree.beliefs.shape[1]):
         cost = model.explain_cost[record.given, record.step, t]
