@@ -69,7 +69,7 @@ def update(
         [N]. Labels that no type with positive belief can give (only with probabilities of
         exactly 0 or 1) tell nothing about the type: the belief stays as it was.
     """
-    p = problem.p_explicable[:, : len(labels), message_set][:, evidence]
+    p = problem.label_probabilities(len(labels), message_set)[:, evidence]
     likelihood = np.where(labels[evidence] == 1, p, 1 - p)
     with np.errstate(divide="ignore"):
         log_posterior = np.log(belief) + np.log(likelihood).sum(axis=1)

@@ -8,15 +8,11 @@ import numpy as np
 
 from xplain.errors import TooLargeError
 from xplain.explanation.problem import Problem
-from xplain.solvers.dynamic_programming import (
-    check_memory,
-    messages_worth_giving,
-    optimal_values,
-    restrict,
-    table_bytes,
-)
 from xplain.solvers.hsvi.solver import Effort, explore, tables_within
 from xplain.solvers.lookahead import Lookahead
+from xplain.solvers.memory import check_memory
+from xplain.solvers.model import model_of, optimal_values, table_bytes
+from xplain.solvers.restriction import messages_worth_giving
 
 
 @dataclass(frozen=True)
@@ -54,15 +50,15 @@ def bounds(problem: Problem, effort: Effort = DEFAULT) -> Bounds:
     Raises:
         TooLargeError: not even the tables of known types fit.
     """
-    small = restrict(problem, messages_worth_giving(problem))
+    small = problem.with_messages(messages_worth_giving(problem))
     try:
         tables = tables_within(small, effort.memory_gib)
     except TooLargeError:
-        looking = Lookahead(memory_gib=effort.memory_gib).plan(small)
-        known = float(small.prior @ looking.policy.table[0, 0])
-        return Bounds(looking.lower, looking.upper, known)
+        lookahead = Lookahead(memory_gib=effort.memory_gib).plan(small)
+        known = float(small.prior @ lookahead.policy.tables.optimal[0, 0])
+        return Bounds(lookahead.lower, lookahead.upper, known)
     found = explore(tables, 0, 0, small.prior, effort, small)
-    known = float(small.prior @ tables.values[0, 0])
+    known = float(small.prior @ tables.optimal[0, 0])
     return Bounds(found.lower, found.upper, known)
 
 
@@ -72,6 +68,6 @@ def known_type_value(problem: Problem, memory_gib: float = 8.0) -> float:
     Raises:
         TooLargeError: the tables take more than ``memory_gib``.
     """
-    small = restrict(problem, messages_worth_giving(problem))
+    small = problem.with_messages(messages_worth_giving(problem))
     check_memory("knowing the type", table_bytes(small), memory_gib, "no other solver can")
-    return float(np.dot(small.prior, optimal_values(small)[0, 0]))
+    return float(np.dot(small.prior, optimal_values(model_of(small))[0, 0]))

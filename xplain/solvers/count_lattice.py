@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.solvers.numba_kernels import inlined
+from xplain.numba_kernels import inlined
+from xplain.solvers.model import explicable
 
 SCALE = float(1 << 40)
 IMPOSSIBLE = -(1 << 62)
@@ -53,12 +54,12 @@ def make_room(steps: int, types: int) -> Room:
 
 @inlined
 def branch(  # type: ignore[no-untyped-def]
-    p, step, given, weight, evidence, negligible, out_weight, out_evidence, tail, room
+    model, step, given, weight, evidence, negligible, out_weight, out_evidence, tail, room
 ):
     """The distinguishable answers to *explain*.
 
     Args:
-        p: [N, m, 2^n] P(label 1).
+        model: the problem's.
         step: k; k + 1 transitions are shown.
         given: H.
         weight: [N] joint probability of the past and each type; needs not sum to 1.
@@ -78,13 +79,13 @@ def branch(  # type: ignore[no-untyped-def]
     likelihood, news, weights, logs = room.likelihood, room.news, room.weights, room.logs
     groups = 0
     for i in range(step + 1):
-        if not _informative(p, i, given, weight):
+        if not _informative(model, i, given, weight):
             continue
         for g in range(groups + 1):
             if g == groups:
                 first[g], size[g] = i, 0
                 groups += 1
-            if _same_column(p, first[g], i, given, weight):
+            if _same_column(model, first[g], i, given, weight):
                 size[g] += 1
                 break
 
@@ -94,7 +95,7 @@ def branch(  # type: ignore[no-untyped-def]
     for g in range(groups):
         for t in range(types):
             if weight[t] > 0.0:
-                yes = p[t, first[g], given]
+                yes = explicable(model, first[g], given, t)
                 _binomial(yes, size[g], start[g], t, likelihood, news)
             else:
                 for row in range(start[g], start[g + 1]):
@@ -140,21 +141,22 @@ def branch(  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _informative(p, i, given, weight):  # type: ignore[no-untyped-def]
+def _informative(model, i, given, weight):  # type: ignore[no-untyped-def]
     first = -1
     for t in range(len(weight)):
         if weight[t] > 0.0:
             if first < 0:
                 first = t
-            elif p[t, i, given] != p[first, i, given]:
+            elif explicable(model, i, given, t) != explicable(model, i, given, first):
                 return True
     return False
 
 
 @inlined
-def _same_column(p, i, other, given, weight):  # type: ignore[no-untyped-def]
+def _same_column(model, i, other, given, weight):  # type: ignore[no-untyped-def]
     for t in range(len(weight)):
-        if weight[t] > 0.0 and p[t, i, given] != p[t, other, given]:
+        differs = explicable(model, i, given, t) != explicable(model, other, given, t)
+        if weight[t] > 0.0 and differs:
             return False
     return True
 

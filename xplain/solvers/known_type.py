@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy
-from xplain.solvers.dynamic_programming import check_memory_gib, greedy_policy
+from xplain.solvers.memory import check_memory_gib
+from xplain.solvers.qmdp import greedy_policy
 
 INSTEAD = "qhr plans without tables"
 
@@ -41,8 +42,7 @@ class Baseline:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """See :class:`xplain.solvers.base.Solver`."""
-        mixture = np.tensordot(problem.prior, problem.p_explicable, 1)[None]
-        one = problem.with_types(mixture, ("everyone",))
+        one = problem.mixture(problem.prior)
         return Unheeding(greedy_policy(one, "baseline", self.memory_gib, INSTEAD))
 
 
@@ -65,9 +65,8 @@ class Conformant:
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """See :class:`xplain.solvers.base.Solver`."""
         # N types' costs are N times the cost of the mean labeler.
-        mean = problem.p_explicable.mean(axis=0, keepdims=True)
         summed = replace(
-            problem.with_types(mean, ("everyone",)),
+            problem.mixture(np.full(problem.n_types, 1 / problem.n_types)),
             inexplicability_cost=problem.inexplicability_cost * problem.n_types,
         )
         return Unheeding(greedy_policy(summed, "conformant", self.memory_gib, INSTEAD))

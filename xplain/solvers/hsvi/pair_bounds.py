@@ -18,18 +18,13 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.count_lattice import branch, make_room
-from xplain.solvers.dynamic_programming import (
-    message_discount,
-    message_price,
-    messages_worth_giving,
-    restrict,
-)
-from xplain.solvers.numba_kernels import inlined
+from xplain.solvers.model import Model, explain_costs, model_of
+from xplain.solvers.restriction import messages_worth_giving
 
 GRID = np.concatenate([[0.0], 1 / (1 + np.exp(-np.linspace(-7, 7, 15))), [1.0]])
 """Beliefs in the first of two types, in equal steps of evidence."""
@@ -69,9 +64,9 @@ def with_own_room(pairs: Pairs) -> Pairs:
     return pairs._replace(**room)
 
 
-def no_pairs(problem: Problem) -> Pairs:
+def no_pairs(model: Model) -> Pairs:
     """Bounds nothing."""
-    return _joined(problem, [], [], [])
+    return _joined(model, [], [], [])
 
 
 @dataclass(frozen=True)
@@ -87,12 +82,11 @@ class PairTables:
     @cached_property
     def _two(self) -> list[tuple[Problem, tuple[int, ...]]]:
         """Every pair's problem, with the messages that are worth giving in it."""
-        problem, found = self.problem, []
-        for pair in combinations(range(problem.n_types), 2):
-            p, names = problem.p_explicable[list(pair)], problem.type_names
-            two = problem.with_types(p, tuple(names[t] for t in pair))
+        found = []
+        for pair in combinations(range(self.problem.n_types), 2):
+            two = self.problem.only_types(pair)
             kept = messages_worth_giving(two)
-            found.append((restrict(two, kept), kept))
+            found.append((two.with_messages(kept), kept))
         return found
 
     @property
@@ -122,19 +116,19 @@ class PairTables:
                 row += (sets >> j & 1) << i
             first += 1 << len(kept)
             rows.append(row)
-            tables = _pair_tables(two)
+            tables = _pair_tables(model_of(two))
             optimal.append(tables[0])
             explain.append(tables[1])
-        return _joined(self.problem, rows, optimal, explain)
+        return _joined(model_of(self.problem), rows, optimal, explain)
 
 
 def _joined(
-    problem: Problem,
+    model: Model,
     rows: list[NDArray[np.int64]],
     optimal: list[NDArray[np.float64]],
     explain: list[NDArray[np.float64]],
 ) -> Pairs:
-    types, steps, sets = problem.p_explicable.shape
+    steps, sets, types = model.n_steps, model.n_sets, model.n_types
     pairs = len(rows)
     return Pairs(
         np.stack(rows, 1) if rows else np.empty((sets, 0), dtype=np.int64),
@@ -147,66 +141,37 @@ def _joined(
     )
 
 
-def _pair_tables(two: Problem) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _pair_tables(two: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """``optimal`` and ``explain`` of one pair."""
-    _, steps, sets = two.p_explicable.shape
+    steps, sets = two.n_steps, two.n_sets
     optimal, explain = np.zeros((steps + 1, sets, len(GRID))), np.empty((steps, sets, len(GRID)))
-    prices, per_message = message_price(two), message_discount(two)
-    costs = two.inexplicability_cost, two.discount, per_message
+    costs = explain_costs(two)
     working = np.empty(2), make_room(steps, 2)
     capacity = 64
     # One call a step, so that Ctrl-C is heard between them.
     for k in reversed(range(steps)):
         while True:
             buffers = np.empty((capacity, 2)), np.empty((capacity, 2), dtype=np.int64)
-            last = k == steps - 1
-            if _pair_step(
-                two.p_explicable,
-                k,
-                last,
-                prices,
-                *costs,
-                GRID,
-                optimal,
-                explain,
-                *buffers,
-                *working,
-            ):
+            if _pair_step(two, k, costs[k], GRID, optimal, explain[k], *buffers, *working):
                 break
             capacity *= 4
     return optimal, explain
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _pair_step(  # type: ignore[no-untyped-def]
-    p,
-    k,
-    last,
-    prices,
-    inexplicability,
-    discount,
-    message_discount,
-    grid,
-    optimal,
-    explain,
-    out_weight,
-    out_evidence,
-    tail,
-    room,
+    model, k, costs, grid, optimal, explain, out_weight, out_evidence, tail, room
 ):
     """One step backwards in k; False where there are more answers than room."""
     sets, points = optimal.shape[1:]
-    even, nothing, zeros = np.full(2, 0.5), np.zeros(2, dtype=np.int64), np.empty(2)
+    even, nothing = np.full(2, 0.5), np.zeros(2, dtype=np.int64)
+    last = k == len(optimal) - 2
     for given in range(sets - 1, -1, -1):
-        for t in range(2):
-            zeros[t] = 0.0
-            for i in range(k + 1):
-                zeros[t] += inexplicability * (1.0 - p[t, i, given])
         after = optimal[k + 1, given]
         answers = 0
         if not last:
             answers = branch(
-                p, k, given, even, nothing, NEGLIGIBLE, out_weight, out_evidence, tail, room
+                model, k, given, even, nothing, NEGLIGIBLE, out_weight, out_evidence, tail, room
             )
             if answers < 0:
                 return False
@@ -219,13 +184,14 @@ def _pair_step(  # type: ignore[no-untyped-def]
             for o in range(answers):
                 x, y = one * out_weight[o, 0], two * out_weight[o, 1]
                 value += _value(grid, after, x, y)
-            explain[k, given, g] = discount * value
-            explain[k, given, g] -= 0.5 * (one * zeros[0] + two * zeros[1])
-            best = explain[k, given, g]
-            for j in range(len(prices)):
+            explain[given, g] = model.discount * value
+            explain[given, g] -= 0.5 * (one * costs[given, 0] + two * costs[given, 1])
+            best = explain[given, g]
+            for j in range(len(model.price)):
                 more = given | 1 << j
                 if more != given:
-                    best = max(best, message_discount * optimal[k, more, g] - prices[j])
+                    later = model.message_discount * optimal[k, more, g]
+                    best = max(best, later - model.price[j])
             optimal[k, given, g] = best
     return True
 

@@ -22,13 +22,13 @@ then everything is backed up: many nodes can then profit by what was learned sin
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from xplain.numba_kernels import inlined, lean_kernel
 from xplain.solvers.count_lattice import branch
 from xplain.solvers.hsvi.pair_bounds import SWEEPS, mix, mixed
 from xplain.solvers.hsvi.shared_bounds import ROUNDING, learn, list_candidates, teach
-from xplain.solvers.hsvi.tree import ACTIONS, ANSWERS, NODES, OPENED, WORK, copy, dot, find
-from xplain.solvers.numba_kernels import inlined
+from xplain.solvers.hsvi.tree import ACTIONS, ANSWERS, NODES, OPENED, WORK, copy, find
+from xplain.solvers.model import expected
 
 DONE, WORKING, FULL = 0, 1, 2
 CLOSED, NO_ROOM = -1, -2
@@ -43,13 +43,13 @@ def _best_plan(plans, weight):  # type: ignore[no-untyped-def]
     """The plan that is worth the most at a belief."""
     best, chosen = -np.inf, 0
     for u in range(plans.shape[0]):
-        value = dot(weight, plans[u])
+        value = expected(weight, plans[u])
         if value > best:
             best, chosen = value, u
     return chosen
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean_kernel
 def add_node(tables, store, step, given, weight, evidence):  # type: ignore[no-untyped-def]
     """:func:`_add_node`, to be called from outside."""
     return _add_node(tables, store, step, given, weight, evidence)
@@ -77,19 +77,19 @@ def _add_node(tables, store, step, given, weight, evidence):  # type: ignore[no-
         store.belief[node, t] = weight[t] / total
     store.first[node] = -1
     belief = store.belief[node]
-    upper = dot(belief, tables.explain[step, given])
-    for j in range(len(tables.message_price)):
+    upper = expected(belief, tables.explain[step, given])
+    for j in range(len(tables.model.price)):
         more = given | (1 << j)
         if more != given:
-            later = tables.message_discount * dot(belief, tables.values[step, more])
-            upper = max(upper, later - tables.message_price[j])
+            later = tables.model.message_discount * expected(belief, tables.optimal[step, more])
+            upper = max(upper, later - tables.model.price[j])
     if mix(tables.pairs, step, given, belief, 0):
         upper = min(upper, mixed(tables.pairs, tables.pairs.optimal[step], given))
     store.upper[node] = upper
     plans = tables.plans[step, given]
     u = _best_plan(plans, belief)
     copy(plans[u], store.alpha[node])
-    store.lower[node] = min(dot(belief, plans[u]), upper)
+    store.lower[node] = min(expected(belief, plans[u]), upper)
     learn(tables, store, node)
     return node
 
@@ -104,18 +104,20 @@ def _open(tables, store, node):  # type: ignore[no-untyped-def]
     begin = store.used[ACTIONS]
     if begin + candidates > len(store.action_set):
         return False
-    last = step == tables.p.shape[1] - 1
+    last = step == len(tables.explain) - 1
     end = begin
     best = -np.inf
     lower = store.lower[node]
     in_pairs = mix(tables.pairs, step, given, belief, SWEEPS)
     for c in range(store.listed[step, given, 0], store.listed[step, given, 0] + candidates):
         chosen = store.candidates[c]
-        value = tables.factor[chosen] * dot(belief, tables.explain[step, given | chosen])
-        value -= tables.price[chosen]
+        value = tables.sets.discount[chosen] * expected(
+            belief, tables.explain[step, given | chosen]
+        )
+        value -= tables.sets.price[chosen]
         shown = given | chosen
-        later = tables.factor[chosen] * tables.discount
-        base = value - later * dot(belief, tables.values[step + 1, shown])
+        later = tables.sets.discount[chosen] * tables.model.discount
+        base = value - later * expected(belief, tables.optimal[step + 1, shown])
         if in_pairs:
             value = min(value, _in_pairs(tables, step, given, chosen))
         # The best is kept even where rounding puts it below the best plan.
@@ -128,11 +130,13 @@ def _open(tables, store, node):  # type: ignore[no-untyped-def]
     for a in range(begin, end):
         chosen = store.action_set[a]
         shown = given | chosen
-        later = tables.factor[chosen] * tables.discount
+        later = tables.sets.discount[chosen] * tables.model.discount
         store.action_lower[a] = store.action_upper[a]
         if not last:
             plans = tables.plans[step + 1, shown]
-            value = store.action_base[a] + later * dot(belief, plans[_best_plan(plans, belief)])
+            value = store.action_base[a] + later * expected(
+                belief, plans[_best_plan(plans, belief)]
+            )
             store.action_lower[a] = min(value, store.action_upper[a])
         lower = max(lower, store.action_lower[a])
     kept = begin
@@ -160,11 +164,11 @@ def _expand(tables, store, node, a, gap, out_weight, out_evidence, tail, room): 
     gap by no more than ``gap``. False where the store is full."""
     step, belief = store.step[node], store.belief[node]
     shown = store.given[node] | store.action_set[a]
-    later = tables.factor[store.action_set[a]] * tables.discount
+    later = tables.sets.discount[store.action_set[a]] * tables.model.discount
     negligible = 0.1 * gap
     while True:
         answers = branch(
-            tables.p,
+            tables.model,
             step,
             shown,
             belief,
@@ -177,9 +181,9 @@ def _expand(tables, store, node, a, gap, out_weight, out_evidence, tail, room): 
         )
         if answers < 0:
             return False
-        tail_upper = later * dot(tail, tables.values[step + 1, shown])
+        tail_upper = later * expected(tail, tables.optimal[step + 1, shown])
         plan = tables.plans[step + 1, shown, _best_plan(tables.plans[step + 1, shown], tail)]
-        tail_lower = later * dot(tail, plan)
+        tail_lower = later * expected(tail, plan)
         if tail_upper - tail_lower <= gap or negligible == 0.0:
             break
         negligible = negligible * 0.2 if negligible > 1e-18 else 0.0
@@ -242,7 +246,7 @@ def _gap(store, node):  # type: ignore[no-untyped-def]
     return store.upper[node] - store.lower[node]
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean_kernel
 def search(  # type: ignore[no-untyped-def]
     tables,
     store,
@@ -285,7 +289,7 @@ def search(  # type: ignore[no-untyped-def]
             actions[level] = action
             # What the answers may leave open: all that the tail does not.
             allowed -= store.action_tail[action, 0] - store.action_tail[action, 1]
-            allowed /= tables.factor[store.action_set[action]] * tables.discount
+            allowed /= tables.sets.discount[store.action_set[action]] * tables.model.discount
             node = _widest_answer(store, action, allowed)
             level += 1
             if node < 0:
@@ -307,12 +311,12 @@ def search(  # type: ignore[no-untyped-def]
     return DONE
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean_kernel
 def sweep(tables, store, news):  # type: ignore[no-untyped-def]
     """Backs up all that is open, the last step first, and lets every node learn what others at its
     (k, H) found since it was last visited: a trial visits one node a step. ``news`` as in
     :func:`teach`."""
-    for step in range(tables.p.shape[1] - 1, -1, -1):
+    for step in range(len(tables.explain) - 1, -1, -1):
         for node in range(store.used[NODES]):
             if store.step[node] != step:
                 continue
@@ -325,7 +329,7 @@ def sweep(tables, store, news):  # type: ignore[no-untyped-def]
                 teach(tables, store, node, upper, lower, news)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean_kernel
 def tighten(tables, store):  # type: ignore[no-untyped-def]
     """Lowers upper bounds made before there were tables of pairs."""
     for node in range(store.used[NODES]):
@@ -345,7 +349,7 @@ def tighten(tables, store):  # type: ignore[no-untyped-def]
 def _in_pairs(tables, step, given, chosen):  # type: ignore[no-untyped-def]
     """Bounds a set of messages from above, at the belief last mixed."""
     explain = mixed(tables.pairs, tables.pairs.explain[step], given | chosen)
-    return tables.factor[chosen] * explain - tables.price[chosen]
+    return tables.sets.discount[chosen] * explain - tables.sets.price[chosen]
 
 
 @inlined
@@ -358,7 +362,7 @@ def _settle(tables, store, node, allowed, tail_gap, out_weight, out_evidence, ta
     if store.first[node] < 0 and not _open(tables, store, node):
         return NO_ROOM
     learn(tables, store, node)
-    while _gap(store, node) > allowed + ROUNDING and store.step[node] < tables.p.shape[1] - 1:
+    while _gap(store, node) > allowed + ROUNDING and store.step[node] < len(tables.explain) - 1:
         action = _best_action(store, node)
         if store.action_first[action] >= 0:
             return action

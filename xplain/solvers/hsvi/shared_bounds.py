@@ -8,8 +8,9 @@ of messages that no plan dominates.
 
 from __future__ import annotations
 
-from xplain.solvers.hsvi.tree import CANDIDATES, KEPT, PLACES, WORK, copy, dot
-from xplain.solvers.numba_kernels import inlined
+from xplain.numba_kernels import inlined
+from xplain.solvers.hsvi.tree import CANDIDATES, KEPT, PLACES, WORK, copy
+from xplain.solvers.model import expected
 
 IRRELEVANT = -1e30
 """In an alpha vector, the value for a type that cannot be at its node."""
@@ -25,7 +26,7 @@ def learn(tables, store, node):  # type: ignore[no-untyped-def]
     if place < 0:
         return
     for i in range(min(store.place_count[place, 0], KEPT)):
-        value = dot(belief, store.place_alpha[place, i])
+        value = expected(belief, store.place_alpha[place, i])
         if value > store.lower[node]:
             store.lower[node] = min(value, store.upper[node])
             copy(store.place_alpha[place, i], store.alpha[node])
@@ -34,7 +35,7 @@ def learn(tables, store, node):  # type: ignore[no-untyped-def]
                 if store.action_set[a] == store.place_set[place, i]:
                     value = min(value, store.action_upper[a])
                     store.action_lower[a] = max(store.action_lower[a], value)
-    known = tables.values[step, given]
+    known = tables.optimal[step, given]
     for i in range(min(store.place_count[place, 1], KEPT)):
         other = store.place_belief[place, i]
         share = 1.0
@@ -90,9 +91,14 @@ def _alpha(tables, store, node, a):  # type: ignore[no-untyped-def]
     for t in range(len(belief)):
         if belief[t] > 0.0:
             now = (
-                tables.explain[step, shown, t] - tables.discount * tables.values[step + 1, shown, t]
+                tables.explain[step, shown, t]
+                - tables.model.discount * tables.optimal[step + 1, shown, t]
             )
-            alpha[t] = alpha[t] / belief[t] + tables.factor[chosen] * now - tables.price[chosen]
+            alpha[t] = (
+                alpha[t] / belief[t]
+                + tables.sets.discount[chosen] * now
+                - tables.sets.price[chosen]
+            )
         else:
             alpha[t] = IRRELEVANT
     store.used[WORK] += store.action_answers[a]
@@ -102,8 +108,8 @@ def _alpha(tables, store, node, a):  # type: ignore[no-untyped-def]
 def list_candidates(tables, store, step, given):  # type: ignore[no-untyped-def]
     """The sets of messages that may be optimal at (k, H) for some belief: all but those whose
     upper bound lies below the value of one and the same plan for every type."""
-    sets = len(tables.price)
-    types = tables.p.shape[0]
+    sets = len(tables.sets.price)
+    types = tables.explain.shape[2]
     begin = store.used[CANDIDATES]
     place = store.used[PLACES]
     if begin + sets > len(store.candidates) or place == len(store.place_count):
@@ -118,7 +124,7 @@ def list_candidates(tables, store, step, given):  # type: ignore[no-untyped-def]
         for u in range(len(plans)):
             below, strictly = True, False
             for t in range(types):
-                value = tables.factor[chosen] * explain[t] - tables.price[chosen]
+                value = tables.sets.discount[chosen] * explain[t] - tables.sets.price[chosen]
                 if value > plans[u, t]:
                     below = False
                     break

@@ -22,19 +22,13 @@ from xplain.errors import InputError
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.count_lattice import make_room
-from xplain.solvers.dynamic_programming import (
-    GIB,
-    Restricted,
-    best_set,
-    check_memory,
-    check_memory_gib,
-    messages_worth_giving,
-    restrict,
-)
 from xplain.solvers.hsvi.initial_bounds import Tables, make_tables, table_bytes
 from xplain.solvers.hsvi.pair_bounds import PairTables, with_own_room
 from xplain.solvers.hsvi.search import DONE, FULL, NEWS, TAIL, add_node, search, sweep, tighten
 from xplain.solvers.hsvi.tree import NODES, OPENED, WORK, Store, grown, make_store, store_bytes
+from xplain.solvers.memory import GIB, check_memory, check_memory_gib
+from xplain.solvers.model import best_set
+from xplain.solvers.restriction import Restricted, messages_worth_giving
 
 log = logging.getLogger(__name__)
 
@@ -124,7 +118,7 @@ def explore(
     """
     began = time.perf_counter()
     tables = tables._replace(pairs=with_own_room(tables.pairs))
-    types, steps, _ = tables.p.shape
+    steps, _, types = tables.explain.shape
     store = make_store(tables)
     root = add_node(tables, store, step, given, belief, np.zeros(types, dtype=np.int64))
     tail_gap = effort.gap * TAIL / steps
@@ -198,7 +192,7 @@ class Certified:
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """See :class:`xplain.solvers.base.Solver`."""
         kept = messages_worth_giving(problem)
-        small = restrict(problem, kept)
+        small = problem.with_messages(kept)
         tables = tables_within(small, self.memory_gib)
         found = explore(tables, 0, 0, small.prior, self._effort, small)
         brief = Effort(self.gap, self.decision_nodes, math.inf, self.memory_gib)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from xplain.numba_kernels import inlined, lean_kernel
 from xplain.solvers.count_lattice import hash_key
 from xplain.solvers.hsvi.initial_bounds import Tables
-from xplain.solvers.numba_kernels import inlined
 
 KEPT = 32
 """Alpha vectors, and upper bounds, kept for each (k, H)."""
@@ -60,7 +59,7 @@ NODES, ACTIONS, ANSWERS, CANDIDATES, PLACES, OPENED, WORK = range(7)
 
 def make_store(tables: Tables, nodes: int = 1 << 10) -> Store:
     """An empty store."""
-    types, steps, sets = tables.p.shape
+    steps, sets, types = tables.explain.shape
     actions, answers, places = max(4 * nodes, 2 * sets), 4 * nodes, 16
     return Store(
         np.zeros(7, dtype=np.int64),
@@ -130,7 +129,7 @@ def store_bytes(store: Store) -> int:
     return sum(array.nbytes for array in store)
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@lean_kernel
 def _rehash(store):  # type: ignore[no-untyped-def]
     for node in range(store.used[NODES]):
         slot = find(store, store.step[node], store.given[node], store.evidence[node])
@@ -162,11 +161,3 @@ def copy(source, target):  # type: ignore[no-untyped-def]
     """Fills an array [N] from another. (``target[:] = source`` would allocate.)"""
     for t in range(len(target)):
         target[t] = source[t]
-
-
-@inlined
-def dot(a, b):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for t in range(len(a)):
-        total += a[t] * b[t]
-    return total
