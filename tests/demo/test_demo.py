@@ -18,6 +18,7 @@ from xplain.demo.play import Simulated, play, stage
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.explanation.belief import Independent
 from xplain.message_sets import mask_of
+from xplain.participants.simulation.chromium import missing
 from xplain.solvers.qmdp import QMDP
 
 QUICK = ["points=150", "lambda=1.5"]
@@ -135,6 +136,8 @@ def test_bad_input_is_one_line(demo, tmp_path, arguments, words):
 
 @pytest.mark.browser
 def test_the_page_can_be_stepped_through(rescue, tmp_path):
+    if what := missing():
+        pytest.skip(f"no browser to drive: install {what}")
     from selenium import webdriver
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
