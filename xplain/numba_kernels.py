@@ -23,6 +23,7 @@ import llvmlite
 import numba
 import numpy as np
 from numba.core import event
+from numba.extending import typeof_impl
 
 log = logging.getLogger(__name__)
 
@@ -106,8 +107,9 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Any:
     folder = cache_folder()
     with _lock:
         before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, folder
+        options |= {"cache": bool(folder), "nogil": True, "no_cfunc_wrapper": True}  # no C calls us
         try:
-            return numba.njit(cache=bool(folder), nogil=True, **options)(function)
+            return numba.njit(**options)(function)
         finally:
             numba.config.CACHE_DIR = before
 
@@ -123,10 +125,26 @@ def lean_kernel(function: Callable[..., Any]) -> Any:
     return _compiled(function, _nrt=False)
 
 
-def inlined(function: Callable[..., Any]) -> Any:
+class inlined:
     """Decorates what is inlined into every lean kernel that calls it: numba passes an array by
-    value, seven words. For small parts of hot loops; each caller compiles it once more."""
-    return numba.njit(forceinline=True, _nrt=False)(function)
+    value, seven words. For parts of hot loops; each caller compiles it once more.
+
+    Called from Python, it is the plain function: what numba needs for such a call would take half
+    of the time to compile.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        unwrapped = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        self.compiled = numba.njit(forceinline=True, _nrt=False, **unwrapped)(function)
+        self.py_func = function
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.py_func(*arguments)
+
+
+@typeof_impl.register(inlined)  # type: ignore[untyped-decorator]
+def _typeof_inlined(value: inlined, context: Any) -> Any:
+    return numba.typeof(value.compiled)
 
 
 class _Listener(event.Listener):  # type: ignore[misc]

@@ -21,8 +21,8 @@ from xplain.errors import InputError, TooLargeError
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers.policy_evaluation import evaluate
+from xplain.solvers.pomcp import kernel as pomcp_kernel
 from xplain.solvers.pomcp.solver import POMCP, Search, _roots
-from xplain.solvers.pomcp.solver import kernel as pomcp_kernel
 from xplain.solvers.pomcp.tree import Tree, model_of
 from xplain.testing.problems import random_problem
 

@@ -231,7 +231,8 @@ def _lay_out(p, bits, informative, news, weight, likeliest):  # type: ignore[no-
                 differs |= p[t, i, given] != p[0, i, given]
                 code = mix((code + GOLDEN) ^ bits[t, i, given])
             if differs:
-                news[given, found] = p[:, i, given]
+                for t in range(types):  # a slice would compile for two seconds longer
+                    news[given, found, t] = p[t, i, given]
                 weight[given, found] = code
                 found += 1
             informative[given, i] = found
