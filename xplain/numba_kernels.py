@@ -23,6 +23,9 @@ import llvmlite
 import numba
 import numpy as np
 from numba.core import event
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import FunctionPass, register_pass
+from numba.core.untyped_passes import IRProcessing
 from numba.extending import typeof_impl
 
 log = logging.getLogger(__name__)
@@ -119,6 +122,48 @@ def kernel(function: Callable[..., Any]) -> Any:
     return _compiled(function)
 
 
+@register_pass(mutates_CFG=False, analysis_only=False)
+class _LeaveUnoptimized(FunctionPass):  # type: ignore[misc]
+    """numba links what a kernel calls into the kernel, and optimizes all of it there: whatever is
+    only called by kernels need not be optimized before, by itself and in each of its callers."""
+
+    _name = "leave_unoptimized"
+
+    def __init__(self) -> None:
+        FunctionPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        state.library._optimize_final_module = lambda: None
+        return False
+
+
+class _Part(CompilerBase):  # type: ignore[misc]
+    """Compiles what is only called by kernels."""
+
+    def define_pipelines(self) -> list[Any]:
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.add_pass_after(_LeaveUnoptimized, IRProcessing)
+        passes.finalize()
+        return [passes]
+
+
+PART: dict[str, Any] = {"_nrt": False, "no_cpython_wrapper": True, "pipeline_class": _Part}
+
+
+class shared_kernel:
+    """Decorates a lean kernel that several others call: compiled and cached once, without what a
+    call from Python would take. Called from Python, it is the plain function."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.compiled = _compiled(function, **PART)
+        self.py_func = function
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.py_func(*arguments)
+
+
 def lean_kernel(function: Callable[..., Any]) -> Any:
     """Decorates a kernel that makes no array. numba counts references to arrays at every call and
     wherever a row is taken out of one; here it does not (``_nrt``), nor may what it calls."""
@@ -134,8 +179,7 @@ class inlined:
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        unwrapped = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-        self.compiled = numba.njit(forceinline=True, _nrt=False, **unwrapped)(function)
+        self.compiled = numba.njit(forceinline=True, no_cfunc_wrapper=True, **PART)(function)
         self.py_func = function
 
     def __call__(self, *arguments: Any) -> Any:
@@ -143,7 +187,8 @@ class inlined:
 
 
 @typeof_impl.register(inlined)  # type: ignore[untyped-decorator]
-def _typeof_inlined(value: inlined, context: Any) -> Any:
+@typeof_impl.register(shared_kernel)  # type: ignore[untyped-decorator]
+def _typeof_inlined(value: inlined | shared_kernel, context: Any) -> Any:
     return numba.typeof(value.compiled)
 
 

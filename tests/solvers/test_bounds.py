@@ -10,7 +10,7 @@ from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.solvers import model
 from xplain.solvers.bounds import bounds, known_type_value
 from xplain.solvers.hsvi import initial_bounds
-from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.memory import GIB
 from xplain.solvers.policy_evaluation import evaluate

@@ -12,7 +12,7 @@ from xplain.experiment.pipeline import Costs, Prepared, problem_for, trace_seed
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
-from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.qmdp import QMDP
 

@@ -8,7 +8,9 @@ import numpy as np
 
 from xplain.errors import TooLargeError
 from xplain.explanation.problem import Problem
-from xplain.solvers.hsvi.solver import Effort, explore, tables_within
+from xplain.solvers.hsvi.explore import Effort, explore
+from xplain.solvers.hsvi.search import Start
+from xplain.solvers.hsvi.solver import tables_within
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.memory import check_memory
 from xplain.solvers.model import model_of, optimal_values, table_bytes
@@ -57,7 +59,7 @@ def bounds(problem: Problem, effort: Effort = DEFAULT) -> Bounds:
         lookahead = Lookahead(memory_gib=effort.memory_gib).plan(small)
         known = float(small.prior @ lookahead.policy.tables.optimal[0, 0])
         return Bounds(lookahead.lower, lookahead.upper, known)
-    found = explore(tables, 0, 0, small.prior, effort, small)
+    found = explore(tables, Start(0, 0, small.prior), effort, small)
     known = float(small.prior @ tables.optimal[0, 0])
     return Bounds(found.lower, found.upper, known)
 
