@@ -86,7 +86,8 @@ def _walk(problem: Problem, policy: Policy, limit: int) -> PolicyValue | None:
             given[b] |= new
             value -= mass[b] * model.discount**k * factor * price
             cost += mass[b] * undiscounted
-        zeros = (weight * explain_cost_at(model, k, given)).sum(axis=1)
+        sets, which = np.unique(given, return_inverse=True)
+        zeros = (weight * explain_cost_at(model, k, sets)[which]).sum(axis=1)
         cost += float(zeros.sum())
         value -= float(zeros @ _discounts(model, k, given))
         if k + 1 < problem.n_steps:

@@ -7,6 +7,8 @@ import math
 import time
 from dataclasses import dataclass
 
+import numpy as np
+
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
 from xplain.solvers.count_lattice import make_answers
@@ -172,8 +174,9 @@ class _Search:
 
     def back_up_all(self, new_pairs: bool = False) -> None:
         """Backs up all nodes."""
-        back_up_all(self.tables, self.store, NEWS * self.effort.gap, new_pairs)
         self.backed_up = int(self.store.used[NODES])
+        order = np.argsort(-self.store.nodes["step"][: self.backed_up], kind="stable")
+        back_up_all(self.tables, self.store, order, NEWS * self.effort.gap, new_pairs)
 
     @property
     def _seconds(self) -> float:

@@ -115,9 +115,7 @@ def sample(tables, store, start, limits, path, answers):  # type: ignore[no-unty
         return WORKING
     stop = store.used[WORK] + limits.work
     root = store.nodes[ROOT]
-    if root.first_action < 0 and not _open(tables, store, ROOT):
-        return FULL
-    while root.upper - root.lower > limits.gap and store.used[OPENED] < limits.opened:
+    while root.first_action < 0 or (_gap(root) > limits.gap and store.used[OPENED] < limits.opened):
         if store.used[WORK] >= stop:
             return WORKING
         found = store.used[OPENED] + store.used[ANSWERS]
@@ -264,7 +262,7 @@ def _best_plan(plans, weight):  # type: ignore[no-untyped-def]
     return chosen
 
 
-@shared_kernel
+@inlined
 def _open(tables, store, index):  # type: ignore[no-untyped-def]
     """Lists the sets of messages that may be optimal at a node. False where the store is full."""
     node = store.nodes[index]
@@ -337,7 +335,7 @@ def _in_pairs(tables, step, given, chosen):  # type: ignore[no-untyped-def]
     return tables.sets.discount[chosen] * explain - tables.sets.price[chosen]
 
 
-@shared_kernel
+@inlined
 def _expand(tables, store, index, a, gap, answers):  # type: ignore[no-untyped-def]
     """Makes the nodes of an action's answers, but for a tail of unlikely ones that widens the
     gap by no more than ``gap``. False where the store or ``answers`` is full."""
@@ -413,26 +411,24 @@ def _back_up(used, nodes, actions, answers, index, a):  # type: ignore[no-untype
 
 
 @lean_kernel
-def back_up_all(tables, store, least, new_pairs):  # type: ignore[no-untyped-def]
-    """Backs up all that is open, the last step first, and lets every node profit by what others at
-    its (k, H) published since it was last visited: a trial visits one node a step. ``least`` as
-    in :func:`publish`; with ``new_pairs``, upper bounds are first lowered to those of the pairs."""
+def back_up_all(tables, store, order, least, new_pairs):  # type: ignore[no-untyped-def]
+    """Backs up all that is open, and lets every node profit by what others at its (k, H) published
+    since it was last visited: a trial visits one node a step. ``order`` is that of all nodes, the
+    last step first; ``least`` as in :func:`publish`; with ``new_pairs``, upper bounds are first
+    lowered to those of the pairs."""
     if new_pairs:
         for index in range(store.used[NODES]):
             _tighten_by_pairs(tables, store, index)
-    for step in range(len(tables.explain) - 1, -1, -1):
-        for index in range(store.used[NODES]):
-            node = store.nodes[index]
-            if node.step != step:
-                continue
-            upper, lower = node.upper, node.lower
-            tighten_by_shared(tables.optimal, store, index)
-            for a in range(node.first_action, node.first_action + node.n_actions):
-                if store.actions[a].first_answer >= 0:
-                    _back_up(store.used, store.nodes, store.actions, store.answers, index, a)
-            improved = node.upper < upper - least or node.lower > lower + least
-            if node.first_action >= 0 and improved:
-                publish(tables, store, index, upper, lower, least)
+    for index in order:
+        node = store.nodes[index]
+        upper, lower = node.upper, node.lower
+        tighten_by_shared(tables.optimal, store, index)
+        for a in range(node.first_action, node.first_action + node.n_actions):
+            if store.actions[a].first_answer >= 0:
+                _back_up(store.used, store.nodes, store.actions, store.answers, index, a)
+        improved = node.upper < upper - least or node.lower > lower + least
+        if node.first_action >= 0 and improved:
+            publish(tables, store, index, upper, lower, least)
 
 
 @inlined

@@ -19,7 +19,7 @@ ROUNDING = 1e-14
 """Differences below this are rounding."""
 
 
-@shared_kernel
+@inlined
 def tighten_by_shared(optimal, store, index):  # type: ignore[no-untyped-def]
     """Tightens a node's bounds by what was published at its (k, H). ``optimal``: V*."""
     node, belief = store.nodes[index], store.belief[index]
