@@ -27,10 +27,10 @@ def test_bounds_and_prices_enclose_the_truth() -> None:
         assert found.lower - 1e-9 <= optimum <= found.upper + 1e-9
         assert found.known_type == pytest.approx(known_type_value(problem))
         assert found.known_type >= optimum - 1e-9
-        least, most = found.price_of_not_knowing
+        least, most = found.value_of_perfect_information
         assert least - 1e-9 <= found.known_type - optimum <= most + 1e-9
         value = evaluate(problem, QMDP().plan(problem)).value
-        least, most = found.price_of_approximation(value)
+        least, most = found.suboptimality(value)
         assert least - 1e-9 <= optimum - value <= most + 1e-9
 
 

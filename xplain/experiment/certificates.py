@@ -76,7 +76,7 @@ class Certify:
 
     def _one(self, problem: Problem, own: Problem, solver: Solver, seed: int) -> dict[str, float]:
         found = bounds(problem, Effort(gap=self.gap, nodes=self.nodes, memory_gib=2.0))
-        low, high = found.price_of_not_knowing
+        low, high = found.value_of_perfect_information
         row = {
             "optimal_lower": found.lower,
             "optimal_upper": found.upper,
@@ -94,8 +94,8 @@ class Certify:
             world = problem.with_types(mixture, own.type_names)
         worth = evaluate(world, solver.plan(own, seed), self.beliefs, self.episodes, seed)
         margin = 1.96 * worth.value_se
-        low, _ = found.price_of_approximation(worth.value + margin)
-        _, high = found.price_of_approximation(worth.value - margin)
+        low, _ = found.suboptimality(worth.value + margin)
+        _, high = found.suboptimality(worth.value - margin)
         return row | {
             "policy_value": worth.value,
             "policy_value_se": worth.value_se,

@@ -1,4 +1,4 @@
-"""The explanation problem of one trace: all that a solver needs to know (SPEC §5).
+"""The explanation problem of one trace: all that a solver needs to know (docs/method.md §5).
 
 The literal POMDP has states ⟨k, L, E_given, E_next, t⟩. Labels are drawn afresh each step, so
 (k, H, belief) with H = E_given ∪ E_next is a sufficient state, and one table of label

@@ -31,13 +31,14 @@ class Bounds:
     known_type: float
 
     @property
-    def price_of_not_knowing(self) -> tuple[float, float]:
-        """``known_type`` minus the optimum: at least, at most."""
+    def value_of_perfect_information(self) -> tuple[float, float]:
+        """Expected value of perfect information: what being told the type at the start is worth,
+        ``known_type`` minus the optimum. At least, at most."""
         return max(self.known_type - self.upper, 0.0), max(self.known_type - self.lower, 0.0)
 
-    def price_of_approximation(self, value: float) -> tuple[float, float]:
+    def suboptimality(self, value: float) -> tuple[float, float]:
         """The optimum minus a policy's value: at least, at most. The value itself is a lower
-        bound where it is exact."""
+        bound on the optimum where it is exact."""
         return max(self.lower - value, 0.0), max(self.upper - value, 0.0)
 
 
@@ -46,7 +47,7 @@ DEFAULT = Effort(gap=1e-3, nodes=2_000, memory_gib=2.0)
 
 
 def bounds(problem: Problem, effort: Effort = DEFAULT) -> Bounds:
-    """Certified bounds of the optimal value: by gap search, or where its tables would take more
+    """Certified bounds of the optimal value: by HSVI, or where its tables would take more
     than the effort's memory by one step of lookahead.
 
     Raises:

@@ -19,7 +19,7 @@ from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
 from xplain.randomness import stream
 from xplain.solvers.base import Policy
-from xplain.solvers.cached_policy import Remembered
+from xplain.solvers.cached_policy import CachedPolicy
 from xplain.solvers.count_lattice import branch, copy, hash_key, make_answers, same
 from xplain.solvers.model import Model, explain_cost_at, model_of
 
@@ -61,7 +61,7 @@ def evaluate(
         episodes: then simulated.
         seed: of the simulated labels' stream.
     """
-    asked = Remembered(policy)
+    asked = CachedPolicy(policy)
     exact = _walk(problem, asked, beliefs)
     return exact if exact is not None else simulate(problem, asked, episodes, seed)
 
@@ -213,7 +213,7 @@ def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> Poli
     """The policy's worth as a mean over simulated users, with its standard error."""
     rng, model = stream(seed, "policy_value"), model_of(problem)
     values, costs = np.zeros(episodes), np.zeros(episodes)
-    asked = policy if isinstance(policy, Remembered) else Remembered(policy)
+    asked = policy if isinstance(policy, CachedPolicy) else CachedPolicy(policy)
     for episode in range(episodes):
         user_type = rng.choice(problem.n_types, p=problem.prior)
         given, belief = 0, problem.prior
