@@ -23,6 +23,9 @@ import llvmlite
 import numba
 import numpy as np
 from numba.core import event
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import FunctionPass, register_pass
+from numba.core.untyped_passes import IRProcessing
 from numba.extending import typeof_impl
 
 log = logging.getLogger(__name__)
@@ -119,19 +122,54 @@ def kernel(function: Callable[..., Any]) -> Any:
     return _compiled(function)
 
 
+@register_pass(mutates_CFG=False, analysis_only=False)
+class _LeaveUnoptimized(FunctionPass):  # type: ignore[misc]
+    """numba links what a kernel calls into the kernel, and optimizes all of it there: whatever is
+    only called by kernels need not be optimized before, by itself and in each of its callers."""
+
+    _name = "leave_unoptimized"
+
+    def __init__(self) -> None:
+        FunctionPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        state.library._optimize_final_module = lambda: None
+        return False
+
+
+class _PartCompiler(CompilerBase):  # type: ignore[misc]
+    """Compiles what is only called by kernels."""
+
+    def define_pipelines(self) -> list[Any]:
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.add_pass_after(_LeaveUnoptimized, IRProcessing)
+        passes.finalize()
+        return [passes]
+
+
 def lean_kernel(function: Callable[..., Any]) -> Any:
     """Decorates a kernel that makes no array. numba counts references to arrays at every call and
     wherever a row is taken out of one; here it does not (``_nrt``), nor may what it calls."""
     return _compiled(function, _nrt=False)
 
 
+_NO_CALL_FROM_PYTHON = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_LEAN_PART = {"_nrt": False, "no_cpython_wrapper": True, "pipeline_class": _PartCompiler}
+
+
 class Part:
     """What only kernels call. From Python it is the plain function: what numba needs for such a
-    call would take half of the time to compile."""
+    call would take half of the time to compile.
 
-    def __init__(self, function: Callable[..., Any], **options: Any) -> None:
-        unwrapped = {"nogil": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-        self.compiled = numba.njit(**options, **unwrapped)(function)
+    Attributes:
+        compiled: numba's dispatcher, which kernels see.
+        py_func: the plain function.
+    """
+
+    def __init__(self, compiled: Any, function: Callable[..., Any]) -> None:
+        self.compiled = compiled
         self.py_func = function
 
     def __call__(self, *arguments: Any) -> Any:
@@ -145,13 +183,19 @@ def _typeof_part(value: Part, context: Any) -> Any:
 
 def called(function: Callable[..., Any]) -> Part:
     """Decorates what kernels call."""
-    return Part(function)
+    return Part(numba.njit(nogil=True, **_NO_CALL_FROM_PYTHON)(function), function)
+
+
+def shared_kernel(function: Callable[..., Any]) -> Part:
+    """Decorates what several lean kernels call: compiled and cached once for all of them."""
+    return Part(_compiled(function, **_LEAN_PART), function)
 
 
 def inlined(function: Callable[..., Any]) -> Part:
     """Decorates what is inlined into every lean kernel that calls it: numba passes an array by
     value, seven words. For parts of hot loops; each caller compiles it once more."""
-    return Part(function, forceinline=True, _nrt=False)
+    part = numba.njit(forceinline=True, no_cfunc_wrapper=True, **_LEAN_PART)(function)
+    return Part(part, function)
 
 
 class _Listener(event.Listener):  # type: ignore[misc]

@@ -11,7 +11,7 @@ from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.solvers import model
 from xplain.solvers.bounds import Bounds, bounds, known_type_value
 from xplain.solvers.hsvi import initial_bounds
-from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.memory import GIB
 from xplain.solvers.policy_evaluation import evaluate
@@ -30,10 +30,10 @@ def test_bounds_and_prices_enclose_the_truth() -> None:
         assert found.known_type == pytest.approx(float(problem.prior @ each), abs=1e-9)
         assert known_type_value(problem) == pytest.approx(found.known_type, abs=1e-9)
         assert found.known_type >= optimum - 1e-9
-        least, most = found.price_of_not_knowing
+        least, most = found.value_of_perfect_information
         assert least - 1e-9 <= found.known_type - optimum <= most + 1e-9
         value = evaluate(problem, QMDP().plan(problem)).value
-        least, most = found.price_of_approximation(value)
+        least, most = found.suboptimality(value)
         assert least - 1e-9 <= optimum - value <= most + 1e-9
 
 

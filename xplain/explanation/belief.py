@@ -1,4 +1,4 @@
-"""Beliefs over user types (SPEC §5, paper's belief update).
+"""Beliefs over user types (docs/method.md §5, paper's belief update).
 
 A belief is an array [N] that sums to 1. A *belief update* is a function of what the user was
 shown and answered; which labels count as evidence is the choice made here.

@@ -1,4 +1,4 @@
-"""The explanation problem of one trace: all that a solver needs to know (SPEC §5).
+"""The explanation problem of one trace: all that a solver needs to know (docs/method.md §5).
 
 The literal POMDP has states ⟨k, L, E_given, E_next, t⟩. Labels are drawn afresh each step, so
 (k, H, belief) with H = E_given ∪ E_next is a sufficient state, and one table of label
@@ -143,7 +143,9 @@ class Problem:
 
     def messages_with_effect(self) -> tuple[int, ...]:
         """The positions of the messages that change some P[t, i, H]."""
-        return tuple(j for j in range(self.n_messages) if self._has_effect(j))
+        alone = self.p_explicable[:, :, [1 << j for j in range(self.n_messages)]]
+        clear = (alone != self.p_explicable[:, :, :1]).any(axis=(0, 1))
+        return tuple(j for j in range(self.n_messages) if clear[j] or self._has_effect(j))
 
     def _has_effect(self, message: int) -> bool:
         # Type by type: most messages matter to the first, and comparing takes memory.

@@ -8,7 +8,9 @@ import numpy as np
 
 from xplain.errors import TooLargeError
 from xplain.explanation.problem import Problem
-from xplain.solvers.hsvi.solver import Effort, explore, tables_within
+from xplain.solvers.hsvi.explore import Effort, explore
+from xplain.solvers.hsvi.search import Start
+from xplain.solvers.hsvi.solver import tables_within
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.memory import check_memory
 from xplain.solvers.model import model_of, optimal_values, table_bytes
@@ -29,13 +31,14 @@ class Bounds:
     known_type: float
 
     @property
-    def price_of_not_knowing(self) -> tuple[float, float]:
-        """``known_type`` minus the optimum: at least, at most."""
+    def value_of_perfect_information(self) -> tuple[float, float]:
+        """Expected value of perfect information: what being told the type at the start is worth,
+        ``known_type`` minus the optimum. At least, at most."""
         return max(self.known_type - self.upper, 0.0), max(self.known_type - self.lower, 0.0)
 
-    def price_of_approximation(self, value: float) -> tuple[float, float]:
+    def suboptimality(self, value: float) -> tuple[float, float]:
         """The optimum minus a policy's value: at least, at most. The value itself is a lower
-        bound where it is exact."""
+        bound on the optimum where it is exact."""
         return max(self.lower - value, 0.0), max(self.upper - value, 0.0)
 
 
@@ -44,7 +47,7 @@ DEFAULT = Effort(gap=1e-3, nodes=2_000, memory_gib=2.0)
 
 
 def bounds(problem: Problem, effort: Effort = DEFAULT) -> Bounds:
-    """Certified bounds of the optimal value: by gap search, or where its tables would take more
+    """Certified bounds of the optimal value: by HSVI, or where its tables would take more
     than the effort's memory by one step of lookahead.
 
     Raises:
@@ -57,7 +60,7 @@ def bounds(problem: Problem, effort: Effort = DEFAULT) -> Bounds:
         lookahead = Lookahead(memory_gib=effort.memory_gib).plan(small)
         known = float(small.prior @ lookahead.policy.tables.optimal[0, 0])
         return Bounds(lookahead.lower, lookahead.upper, known)
-    found = explore(tables, 0, 0, small.prior, effort, small)
+    found = explore(tables, Start(0, 0, small.prior), effort, small)
     known = float(small.prior @ tables.optimal[0, 0])
     return Bounds(found.lower, found.upper, known)
 

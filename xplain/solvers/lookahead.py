@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import kernel
+from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.base import Knowledge
-from xplain.solvers.count_lattice import branch, make_room
+from xplain.solvers.count_lattice import branch, make_answers
 from xplain.solvers.memory import check_memory, check_memory_gib
 from xplain.solvers.model import (
     Model,
@@ -115,9 +115,7 @@ class Expectimax:
             given,
             belief.copy(),
             self.candidates,
-            np.empty((self.answers, model.n_types)),
-            np.empty((self.answers, model.n_types), dtype=np.int64),
-            make_room(model.n_steps, model.n_types),
+            make_answers(self.answers, model.n_steps, model.n_types),
         )
         return dict(zip(sets.tolist(), scores.tolist(), strict=True)), float(rest)
 
@@ -173,15 +171,15 @@ def _plan_value(tables: Tables, prior: NDArray[np.float64], plan: list[int]) -> 
 
 
 @kernel
-def _look(tables, step, given, belief, candidates, out_weight, out_evidence, room):  # type: ignore[no-untyped-def]
+def _look(tables, step, given, belief, candidates, answers):  # type: ignore[no-untyped-def]
     """The best sets by QMDP, their scores after a look at the answers, the best other score."""
     model, optimal = tables.model, tables.optimal
-    scores = _qmdp_scores(tables, step, given, belief)
+    scores = np.full(len(tables.sets.price), -np.inf)
+    _score_by_qmdp(tables, step, given, belief, scores)
     count = 0
     sets = np.empty(candidates, dtype=np.int64)
     best = np.empty(candidates)
     evidence = np.zeros(len(belief), dtype=np.int64)
-    tail = np.empty(len(belief))
     while count < candidates:
         chosen = int(np.argmax(scores))
         if scores[chosen] == -np.inf:
@@ -190,13 +188,11 @@ def _look(tables, step, given, belief, candidates, out_weight, out_evidence, roo
         scores[chosen] = -np.inf
         shown = given | chosen
         if step + 2 < len(optimal):
-            answers = branch(
-                model, step, shown, belief, evidence, 1e-9, out_weight, out_evidence, tail, room
-            )
-            if answers >= 0:
-                later = expected(tail, optimal[step + 1, shown])
-                for a in range(answers):
-                    later += _qmdp(tables, step + 1, shown, out_weight[a])
+            listed = branch(model, step, shown, belief, evidence, 1e-9, answers)
+            if listed >= 0:
+                later = expected(answers.tail, optimal[step + 1, shown])
+                for a in range(listed):
+                    later += _qmdp(tables, step + 1, shown, answers.weight[a])
                 cost = 0.0
                 for t in range(len(belief)):
                     if belief[t] > 0.0:
@@ -207,12 +203,11 @@ def _look(tables, step, given, belief, candidates, out_weight, out_evidence, roo
     return sets[:count], best[:count], scores.max()
 
 
-@kernel
-def _qmdp_scores(tables, step, given, belief):  # type: ignore[no-untyped-def]
-    """[2^n] Σ_t b(t) Q*_t of every set of messages not given; −inf of the others."""
+@inlined
+def _score_by_qmdp(tables, step, given, belief, scores):  # type: ignore[no-untyped-def]
+    """Fills in ``scores`` [2^n], Σ_t b(t) Q*_t of every set of messages not given."""
     model = tables.model
     free = (len(tables.sets.price) - 1) & ~given
-    scores = np.full(len(tables.sets.price), -np.inf)
     chosen = 0
     while True:
         shown = given | chosen
@@ -224,10 +219,10 @@ def _qmdp_scores(tables, step, given, belief):  # type: ignore[no-untyped-def]
         scores[chosen] = tables.sets.discount[chosen] * value - tables.sets.price[chosen]
         chosen = (chosen - free) & free
         if chosen == 0:
-            return scores
+            return
 
 
-@kernel
+@inlined
 def _qmdp(tables, step, given, weight):  # type: ignore[no-untyped-def]
     """max_a Σ_t w(t) Q*_t(k, H, a), for a belief times its probability."""
     model = tables.model

@@ -29,11 +29,11 @@ class QHR:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """See :class:`xplain.solvers.base.Solver`."""
-        return SilentAfterwards(model_of(problem))
+        return QHRPolicy(model_of(problem))
 
 
 @dataclass(frozen=True)
-class SilentAfterwards:
+class QHRPolicy:
     """Maximises QHR's closed form. Ties: fewest messages first, then message order."""
 
     model: Model

@@ -7,7 +7,7 @@ import pytest
 
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
-from xplain.solvers.hsvi import solver as certified
+from xplain.solvers.hsvi import explore as hsvi
 from xplain.solvers.hsvi.pair_bounds import SWEEPS, Pairs, PairTables, mix, mixed
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
 from xplain.solvers.model import model_of, optimal_values
@@ -68,8 +68,8 @@ def test_the_mixture_is_the_belief() -> None:
 
 def test_a_search_that_makes_them_midway_stays_right(monkeypatch: pytest.MonkeyPatch) -> None:
     """At once, which long searches alone would do: bounds hold, and close to 1e-6."""
-    monkeypatch.setattr(certified, "CHUNK", 1)
-    monkeypatch.setattr(certified, "WORTH", 1e9)
+    monkeypatch.setattr(hsvi, "CHUNK", 1)
+    monkeypatch.setattr(hsvi, "WORTH", 1e9)
     rng = np.random.default_rng(33)
     made = 0
     for _ in range(300):

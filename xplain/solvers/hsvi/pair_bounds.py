@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import inlined, kernel
-from xplain.solvers.count_lattice import branch, make_room
+from xplain.numba_kernels import inlined, kernel, shared_kernel
+from xplain.solvers.count_lattice import branch, make_answers
 from xplain.solvers.model import Model, explain_costs, model_of
 from xplain.solvers.restriction import messages_worth_giving
 
@@ -32,8 +32,9 @@ NEGLIGIBLE = 1e-7
 """Answers rarer than this are taken to tell the type, which can only raise the bound."""
 LIGHT = 1e-4
 """Types less likely than this stay as they were split."""
-SWEEPS = 3
-"""Over all shifts of weight, each smaller than the last."""
+NO_SWEEP, SWEEPS = np.int64(0), np.int64(3)
+"""Over all shifts of weight, each smaller than the last. (Not literals: numba would compile for
+each.)"""
 
 
 class Pairs(NamedTuple):
@@ -43,7 +44,6 @@ class Pairs(NamedTuple):
         row: [2^n, P] where a pair's values for H are.
         optimal: [m + 1, rows, G] upper bounds of V* at the grid's beliefs.
         explain: [m, rows, G] of Q* of *explain*.
-        grid: [G].
         share: [N, N] of type t's weight, what its pair with u has.
         cell: [P] the last grid point below a pair's belief.
         weight: [P, 2] how much there and at the next point.
@@ -52,7 +52,6 @@ class Pairs(NamedTuple):
     row: NDArray[np.int64]
     optimal: NDArray[np.float64]
     explain: NDArray[np.float64]
-    grid: NDArray[np.float64]
     share: NDArray[np.float64]
     cell: NDArray[np.int64]
     weight: NDArray[np.float64]
@@ -134,7 +133,6 @@ def _joined(
         np.stack(rows, 1) if rows else np.empty((sets, 0), dtype=np.int64),
         np.concatenate([np.empty((steps + 1, 0, len(GRID))), *optimal], axis=1),
         np.concatenate([np.empty((steps, 0, len(GRID))), *explain], axis=1),
-        GRID,
         np.zeros((types, types)),
         np.zeros(pairs, dtype=np.int64),
         np.zeros((pairs, 2)),
@@ -146,44 +144,35 @@ def _pair_tables(two: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     steps, sets = two.n_steps, two.n_sets
     optimal, explain = np.zeros((steps + 1, sets, len(GRID))), np.empty((steps, sets, len(GRID)))
     costs = explain_costs(two)
-    working = np.empty(2), make_room(steps, 2)
     capacity = 64
     # One call a step, so that Ctrl-C is heard between them.
     for k in reversed(range(steps)):
         while True:
-            buffers = np.empty((capacity, 2)), np.empty((capacity, 2), dtype=np.int64)
-            if _pair_step(two, k, costs[k], GRID, optimal, explain[k], *buffers, *working):
+            answers = make_answers(capacity, steps, 2)
+            if _pair_step(two, k, costs[k], optimal, explain[k], answers):
                 break
             capacity *= 4
     return optimal, explain
 
 
 @kernel
-def _pair_step(  # type: ignore[no-untyped-def]
-    model, k, costs, grid, optimal, explain, out_weight, out_evidence, tail, room
-):
-    """One step backwards in k; False where there are more answers than room."""
-    sets, points = optimal.shape[1:]
-    even, nothing = np.full(2, 0.5), np.zeros(2, dtype=np.int64)
+def _pair_step(model, k, costs, optimal, explain, answers):  # type: ignore[no-untyped-def]
+    """One step backwards in k: fills ``optimal[k]`` [2^n, G] and ``explain`` [2^n, G]. False where
+    there are more answers than room. ``costs`` [2^n, 2] are those of *explain*."""
     last = k == len(optimal) - 2
-    for given in range(sets - 1, -1, -1):
-        after = optimal[k + 1, given]
-        answers = 0
+    even, nothing = np.full(2, 0.5), np.zeros(2, dtype=np.int64)
+    for given in range(len(costs) - 1, -1, -1):
+        count = 0
         if not last:
-            answers = branch(
-                model, k, given, even, nothing, NEGLIGIBLE, out_weight, out_evidence, tail, room
-            )
-            if answers < 0:
+            count = branch(model, k, given, even, nothing, NEGLIGIBLE, answers)
+            if count < 0:
                 return False
-        for g in range(points):
+        for g in range(len(GRID)):
             # The even prior of the answers, made this belief.
-            one, two = 2.0 * grid[g], 2.0 * (1.0 - grid[g])
+            one, two = 2.0 * GRID[g], 2.0 * (1.0 - GRID[g])
             value = 0.0
             if not last:
-                value = one * tail[0] * after[points - 1] + two * tail[1] * after[0]
-            for o in range(answers):
-                x, y = one * out_weight[o, 0], two * out_weight[o, 1]
-                value += _value(grid, after, x, y)
+                value = _explained(optimal[k + 1, given], one, two, count, answers)
             explain[given, g] = model.discount * value
             explain[given, g] -= 0.5 * (one * costs[given, 0] + two * costs[given, 1])
             best = explain[given, g]
@@ -197,12 +186,22 @@ def _pair_step(  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _cell(grid, belief):  # type: ignore[no-untyped-def]
+def _explained(after, one, two, count, answers):  # type: ignore[no-untyped-def]
+    """Expected value after the answers, from ``after`` [G], where the types' weights are ``one``
+    and ``two`` times those of the answers."""
+    value = one * answers.tail[0] * after[len(GRID) - 1] + two * answers.tail[1] * after[0]
+    for a in range(count):
+        value += _value(after, one * answers.weight[a, 0], two * answers.weight[a, 1])
+    return value
+
+
+@inlined
+def _cell(belief):  # type: ignore[no-untyped-def]
     """The last grid point at or below a belief, but never the very last."""
-    low, high = 0, len(grid) - 1
+    low, high = 0, len(GRID) - 1
     while high - low > 1:
         middle = (low + high) // 2
-        if grid[middle] <= belief:
+        if GRID[middle] <= belief:
             low = middle
         else:
             high = middle
@@ -210,14 +209,14 @@ def _cell(grid, belief):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _value(grid, table, x, y):  # type: ignore[no-untyped-def]
+def _value(table, x, y):  # type: ignore[no-untyped-def]
     """A pair's value [G] where its types weigh x and y, times x + y."""
     total = x + y
     if total <= 0.0:
         return 0.0
     belief = x / total
-    g = _cell(grid, belief)
-    further = (belief - grid[g]) / (grid[g + 1] - grid[g])
+    g = _cell(belief)
+    further = (belief - GRID[g]) / (GRID[g + 1] - GRID[g])
     return total * (table[g] + further * (table[g + 1] - table[g]))
 
 
@@ -233,58 +232,72 @@ def _shared(pairs, table, given, t, u, x, y):  # type: ignore[no-untyped-def]
     if t > u:
         t, u, x, y = u, t, y, x
     q = _pair(t, u, pairs.share.shape[0])
-    return _value(pairs.grid, table[pairs.row[given, q]], x, y)
+    return _value(table[pairs.row[given, q]], x, y)
 
 
-@inlined
+@shared_kernel
 def mix(pairs, step, given, belief, sweeps):  # type: ignore[no-untyped-def]
     """Makes the mixture for a belief at (k, H), in the room of ``pairs``.
 
     Returns:
-        Whether there is one: not without tables, nor where the type is known.
+        Whether there is one: not where the type is known.
     """
-    types = len(belief)
-    if pairs.row.shape[1] == 0:
-        return False
-    table, share = pairs.optimal[step], pairs.share
-    possible = 0
-    for t in range(types):
-        others = 0.0
-        for u in range(types):
-            others += belief[u] if u != t else 0.0
-        possible += belief[t] > 0.0
-        for u in range(types):
-            share[t, u] = belief[t] * belief[u] / others if u != t and others > 0.0 else 0.0
+    possible = _split(pairs, belief)
     if possible < 2:
         return False
     part = 1.0
     for _ in range(sweeps if possible > 2 else 0):
-        for t in range(types):
-            for u in range(types):
-                for v in range(types):
-                    light = min(belief[t], belief[u], belief[v]) < LIGHT
-                    if light or u in (t, v) or v == t:
-                        continue
-                    shift = part * share[t, u]
-                    now = _shared(pairs, table, given, t, u, share[t, u], share[u, t])
-                    now += _shared(pairs, table, given, t, v, share[t, v], share[v, t])
-                    then = _shared(pairs, table, given, t, u, share[t, u] - shift, share[u, t])
-                    then += _shared(pairs, table, given, t, v, share[t, v] + shift, share[v, t])
-                    if then < now:
-                        share[t, u] -= shift
-                        share[t, v] += shift
+        _shift(pairs, pairs.optimal[step], given, belief, part)
         part *= 0.6
+    types, share = len(belief), pairs.share
     for t in range(types):
         for u in range(t + 1, types):
             q = _pair(t, u, types)
             total = share[t, u] + share[u, t]
             at = share[t, u] / total if total > 0.0 else 0.0
-            g = _cell(pairs.grid, at)
-            further = (at - pairs.grid[g]) / (pairs.grid[g + 1] - pairs.grid[g])
+            g = _cell(at)
+            further = (at - GRID[g]) / (GRID[g + 1] - GRID[g])
             pairs.cell[q] = g
             pairs.weight[q, 0] = total * (1.0 - further)
             pairs.weight[q, 1] = total * further
     return True
+
+
+@inlined
+def _split(pairs, belief):  # type: ignore[no-untyped-def]
+    """Splits every type's weight among the others in proportion to theirs; returns how many types
+    are possible."""
+    possible = 0
+    for t in range(len(belief)):
+        others = 0.0
+        for u in range(len(belief)):
+            others += belief[u] if u != t else 0.0
+        possible += belief[t] > 0.0
+        for u in range(len(belief)):
+            split = u != t and others > 0.0
+            pairs.share[t, u] = belief[t] * belief[u] / others if split else 0.0
+    return possible
+
+
+@inlined
+def _shift(pairs, table, given, belief, part):  # type: ignore[no-untyped-def]
+    """Shifts a part of each type's weight from one of its pairs to another wherever that lowers
+    the bound."""
+    types, share = len(belief), pairs.share
+    for t in range(types):
+        for u in range(types):
+            for v in range(types):
+                light = min(belief[t], belief[u], belief[v]) < LIGHT
+                if light or u in (t, v) or v == t:
+                    continue
+                shift = part * share[t, u]
+                now = _shared(pairs, table, given, t, u, share[t, u], share[u, t])
+                now += _shared(pairs, table, given, t, v, share[t, v], share[v, t])
+                then = _shared(pairs, table, given, t, u, share[t, u] - shift, share[u, t])
+                then += _shared(pairs, table, given, t, v, share[t, v] + shift, share[v, t])
+                if then < now:
+                    share[t, u] -= shift
+                    share[t, v] += shift
 
 
 @inlined
