@@ -21,8 +21,9 @@ from rich.console import Console
 from rich.table import Table
 
 from xplain.explanation.problem import Problem
-from xplain.solvers.dynamic_programming import GIB, optimal_values, table_bytes
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
+from xplain.solvers.memory import GIB
+from xplain.solvers.model import model_of, optimal_values, table_bytes
 from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.qmdp import QMDP
 
@@ -59,7 +60,9 @@ def tables(quick: bool, repeats: int) -> Table:
     sizes += [(m, 12, 5) for m in (5, 10, 40)] + [(20, 12, types) for types in (2, 10, 20)]
     for m, n, types in sizes:
         problem = facts_problem(m, n, types)
-        seconds = median_seconds(lambda p=problem: optimal_values(p), 1 if n > 16 else repeats)
+        seconds = median_seconds(
+            lambda p=problem: optimal_values(model_of(p)), 1 if n > 16 else repeats
+        )
         policy = QMDP().plan(problem)
         decision = median_seconds(
             lambda q=policy, p=problem: q.messages(0, 0, p.prior), 5 * repeats

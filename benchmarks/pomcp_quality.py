@@ -18,7 +18,7 @@ from pomcp import problem_of
 from xplain.config import CONF
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
-from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.policy_evaluation import evaluate
 
 

@@ -19,7 +19,6 @@ VARIANTS = {
     "labeler/practice",
     "labeler/pruned",
     "solver/clairvoyant",
-    "solver/pomcp",  # POMCP's own default is fewer simulations
     "solver/pomcp_paper",
     "domain/cliff_walking",
     "domain/frozen_lake",

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
+import venv
+from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
@@ -15,18 +18,46 @@ from tests.conftest import ROOT
 EXAMPLES = sorted(path.parent.name for path in (ROOT / "examples").glob("*/pyproject.toml"))
 
 
+PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check")
+
+
 @pytest.fixture(scope="session")
-def installed(tmp_path_factory):
-    """A folder with xplain and all examples, installed from wheels that were built here."""
+def wheels(tmp_path_factory):
+    """A folder with the wheels of xplain and all examples, built here."""
     pytest.importorskip("hatchling", reason="pip install 'xplain-hri[test]'")
-    wheels, site = tmp_path_factory.mktemp("wheels"), tmp_path_factory.mktemp("site")
+    folder = tmp_path_factory.mktemp("wheels")
     sources = [ROOT, *(ROOT / "examples" / name for name in EXAMPLES)]
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
-    build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(wheels)]
+    build = [*PIP, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder)]
     ran(*build, *map(str, sources))
-    ran(*pip, "install", "--no-deps", "--no-index", "--target", str(site),
-        *map(str, wheels.glob("*.whl")))  # fmt: skip
+    return folder
+
+
+@pytest.fixture(scope="session")
+def installed(wheels, tmp_path_factory):
+    """A folder with xplain and all examples, installed from the wheels."""
+    site = tmp_path_factory.mktemp("site")
+    install(site, *wheels.glob("*.whl"))
     return site
+
+
+@pytest.fixture
+def bare(wheels, tmp_path):
+    """The interpreter of an environment with xplain's wheel, numpy, scipy, numba, and nothing
+    else."""
+    venv.create(tmp_path / "bare", with_pip=False, symlinks=True)
+    python = tmp_path / "bare" / "bin" / "python"
+    site = Path(ran(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
+    for name in ("numpy", "scipy", "numba", "llvmlite"):  # numba is no numba without llvmlite
+        package = distribution(name)
+        for top in {file.parts[0] for file in package.files} - {".."}:
+            (site / top).symlink_to(package.locate_file(top))
+    install(site, *wheels.glob("xplain_hri-*.whl"))
+    return python
+
+
+def install(site, *files):
+    """Into a folder, without a network."""
+    ran(*PIP, "install", "--no-deps", "--no-index", "--target", str(site), *map(str, files))
 
 
 def ran(*command, **options):
@@ -70,6 +101,7 @@ def test_the_wheel_carries_what_the_commands_need(installed, tmp_path):
         assert shipped
     for page in (ROOT / "xplain").rglob("*.html"):
         assert (installed / page.relative_to(ROOT)).exists()
+    assert (installed / "xplain" / "py.typed").exists()
     where = elsewhere(installed, tmp_path)
     assert "lambda: 1.0" in ran(sys.executable, "-m", "xplain", "--cfg", "job", **where)
     said = ran(
@@ -78,6 +110,21 @@ def test_the_wheel_carries_what_the_commands_need(installed, tmp_path):
         **where,
     )
     assert "QHR" in said
+
+
+@pytest.mark.slow
+def test_the_explainer_needs_numpy_scipy_and_numba_alone(bare, tmp_path):
+    page = (ROOT / "docs" / "explainer.md").read_text(encoding="utf-8")
+    program, said = (
+        re.search(rf"^```{kind}\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)[1]
+        for kind in ("python", "text")
+    )
+    assert "from xplain import Explainer, GivenTypes" in program
+    where = elsewhere("", tmp_path)
+    assert ran(bare, "-c", program, **where) == said
+    others = "from importlib.util import find_spec; print(*map(find_spec, {}))"
+    absent = ["hydra", "omegaconf", "pandas", "sklearn", "mlflow", "pytest"]
+    assert set(ran(bare, "-c", others.format(absent), **where).split()) == {"None"}
 
 
 def test_examples_test_themselves_in_three_lines():

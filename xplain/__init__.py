@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from xplain.learning.saved_types import LearnedTypes as LearnedTypes
-    from xplain.sessions.explainer import Explainer as Explainer
-    from xplain.sessions.explainer import GivenTypes as GivenTypes
+    from xplain.learning.saved_types import LearnedTypes
+    from xplain.sessions.explainer import Explainer, GivenTypes
 
+__all__ = ["Explainer", "GivenTypes", "LearnedTypes", "__version__"]
 __version__ = "0.1.0"
 
 _WHERE = {
@@ -28,3 +28,7 @@ def __getattr__(name: str) -> Any:
     from importlib import import_module
 
     return getattr(import_module(_WHERE[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -40,3 +40,21 @@ def bits_of(masks: NDArray[np.int64], count: int) -> NDArray[np.uint8]:
 def indices(mask: int) -> list[int]:
     """The positions of the bits set in a mask, ascending."""
     return [j for j in range(mask.bit_length()) if mask >> j & 1]
+
+
+def subsets(messages: Iterable[int]) -> NDArray[np.int64]:
+    """The masks of all subsets of some messages, ascending where these are."""
+    masks = np.zeros(1, dtype=np.int64)
+    for j in messages:
+        masks = np.concatenate([masks, masks | 1 << j])
+    return masks
+
+
+def expand(mask: int, kept: Sequence[int]) -> int:
+    """A mask over the kept messages as one over all."""
+    return sum(1 << j for i, j in enumerate(kept) if mask >> i & 1)
+
+
+def compress(mask: int, kept: Sequence[int]) -> int:
+    """A mask over all messages as one over the kept."""
+    return sum(1 << i for i, j in enumerate(kept) if mask >> j & 1)

@@ -4,6 +4,7 @@ there."""
 from __future__ import annotations
 
 from importlib.util import find_spec
+from typing import Any
 
 import pytest
 
@@ -18,45 +19,66 @@ from xplain.testing import (
     TypeSourceConformance,
 )
 
-KINDS = {
-    "domain": DomainConformance,
-    "users": TypeSourceConformance,
-    "labeler": LabelerConformance,
-    "clusterer": ClustererConformance,
-    "solver": SolverConformance,
-}
-FILLS: dict[tuple[str, str], list[str]] = {
-    ("users", "explicit"): ["users.groups={A: [fire], B: [fence, first_aid]}"],
-}
-SAID: dict[tuple[str, str], dict[str, object]] = {
-    ("clusterer", "single"): {"finds_types": False},
-    ("clusterer", "perfect"): {"needs_truth": True},
-}
-
-for group, suite in KINDS.items():
-    for path in sorted((CONF / group).glob("*.yaml")):
-        choice = path.stem
-        component = Chosen(group, choice, *FILLS.get((group, choice), []))
-        name = f"Test_{group}_{choice}"
-        tested = type(name, (suite,), {"component": component} | SAID.get((group, choice), {}))
-        if "gym" in path.read_text() and find_spec("gymnasium") is None:
-            tested = pytest.mark.skip(reason="pip install 'xplain-hri[gym]'")(tested)
-        globals()[name] = tested
+GYM = pytest.mark.skipif(find_spec("gymnasium") is None, reason="pip install 'xplain-hri[gym]'")
 
 
-class Partition:
-    """The ``partition`` of a clusterer."""
+def shipped(group: str, *others: str, **keys: str) -> list[Any]:
+    """A parameter for each choice of the group but ``others``; ``keys``: what a choice still
+    needs."""
+    return [
+        pytest.param(
+            Chosen(group, path.stem, *([keys[path.stem]] if path.stem in keys else [])),
+            id=path.stem,
+            marks=[GYM] if "gym" in path.read_text(encoding="utf-8") else [],
+        )
+        for path in sorted((CONF / group).glob("*.yaml"))
+        if path.stem not in others
+    ]
 
-    def __init__(self, choice: str) -> None:
-        self.clusterer = Chosen("clusterer", choice)
 
-    def __get__(self, instance: object, owner: type) -> object:
-        return self.clusterer.make().partition
-
-
-class TestKMeans(PartitionConformance):
-    component = Partition("kmeans")
+class TestDomains(DomainConformance):
+    @pytest.fixture(params=shipped("domain"))
+    def component(self, request: pytest.FixtureRequest) -> Any:
+        return request.param.component
 
 
-class TestAgglomerative(PartitionConformance):
-    component = Partition("agglomerative")
+class TestTypeSources(TypeSourceConformance):
+    @pytest.fixture(
+        params=shipped("users", explicit="users.groups={A: [fire], B: [fence, first_aid]}")
+    )
+    def component(self, request: pytest.FixtureRequest) -> Any:
+        return request.param.component
+
+
+class TestLabelers(LabelerConformance):
+    @pytest.fixture(params=shipped("labeler"))
+    def component(self, request: pytest.FixtureRequest) -> Any:
+        return request.param.component
+
+
+class TestClusterers(ClustererConformance):
+    @pytest.fixture(params=shipped("clusterer", "single", "perfect"))
+    def component(self, request: pytest.FixtureRequest) -> Any:
+        return request.param.component
+
+
+class TestSingle(ClustererConformance):
+    chosen = Chosen("clusterer", "single")
+    finds_types = False
+
+
+class TestPerfect(ClustererConformance):
+    chosen = Chosen("clusterer", "perfect")
+    needs_truth = True
+
+
+class TestPartitions(PartitionConformance):
+    @pytest.fixture(params=["kmeans", "agglomerative"])
+    def component(self, request: pytest.FixtureRequest) -> Any:
+        return Chosen("clusterer", request.param).component.partition
+
+
+class TestSolvers(SolverConformance):
+    @pytest.fixture(params=shipped("solver"))
+    def component(self, request: pytest.FixtureRequest) -> Any:
+        return request.param.component

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from hydra.core.global_hydra import GlobalHydra
 
-from xplain.demo.__main__ import main
+from xplain.cli.main import main
 from xplain.demo.page import content, page
 from xplain.demo.play import Simulated, play, stage
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.explanation.belief import Independent
 from xplain.message_sets import mask_of
+from xplain.participants.simulation.chromium import missing
 from xplain.solvers.qmdp import QMDP
 
 QUICK = ["points=150", "lambda=1.5"]
@@ -35,12 +36,11 @@ def demo(tmp_path, monkeypatch, capsys):
 
     def run(*arguments, typed=""):
         monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "argv", ["demo", *arguments])
         monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
         GlobalHydra.instance().clear()
         code = 0
         try:
-            main()
+            main(["demo", *arguments])
         except SystemExit as error:
             code = error.code
         shown = capsys.readouterr()
@@ -117,7 +117,7 @@ def test_the_page_is_written_where_it_was_asked_for(demo, tmp_path):
         (["--user", "Q"], ["--user", "Q", "A, B"]),
         (["lamda=2"], ["lamda", "lambda"]),
         (["lambda=-1"], ["lambda", "-1"]),
-        (["lambda"], ["lambda", "KEY=VALUE"]),
+        (["lambda"], ["lambda", "key=value"]),
         (["solver=oracle"], ["solver", "oracle"]),
         (["domain=mars"], ["domain", "mars", "rescue"]),
         (["--html", "absent/session.html"], ["--html", "absent"]),
@@ -136,6 +136,8 @@ def test_bad_input_is_one_line(demo, tmp_path, arguments, words):
 
 @pytest.mark.browser
 def test_the_page_can_be_stepped_through(rescue, tmp_path):
+    if what := missing():
+        pytest.skip(f"no browser to drive: install {what}")
     from selenium import webdriver
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys

@@ -14,7 +14,7 @@ from xplain.explanation.literal_pomdp import (
     reduced_optimal_value,
 )
 from xplain.explanation.problem import Problem
-from xplain.solvers.dynamic_programming import optimal_values
+from xplain.solvers.model import model_of, optimal_values
 from xplain.solvers.qmdp import QMDP
 
 
@@ -31,13 +31,15 @@ def test_qmdp_bounds_the_optimum_from_above(problem: Problem) -> None:
     optimum = reduced_optimal_value(problem)
     values = QMDP().plan(problem).values(0, 0, problem.prior)
     assert max(values.values()) >= optimum - 1e-9
-    assert problem.prior @ optimal_values(problem)[0, 0] >= max(values.values()) - 1e-9
+    assert problem.prior @ optimal_values(model_of(problem))[0, 0] >= max(values.values()) - 1e-9
 
 
 def test_one_type_leaves_nothing_to_find_out() -> None:
     rng = np.random.default_rng(1)
     problem = Problem(rng.random((1, 3, 4)), np.array([0.3, 0.7]))
-    assert literal_optimal_value(problem) == pytest.approx(float(optimal_values(problem)[0, 0, 0]))
+    assert literal_optimal_value(problem) == pytest.approx(
+        float(optimal_values(model_of(problem))[0, 0, 0])
+    )
 
 
 def test_a_worked_example() -> None:

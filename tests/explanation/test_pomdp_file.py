@@ -31,9 +31,9 @@ def expectimax(flat: Flat, belief: dict[int, float], horizon: int) -> float:
     for action in range(flat.actions):
         reward, seen = 0.0, {}
         for state, weight in belief.items():
+            reward += weight * flat.reward.get((action, state), 0.0)
             for after, p in flat.transition[action, state].items():
                 for o, q in flat.observation[action, after].items():
-                    reward += weight * p * q * flat.reward.get((action, state, after, o), 0.0)
                     joint = seen.setdefault(o, {})
                     joint[after] = joint.get(after, 0.0) + weight * p * q
         later = 0.0
@@ -63,11 +63,12 @@ def test_the_file_has_the_optimum_of_the_problem(problem: Problem) -> None:
 @settings(deadline=None, max_examples=40)
 @given(tiny_problems())
 def test_the_file_is_a_pomdp(problem: Problem) -> None:
-    """Every row of T and O is there and sums to 1; numbers alone, no wildcards."""
+    """Every row of T and O is there and sums to 1; numbers alone, but for the wildcards of R."""
     if problem.discount_per == "step" and problem.discount < 1:
         return
     text = text_of(problem)
-    assert not re.search(r"[A-Za-z*]", re.sub(r"(?m)^(\w+|T|O|R):|reward|e-\d+", "", text))
+    plain = re.sub(r"(?m)^(R: \d+ : \d+ : )\* : \* ", r"\1", text)
+    assert not re.search(r"[A-Za-z*]", re.sub(r"(?m)^(\w+|T|O|R):|reward|e-\d+", "", plain))
     flat = read(text)
     assert sum(flat.start) == pytest.approx(1)
     for action, state in product(range(flat.actions), range(flat.states)):
@@ -76,10 +77,39 @@ def test_the_file_is_a_pomdp(problem: Problem) -> None:
         assert max(flat.observation[action, state]) < flat.observations
 
 
+@settings(deadline=None, max_examples=40)
+@given(tiny_problems())
+def test_rewards_are_one_line_a_state_and_action(problem: Problem) -> None:
+    """And each is the expected reward: of *explain*, over every label vector of the prefix."""
+    if problem.discount_per == "step" and problem.discount < 1:
+        return
+    text = text_of(problem)
+    flat = read(text)
+    n, sets = problem.n_messages, 1 << problem.n_messages
+    pairs = re.findall(r"(?m)^R: (\d+) : (\d+) : ", text)
+    assert len(pairs) == len(set(pairs)) == problem.n_types * problem.n_steps * sets * (n + 1)
+    states = product(range(problem.n_steps), range(sets), range(problem.n_types))
+    for here, (k, shown, t) in enumerate(states):
+        expected = 0.0
+        for labels in product((0, 1), repeat=k + 1):
+            chance = 1.0
+            for i, label in enumerate(labels):
+                p = float(problem.p_explicable[t, i, shown])
+                chance *= p if label else 1 - p
+            expected -= chance * problem.inexplicability_cost * labels.count(0)
+        assert flat.reward[0, here] == pytest.approx(expected, abs=1e-12)
+        for j in range(n):
+            if not shown >> j & 1:
+                price = problem.trade_off * problem.message_cost[j]
+                assert flat.reward[j + 1, here] == pytest.approx(-price, abs=1e-12)
+
+
 def test_reader_refuses_what_it_does_not_know() -> None:
     text = text_of(Problem(np.full((1, 1, 2), 0.5), np.ones(1)))
     with pytest.raises(InputError, match="line 7"):
         read(text.replace("T: 0 : 0 :", "T: * : 0 :", 1))
+    with pytest.raises(InputError, match="line 8"):
+        read(text.replace("R: 0 : 0 : * : *", "R: 0 : 0 : 2 : 0", 1))
 
 
 def test_too_many_lines_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

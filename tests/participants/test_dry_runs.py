@@ -16,12 +16,10 @@ import pytest
 from tests.conftest import Command
 from tests.participants.server_process import ServerProcess
 from tests.study.stand_in import FAULTLESS, street_study
+from xplain.cli.main import main
 from xplain.participants.server.store import Store
-from xplain.participants.simulation import bots
 from xplain.participants.simulation.bots import Researcher
 from xplain.participants.simulation.http_client import Browser, Page, Refusal, fill, visit
-from xplain.study.analysis import main as analyse
-from xplain.study.analysis import replay
 from xplain.study.analysis.export import export
 from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import Habits, Person
@@ -43,17 +41,18 @@ def test_bots_take_part_and_the_data_goes_all_the_way(
     with ServerProcess(database, *RATE) as server:
         archive = tmp_path / "study.zip"
         arguments = ["--url", server.url, "--key", server.key, "--count", "24", "--at-once", "6"]
-        bots.main([*arguments, "--leaving", "0.01", "--save", str(archive)])
-        with pytest.raises(SystemExit):
-            bots.main(["--url", server.url, "--key", "wrong"])
+        main(["study", "bots", *arguments, "--leaving", "0.01", "--save", str(archive)])
+        with pytest.raises(SystemExit) as ended:
+            main(["study", "bots", "--url", server.url, "--key", "wrong"])
+        assert ended.value.code == 2
         assert "researcher's key" in capsys.readouterr().err
     with zipfile.ZipFile(archive) as out:
         out.extractall(tmp_path)
     capsys.readouterr()
     for path in (tmp_path / "study" / "snapshot.sqlite", database):
-        replay.main([str(path)])
+        main(["study", "replay", str(path)])
         assert "all equal" in capsys.readouterr().out
-    analyse.main([str(tmp_path / "study"), "--stream", "bot"])
+    main(["study", "analyse", str(tmp_path / "study"), "--stream", "bot"])
     people = pd.read_csv(tmp_path / "study" / "participants.csv")
     assert set(people["stream"]) == {"bot"}
     assert (people["stage"] == "done").sum() >= 12
@@ -140,7 +139,7 @@ def _compare(database: Path, study: Study, visitors: list[Careful]) -> tuple[int
 
 
 def _everything_replays(database: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    replay.main([str(database)])
+    main(["study", "replay", str(database)])
     assert "all equal" in capsys.readouterr().out
 
 
@@ -221,8 +220,8 @@ def test_forty_bots_in_the_rescue_study(tmp_path: Path, capsys: pytest.CaptureFi
     assert stages["done"] == 40
     assert stages["left"] > 3
     every_cell_is_full(study, path, tmp_path / "out")
-    analyse.main([str(tmp_path / "out")])
-    replay.main([str(path)])
+    main(["study", "analyse", str(tmp_path / "out")])
+    main(["study", "replay", str(path)])
     said = capsys.readouterr().out
     assert "all equal" in said
     with capsys.disabled():

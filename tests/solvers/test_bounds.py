@@ -8,9 +8,12 @@ import pytest
 from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.literal_pomdp import reduced_optimal_value
+from xplain.solvers import model
 from xplain.solvers.bounds import Bounds, bounds, known_type_value
-from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.hsvi import initial_bounds
+from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.lookahead import Lookahead
+from xplain.solvers.memory import GIB
 from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.qmdp import QMDP
 from xplain.testing.problems import random_problem
@@ -27,10 +30,10 @@ def test_bounds_and_prices_enclose_the_truth() -> None:
         assert found.known_type == pytest.approx(float(problem.prior @ each), abs=1e-9)
         assert known_type_value(problem) == pytest.approx(found.known_type, abs=1e-9)
         assert found.known_type >= optimum - 1e-9
-        least, most = found.price_of_not_knowing
+        least, most = found.value_of_perfect_information
         assert least - 1e-9 <= found.known_type - optimum <= most + 1e-9
         value = evaluate(problem, QMDP().plan(problem)).value
-        least, most = found.price_of_approximation(value)
+        least, most = found.suboptimality(value)
         assert least - 1e-9 <= optimum - value <= most + 1e-9
 
 
@@ -77,12 +80,9 @@ def test_bounds_fall_back_to_lookahead_where_memory_is_short() -> None:
 
 def _between(problem) -> float:
     """Room for the tables of known types, not for those of plans."""
-    from xplain.solvers import dynamic_programming
-    from xplain.solvers.hsvi import initial_bounds as bound_tables
-
-    small, large = dynamic_programming.table_bytes(problem), bound_tables.table_bytes(problem)
+    small, large = model.table_bytes(problem), initial_bounds.table_bytes(problem)
     assert small < large
-    return (small + large) / 2 / dynamic_programming.GIB
+    return (small + large) / 2 / GIB
 
 
 @pytest.mark.parametrize("key", ["candidates", "answers", "memory_gib"])

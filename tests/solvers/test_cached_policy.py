@@ -1,4 +1,4 @@
-"""A remembered policy is asked once a question, and says how long that took."""
+"""A cached policy is asked once a question, and says how long that took."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.solvers.cached_policy import Remembered
+from xplain.solvers.cached_policy import CachedPolicy
 from xplain.solvers.pomcp.solver import POMCP
 
 
@@ -30,7 +30,7 @@ class Slow:
 def test_the_same_question_is_asked_once() -> None:
     """Rounding makes no new question; another step, set or belief does. Time is the first's."""
     slow, belief = Slow(), np.array([0.3, 0.7])
-    policy = Remembered(slow)
+    policy = CachedPolicy(slow)
     first = policy.messages(1, 2, belief)
     took = policy.seconds
     assert took >= 0.02
@@ -50,7 +50,7 @@ def test_what_was_asked_before_makes_no_difference() -> None:
     problem = Problem(rng.random((3, 5, 8)), np.ones(3), trade_off=0.3)
     questions = [(k, g, rng.dirichlet(np.ones(3))) for k in range(5) for g in (0, 3)]
     policy = POMCP(simulations=300).plan(problem, 7)
-    forth, back = Remembered(policy), Remembered(policy)
+    forth, back = CachedPolicy(policy), CachedPolicy(policy)
     there = [forth.messages(*question) for question in questions]
     assert [back.messages(*question) for question in reversed(questions)] == there[::-1]
     assert [policy.messages(*question) for question in questions] == there

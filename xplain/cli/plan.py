@@ -79,7 +79,7 @@ def _plan_one(cfg: DictConfig, known: Bounds | None = None) -> Row:
 
 def _bounds(problem: Problem, cfg: DictConfig) -> Bounds | None:
     from xplain.solvers.bounds import bounds
-    from xplain.solvers.hsvi.solver import Effort
+    from xplain.solvers.hsvi.explore import Effort
 
     if cfg.bounds.nodes == 0:
         return None

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.errors import DomainError
+from xplain.numba_kernels import kernel
 
 TIE = 1e-10
 """Two actions tie when their values differ by less than this, relative to the model's scale."""
@@ -161,7 +161,7 @@ def _scale(model: MDP) -> float:
     return max(largest, 1e-12) / (1 - model.discount)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _solve(successor, probability, reward, discount, terminal, tolerance, q):  # type: ignore[no-untyped-def]
     """Modified policy iteration (Puterman & Shin 1978); fills q [S, A] to |q − Q*| ≤ tolerance.
 

@@ -16,7 +16,7 @@ from xplain.explanation.problem import Problem
 from xplain.message_sets import indices
 from xplain.sessions.interaction import Interaction
 from xplain.solvers.base import Policy
-from xplain.solvers.cached_policy import Remembered
+from xplain.solvers.cached_policy import CachedPolicy
 
 
 class User(Protocol):
@@ -76,7 +76,7 @@ def explain(problem: Problem, policy: Policy, user: User, belief_update: BeliefU
 
     Args:
         problem: what the agent believes of users; its costs are those that count.
-        policy: planned for that problem; a remembered one shares its decisions between users.
+        policy: planned for that problem; a cached one shares its decisions between users.
         user: who answers.
         belief_update: which labels change the belief.
 
@@ -84,7 +84,7 @@ def explain(problem: Problem, policy: Policy, user: User, belief_update: BeliefU
         ValueError: the policy gives a message again, or one that does not exist.
     """
     m = problem.n_steps
-    asked = policy if isinstance(policy, Remembered) else Remembered(policy)
+    asked = policy if isinstance(policy, CachedPolicy) else CachedPolicy(policy)
     talk = Interaction(problem, asked, belief_update)
     messages = np.zeros(m, dtype=np.int64)
     labels = np.full((m, m), -1, dtype=np.int8)

@@ -13,7 +13,7 @@ from xplain.experiment.pipeline import Prepared
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
-from xplain.solvers.hsvi.solver import Effort
+from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.policy_evaluation import evaluate
 
 
@@ -74,7 +74,7 @@ class Certify:
 
     def _one(self, problem: Problem, own: Problem, solver: Solver, seed: int) -> dict[str, float]:
         found = bounds(problem, Effort(gap=self.gap, nodes=self.nodes, memory_gib=2.0))
-        low, high = found.price_of_not_knowing
+        low, high = found.value_of_perfect_information
         row = {
             "optimal_lower": found.lower,
             "optimal_upper": found.upper,
@@ -92,8 +92,8 @@ class Certify:
             world = problem.with_types(mixture, own.type_names)
         worth = evaluate(world, solver.plan(own, seed), self.beliefs, self.episodes, seed)
         margin = 1.96 * worth.value_se
-        low, _ = found.price_of_approximation(worth.value + margin)
-        _, high = found.price_of_approximation(worth.value - margin)
+        low, _ = found.suboptimality(worth.value + margin)
+        _, high = found.suboptimality(worth.value - margin)
         return row | {
             "policy_value": worth.value,
             "policy_value_se": worth.value_se,

@@ -19,7 +19,7 @@ from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import DiscountPer, Problem
 from xplain.randomness import derived_seed
 from xplain.solvers.base import Solver
-from xplain.solvers.cached_policy import Remembered
+from xplain.solvers.cached_policy import CachedPolicy
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def evaluate(
                     planned = solver.plan(problem, trace_seed(seed, index))
                     if index == 0:  # kernels load at the first question: no decision's time
                         planned.messages(0, 0, problem.prior)
-                    policy = Remembered(planned)
+                    policy = CachedPolicy(planned)
                 episode = explain(problem, policy, SimulatedUser(case.labels[user]), belief_update)
                 right = np.ones(problem.n_types, dtype=bool)
                 if solver.knows == "types":

@@ -1,4 +1,4 @@
-"""Beliefs over user types (SPEC §5, paper's belief update).
+"""Beliefs over user types (docs/method.md §5, paper's belief update).
 
 A belief is an array [N] that sums to 1. A *belief update* is a function of what the user was
 shown and answered; which labels count as evidence is the choice made here.
@@ -69,7 +69,7 @@ def update(
         [N]. Labels that no type with positive belief can give (only with probabilities of
         exactly 0 or 1) tell nothing about the type: the belief stays as it was.
     """
-    p = problem.p_explicable[:, : len(labels), message_set][:, evidence]
+    p = problem.label_probabilities(len(labels), message_set)[:, evidence]
     likelihood = np.where(labels[evidence] == 1, p, 1 - p)
     with np.errstate(divide="ignore"):
         log_posterior = np.log(belief) + np.log(likelihood).sum(axis=1)

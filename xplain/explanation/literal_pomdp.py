@@ -1,9 +1,9 @@
 """The paper's POMDP, word for word: slow, for tiny problems, the yardstick of the tests.
 
-States ⟨k, L, E_given, E_next, t⟩ with SPEC §5's three corrections: messages already given or
-pending are no actions, label probabilities use E_given ∪ E_next and depend on τ_i, and the label
-that costs is 0. Nothing here knows of the reduction to (k, H, belief); optimal values come from
-the definition, by trying every action and every observation.
+States ⟨k, L, E_given, E_next, t⟩ with three corrections (docs/choices.md, slips): messages already
+given or pending are no actions, label probabilities use E_given ∪ E_next and depend on τ_i, and the
+label that costs is 0. Nothing here knows of the reduction to (k, H, belief); optimal values come
+from the definition, by trying every action and every observation.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def literal_optimal_value(problem: Problem) -> float:
 def reduced_optimal_value(
     problem: Problem, step: int = 0, given: int = 0, belief: tuple[float, ...] | None = None
 ) -> float:
-    """The same from (k, H, belief), the state that SPEC §5 claims to be sufficient.
+    """The same from (k, H, belief), the state that docs/method.md §5 claims to be sufficient.
 
     Still by enumeration: every message, every label vector, no merging of observations.
     """

@@ -2,7 +2,8 @@
 
 The reduced problem, flat: states are (k, H, type) and one absorbing end; actions are *explain* and
 the n messages; observations are "nothing" and the distinguishable answers at each (k, H), numbered.
-Explicit and numeric throughout, without names and wildcards: parsers are fast on that.
+Explicit and numeric, without names: parsers are fast on that. Rewards alone have wildcards, one
+line a (state, action): SARSOP refuses rewards that name an end state and an observation.
 
 A message already given is no action of the problem, but the format knows no such thing: here it
 leads to the end at a price above any cost, so no optimal policy takes it.
@@ -35,7 +36,7 @@ class Flat:
         start: initial belief, one a state.
         transition: {(action, state): {next state: probability}}.
         observation: {(action, next state): {observation: probability}}.
-        reward: {(action, state, next state, observation): value}.
+        reward: {(action, state): expected value}.
     """
 
     discount: float
@@ -49,7 +50,7 @@ class Flat:
     observation: dict[tuple[int, int], dict[int, float]] = field(
         default_factory=lambda: defaultdict(dict)
     )
-    reward: dict[tuple[int, int, int, int], float] = field(default_factory=dict)
+    reward: dict[tuple[int, int], float] = field(default_factory=dict)
 
 
 def lines(problem: Problem) -> Iterator[str]:
@@ -69,7 +70,7 @@ def lines(problem: Problem) -> Iterator[str]:
     answers = {
         (k, shown): _answers(problem, k, shown) for k in range(steps - 1) for shown in range(sets)
     }
-    expected = 2 * end * (n + 1) + 3 * types * sum(len(answer) for answer in answers.values())
+    expected = 3 * end * (n + 1) + types * sum(len(answer) for answer in answers.values())
     if expected > MAX_LINES:
         raise TooLargeError(
             f"format=pomdp: about {expected:.1e} lines, more than {MAX_LINES:.0e}; "
@@ -93,15 +94,13 @@ def lines(problem: Problem) -> Iterator[str]:
     forbidden = -1.0 - float(prices.sum()) - problem.inexplicability_cost * steps * (steps + 1) / 2
     for k, shown, t in product(range(steps), range(sets), range(types)):
         here, after = state(k, shown, t), state(k + 1, shown, t)
-        zeros = float((1 - problem.p_explicable[t, : k + 1, shown]).sum())
-        cost = -problem.inexplicability_cost * zeros
+        zeros = float((1 - problem.label_probabilities(k + 1, shown)[t]).sum())
         yield f"T: {EXPLAIN} : {here} : {after} 1.0"
-        for o, weights in enumerate(answers.get((k, shown), [None]), start=1):
-            if weights is None:  # the last step: what is answered changes nothing
-                yield f"R: {EXPLAIN} : {here} : {after} : {NOTHING} {cost!r}"
-            elif weights[t] > 0:
+        yield f"R: {EXPLAIN} : {here} : * : * {-problem.inexplicability_cost * zeros!r}"
+        # At the last step what is answered changes nothing.
+        for o, weights in enumerate(answers.get((k, shown), []), start=1):
+            if weights[t] > 0:
                 yield f"O: {EXPLAIN} : {after} : {o} {weights[t]!r}"
-                yield f"R: {EXPLAIN} : {here} : {after} : {o} {cost!r}"
         if k == 0:
             yield f"O: {EXPLAIN} : {here} : {NOTHING} 1.0"
         for j in range(n):
@@ -109,7 +108,7 @@ def lines(problem: Problem) -> Iterator[str]:
             reward = forbidden if given else -float(prices[j])
             after = end if given else state(k, shown | 1 << j, t)
             yield f"T: {j + 1} : {here} : {after} 1.0"
-            yield f"R: {j + 1} : {here} : {after} : {NOTHING} {reward!r}"
+            yield f"R: {j + 1} : {here} : * : * {reward!r}"
             yield f"O: {j + 1} : {here} : {NOTHING} 1.0"
     for action in range(n + 1):
         yield f"T: {action} : {end} : {end} 1.0"
@@ -119,9 +118,10 @@ def lines(problem: Problem) -> Iterator[str]:
 def _answers(problem: Problem, step: int, shown: int) -> list[list[float]]:
     """P(answer | type) for the distinguishable answers to *explain* at (k, H): transitions with
     equal columns answer by their number of 1s, those that all types label alike not at all."""
+    labels = problem.label_probabilities(step + 1, shown)
     columns: dict[tuple[float, ...], int] = {}
     for i in range(step + 1):
-        column = tuple(problem.p_explicable[:, i, shown].tolist())
+        column = tuple(labels[:, i].tolist())
         if len(set(column)) > 1:
             columns[column] = columns.get(column, 0) + 1
     found = []
@@ -135,7 +135,7 @@ def _answers(problem: Problem, step: int, shown: int) -> list[list[float]]:
 
 
 def read(text: str) -> Flat:
-    """Reads what :func:`lines` writes: numeric entries, one a line.
+    """Reads what :func:`lines` writes: numeric entries, one a line; rewards by action and state.
 
     Raises:
         InputError: a line that is not of that kind.
@@ -151,14 +151,16 @@ def read(text: str) -> Flat:
             flat = flat or _flat(header)
             *places, last = rest.split(":")
             place, value = last.split()
-            indices = (*(int(part) for part in places), int(place))
-            if key == "T":
-                flat.transition[indices[0], indices[1]][indices[2]] = float(value)
-            elif key == "O":
-                flat.observation[indices[0], indices[1]][indices[2]] = float(value)
+            action, state, *wildcards = places
+            if key == "R":
+                if [part.strip() for part in (*wildcards, place)] != ["*", "*"]:
+                    raise ValueError
+                flat.reward[int(action), int(state)] = float(value)
             else:
-                action, state, after, observation = indices
-                flat.reward[action, state, after, observation] = float(value)
+                if wildcards:
+                    raise ValueError
+                entries = flat.transition if key == "T" else flat.observation
+                entries[int(action), int(state)][int(place)] = float(value)
         except (ValueError, IndexError, KeyError):
             raise InputError("pomdp", line, f"line {number} is no numeric entry") from None
     if flat is None:

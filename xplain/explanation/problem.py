@@ -1,4 +1,4 @@
-"""The explanation problem of one trace: all that a solver needs to know (SPEC §5).
+"""The explanation problem of one trace: all that a solver needs to know (docs/method.md §5).
 
 The literal POMDP has states ⟨k, L, E_given, E_next, t⟩. Labels are drawn afresh each step, so
 (k, H, belief) with H = E_given ∪ E_next is a sufficient state, and one table of label
@@ -8,6 +8,7 @@ probabilities, ``p_explicable[t, i, H]``, is the whole model.
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError
+from xplain.message_sets import subsets
 
 MAX_MESSAGES = 20
 """Tables over message sets hold 2^messages entries; beyond 2^20 no solver here is of use."""
@@ -115,10 +117,52 @@ class Problem:
         """n."""
         return int(self.p_explicable.shape[2]).bit_length() - 1
 
+    def label_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
+        """[N, count] P(label 1) of the first so many transitions, with message set H given."""
+        return self.p_explicable[:, :count, given]
+
     def with_types(self, p_explicable: NDArray[np.float64], type_names: tuple[str, ...]) -> Problem:
         """The same trace and costs with other user types, equally likely a priori."""
         uniform = np.full(len(p_explicable), 1 / len(p_explicable))
         return replace(self, p_explicable=p_explicable, type_names=type_names, prior=uniform)
+
+    def only_types(self, types: Sequence[int]) -> Problem:
+        """The same trace and costs with some of the user types, equally likely a priori."""
+        names = tuple(self.type_names[t] for t in types)
+        return self.with_types(self.p_explicable[list(types)], names)
+
+    def mixture(self, weights: NDArray[np.float64], name: str = "everyone") -> Problem:
+        """The same trace and costs with one type, whose labels are as likely as those of a user
+        drawn from the types by ``weights`` [N], anew for every label."""
+        return self.with_types(np.tensordot(weights, self.p_explicable, 1)[None], (name,))
+
+    def pessimistic(self) -> Problem:
+        """The same trace and costs with one type, to whom each transition is as inexplicable as
+        to any."""
+        return self.with_types(self.p_explicable.min(axis=0, keepdims=True), ("pessimist",))
+
+    def messages_with_effect(self) -> tuple[int, ...]:
+        """The positions of the messages that change some P[t, i, H]."""
+        alone = self.p_explicable[:, :, [1 << j for j in range(self.n_messages)]]
+        clear = (alone != self.p_explicable[:, :, :1]).any(axis=(0, 1))
+        return tuple(j for j in range(self.n_messages) if clear[j] or self._has_effect(j))
+
+    def _has_effect(self, message: int) -> bool:
+        # Type by type: most messages matter to the first, and comparing takes memory.
+        pairs = self.p_explicable.reshape(self.n_types, self.n_steps, -1, 2, 1 << message)
+        return not all(np.array_equal(p[:, :, 0], p[:, :, 1]) for p in pairs)
+
+    def with_messages(self, kept: tuple[int, ...]) -> Problem:
+        """The problem with only some messages (ascending positions); the others are never
+        given."""
+        if len(kept) == self.n_messages:
+            return self
+        return replace(
+            self,
+            p_explicable=self.p_explicable[:, :, subsets(kept)],
+            message_cost=self.message_cost[list(kept)],
+            message_names=tuple(self.message_names[j] for j in kept),
+        )
 
     def save(self, path: str | Path) -> None:
         """Writes an ``.npz`` file that :meth:`load` reads; arrays of numbers and text only."""

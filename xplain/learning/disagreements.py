@@ -10,10 +10,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset, query_index
+from xplain.numba_kernels import kernel
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def disagreements(dataset: Dataset, assignment: NDArray[np.int64]) -> int:
     return Cells.of(dataset).disagreements(assignment)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count(start, cluster, label, counts):  # type: ignore[no-untyped-def]
     """``counts`` [2, k]: zeros and ones by cluster in the current cell, all 0 between cells."""
     total = 0

@@ -13,7 +13,6 @@ from math import comb
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset, inputs
@@ -21,6 +20,7 @@ from xplain.errors import TooLargeError
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.tree_leaves import cubes
 from xplain.message_sets import indices
+from xplain.numba_kernels import kernel
 
 MAX_PREDICTIONS = 1 << 28
 """A classifier that is no tree is asked at most this often (some minutes)."""
@@ -96,7 +96,7 @@ def _by_paths(classifier: Any, features: NDArray[np.float64], n_messages: int) -
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _unmet(start, ones, zeros, weight, given):  # type: ignore[no-untyped-def]
     """Weight of the clauses that hold in none of their terms under this message set."""
     total = 0
@@ -111,7 +111,7 @@ def _unmet(start, ones, zeros, weight, given):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _size(mask):  # type: ignore[no-untyped-def]
     count = 0
     while mask:
@@ -120,7 +120,7 @@ def _size(mask):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _greedy(start, ones, zeros, weight, order):  # type: ignore[no-untyped-def]
     """A good message set to start from: single messages turned while that helps."""
     given = 0
@@ -138,7 +138,7 @@ def _greedy(start, ones, zeros, weight, order):  # type: ignore[no-untyped-def]
     return given
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _search(start, ones, zeros, weight, order, first):  # type: ignore[no-untyped-def]
     """Branch and bound over the messages in order, "given" tried first: of equally good message
     sets the first one met is the first in message order.

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from xplain.numba_kernels import kernel
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def cubes(tree: Any, features: NDArray[np.float64], n_messages: int) -> Cubes:
     return Cubes(*found)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _walk(feature, threshold, left, right, max_depth, features, out):  # type: ignore[no-untyped-def]
     """Counts the cubes; writes them where ``out`` [4, C] has room."""
     room = out.shape[1]
@@ -93,7 +94,7 @@ def _walk(feature, threshold, left, right, max_depth, features, out):  # type: i
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill(transition, ones, zeros, value, table):  # type: ignore[no-untyped-def]
     everything = table.shape[1] - 1
     for c in range(len(transition)):

@@ -106,12 +106,12 @@ def make_plan(
         fingerprint, source = fingerprints(compose(list(overrides)))
         if fingerprint in jobs:
             continue
-        differing = {key: values[key] for key in swept if key in values}
-        folder = _folder(differing)
+        varied = {key: values[key] for key in swept if key in values}
+        folder = _folder(varied)
         if folder in names:
             folder = f"{folder[:100]},{fingerprint[:8]}"
         names.add(folder)
-        jobs[fingerprint] = Job(folder, _label(differing), overrides, differing, fingerprint, source)
+        jobs[fingerprint] = Job(folder, _label(varied), overrides, varied, fingerprint, source)
     return Plan(name, tuple(jobs.values()))
 
 

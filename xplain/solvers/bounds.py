@@ -8,15 +8,13 @@ import numpy as np
 
 from xplain.errors import TooLargeError
 from xplain.explanation.problem import Problem
-from xplain.solvers.dynamic_programming import (
-    check_memory,
-    messages_worth_giving,
-    optimal_values,
-    restrict,
-    table_bytes,
-)
-from xplain.solvers.hsvi.solver import Effort, explore, tables_within
+from xplain.solvers.hsvi.explore import Effort, explore
+from xplain.solvers.hsvi.search import Start
+from xplain.solvers.hsvi.solver import tables_within
 from xplain.solvers.lookahead import Lookahead
+from xplain.solvers.memory import check_memory
+from xplain.solvers.model import model_of, optimal_values, table_bytes
+from xplain.solvers.restriction import messages_worth_giving
 
 
 @dataclass(frozen=True)
@@ -33,13 +31,14 @@ class Bounds:
     known_type: float
 
     @property
-    def price_of_not_knowing(self) -> tuple[float, float]:
-        """``known_type`` minus the optimum: at least, at most."""
+    def value_of_perfect_information(self) -> tuple[float, float]:
+        """Expected value of perfect information: what being told the type at the start is worth,
+        ``known_type`` minus the optimum. At least, at most."""
         return max(self.known_type - self.upper, 0.0), max(self.known_type - self.lower, 0.0)
 
-    def price_of_approximation(self, value: float) -> tuple[float, float]:
+    def suboptimality(self, value: float) -> tuple[float, float]:
         """The optimum minus a policy's value: at least, at most. The value itself is a lower
-        bound where it is exact."""
+        bound on the optimum where it is exact."""
         return max(self.lower - value, 0.0), max(self.upper - value, 0.0)
 
 
@@ -48,21 +47,21 @@ DEFAULT = Effort(gap=1e-3, nodes=2_000, memory_gib=2.0)
 
 
 def bounds(problem: Problem, effort: Effort = DEFAULT) -> Bounds:
-    """Certified bounds of the optimal value: by gap search, or where its tables would take more
+    """Certified bounds of the optimal value: by HSVI, or where its tables would take more
     than the effort's memory by one step of lookahead.
 
     Raises:
         TooLargeError: not even the tables of known types fit.
     """
-    small = restrict(problem, messages_worth_giving(problem))
+    small = problem.with_messages(messages_worth_giving(problem))
     try:
         tables = tables_within(small, effort.memory_gib)
     except TooLargeError:
-        looking = Lookahead(memory_gib=effort.memory_gib).plan(small)
-        known = float(small.prior @ looking.policy.table[0, 0])
-        return Bounds(looking.lower, looking.upper, known)
-    found = explore(tables, 0, 0, small.prior, effort, small)
-    known = float(small.prior @ tables.values[0, 0])
+        lookahead = Lookahead(memory_gib=effort.memory_gib).plan(small)
+        known = float(small.prior @ lookahead.policy.tables.optimal[0, 0])
+        return Bounds(lookahead.lower, lookahead.upper, known)
+    found = explore(tables, Start(0, 0, small.prior), effort, small)
+    known = float(small.prior @ tables.optimal[0, 0])
     return Bounds(found.lower, found.upper, known)
 
 
@@ -72,6 +71,6 @@ def known_type_value(problem: Problem, memory_gib: float = 8.0) -> float:
     Raises:
         TooLargeError: the tables take more than ``memory_gib``.
     """
-    small = restrict(problem, messages_worth_giving(problem))
+    small = problem.with_messages(messages_worth_giving(problem))
     check_memory("knowing the type", table_bytes(small), memory_gib, "no other solver can")
-    return float(np.dot(small.prior, optimal_values(small)[0, 0]))
+    return float(np.dot(small.prior, optimal_values(model_of(small))[0, 0]))

@@ -1,8 +1,8 @@
-"""A policy that is asked each question once.
+"""A cache of decisions: a policy is asked each question once.
 
 Users who answer alike lead to the same questions, and a search is dear. A policy is a function of
 (step, given, belief), so an answer once given holds; how long it took is kept with it, so that
-what is remembered does not pass for fast.
+what was cached does not pass for fast.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from xplain.explanation.belief import rounded
 from xplain.solvers.base import Policy
 
 
-class Remembered:
-    """A policy with a memory.
+class CachedPolicy:
+    """A policy and the decisions that it has taken so far.
 
     Attributes:
         policy: the one that is asked.

@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.solvers.numba_kernels import inlined
+from xplain.numba_kernels import inlined, shared_kernel
+from xplain.solvers.model import explicable
 
 SCALE = float(1 << 40)
 IMPOSSIBLE = -(1 << 62)
@@ -24,15 +25,21 @@ likeliest type's probability."""
 FAINT = -(1 << 50)
 
 
-class Room(NamedTuple):
-    """Room for :func:`branch` to work in, for m steps and N types.
+class Answers(NamedTuple):
+    """What :func:`branch` finds, for m steps and N types, and room for it to work in.
 
     Attributes:
+        weight: [capacity, N] joint probability of the past, each type, and the answer.
+        evidence: [capacity, N] log-likelihoods after it, 0 for the likeliest type.
+        tail: [N] the joint weight of all that was not listed.
         groups: [4, m + 1] first transition, size, first row and count of a group.
         likelihood, news: [2 m, N] probability and evidence of a group's counts.
         weights, logs: [m + 1, N] joint probability and evidence of a prefix of counts.
     """
 
+    weight: NDArray[np.float64]
+    evidence: NDArray[np.int64]
+    tail: NDArray[np.float64]
     groups: NDArray[np.int64]
     likelihood: NDArray[np.float64]
     news: NDArray[np.int64]
@@ -40,68 +47,73 @@ class Room(NamedTuple):
     logs: NDArray[np.int64]
 
 
-def make_room(steps: int, types: int) -> Room:
-    """Room of the right size."""
-    return Room(
-        np.empty((4, steps + 1), dtype=np.int64),
+def make_answers(capacity: int, steps: int, types: int) -> Answers:
+    """Room for so many answers."""
+    return Answers(
+        np.empty((capacity, types)),
+        np.empty((capacity, types), np.int64),
+        np.empty(types),
+        np.empty((4, steps + 1), np.int64),
         np.empty((2 * steps, types)),
-        np.empty((2 * steps, types), dtype=np.int64),
+        np.empty((2 * steps, types), np.int64),
         np.empty((steps + 1, types)),
-        np.empty((steps + 1, types), dtype=np.int64),
+        np.empty((steps + 1, types), np.int64),
     )
 
 
-@inlined
-def branch(  # type: ignore[no-untyped-def]
-    p, step, given, weight, evidence, negligible, out_weight, out_evidence, tail, room
-):
+@shared_kernel
+def branch(model, step, given, weight, evidence, negligible, answers):  # type: ignore[no-untyped-def]
     """The distinguishable answers to *explain*.
 
     Args:
-        p: [N, m, 2^n] P(label 1).
+        model: the problem's.
         step: k; k + 1 transitions are shown.
         given: H.
         weight: [N] joint probability of the past and each type; needs not sum to 1.
         evidence: [N] int64 log-likelihoods of the past, 0 for the likeliest type.
         negligible: answers (and whole families of them) with less joint probability than this
             are not listed.
-        out_weight, out_evidence: [capacity, N] receive ``weight`` and ``evidence`` after each
-            answer.
-        tail: [N] receives the joint weight of all that was not listed.
-        room: to work in.
+        answers: is filled.
 
     Returns:
         The number of answers listed; −1 where they are more than the capacity.
     """
-    types = len(weight)
-    first, size, start, count = room.groups[0], room.groups[1], room.groups[2], room.groups[3]
-    likelihood, news, weights, logs = room.likelihood, room.news, room.weights, room.logs
+    groups = _group(model, step, given, weight, answers)
+    return _list_counts(groups, weight, evidence, negligible, answers)
+
+
+@inlined
+def _group(model, step, given, weight, answers):  # type: ignore[no-untyped-def]
+    """Finds the groups of exchangeable transitions that carry news, and fills in what each count
+    of 1s in a group says. Returns their number."""
+    first, size, start = answers.groups[0], answers.groups[1], answers.groups[2]
     groups = 0
     for i in range(step + 1):
-        if not _informative(p, i, given, weight):
+        if not _informative(model, i, given, weight):
             continue
         for g in range(groups + 1):
             if g == groups:
                 first[g], size[g] = i, 0
                 groups += 1
-            if _same_column(p, first[g], i, given, weight):
+            if _same_column(model, first[g], i, given, weight):
                 size[g] += 1
                 break
-
     start[0] = 0
     for g in range(groups):
         start[g + 1] = start[g] + size[g] + 1
-    for g in range(groups):
-        for t in range(types):
-            if weight[t] > 0.0:
-                yes = p[t, first[g], given]
-                _binomial(yes, size[g], start[g], t, likelihood, news)
-            else:
-                for row in range(start[g], start[g + 1]):
-                    likelihood[row, t], news[row, t] = 0.0, 0
+        for t in range(len(weight)):
+            yes = explicable(model, first[g], given, t) if weight[t] > 0.0 else -1.0
+            _binomial(yes, size[g], start[g], t, answers.likelihood, answers.news)
+    return groups
 
-    # Depth first through the groups' counts; a prefix's weight is the sum over its completions,
-    # so a negligible prefix is a negligible family.
+
+@inlined
+def _list_counts(groups, weight, evidence, negligible, answers):  # type: ignore[no-untyped-def]
+    """Lists all counts, depth first through the groups. A prefix's weight is the sum over its
+    completions, so a negligible prefix is a negligible family."""
+    types = len(weight)
+    size, start, count = answers.groups[1], answers.groups[2], answers.groups[3]
+    weights, logs, tail = answers.weights, answers.logs, answers.tail
     for g in range(groups):
         count[g] = 0
     for t in range(types):
@@ -112,11 +124,10 @@ def branch(  # type: ignore[no-untyped-def]
     level = 0
     while level >= 0:
         if level == groups:
-            if found == len(out_weight):
+            if found == len(answers.weight):
                 return -1
-            for t in range(types):
-                out_weight[found, t] = weights[level, t]
-            _normalise(weights[level], logs[level], out_evidence[found])
+            copy(weights[level], answers.weight[found])
+            _normalise(weights[level], logs[level], answers.evidence[found])
             found += 1
             level -= 1
         elif count[level] > size[level]:
@@ -127,9 +138,10 @@ def branch(  # type: ignore[no-untyped-def]
             count[level] += 1
             total = 0.0
             for t in range(types):
-                w = weights[level, t] * likelihood[row, t]
+                w = weights[level, t] * answers.likelihood[row, t]
                 weights[level + 1, t] = w
-                logs[level + 1, t] = logs[level, t] + news[row, t] if w > 0.0 else IMPOSSIBLE
+                log = logs[level, t] + answers.news[row, t]
+                logs[level + 1, t] = log if w > 0.0 else IMPOSSIBLE
                 total += w
             if total > negligible:
                 level += 1
@@ -140,31 +152,33 @@ def branch(  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _informative(p, i, given, weight):  # type: ignore[no-untyped-def]
+def _informative(model, i, given, weight):  # type: ignore[no-untyped-def]
     first = -1
     for t in range(len(weight)):
         if weight[t] > 0.0:
             if first < 0:
                 first = t
-            elif p[t, i, given] != p[first, i, given]:
+            elif explicable(model, i, given, t) != explicable(model, i, given, first):
                 return True
     return False
 
 
 @inlined
-def _same_column(p, i, other, given, weight):  # type: ignore[no-untyped-def]
+def _same_column(model, i, other, given, weight):  # type: ignore[no-untyped-def]
     for t in range(len(weight)):
-        if weight[t] > 0.0 and p[t, i, given] != p[t, other, given]:
+        differs = explicable(model, i, given, t) != explicable(model, other, given, t)
+        if weight[t] > 0.0 and differs:
             return False
     return True
 
 
 @inlined
 def _binomial(yes, size, start, t, likelihood, news):  # type: ignore[no-untyped-def]
-    """Of ``size`` labels, each 1 with probability ``yes``: P(c ones), and their evidence."""
+    """Of ``size`` labels, each 1 with probability ``yes``: P(c ones), and their evidence; 0 where
+    the type cannot be, ``yes`` < 0."""
     log_yes = round(np.log(yes) * SCALE) if yes > 0.0 else 0
-    log_no = round(np.log1p(-yes) * SCALE) if yes < 1.0 else 0
-    choose = 1.0
+    log_no = round(np.log1p(-yes) * SCALE) if 0.0 <= yes < 1.0 else 0
+    choose = 1.0 if yes >= 0.0 else 0.0
     for ones in range(size + 1):
         probability = choose * yes**ones * (1.0 - yes) ** (size - ones)
         likelihood[start + ones, t] = probability
@@ -191,3 +205,20 @@ def hash_key(step, given, evidence):  # type: ignore[no-untyped-def]
         h ^= np.uint64(evidence[t])
     h = (h ^ (h >> np.uint64(32))) * np.uint64(0x94D049BB133111EB)
     return h ^ (h >> np.uint64(29))
+
+
+@inlined
+def copy(source, target):  # type: ignore[no-untyped-def]
+    """Fills an array [N] from another. (``target[:] = source`` would allocate, and compiles a
+    message for shapes that do not fit.)"""
+    for t in range(len(target)):
+        target[t] = source[t]
+
+
+@inlined
+def same(a, b):  # type: ignore[no-untyped-def]
+    """Whether two arrays [N] are equal."""
+    different = 0
+    for t in range(len(a)):
+        different += a[t] != b[t]
+    return different == 0

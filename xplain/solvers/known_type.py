@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy
-from xplain.solvers.dynamic_programming import check_memory_gib, greedy_policy
+from xplain.solvers.memory import check_memory_gib
+from xplain.solvers.qmdp import greedy_policy
 
 INSTEAD = "qhr plans without tables"
 
@@ -41,15 +42,14 @@ class Baseline:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """See :class:`xplain.solvers.base.Solver`."""
-        mixture = np.tensordot(problem.prior, problem.p_explicable, 1)[None]
-        one = problem.with_types(mixture, ("everyone",))
-        return Unheeding(greedy_policy(one, "baseline", self.memory_gib, INSTEAD))
+        one = problem.mixture(problem.prior)
+        return BeliefBlind(greedy_policy(one, "baseline", self.memory_gib, INSTEAD))
 
 
 @dataclass(frozen=True)
 class Conformant:
     """Explain costs C_inexp Σ_t Σ_i (1 − P[t, i, H]): the sum over all types, neither weighed by a
-    belief nor divided by N (the paper's user study; SPEC §5, slip 3).
+    belief nor divided by N (the paper's user study; docs/choices.md, slip 3).
 
     Args:
         memory_gib: most that the tables [steps, 2^messages] may take.
@@ -65,12 +65,11 @@ class Conformant:
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """See :class:`xplain.solvers.base.Solver`."""
         # N types' costs are N times the cost of the mean labeler.
-        mean = problem.p_explicable.mean(axis=0, keepdims=True)
         summed = replace(
-            problem.with_types(mean, ("everyone",)),
+            problem.mixture(np.full(problem.n_types, 1 / problem.n_types)),
             inexplicability_cost=problem.inexplicability_cost * problem.n_types,
         )
-        return Unheeding(greedy_policy(summed, "conformant", self.memory_gib, INSTEAD))
+        return BeliefBlind(greedy_policy(summed, "conformant", self.memory_gib, INSTEAD))
 
 
 @dataclass(frozen=True)
@@ -93,11 +92,13 @@ class KnownType:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Its policy of a problem with several types asks for a belief that names one."""
-        return Told(greedy_policy(problem, f"knowing the {self.knows}", self.memory_gib, INSTEAD))
+        return RequiresKnownType(
+            greedy_policy(problem, f"knowing the {self.knows}", self.memory_gib, INSTEAD)
+        )
 
 
 @dataclass(frozen=True)
-class Unheeding:
+class BeliefBlind:
     """A one-type policy in a world of several: the belief is not looked at."""
 
     policy: Policy
@@ -112,7 +113,7 @@ class Unheeding:
 
 
 @dataclass(frozen=True)
-class Told:
+class RequiresKnownType:
     """A policy that must be told the type: a belief of 1 on it. With such a belief QMDP's value
     is the type's own optimal value."""
 

@@ -9,30 +9,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.base import Knowledge
-from xplain.solvers.count_lattice import branch, make_room
-from xplain.solvers.dynamic_programming import (
-    Greedy,
-    Restricted,
+from xplain.solvers.count_lattice import branch, make_answers
+from xplain.solvers.memory import check_memory, check_memory_gib
+from xplain.solvers.model import (
+    Model,
+    SetPrices,
     best_set,
-    check_memory,
-    check_memory_gib,
-    message_discount,
-    message_price,
-    messages_worth_giving,
+    expected,
+    explain_cost,
+    explain_cost_at,
+    model_of,
     optimal_values,
-    restrict,
+    set_prices,
     table_bytes,
 )
-from xplain.solvers.hsvi.initial_bounds import set_prices
-from xplain.solvers.numba_kernels import inlined
+from xplain.solvers.qmdp import Greedy
+from xplain.solvers.restriction import Restricted, messages_worth_giving
 
 
 @dataclass(frozen=True)
@@ -59,22 +60,39 @@ class Lookahead:
     def plan(self, problem: Problem, seed: int = 0) -> LookaheadPolicy:
         """See :class:`xplain.solvers.base.Solver`."""
         kept = messages_worth_giving(problem)
-        small = restrict(problem, kept)
+        small = problem.with_messages(kept)
         check_memory("lookahead", table_bytes(small), self.memory_gib, "qhr plans without tables")
-        looking = Looking(
-            small, optimal_values(small), *set_prices(small), self.candidates, self.answers
+        model = model_of(small)
+        tables = Tables(model, optimal_values(model), set_prices(model))
+        return LookaheadPolicy(
+            Expectimax(tables, self.candidates, self.answers), kept, problem.prior
         )
-        return LookaheadPolicy(looking, kept)
+
+
+class Tables(NamedTuple):
+    """What a decision reads.
+
+    Attributes:
+        model: the problem's.
+        optimal: [m + 1, 2^n, N] V*_t(k, H).
+        sets: prices and discounts of sets of messages.
+    """
+
+    model: Model
+    optimal: NDArray[np.float64]
+    sets: SetPrices
 
 
 @dataclass(frozen=True)
-class Looking:
-    """One step of expectimax, computed when asked."""
+class Expectimax:
+    """One step of it, computed when asked.
 
-    problem: Problem
-    table: NDArray[np.float64]
-    price: NDArray[np.float64]
-    factor: NDArray[np.float64]
+    Attributes:
+        tables: of N types.
+        candidates, answers: as :class:`Lookahead` has them.
+    """
+
+    tables: Tables
     candidates: int
     answers: int
 
@@ -90,115 +108,78 @@ class Looking:
         self, step: int, given: int, belief: NDArray[np.float64]
     ) -> tuple[dict[int, float], float]:
         """Upper bounds of the sets looked into, and one that holds for all others."""
-        problem = self.problem
+        model = self.tables.model
         sets, scores, rest = _look(
-            problem.p_explicable,
-            self.table,
-            self.price,
-            self.factor,
-            message_price(problem),
-            problem.inexplicability_cost,
-            problem.discount,
-            message_discount(problem),
+            self.tables,
             step,
             given,
-            belief,
+            belief.copy(),
             self.candidates,
-            np.empty((self.answers, problem.n_types)),
-            np.empty((self.answers, problem.n_types), dtype=np.int64),
-            make_room(problem.n_steps, problem.n_types),
+            make_answers(self.answers, model.n_steps, model.n_types),
         )
         return dict(zip(sets.tolist(), scores.tolist(), strict=True)), float(rest)
 
 
 @dataclass(frozen=True)
 class LookaheadPolicy(Restricted):
-    """A lookahead over the kept messages, with bounds of the optimal value at the root."""
+    """A lookahead over the kept messages, with bounds of the optimal value at the root.
 
-    policy: Looking
+    Attributes:
+        prior: [N] the root's belief.
+    """
+
+    policy: Expectimax
+    prior: NDArray[np.float64]
 
     @property
     def upper(self) -> float:
-        """The best score."""
-        scores, rest = self.policy.scores(0, 0, self.policy.problem.prior)
+        """The best score: an upper bound on the root's optimal value."""
+        scores, rest = self.policy.scores(0, 0, self.prior)
         return max(rest, *scores.values())
 
     @property
     def lower(self) -> float:
-        """The exact value of the best plan that heeds no answer: a type's optimal one, or
-        silence."""
-        looking = self.policy
-        problem = looking.problem
-        greedy = Greedy(problem, looking.table)
-        types = np.eye(problem.n_types)
-        plans = [_plan(greedy, sure) for sure in types]
-        plans.append([0] * problem.n_steps)
-        return max(_plan_value(looking, plan) for plan in plans)
+        """Lower bound on the root's optimal value: the exact value of the best plan that heeds
+        no answer, a type's optimal one or silence."""
+        tables = self.policy.tables
+        greedy = Greedy(tables.model, tables.optimal)
+        plans = [_plan(greedy, sure) for sure in np.eye(tables.model.n_types)]
+        plans.append([0] * tables.model.n_steps)
+        return max(_plan_value(tables, self.prior, plan) for plan in plans)
 
 
 def _plan(greedy: Greedy, belief: NDArray[np.float64]) -> list[int]:
     """The sets that the greedy policy gives if no answer changes the belief."""
     given, plan = 0, []
-    for step in range(greedy.problem.n_steps):
+    for step in range(greedy.model.n_steps):
         plan.append(greedy.messages(step, given, belief))
         given |= plan[-1]
     return plan
 
 
-def _plan_value(looking: Looking, plan: list[int]) -> float:
-    problem = looking.problem
-    given, value, factor = 0, 0.0, 1.0
+def _plan_value(tables: Tables, prior: NDArray[np.float64], plan: list[int]) -> float:
+    """Expected discounted return of giving these sets, whatever is answered."""
+    model, sets = tables.model, tables.sets
+    given, value, discount = 0, 0.0, 1.0
     for step, new in enumerate(plan):
         given |= new
-        value -= factor * float(looking.price[new])
-        factor *= float(looking.factor[new])
-        zeros = (1 - problem.p_explicable[:, : step + 1, given]).sum(axis=1)
-        value -= factor * problem.inexplicability_cost * float(problem.prior @ zeros)
-        factor *= problem.discount
+        value -= discount * float(sets.price[new])
+        discount *= float(sets.discount[new])
+        value -= discount * float(prior @ explain_cost_at(model, step, given))
+        discount *= model.discount
     return value
 
 
-@njit(cache=True, nogil=True)
-def _look(  # type: ignore[no-untyped-def]
-    p,
-    table,
-    price,
-    factor,
-    message_price,
-    inexplicability,
-    discount,
-    message_discount,
-    step,
-    given,
-    belief,
-    candidates,
-    out_weight,
-    out_evidence,
-    room,
-):
+@kernel
+def _look(tables, step, given, belief, candidates, answers):  # type: ignore[no-untyped-def]
     """The best sets by QMDP, their scores after a look at the answers, the best other score."""
-    free = (len(price) - 1) & ~given
-    scores = np.full(len(price), -np.inf)
-    costs = np.empty(len(price))
-    chosen = 0
-    while True:
-        shown = given | chosen
-        zeros, later = 0.0, 0.0
-        for t in range(len(belief)):
-            if belief[t] > 0.0:
-                later += belief[t] * table[step + 1, shown, t]
-                for i in range(step + 1):
-                    zeros += belief[t] * (1.0 - p[t, i, shown])
-        costs[chosen] = price[chosen] + factor[chosen] * inexplicability * zeros
-        scores[chosen] = factor[chosen] * discount * later - costs[chosen]
-        chosen = (chosen - free) & free
-        if chosen == 0:
-            break
+    model, optimal = tables.model, tables.optimal
+    scores = np.full(len(tables.sets.price), -np.inf)
+    _score_by_qmdp(tables, step, given, belief, scores)
     count = 0
     sets = np.empty(candidates, dtype=np.int64)
     best = np.empty(candidates)
     evidence = np.zeros(len(belief), dtype=np.int64)
-    tail = np.empty(len(belief))
     while count < candidates:
         chosen = int(np.argmax(scores))
         if scores[chosen] == -np.inf:
@@ -206,56 +187,53 @@ def _look(  # type: ignore[no-untyped-def]
         sets[count], best[count] = chosen, scores[chosen]
         scores[chosen] = -np.inf
         shown = given | chosen
-        if step + 1 < p.shape[1]:
-            answers = branch(
-                p, step, shown, belief, evidence, 1e-9, out_weight, out_evidence, tail, room
-            )
-            if answers >= 0:
-                later = 0.0
+        if step + 2 < len(optimal):
+            listed = branch(model, step, shown, belief, evidence, 1e-9, answers)
+            if listed >= 0:
+                later = expected(answers.tail, optimal[step + 1, shown])
+                for a in range(listed):
+                    later += _qmdp(tables, step + 1, shown, answers.weight[a])
+                cost = 0.0
                 for t in range(len(belief)):
-                    later += tail[t] * table[step + 1, shown, t]
-                for a in range(answers):
-                    later += _qmdp(
-                        p,
-                        table,
-                        message_price,
-                        inexplicability,
-                        discount,
-                        message_discount,
-                        step + 1,
-                        shown,
-                        out_weight[a],
-                    )
-                best[count] = min(best[count], factor[chosen] * discount * later - costs[chosen])
+                    if belief[t] > 0.0:
+                        cost += belief[t] * explain_cost(model, step, shown, t)
+                value = tables.sets.discount[chosen] * (model.discount * later - cost)
+                best[count] = min(best[count], value - tables.sets.price[chosen])
         count += 1
     return sets[:count], best[:count], scores.max()
 
 
 @inlined
-def _qmdp(  # type: ignore[no-untyped-def]
-    p,
-    table,
-    message_price,
-    inexplicability,
-    discount,
-    message_discount,
-    step,
-    given,
-    weight,
-):
+def _score_by_qmdp(tables, step, given, belief, scores):  # type: ignore[no-untyped-def]
+    """Fills in ``scores`` [2^n], Σ_t b(t) Q*_t of every set of messages not given."""
+    model = tables.model
+    free = (len(tables.sets.price) - 1) & ~given
+    chosen = 0
+    while True:
+        shown = given | chosen
+        value = 0.0
+        for t in range(len(belief)):
+            if belief[t] > 0.0:
+                explain = model.discount * tables.optimal[step + 1, shown, t]
+                value += belief[t] * (explain - explain_cost(model, step, shown, t))
+        scores[chosen] = tables.sets.discount[chosen] * value - tables.sets.price[chosen]
+        chosen = (chosen - free) & free
+        if chosen == 0:
+            return
+
+
+@inlined
+def _qmdp(tables, step, given, weight):  # type: ignore[no-untyped-def]
     """max_a Σ_t w(t) Q*_t(k, H, a), for a belief times its probability."""
+    model = tables.model
     total, best = 0.0, 0.0
     for t in range(len(weight)):
         total += weight[t]
-        zeros = 0.0
-        for i in range(step + 1):
-            zeros += 1.0 - p[t, i, given]
-        best += weight[t] * (discount * table[step + 1, given, t] - inexplicability * zeros)
-    for j in range(len(message_price)):
+        explain = model.discount * tables.optimal[step + 1, given, t]
+        best += weight[t] * (explain - explain_cost(model, step, given, t))
+    for j in range(len(model.price)):
         more = given | (1 << j)
         if more != given:
-            value = 0.0
-            for t in range(len(weight)):
-                value += weight[t] * table[step, more, t]
-            best = max(best, message_discount * value - message_price[j] * total)
+            value = model.message_discount * expected(weight, tables.optimal[step, more])
+            best = max(best, value - model.price[j] * total)
     return best

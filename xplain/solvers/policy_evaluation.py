@@ -9,19 +9,19 @@ of H.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.belief import update
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import lean_kernel
 from xplain.randomness import stream
 from xplain.solvers.base import Policy
-from xplain.solvers.cached_policy import Remembered
-from xplain.solvers.count_lattice import branch, hash_key, make_room
-from xplain.solvers.dynamic_programming import message_discount, message_price
+from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.count_lattice import branch, copy, hash_key, make_answers, same
+from xplain.solvers.model import Model, explain_cost_at, model_of
 
 NEGLIGIBLE = 1e-16
 """Joint probability below which an answer is not followed."""
@@ -61,7 +61,7 @@ def evaluate(
         episodes: then simulated.
         seed: of the simulated labels' stream.
     """
-    asked = Remembered(policy)
+    asked = CachedPolicy(policy)
     exact = _walk(problem, asked, beliefs)
     return exact if exact is not None else simulate(problem, asked, episodes, seed)
 
@@ -73,7 +73,8 @@ def _walk(problem: Problem, policy: Policy, limit: int) -> PolicyValue | None:
     weight = problem.prior[None].copy()
     evidence = np.zeros((1, problem.n_types), dtype=np.int64)
     asked, value, cost, left_out = 0, 0.0, 0.0, 0.0
-    worst = _worst_remaining(problem)
+    model = model_of(problem)
+    worst = _worst_remaining(model)
     for k in range(problem.n_steps):
         if asked + min(2, problem.n_steps - k) * len(given) > limit:
             return None
@@ -81,18 +82,16 @@ def _walk(problem: Problem, policy: Policy, limit: int) -> PolicyValue | None:
         mass = weight.sum(axis=1)
         for b in range(len(given)):
             new = policy.messages(k, int(given[b]), weight[b] / mass[b])
-            factor, price, undiscounted = _give(problem, int(given[b]), new)
+            factor, price, undiscounted = _give(model, int(given[b]), new)
             given[b] |= new
-            value -= mass[b] * problem.discount**k * factor * price
+            value -= mass[b] * model.discount**k * factor * price
             cost += mass[b] * undiscounted
-        zeros = np.zeros(len(given))
-        for i in range(k + 1):
-            zeros += (weight.T * (1 - problem.p_explicable[:, i, given])).sum(axis=0)
-        zeros *= problem.inexplicability_cost
+        sets, which = np.unique(given, return_inverse=True)
+        zeros = (weight * explain_cost_at(model, k, sets)[which]).sum(axis=1)
         cost += float(zeros.sum())
-        value -= float(zeros @ _discounts(problem, k, given))
+        value -= float(zeros @ _discounts(model, k, given))
         if k + 1 < problem.n_steps:
-            layer = _next_layer(problem, k, given, weight, evidence, limit)
+            layer = _next_layer(model, k, given, weight, evidence, limit)
             if layer is None:
                 return None
             given, weight, evidence, tail = layer
@@ -113,30 +112,29 @@ def _likely(weight: NDArray[np.float64], budget: float) -> tuple[NDArray[np.int6
     return np.sort(order[dropped:]), float(total[dropped - 1]) if dropped else 0.0
 
 
-def _worst_remaining(problem: Problem) -> float:
+def _worst_remaining(model: Model) -> float:
     """No policy can cost more than every label 0 and every message given."""
-    m = problem.n_steps
-    labels = problem.inexplicability_cost * m * (m + 1) / 2
-    return labels + float(message_price(problem).sum())
+    m = model.n_steps
+    return model.inexplicability * m * (m + 1) / 2 + float(model.price.sum())
 
 
-def _discounts(problem: Problem, step: int, given: NDArray[np.int64]) -> NDArray[np.float64]:
+def _discounts(model: Model, step: int, given: NDArray[np.int64]) -> NDArray[np.float64]:
     """What discounts the *explain* that ends a step, H including the step's messages."""
-    actions: NDArray[np.float64] = message_discount(problem) ** np.bitwise_count(given)
-    return actions * problem.discount**step
+    actions: NDArray[np.float64] = model.message_discount ** np.bitwise_count(given)
+    return actions * model.discount**step
 
 
-def _give(problem: Problem, given: int, new: int) -> tuple[float, float, float]:
+def _give(model: Model, given: int, new: int) -> tuple[float, float, float]:
     """Discount at the start of the messages (but for steps), the discounted price of them from
     there, the cheapest first, and the plain price."""
-    per_message = message_discount(problem)
-    prices = sorted(p for j, p in enumerate(message_price(problem)) if new >> j & 1)
+    per_message = model.message_discount
+    prices = sorted(p for j, p in enumerate(model.price) if new >> j & 1)
     discounted = sum(p * per_message**i for i, p in enumerate(prices))
     return per_message ** given.bit_count(), float(discounted), float(sum(prices))
 
 
 def _next_layer(
-    problem: Problem,
+    model: Model,
     step: int,
     given: NDArray[np.int64],
     weight: NDArray[np.float64],
@@ -144,92 +142,89 @@ def _next_layer(
     limit: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], float] | None:
     """The beliefs after the answers, and the probability of what was left out."""
-    out_given = np.empty(limit + 1, dtype=np.int64)
-    out_weight = np.empty((limit + 1, problem.n_types))
-    out_evidence = np.empty((limit + 1, problem.n_types), dtype=np.int64)
-    found, tail = _expand_layer(
-        problem.p_explicable,
-        step,
-        given,
-        weight,
-        evidence,
-        NEGLIGIBLE,
-        out_given,
-        out_weight,
-        out_evidence,
-        make_room(problem.n_steps, problem.n_types),
+    after = Layer(
+        np.empty(limit + 1, np.int64),
+        np.empty((limit + 1, model.n_types)),
+        np.empty((limit + 1, model.n_types), np.int64),
     )
+    answers = make_answers(limit + 1, model.n_steps, model.n_types)
+    slots = np.full(1 << (4 * limit + 3).bit_length(), -1, np.int64)
+    found, tail = _expand_layer(model, step, Layer(given, weight, evidence), after, slots, answers)
     if found < 0:
         return None
-    return out_given[:found], out_weight[:found], out_evidence[:found], tail
+    return after.given[:found], after.weight[:found], after.evidence[:found], tail
 
 
-@njit(cache=True, nogil=True)
-def _expand_layer(  # type: ignore[no-untyped-def]
-    p, step, given, weight, evidence, negligible, out_given, out_weight, out_evidence, room
-):
-    capacity, types = out_weight.shape
-    slots = 16
-    while slots < 4 * capacity:
-        slots *= 2
-    table = np.full(slots, -1, dtype=np.int64)
-    answer_weight = np.empty((capacity, types))
-    answer_evidence = np.empty((capacity, types), dtype=np.int64)
-    tail = np.empty(types)
+class Layer(NamedTuple):
+    """B beliefs at one k.
+
+    Attributes:
+        given: [B] H.
+        weight: [B, N] joint probability of the past and each type.
+        evidence: [B, N] an exact key of the belief.
+    """
+
+    given: NDArray[np.int64]
+    weight: NDArray[np.float64]
+    evidence: NDArray[np.int64]
+
+
+@lean_kernel
+def _expand_layer(model, step, layer, after, slots, answers):  # type: ignore[no-untyped-def]
+    """Fills ``after`` with the beliefs that the layer's answers lead to, equal ones merged.
+    ``slots`` is a hash table, all −1, a power of two long.
+
+    Returns:
+        How many, −1 where they are more than there is room for; and the probability of the
+        answers not followed.
+    """
     left_out = 0.0
     found = 0
-    for b in range(len(given)):
-        answers = branch(
-            p,
-            step,
-            given[b],
-            weight[b],
-            evidence[b],
-            negligible,
-            answer_weight,
-            answer_evidence,
-            tail,
-            room,
-        )
-        left_out += tail.sum()
-        if answers < 0:
+    for b in range(len(layer.given)):
+        given = layer.given[b]
+        count = branch(model, step, given, layer.weight[b], layer.evidence[b], NEGLIGIBLE, answers)
+        for t in range(len(answers.tail)):
+            left_out += answers.tail[t]
+        if count < 0:
             return -1, left_out
-        for a in range(answers):
-            slot = np.int64(hash_key(step, given[b], answer_evidence[a]) & np.uint64(slots - 1))
+        for a in range(count):
+            evidence = answers.evidence[a]
+            slot = np.int64(hash_key(step, given, evidence) & np.uint64(len(slots) - 1))
             while True:
-                node = table[slot]
+                node = slots[slot]
                 if node < 0:
-                    if found == capacity:
+                    if found == len(after.given):
                         return -1, left_out
-                    table[slot] = found
-                    out_given[found] = given[b]
-                    out_weight[found] = answer_weight[a]
-                    out_evidence[found] = answer_evidence[a]
+                    slots[slot] = found
+                    after.given[found] = given
+                    copy(answers.weight[a], after.weight[found])
+                    copy(evidence, after.evidence[found])
                     found += 1
                     break
-                if out_given[node] == given[b] and (out_evidence[node] == answer_evidence[a]).all():
-                    out_weight[node] += answer_weight[a]
+                if after.given[node] == given and same(after.evidence[node], evidence):
+                    for t in range(len(evidence)):
+                        after.weight[node, t] += answers.weight[a, t]
                     break
-                slot = (slot + 1) & (slots - 1)
+                slot = (slot + 1) & (len(slots) - 1)
     return found, left_out
 
 
 def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> PolicyValue:
     """The policy's worth as a mean over simulated users, with its standard error."""
-    rng = stream(seed, "policy_value")
+    rng, model = stream(seed, "policy_value"), model_of(problem)
     values, costs = np.zeros(episodes), np.zeros(episodes)
-    asked = policy if isinstance(policy, Remembered) else Remembered(policy)
+    asked = policy if isinstance(policy, CachedPolicy) else CachedPolicy(policy)
     for episode in range(episodes):
         user_type = rng.choice(problem.n_types, p=problem.prior)
         given, belief = 0, problem.prior
         for k in range(problem.n_steps):
             new = asked.messages(k, given, belief)
-            factor, price, undiscounted = _give(problem, given, new)
+            factor, price, undiscounted = _give(model, given, new)
             given |= new
-            p = problem.p_explicable[user_type, : k + 1, given]
+            p = problem.label_probabilities(k + 1, given)[user_type]
             labels = (rng.random(k + 1) < p).astype(np.uint8)
             zeros = problem.inexplicability_cost * float((labels == 0).sum())
-            explain = float(_discounts(problem, k, np.array([given]))[0])
+            explain = float(_discounts(model, k, np.array([given]))[0])
             values[episode] -= problem.discount**k * factor * price + explain * zeros
             costs[episode] += undiscounted + zeros
             belief = update(problem, belief, given, labels)

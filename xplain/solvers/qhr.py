@@ -12,12 +12,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
+from xplain.message_sets import subsets
+from xplain.numba_kernels import kernel
 from xplain.solvers.base import Knowledge, Policy
-from xplain.solvers.dynamic_programming import TIE, message_price, subsets
+from xplain.solvers.model import Model, best_of, explicable, model_of
 
 
 @dataclass(frozen=True)
@@ -28,22 +29,18 @@ class QHR:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """See :class:`xplain.solvers.base.Solver`."""
-        return SilentAfterwards(problem)
+        return QHRPolicy(model_of(problem))
 
 
 @dataclass(frozen=True)
-class SilentAfterwards:
+class QHRPolicy:
     """Maximises QHR's closed form. Ties: fewest messages first, then message order."""
 
-    problem: Problem
+    model: Model
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
         """See :class:`xplain.solvers.base.Policy`."""
-        masks, values = self._all(step, given, belief)
-        best = values.max()
-        tied = masks[values >= best - TIE * (1 + abs(best))]
-        size = np.bitwise_count(tied)
-        return int(tied[size == size.min()][0])
+        return best_of(*self._all(step, given, belief))
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
         """Of *explain* (0), of each message alone, and of the set chosen."""
@@ -55,25 +52,25 @@ class SilentAfterwards:
         self, step: int, given: int, belief: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Every set of messages not given, ascending, and its value."""
-        problem = self.problem
-        m = problem.n_steps
+        model = self.model
+        m = model.n_steps
         # Transition i is in the prefixes of max(k, i) + 1 to m transitions (i counted from 0).
         times = m - np.maximum(step, np.arange(m))
-        masks = subsets(j for j in range(problem.n_messages) if not given >> j & 1)
-        zeros = _expected_zeros(problem.p_explicable, belief, times, masks, given)
+        masks = subsets(j for j in range(len(model.price)) if not given >> j & 1)
+        zeros = _expected_zeros(model, belief, times, masks, given)
         price = np.zeros(len(masks))
-        for j, cost in enumerate(message_price(problem)):
+        for j, cost in enumerate(model.price):
             price += cost * (masks >> j & 1)
-        return masks, -(price + problem.inexplicability_cost * zeros)
+        return masks, -(price + model.inexplicability * zeros)
 
 
-@njit(cache=True, nogil=True)
-def _expected_zeros(p, belief, times, masks, given):  # type: ignore[no-untyped-def]
+@kernel
+def _expected_zeros(model, belief, times, masks, given):  # type: ignore[no-untyped-def]
     zeros = np.zeros(len(masks))
     for t in range(len(belief)):
         if belief[t] > 0.0:
             for i in range(len(times)):
                 weight = belief[t] * times[i]
                 for s in range(len(masks)):
-                    zeros[s] += weight * (1.0 - p[t, i, masks[s] | given])
+                    zeros[s] += weight * (1.0 - explicable(model, i, masks[s] | given, t))
     return zeros

@@ -7,11 +7,25 @@ bounds the optimum from above.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy
-from xplain.solvers.dynamic_programming import check_memory_gib, greedy_policy
+from xplain.solvers.memory import check_memory, check_memory_gib
+from xplain.solvers.model import (
+    Model,
+    best_of,
+    explain_cost_at,
+    model_of,
+    one_by_one,
+    optimal_values,
+    table_bytes,
+)
+from xplain.solvers.restriction import Restricted, messages_worth_giving
 
 
 @dataclass(frozen=True)
@@ -30,3 +44,54 @@ class QMDP:
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """See :class:`xplain.solvers.base.Solver`."""
         return greedy_policy(problem, "qmdp", self.memory_gib, "qhr plans without tables")
+
+
+@dataclass(frozen=True)
+class Greedy:
+    """Gives the message with the largest Σ_t b(t) Q*_t(k, H, a), again and again, until
+    *explain* is the best action.
+
+    Attributes:
+        model: of N types.
+        optimal: [m + 1, 2^n, N] V*_t(k, H).
+    """
+
+    model: Model
+    optimal: NDArray[np.float64]
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+        """See :class:`xplain.solvers.base.Policy`."""
+        return one_by_one(lambda shown: best_of(*self._values(step, shown, belief)), given)
+
+    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
+        """Σ_t b(t) Q*_t(k, H, a) of *explain* (0) and of each message (its bit)."""
+        actions, values = self._values(step, given, belief)
+        return dict(zip(actions.tolist(), values.tolist(), strict=True))
+
+    def _values(
+        self, step: int, given: int, belief: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The actions and their values."""
+        model = self.model
+        free = [j for j in range(len(model.price)) if not given >> j & 1]
+        actions = np.array([0, *(1 << j for j in free)])
+        explain = model.discount * self.optimal[step + 1, given]
+        explain = explain - explain_cost_at(model, step, given)
+        values = np.empty(len(actions))
+        values[0] = belief @ explain
+        later = self.optimal[step, given | actions[1:]] @ belief
+        values[1:] = model.message_discount * later - model.price[free]
+        return actions, values
+
+
+def greedy_policy(problem: Problem, what: str, memory_gib: float, instead: str) -> Policy:
+    """The greedy policy, planned with the messages worth giving.
+
+    Raises:
+        TooLargeError: its tables would take more than ``memory_gib``.
+    """
+    kept = messages_worth_giving(problem)
+    small = problem.with_messages(kept)
+    check_memory(what, table_bytes(small), memory_gib, instead)
+    model = model_of(small)
+    return Restricted(Greedy(model, optimal_values(model)), kept)

@@ -2,18 +2,30 @@
 
     from xplain.testing import Chosen, SolverConformance
     class TestMine(SolverConformance):
-        component = Chosen("solver", "mine", conf="conf")
+        chosen = Chosen("solver", "mine", conf="conf")
 
-``component`` is the object itself, or :class:`Chosen` for what a YAML file makes, as the command
-line would. Run them with pytest. Each test states a property that the rest of xplain relies on.
+``chosen`` is what a YAML file makes, as the command line would. An object of your own, or many at
+once, is tested by overriding the fixture that hands it to every test::
+
+    class TestMine(SolverConformance):
+        @pytest.fixture(params=[Mine(depth=1), Mine(depth=9)])
+        def component(self, request):
+            return request.param
+
+Run them with pytest. Each test states a property that the rest of xplain relies on.
 """
 
-from xplain.testing.chosen import Chosen
-from xplain.testing.clusterer import ClustererConformance, PartitionConformance
-from xplain.testing.domain import DomainConformance
-from xplain.testing.labeler import LabelerConformance
-from xplain.testing.solver import SolverConformance
-from xplain.testing.types import TypeSourceConformance
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from xplain.testing.chosen import Chosen
+    from xplain.testing.clusterer import ClustererConformance, PartitionConformance
+    from xplain.testing.domain import DomainConformance
+    from xplain.testing.labeler import LabelerConformance
+    from xplain.testing.solver import SolverConformance
+    from xplain.testing.types import TypeSourceConformance
 
 __all__ = [
     "Chosen",
@@ -24,3 +36,26 @@ __all__ = [
     "SolverConformance",
     "TypeSourceConformance",
 ]
+
+_WHERE = {
+    "Chosen": "chosen",
+    "ClustererConformance": "clusterer",
+    "DomainConformance": "domain",
+    "LabelerConformance": "labeler",
+    "PartitionConformance": "clusterer",
+    "SolverConformance": "solver",
+    "TypeSourceConformance": "types",
+}
+
+
+def __getattr__(name: str) -> Any:
+    # Imported when asked for: the data and problems beside the suites do without pytest.
+    if name not in _WHERE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

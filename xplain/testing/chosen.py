@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ from xplain.config import CONF, register
 
 
 class Chosen:
-    """``group=choice`` of a configuration, instantiated when first looked at.
+    """``group=choice`` of a configuration.
 
     Args:
         group, choice: as on the command line.
@@ -24,17 +25,14 @@ class Chosen:
         self.overrides = [f"{group}={choice}", *overrides]
         if conf is not None:
             self.overrides.append(f"hydra.searchpath=[file://{Path(conf).absolute()}]")
-        self._made: Any = None
 
-    def __get__(self, instance: object, owner: type) -> Any:
-        if instance is None:
-            return self
-        if self._made is None:
-            self._made = self.make()
-        return self._made
+    @cached_property
+    def component(self) -> Any:
+        """Made when first asked for, then the same one; see :meth:`make`."""
+        return self.make()
 
     def make(self) -> Any:
-        """The component.
+        """A new component, as a run with these keys would get it.
 
         Raises:
             HydraException: no such choice.

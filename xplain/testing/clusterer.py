@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,71 +12,84 @@ from xplain.data.dataset import Dataset
 from xplain.learning.clustering import Clustering, by_first_appearance
 from xplain.learning.labelers import LabelerTrainer
 from xplain.testing.data import rule_data
+from xplain.testing.suite import Conformance
 
 
-class ClustererConformance:
-    """Attributes:
-    component: the clusterer.
-    finds_types: it must tell types apart that answer the same questions differently.
-    needs_truth: it works with the true types (perfect clustering).
+class ClustererConformance(Conformance):
+    """Holds a clusterer, ``cluster(dataset, trainer, seed, truth)``, to what learning and scoring
+    need of its :class:`~xplain.learning.clustering.Clustering`.
+
+    Attributes:
+        finds_types: it must tell types apart that answer the same questions differently.
+        needs_truth: it works with the true types (perfect clustering).
     """
 
-    component: Any
     finds_types = True
     needs_truth = False
 
-    def test_every_observer_gets_a_type(self) -> None:
+    def test_every_observer_gets_a_type(self, component: Any) -> None:
         """Numbered from 0 in the order of the observers."""
         data, truth = self._data()
-        found = self._cluster(data, truth).assignment
+        found = self._cluster(component, data, truth).assignment
         assert found.shape == (len(data.observers),), "one type an observer"
         assert np.array_equal(found, by_first_appearance(found)), "not numbered by appearance"
 
-    def test_says_how_it_chose(self) -> None:
+    def test_says_how_it_chose(self, component: Any) -> None:
         """For the report: a method, a rule, and a curve where there is one."""
         data, truth = self._data()
-        clustering = self._cluster(data, truth)
+        clustering = self._cluster(component, data, truth)
         assert isinstance(clustering, Clustering)
         assert clustering.method.strip(), "no word for the method"
         assert clustering.rule.strip(), "no word for what chose the number of types"
 
-    def test_the_same_seed_gives_the_same_types(self) -> None:
+    def test_the_same_seed_gives_the_same_types(self, component: Any) -> None:
         """Randomness comes from the seed alone."""
         data, truth = self._data()
-        once, again = (self._cluster(data, truth).assignment for _ in range(2))
+        once, again = (self._cluster(component, data, truth).assignment for _ in range(2))
         assert np.array_equal(once, again), "two clusterings with one seed differ"
 
-    def test_does_not_look_at_the_truth(self) -> None:
+    def test_does_not_look_at_the_truth(self, component: Any) -> None:
         """Simulated observers' true types are for scoring."""
         if self.needs_truth:
             return
         data, truth = self._data()
-        blind = self.component.cluster(data, LabelerTrainer(), 3, None).assignment
-        seen = self.component.cluster(data, LabelerTrainer(), 3, truth).assignment
+        blind = component.cluster(data, LabelerTrainer(), 3, None).assignment
+        seen = component.cluster(data, LabelerTrainer(), 3, truth).assignment
         assert np.array_equal(blind, seen), "the clustering depends on the truth"
 
-    def test_finds_plain_types(self) -> None:
+    def test_finds_plain_types(self, component: Any) -> None:
         """Three types that need different messages, three observers each, the same questions."""
         if not self.finds_types:
             return
         data, truth = self._data()
-        found = self._cluster(data, truth).assignment
+        found = self._cluster(component, data, truth).assignment
         assert np.array_equal(found, truth), f"found {found.tolist()}, true {truth.tolist()}"
 
-    def test_observers_who_answer_alike_are_of_one_type(self) -> None:
-        """The same answers to the same questions."""
+    def test_observers_may_come_in_any_order(self, component: Any) -> None:
+        """Whoever comes first among them is type 0, whatever the true types' numbers."""
+        data, truth = self._data()
+        last_type_first = np.array([8, 0, 4, 1, 7, 3, 6, 5, 2])
+        shuffled, true = _in_order(data, last_type_first), truth[last_type_first]
+        found = self._cluster(component, shuffled, true).assignment
+        assert found[0] == 0, f"the first observer's type is called {found[0]}"
+        if self.finds_types:
+            expected = by_first_appearance(true)
+            assert np.array_equal(found, expected), f"{found.tolist()}, not {expected.tolist()}"
+
+    def test_observers_who_answer_alike_are_of_one_type(self, component: Any) -> None:
+        """Six observers with the same answers to the same questions are one type."""
         data, truth = rule_data(np.random.default_rng(5), [[1]], per_type=6)
-        found = self._cluster(data, truth).assignment
+        found = self._cluster(component, data, truth).assignment
         assert (found == 0).all(), f"{found.tolist()}"
 
-    def test_a_single_observer_is_a_type(self) -> None:
-        """With one observer there is one cluster."""
+    def test_a_single_observer_is_a_type(self, component: Any) -> None:
+        """A data set with one observer gives one type, and no error."""
         data, truth = rule_data(np.random.default_rng(5), [[1]], per_type=1)
-        assert self._cluster(data, truth).assignment.tolist() == [0]
+        assert self._cluster(component, data, truth).assignment.tolist() == [0]
 
-    def _cluster(self, data: Dataset, truth: NDArray[np.int64]) -> Clustering:
+    def _cluster(self, component: Any, data: Dataset, truth: NDArray[np.int64]) -> Clustering:
         given = truth if self.needs_truth else None
-        clustering: Clustering = self.component.cluster(data, LabelerTrainer(), 3, given)
+        clustering: Clustering = component.cluster(data, LabelerTrainer(), 3, given)
         return clustering
 
     @staticmethod
@@ -83,43 +97,49 @@ class ClustererConformance:
         return rule_data(np.random.default_rng(0), [[0], [1, 2], [3]])
 
 
-class PartitionConformance:
-    """Attributes:
-    component: groups vectors, ``partition(vectors, k, seed)``; the plug-in of ``Elbow``.
+def _in_order(data: Dataset, order: NDArray[np.int64]) -> Dataset:
+    """The same labels, their observers [O] in another order."""
+    place = np.argsort(order)[data.observer]
+    rows = np.argsort(place, kind="stable")
+    names = tuple(data.observers[o] for o in order)
+    return replace(data.take(rows), observers=names, observer=place[rows])
+
+
+class PartitionConformance(Conformance):
+    """Holds a partition, ``partition(vectors, k, seed)``, the plug-in of
+    :class:`~xplain.learning.paper_clusterer.Elbow`, to what its curve of disagreements needs.
     """
 
-    component: Any
-
-    def test_makes_at_most_k_groups(self) -> None:
+    def test_makes_at_most_k_groups(self, component: Any) -> None:
         """One group for k = 1; each distinct vector its own where k allows."""
         vectors = self._vectors()
         distinct = len(np.unique(vectors, axis=0))
         for k in range(1, distinct + 3):
-            groups = len(np.unique(self.component.partition(vectors, k, 0)))
+            groups = len(np.unique(component.partition(vectors, k, 0)))
             assert 1 <= groups <= k, f"{groups} groups for k = {k}"
             if k >= distinct:
                 assert groups == distinct, f"{distinct} distinct vectors made {groups} groups"
 
-    def test_equal_vectors_stay_together(self) -> None:
-        """Observers who need the same messages cannot be told apart."""
+    def test_equal_vectors_stay_together(self, component: Any) -> None:
+        """Observers who need the same messages cannot be told apart, so no k may separate them."""
         vectors = self._vectors()
         for k in range(1, 6):
-            groups = self.component.partition(vectors, k, 0)
+            groups = component.partition(vectors, k, 0)
             assert groups.shape == (len(vectors),), "one group a vector"
             for row in np.unique(vectors, axis=0):
                 same = groups[(vectors == row).all(axis=1)]
                 assert (same == same[0]).all(), f"equal vectors are torn for k = {k}"
 
-    def test_the_same_seed_gives_the_same_groups(self) -> None:
+    def test_the_same_seed_gives_the_same_groups(self, component: Any) -> None:
         """Randomness comes from the seed alone."""
         vectors = self._vectors()
-        once, again = (self.component.partition(vectors, 3, 11) for _ in range(2))
+        once, again = (component.partition(vectors, 3, 11) for _ in range(2))
         assert np.array_equal(once, again), "two partitions with one seed differ"
 
-    def test_leaves_the_vectors_as_they_were(self) -> None:
-        """They belong to the caller."""
+    def test_leaves_the_vectors_as_they_were(self, component: Any) -> None:
+        """The array is the caller's, and is not written to."""
         vectors = self._vectors()
-        self.component.partition(vectors, 3, 0)
+        component.partition(vectors, 3, 0)
         assert np.array_equal(vectors, self._vectors()), "the vectors were changed"
 
     @staticmethod

@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from xplain.domains.base import Domain, transition_feature_names, transition_features
 from xplain.errors import DomainError
+from xplain.testing.suite import Conformance
 from xplain.users.setting import Setting, UserType
 
 
-class DomainConformance:
-    """Attributes:
-    component: the domain.
+class DomainConformance(Conformance):
+    """Holds a :class:`~xplain.domains.base.Domain` to what labels, traces, messages and maps need.
+
+    Two tests fail for a task that is sound but tells nothing: a message that never changes a
+    label, and actions so nearly as good as each other that a label would be a guess.
     """
 
-    component: Any
-
-    def test_is_a_domain(self) -> None:
+    def test_is_a_domain(self, component: Any) -> None:
         """It has all that :class:`xplain.domains.base.Domain` names."""
-        assert isinstance(self.component, Domain), "something of xplain.domains.base.Domain lacks"
+        assert isinstance(component, Domain), "something of xplain.domains.base.Domain lacks"
 
-    def test_parameters_are_named_and_told_in_words(self) -> None:
-        """Each once, with a sentence, and two values."""
-        parameters = self.component.parameters
+    def test_parameters_are_named_and_told_in_words(self, component: Any) -> None:
+        """Each has a name of its own, a sentence, and a wrong value that is not the right one."""
+        parameters = component.parameters
         assert parameters, "a domain needs a parameter that people may hold wrong"
         names = [parameter.name for parameter in parameters]
         assert len(set(names)) == len(names), f"names are given twice: {names}"
@@ -35,69 +35,70 @@ class DomainConformance:
             assert parameter.message.strip(), f"{parameter.name} has no sentence"
             assert parameter.accurate != parameter.inaccurate, f"{parameter.name}: two equal values"
 
-    def test_every_idea_of_the_task_shares_states_and_actions(self) -> None:
+    def test_every_idea_of_the_task_shares_states_and_actions(self, component: Any) -> None:
         """Labels compare what different people think of the same transition."""
-        robot = self._setting.models[0]
-        for model in self._setting.models[1:]:
+        robot, *others = _setting(component).models
+        for model in others:
             assert model.successor.shape[:2] == robot.successor.shape[:2], (
                 "states or actions differ"
             )
-        assert len(self.component.actions) == robot.n_actions, "one name an action"
-        assert len(set(self.component.actions)) == robot.n_actions, "actions share a name"
+        assert len(component.actions) == robot.n_actions, "one name an action"
+        assert len(set(component.actions)) == robot.n_actions, "actions share a name"
 
-    def test_a_model_is_a_function_of_the_values(self) -> None:
+    def test_a_model_is_a_function_of_the_values(self, component: Any) -> None:
         """Asked again after other values, it is the same."""
-        accurate = {p.name: p.accurate for p in self.component.parameters}
-        once = self.component.model(accurate)
-        self.component.model({p.name: p.inaccurate for p in self.component.parameters})
-        again = self.component.model(accurate)
+        accurate = {p.name: p.accurate for p in component.parameters}
+        once = component.model(accurate)
+        component.model({p.name: p.inaccurate for p in component.parameters})
+        again = component.model(accurate)
         for key in ("successor", "probability", "reward", "terminal"):
             assert np.array_equal(getattr(once, key), getattr(again, key)), f"{key} has changed"
         assert once.discount == again.discount, "the discount has changed"
 
-    def test_features_describe_every_state(self) -> None:
-        """[S, F] finite numbers, F names."""
-        features, names = self.component.state_features, self.component.feature_names
-        assert features.shape == (self._setting.models[0].n_states, len(names)), features.shape
+    def test_features_describe_every_state(self, component: Any) -> None:
+        """``state_features`` is [S, F], all finite; ``feature_names`` has F names that differ."""
+        features, names = component.state_features, component.feature_names
+        setting = _setting(component)
+        assert features.shape == (setting.models[0].n_states, len(names)), features.shape
         assert np.isfinite(features).all(), "a feature is not finite"
         assert len(set(names)) == len(names), f"names are given twice: {names}"
-        rows = transition_features(self.component, self._setting.reachable)
-        assert rows.shape[1] == len(transition_feature_names(self.component))
+        rows = transition_features(component, setting.reachable)
+        assert rows.shape[1] == len(transition_feature_names(component))
 
-    def test_traces_can_start(self) -> None:
+    def test_traces_can_start(self, component: Any) -> None:
         """Starts are states in which there is something to do."""
-        starts, robot = self.component.starts, self._setting.models[0]
+        starts, robot = component.starts, _setting(component).models[0]
         assert len(starts), "no start"
         assert ((starts >= 0) & (starts < robot.n_states)).all(), "a start is no state"
         assert not robot.terminal[starts].any(), "a trace would end where it starts"
 
-    def test_the_robot_is_explicable_to_those_who_know_the_task(self) -> None:
+    def test_the_robot_is_explicable_to_those_who_know_the_task(self, component: Any) -> None:
         """Whoever holds all values right calls every transition of the robot explicable."""
-        setting = self._setting
+        setting = _setting(component)
         labels = setting.label_by_model(setting.reachable)[0]
         assert labels.all(), "the robot's own model finds the robot inexplicable"
 
-    def test_every_message_can_matter(self) -> None:
+    def test_every_message_can_matter(self, component: Any) -> None:
         """For someone who holds everything wrong, each message changes some label, given some
         others."""
-        setting = self._setting
+        setting = _setting(component)
         table = setting.label_table(setting.reachable)[0]
         for j, name in enumerate(setting.message_names):
             halves = table.reshape(len(table), -1, 2, 1 << j)
             assert (halves[:, :, 0] != halves[:, :, 1]).any(), f"{name} never changes a label"
 
-    def test_transitions_are_told_in_words(self) -> None:
-        """A phrase of one line for each transition."""
-        for transition in self._setting.reachable[:500]:
-            phrase = self.component.describe(transition)
+    def test_transitions_are_told_in_words(self, component: Any) -> None:
+        """``describe`` says each in one line that is not empty."""
+        for transition in _setting(component).reachable[:500]:
+            phrase = component.describe(transition)
             assert phrase.strip(), f"no words for {transition}"
             assert "\n" not in phrase, f"more than a line for {transition}"
 
-    def test_the_map_has_a_place_for_the_robot(self) -> None:
+    def test_the_map_has_a_place_for_the_robot(self, component: Any) -> None:
         """Where there is a map, every state has a cell on it that is no wall."""
-        scene = self.component.scene
-        for state in np.unique(self._setting.reachable[:, [0, 2]]):
-            cell = self.component.position(int(state))
+        scene = component.scene
+        for state in np.unique(_setting(component).reachable[:, [0, 2]]):
+            cell = component.position(int(state))
             if scene is None:
                 assert cell is None, "a position without a map"
             else:
@@ -106,11 +107,15 @@ class DomainConformance:
                 assert 0 <= column < scene.columns, f"column {column} is off the map"
                 assert (row, column) not in scene.walls, f"{cell} is a wall"
 
-    @cached_property
-    def _setting(self) -> Setting:
-        """One type that holds everything wrong: every model that any type can hold."""
-        wrong = {p.name: p.inaccurate for p in self.component.parameters}
-        try:
-            return Setting.build(self.component, (UserType("all_wrong", wrong),))
-        except DomainError as error:  # an AssertionError reads better in a test's report
-            raise AssertionError(str(error)) from error
+
+def _setting(domain: Domain) -> Setting:
+    """One type that holds everything wrong: every model that any type can hold.
+
+    Raises:
+        AssertionError: a model is no MDP, or has actions too nearly as good as each other.
+    """
+    wrong = {p.name: p.inaccurate for p in domain.parameters}
+    try:
+        return Setting.build(domain, (UserType("all_wrong", wrong),))
+    except DomainError as error:  # an AssertionError reads better in a test's report
+        raise AssertionError(str(error)) from error

@@ -10,62 +10,64 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
 from xplain.testing.data import rule_data
+from xplain.testing.suite import Conformance
 
 
-class LabelerConformance:
-    """Attributes:
-    component: the trainer, ``fit(dataset, seed)``. A scikit-learn classifier of your own is
-        tested as ``LabelerTrainer(classifier)``.
-    learns: the least accuracy on points not seen before, where 300 labels follow a plain rule.
+class LabelerConformance(Conformance):
+    """Holds a trainer, ``fit(dataset, seed)``, and the labelers that it makes to what beliefs and
+    planners need of them. A scikit-learn classifier of your own is tested as
+    ``LabelerTrainer(classifier)``.
+
+    Attributes:
+        learns: the least accuracy on points not seen before, where 300 labels follow a plain rule.
     """
 
-    component: Any
     learns = 0.8
 
-    def test_learns_a_plain_rule(self) -> None:
-        """Transitions of one kind need one message."""
-        labeler = self.component.fit(self._data(0), 0)
+    def test_learns_a_plain_rule(self, component: Any) -> None:
+        """On points not seen before, at least the share ``learns`` of predicted labels is right."""
+        labeler = component.fit(self._data(0), 0)
         fresh = self._data(1)
         said = labeler.predict(fresh.features[fresh.transition], fresh.message_set)
         right = float((said == fresh.label).mean())
         assert right >= self.learns, f"{right:.0%} right, expected {self.learns:.0%}"
 
-    def test_probabilities_are_never_certain(self) -> None:
+    def test_probabilities_are_never_certain(self, component: Any) -> None:
         """A labeler that is certain would make the belief deaf to all that follows."""
-        for probability in self._asked():
+        for probability in self._asked(component):
             assert ((probability > 0) & (probability < 1)).all(), "P must be inside (0, 1)"
 
-    def test_the_table_says_what_single_questions_say(self) -> None:
-        """Whatever shortcut fills the table."""
-        table, single = self._asked()
+    def test_the_table_says_what_single_questions_say(self, component: Any) -> None:
+        """``table`` [T, 2^n] may take a shortcut, but not to other numbers than ``probability``."""
+        table, single = self._asked(component)
         assert np.allclose(table, single, rtol=1e-12), "table and probability differ"
 
-    def test_labels_follow_the_probabilities(self) -> None:
+    def test_labels_follow_the_probabilities(self, component: Any) -> None:
         """A label of 1 is the likelier one where 1 is predicted (confidence above ½)."""
         data = self._data(0)
-        labeler = self.component.fit(data, 0)
+        labeler = component.fit(data, 0)
         rows = data.features[data.transition]
         p, label = (ask(rows, data.message_set) for ask in (labeler.probability, labeler.predict))
         assert np.isin(label, (0, 1)).all(), "labels are 0 and 1"
         assert ((p >= 0.5) == (label == 1)).all(), "P(1) ≥ ½ where 0 is predicted, or the reverse"
 
-    def test_the_same_seed_gives_the_same_labeler(self) -> None:
+    def test_the_same_seed_gives_the_same_labeler(self, component: Any) -> None:
         """Randomness comes from the seed alone."""
-        one, other = self._asked()[0], self._asked()[0]
+        one, other = self._asked(component)[0], self._asked(component)[0]
         assert np.array_equal(one, other), "two fits with one seed differ"
 
-    def test_one_kind_of_label_is_learned_too(self) -> None:
-        """Observers who find everything explicable, or nothing."""
+    def test_one_kind_of_label_is_learned_too(self, component: Any) -> None:
+        """Where all labels are 1, or all 0, it says so of every transition."""
         data = self._data(0)
         for only in (0, 1):
             same = replace(data, label=np.full(len(data), only, dtype=np.uint8))
-            labeler = self.component.fit(same, 0)
+            labeler = component.fit(same, 0)
             p = labeler.probability(data.features[data.transition], data.message_set)
             assert ((p > 0.5) == bool(only)).all(), f"all labels were {only}"
 
-    def test_figures_of_the_fit_are_told(self) -> None:
+    def test_figures_of_the_fit_are_told(self, component: Any) -> None:
         """Confidence inside (0, 1), accuracy on the labels held out."""
-        labeler = self.component.fit(self._data(0), 0)
+        labeler = component.fit(self._data(0), 0)
         assert 0 < labeler.confidence < 1, labeler.confidence
         assert 0 <= labeler.accuracy <= 1, labeler.accuracy
         assert labeler.n_train + labeler.n_test == len(self._data(0)), "some labels are lost"
@@ -74,10 +76,10 @@ class LabelerConformance:
     def _data(seed: int) -> Dataset:
         return rule_data(np.random.default_rng(seed), [[0, 2]], per_type=1, points=300)[0]
 
-    def _asked(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _asked(self, component: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The table [T, 2^n], and the same by one question each."""
         data = self._data(0)
-        labeler = self.component.fit(data, 3)
+        labeler = component.fit(data, 3)
         table = labeler.table(data.features, data.n_messages)
         sets = np.tile(np.arange(table.shape[1]), len(table))
         rows = np.repeat(data.features, table.shape[1], axis=0)

@@ -14,28 +14,32 @@ from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Solver
 from xplain.testing.problems import random_problem
+from xplain.testing.suite import Conformance
 
 Question = tuple[int, int, NDArray[np.float64]]
 
 
-class SolverConformance:
-    """Attributes:
-    component: the solver.
-    problems: how many random problems are tried.
+class SolverConformance(Conformance):
+    """Holds a :class:`~xplain.solvers.base.Solver` and its policies to what episodes, sessions,
+    replay and exact evaluation need: above all that a policy is a function of what it is asked.
+
+    How good its decisions are is not tested, but for three problems whose answer is plain.
+
+    Attributes:
+        problems: how many random problems are tried.
     """
 
-    component: Any
     problems = 12
 
-    def test_is_a_solver(self) -> None:
+    def test_is_a_solver(self, component: Any) -> None:
         """It plans, and says what it must know of the user."""
-        assert isinstance(self.component, Solver), "a solver has `knows` and `plan`"
-        assert self.component.knows in get_args(Knowledge), f"knows: one of {get_args(Knowledge)}"
+        assert isinstance(component, Solver), "a solver has `knows` and `plan`"
+        assert component.knows in get_args(Knowledge), f"knows: one of {get_args(Knowledge)}"
 
-    def test_gives_messages_that_exist_and_are_new(self) -> None:
+    def test_gives_messages_that_exist_and_are_new(self, component: Any) -> None:
         """A bitmask of messages not given before, whatever the step, history and belief."""
-        for problem, questions in self._situations():
-            policy = self.component.plan(problem, 0)
+        for problem, questions in self._situations(component):
+            policy = component.plan(problem, 0)
             for step, given, belief in questions:
                 new = policy.messages(step, given, belief)
                 assert isinstance(new, (int, np.integer)), f"{new!r} is no bitmask"
@@ -43,31 +47,31 @@ class SolverConformance:
                 assert new & given == 0, f"{new:b} repeats messages of {given:b}"
                 assert new >> problem.n_messages == 0, f"{new:b} names a message that is not there"
 
-    def test_the_same_question_gets_the_same_answer(self) -> None:
+    def test_the_same_question_gets_the_same_answer(self, component: Any) -> None:
         """Asked twice, after other questions, and of another plan with the same seed."""
-        for problem, questions in self._situations():
-            policy, other = self.component.plan(problem, 7), self.component.plan(problem, 7)
+        for problem, questions in self._situations(component):
+            policy, other = component.plan(problem, 7), component.plan(problem, 7)
             first = [policy.messages(*question) for question in questions]
             again = [policy.messages(*question) for question in reversed(questions)]
             others = [other.messages(*question) for question in questions]
             assert first == again[::-1], "the answers depend on what was asked before"
             assert first == others, "two plans of one problem and seed answer differently"
 
-    def test_values_belong_to_messages_that_can_be_given(self) -> None:
+    def test_values_belong_to_messages_that_can_be_given(self, component: Any) -> None:
         """Finite numbers by the message set given next; there may be none."""
-        for problem, questions in self._situations():
-            policy = self.component.plan(problem, 0)
+        for problem, questions in self._situations(component):
+            policy = component.plan(problem, 0)
             for step, given, belief in questions:
                 for new, value in policy.values(step, given, belief).items():
                     assert new & given == 0, f"a value for {new:b} with {given:b} given"
                     assert 0 <= new < 1 << problem.n_messages, f"a value for {new:b}"
                     assert np.isfinite(value), f"the value of {new:b} is {value}"
 
-    def test_leaves_problem_and_belief_as_they_were(self) -> None:
-        """What it is given belongs to the caller."""
-        for problem, questions in self._situations():
+    def test_leaves_problem_and_belief_as_they_were(self, component: Any) -> None:
+        """The arrays that it is given are the caller's, and are not written to."""
+        for problem, questions in self._situations(component):
             before = problem.p_explicable.copy()
-            policy = self.component.plan(problem, 0)
+            policy = component.plan(problem, 0)
             for step, given, belief in questions:
                 kept = belief.copy()
                 policy.messages(step, given, belief)
@@ -75,53 +79,45 @@ class SolverConformance:
                 assert np.array_equal(kept, belief), "the belief was changed"
             assert np.array_equal(before, problem.p_explicable), "the table was changed"
 
-    def test_says_nothing_where_everything_is_explicable(self) -> None:
-        """Every message only costs."""
+    def test_says_nothing_where_everything_is_explicable(self, component: Any) -> None:
+        """A message has a cost there, and nothing to gain."""
         for steps in (1, 5):
-            problem = Problem(np.ones((self._types(2), steps, 4)), np.ones(2))
-            policy = self.component.plan(problem, 0)
+            problem = Problem(np.ones((_types(component, 2), steps, 4)), np.ones(2))
+            policy = component.plan(problem, 0)
             for step in range(steps):
-                assert policy.messages(step, 0, self._belief(problem)) == 0, "it spoke in vain"
+                assert policy.messages(step, 0, _belief(problem)) == 0, "it spoke in vain"
 
-    def test_says_at_once_what_makes_the_whole_trace_explicable(self) -> None:
+    def test_says_at_once_what_makes_the_whole_trace_explicable(self, component: Any) -> None:
         """One cheap message of two makes every transition explicable; silence costs 10 zeros."""
-        good = 1.0 if self.component.knows == "labels" else 0.95
-        table = np.full((self._types(2), 4, 4), 1 - good)
+        good = 1.0 if component.knows == "labels" else 0.95
+        table = np.full((_types(component, 2), 4, 4), 1 - good)
         table[:, :, [2, 3]] = good
         problem = Problem(table, np.ones(2), trade_off=0.1)
-        policy = self.component.plan(problem, 0)
-        assert policy.messages(0, 0, self._belief(problem)) == 2, "message 1 alone is worth it"
+        policy = component.plan(problem, 0)
+        assert policy.messages(0, 0, _belief(problem)) == 2, "message 1 alone is worth it"
 
-    def test_explains_a_whole_trace(self) -> None:
+    def test_explains_a_whole_trace(self, component: Any) -> None:
         """The loop of the experiments runs to the end; a price too high is never paid."""
         rng = np.random.default_rng(4)
-        for problem, _ in self._situations():
+        for problem, _ in self._situations(component):
             m, sets = problem.p_explicable.shape[1:]
             user = SimulatedUser(rng.integers(0, 2, (m, sets)).astype(np.uint8))
             dear = replace(problem, trade_off=1.0, message_cost=np.full(problem.n_messages, 1e6))
-            if self.component.knows in ("type", "labels"):
+            if component.knows in ("type", "labels"):
                 user = SimulatedUser((problem.p_explicable[0] > 0.5).astype(np.uint8))
             for one in (problem, dear):
-                policy = self.component.plan(one, 0)
+                policy = component.plan(one, 0)
                 episode = explain(one, policy, user, Independent())
                 assert np.isfinite(episode.cost), "the episode has no cost"
                 if one is dear:
                     assert episode.n_messages == 0, "it paid a million for at most some zeros"
 
-    def _types(self, several: int) -> int:
-        """Only solvers of the types' problem are asked to plan for several."""
-        return several if self.component.knows == "types" else 1
-
-    @staticmethod
-    def _belief(problem: Problem) -> NDArray[np.float64]:
-        return np.full(problem.n_types, 1 / problem.n_types)
-
-    def _situations(self) -> Iterator[tuple[Problem, list[Question]]]:
+    def _situations(self, component: Any) -> Iterator[tuple[Problem, list[Question]]]:
         """Random problems with random (step, given, belief)."""
         rng = np.random.default_rng(20)
         for _ in range(self.problems):
-            problem = random_problem(rng, self._types(3), max_steps=4, max_messages=3)
-            if self.component.knows == "labels":
+            problem = random_problem(rng, _types(component, 3), max_steps=4, max_messages=3)
+            if component.knows == "labels":
                 problem = replace(problem, p_explicable=np.round(problem.p_explicable))
             questions = [
                 (
@@ -135,3 +131,12 @@ class SolverConformance:
 
 
 ONE = np.ones(1)
+
+
+def _types(solver: Solver, several: int) -> int:
+    """Only solvers of the types' problem are asked to plan for several."""
+    return several if solver.knows == "types" else 1
+
+
+def _belief(problem: Problem) -> NDArray[np.float64]:
+    return np.full(problem.n_types, 1 / problem.n_types)

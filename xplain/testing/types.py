@@ -5,24 +5,31 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
+from xplain.domains.base import Domain
 from xplain.testing.chosen import Chosen
+from xplain.testing.suite import Conformance
 from xplain.users.setting import Setting, UserType
 
+RESCUE = Chosen("domain", "rescue")
 
-class TypeSourceConformance:
-    """Attributes:
-    component: the source.
-    domain: whose parameters the types hold wrong.
-    """
 
-    component: Any
-    domain: Any = Chosen("domain", "rescue")
+class TypeSourceConformance(Conformance):
+    """Holds a source, ``types(domain, rng)``, to what observers and labels need of its types."""
 
-    def test_types_hold_parameters_of_the_domain_wrong(self) -> None:
+    @pytest.fixture
+    def domain(self) -> Domain:
+        """Whose parameters the types hold wrong; to be overridden for types of another domain."""
+        made: Domain = RESCUE.component
+        return made
+
+    def test_types_hold_parameters_of_the_domain_wrong(
+        self, component: Any, domain: Domain
+    ) -> None:
         """At least one type, each with a name of its own and something it does not know."""
-        known = {parameter.name for parameter in self.domain.parameters}
-        types = self._types(0)
+        known = {parameter.name for parameter in domain.parameters}
+        types = _types(component, domain, 0)
         assert types, "no types"
         names = [user_type.name for user_type in types]
         assert len(set(names)) == len(names), f"names are given twice: {names}"
@@ -31,22 +38,25 @@ class TypeSourceConformance:
             assert user_type.inaccurate, f"{user_type.name} holds everything right"
             assert user_type.inaccurate.keys() <= known, f"{user_type.name}: unknown parameters"
 
-    def test_the_same_stream_gives_the_same_types(self) -> None:
+    def test_the_same_stream_gives_the_same_types(self, component: Any, domain: Domain) -> None:
         """Whatever is random comes from ``rng``."""
         for seed in range(3):
-            assert self._types(seed) == self._types(seed), "the types are random by themselves"
+            assert _types(component, domain, seed) == _types(component, domain, seed), (
+                "the types are random by themselves"
+            )
 
-    def test_their_labels_can_be_computed(self) -> None:
+    def test_their_labels_can_be_computed(self, component: Any, domain: Domain) -> None:
         """Every model that they need is solved, with clear ties."""
         for seed in range(3):
-            setting = Setting.build(self.domain, self._types(seed))
+            setting = Setting.build(domain, _types(component, domain, seed))
             assert len(setting.distinct) == len(setting.types)
 
-    def test_types_can_be_told_apart(self) -> None:
+    def test_types_can_be_told_apart(self, component: Any, domain: Domain) -> None:
         """No two types label every transition alike; otherwise they are one."""
         for seed in range(3):
-            distinct = Setting.build(self.domain, self._types(seed)).distinct
+            distinct = Setting.build(domain, _types(component, domain, seed)).distinct
             assert len(np.unique(distinct)) == len(distinct), f"alike: {distinct.tolist()}"
 
-    def _types(self, seed: int) -> tuple[UserType, ...]:
-        return tuple(self.component.types(self.domain, np.random.default_rng(seed)))
+
+def _types(source: Any, domain: Domain, seed: int) -> tuple[UserType, ...]:
+    return tuple(source.types(domain, np.random.default_rng(seed)))

@@ -2,4 +2,4 @@ from xplain.testing import Chosen, ClustererConformance
 
 
 class TestSameAnswers(ClustererConformance):
-    component = Chosen("clusterer", "same_answers", conf="conf")
+    chosen = Chosen("clusterer", "same_answers", conf="conf")

@@ -2,4 +2,4 @@ from xplain.testing import Chosen, DomainConformance
 
 
 class TestGreenhouse(DomainConformance):
-    component = Chosen("domain", "greenhouse", conf="conf")
+    chosen = Chosen("domain", "greenhouse", conf="conf")

@@ -2,4 +2,4 @@ from xplain.testing import Chosen, LabelerConformance
 
 
 class TestHammingNeighbours(LabelerConformance):
-    component = Chosen("labeler", "hamming_neighbours", conf="conf")
+    chosen = Chosen("labeler", "hamming_neighbours", conf="conf")

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy
-from xplain.solvers.dynamic_programming import check_memory_gib, greedy_policy
+from xplain.solvers.memory import check_memory_gib
+from xplain.solvers.qmdp import greedy_policy
 
 
 @dataclass(frozen=True)

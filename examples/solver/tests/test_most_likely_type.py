@@ -2,4 +2,4 @@ from xplain.testing import Chosen, SolverConformance
 
 
 class TestMostLikelyType(SolverConformance):
-    component = Chosen("solver", "most_likely_type", conf="conf")
+    chosen = Chosen("solver", "most_likely_type", conf="conf")

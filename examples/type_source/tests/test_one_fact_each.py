@@ -2,4 +2,4 @@ from xplain.testing import Chosen, TypeSourceConformance
 
 
 class TestOneFactEach(TypeSourceConformance):
-    component = Chosen("users", "one_fact_each", conf="conf")
+    chosen = Chosen("users", "one_fact_each", conf="conf")

@@ -7,10 +7,10 @@ import pytest
 
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
-from xplain.solvers.dynamic_programming import optimal_values
-from xplain.solvers.hsvi import solver as certified
+from xplain.solvers.hsvi import explore as hsvi
 from xplain.solvers.hsvi.pair_bounds import SWEEPS, Pairs, PairTables, mix, mixed
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
+from xplain.solvers.model import model_of, optimal_values
 from xplain.testing.problems import random_problem
 
 
@@ -28,7 +28,7 @@ def test_lies_between_the_optimum_and_qmdp() -> None:
     for _ in range(300):
         problem = random_problem(rng, max_types=4)
         pairs = PairTables(problem).make()
-        qmdp = float(problem.prior @ optimal_values(problem)[0, 0])
+        qmdp = float(problem.prior @ optimal_values(model_of(problem))[0, 0])
         first = bounded(pairs, pairs.optimal[0], problem.prior, 0)
         second = bounded(pairs, pairs.optimal[0], problem.prior, SWEEPS)
         if first is None or second is None:
@@ -68,8 +68,8 @@ def test_the_mixture_is_the_belief() -> None:
 
 def test_a_search_that_makes_them_midway_stays_right(monkeypatch: pytest.MonkeyPatch) -> None:
     """At once, which long searches alone would do: bounds hold, and close to 1e-6."""
-    monkeypatch.setattr(certified, "CHUNK", 1)
-    monkeypatch.setattr(certified, "WORTH", 1e9)
+    monkeypatch.setattr(hsvi, "CHUNK", 1)
+    monkeypatch.setattr(hsvi, "WORTH", 1e9)
     rng = np.random.default_rng(33)
     made = 0
     for _ in range(300):

@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import signal
 import subprocess
 import sys
 import threading
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from numba import njit
-from numba.core import event
 
 from tests.solvers.pomcp.plain_pomcp import PlainPOMCP
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
-from xplain.solvers.numba_kernels import _Listener
 from xplain.solvers.policy_evaluation import evaluate
-from xplain.solvers.pomcp import kernel as pomcp_kernel
 from xplain.solvers.pomcp import solver as pomcp
+from xplain.solvers.pomcp.kernel import simulate
+from xplain.solvers.pomcp.labels import draw_labels, update_belief
+from xplain.solvers.pomcp.search_model import model_bytes, model_of
 from xplain.solvers.pomcp.solver import POMCP, Search, _roots
-from xplain.solvers.pomcp.tree import Tree, model_of
+from xplain.solvers.pomcp.tree import Tree, tree_bytes
 from xplain.testing.problems import random_problem
 
 
@@ -80,7 +81,7 @@ def test_is_the_plain_search(
         step, given = (2, 4 if problem.n_messages > 1 else 0) if middle else (0, 0)
         search = search_of(solver, problem)
         tree = Tree.rooted(700, problem.n_messages, problem.n_steps, step, given, problem.prior, 99)
-        pomcp_kernel.simulate(700, search.model, search.options, tree, *_roots(702))
+        simulate(700, search.model, search.options, tree, *_roots(702))
         expected = PlainPOMCP(solver, problem, 99, step, given, problem.prior).run()
         for action, edge in enumerate(tree.root_edges()):
             visits, value = expected.get(action, [0, -np.inf])
@@ -147,7 +148,7 @@ def test_steps_do_not_count_messages() -> None:
     for unit in ("actions", "steps"):
         search = search_of(POMCP(depth=1, depth_unit=unit, rollout="silent"), problem)
         tree = Tree.rooted(2000, 2, 2, 0, 0, problem.prior, 1)
-        pomcp_kernel.simulate(2000, search.model, search.options, tree, *_roots(2002))
+        simulate(2000, search.model, search.options, tree, *_roots(2002))
         nodes = tree.nodes[: tree.used[0]]
         opened[unit] = {int(node["given"]) for node in nodes if node["edges"]}
     assert opened == {"actions": {0}, "steps": {0, 1, 2, 3}}
@@ -195,18 +196,12 @@ def _draw_many(draws, model, tree, prior):  # type: ignore[no-untyped-def]
     """Labels [draws, m] of a user of the first type after all is shown, and beliefs after them."""
     steps = model.p.shape[1]
     labels, beliefs = np.empty((draws, steps), np.bool_), np.empty((draws, 2))
-    counter = tree.counter[0]
     for d in range(draws):
-        code, counter = pomcp_kernel._draw_labels(
-            model.likeliest, steps, steps - 1, 0, 0, model.p, model.weight, counter, tree.zero
-        )
+        code = draw_labels(model, tree, steps - 1, 0, 0)
         for i in range(steps):
             labels[d, i] = not code >> np.uint64(i) & np.uint64(1)
         beliefs[d] = prior
-        pomcp_kernel._update(
-            model.likeliest, steps, steps - 1, 0, 0, model.p, code, tree.zero, tree.seen,
-            tree.likelihoods, beliefs[d],
-        )  # fmt: skip
+        update_belief(model, tree, steps - 1, 0, 0, code, beliefs[d])
     return labels, beliefs
 
 
@@ -218,7 +213,7 @@ def test_exchangeable_labels_share_a_history() -> None:
     search = search_of(POMCP(), problem)
     tree = Tree.rooted(5000, 0, 8, 6, 0, problem.prior, 1)
     options = search.options._replace(depth=1)
-    pomcp_kernel.simulate(5000, search.model, options, tree, *_roots(5002))
+    simulate(5000, search.model, options, tree, *_roots(5002))
     assert tree.used[0] == 1 + 7
     assert len(np.unique(tree.beliefs[1:8, 0])) == 7
 
@@ -333,27 +328,16 @@ def test_names_the_setting_that_is_wrong(key: str, value: object) -> None:
         POMCP(**{key: value})  # type: ignore[arg-type]
 
 
-def test_tells_of_a_compilation_once(caplog: pytest.LogCaptureFixture) -> None:
-    """One line for the first kernel of ours; none for another package's."""
-
-    def kernel(x):  # type: ignore[no-untyped-def]
-        return x + 1
-
-    caplog.set_level(logging.WARNING)
-    with event.install_listener("numba:compile", _Listener()):
-        njit(kernel)(1)
-        assert not caplog.messages
-        kernel.__module__ = "xplain.somewhere"
-        njit(kernel)(1)
-        njit(kernel)(1.5)
-    assert len(caplog.messages) == 1
-    assert "compiling" in caplog.messages[0]
+def test_defaults_are_the_configurations() -> None:
+    """Who embeds POMCP() gets what `solver=pomcp` runs."""
+    path = Path(__file__).parents[3] / "conf" / "solver" / "pomcp.yaml"
+    chosen = yaml.safe_load(path.read_text())
+    assert chosen.pop("_target_") == f"{POMCP.__module__}.{POMCP.__qualname__}"
+    assert chosen == {key: value for key, value in asdict(POMCP()).items() if key != "knows"}
 
 
 def test_trees_take_no_more_than_told() -> None:
     """What the refusal counts is what is allocated."""
-    from xplain.solvers.pomcp.tree import model_bytes, tree_bytes
-
     problem = soft_problem(15)
     tree = Tree.rooted(1000, 3, 4, 0, 0, problem.prior, 0)
     model = model_of(problem)

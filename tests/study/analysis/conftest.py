@@ -2,32 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.participants.conftest import browser as browser
-from tests.participants.conftest import store as store
-from tests.participants.visitors import Visitor
+from tests.participants.visitors import GENEROUS, Visitor
+from tests.study.stand_in import FAULTLESS
+from xplain.participants.server.app import create_app
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import visit
+from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import Habits, Person
 
 
-@pytest.fixture
-def snapshot(
-    store: Store,
-    browser: Callable[[], Visitor],
-    person: Callable[..., Person],
-    tmp_path: Path,
-) -> Path:
-    """24 bots, some of whom leave, one person, one who only looked in."""
+@pytest.fixture(scope="package")
+def collected(tmp_path_factory: pytest.TempPathFactory, study: Study) -> tuple[bytes, str]:
+    """A snapshot of 24 bots, some of whom leave, one person, one who only looked in; and the
+    server's secret."""
+    folder = tmp_path_factory.mktemp("collected")
+    store = Store(folder / "study.sqlite", study)
+    app = create_app(store, GENEROUS)
+
+    def take_part(number: int, habits: Habits, token: str) -> None:
+        someone = Person(study.plan, habits, np.random.default_rng(number))
+        visit(Visitor(app.test_client()), someone, token)
+
     for number, token in enumerate(store.invite(24, "bot")):
-        habits = Habits(leaving=0.05, mistake=0.1)
-        visit(browser(), person(number, habits), token)
-    visit(browser(), person(), store.invite(1, "person")[0])
+        take_part(number, Habits(leaving=0.05, mistake=0.1), token)
+    take_part(0, FAULTLESS, store.invite(1, "person")[0])
     store.enter_invited(store.invite(1, "person")[0])
+    store.snapshot(folder / "snapshot.sqlite")
+    secret = store.secret.hex()
+    store.close()
+    return (folder / "snapshot.sqlite").read_bytes(), secret
+
+
+@pytest.fixture
+def snapshot(collected: tuple[bytes, str], tmp_path: Path) -> Path:
+    """A copy of one's own."""
     path = tmp_path / "snapshot.sqlite"
-    store.snapshot(path)
+    path.write_bytes(collected[0])
     return path

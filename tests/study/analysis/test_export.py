@@ -8,13 +8,17 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from tests.participants.conftest import store as store
+from xplain.cli.main import main
 from xplain.participants.server.store import Store
-from xplain.study.analysis import export, replay
 from xplain.study.analysis.codebook import CODEBOOK
+from xplain.study.protocol.plan import Study
 
 
-def test_tables_say_what_their_codebook_says(snapshot: Path, store: Store, tmp_path: Path) -> None:
-    export.main([str(snapshot), str(tmp_path / "out")])
+def test_tables_say_what_their_codebook_says(
+    snapshot: Path, collected: tuple[bytes, str], study: Study, tmp_path: Path
+) -> None:
+    main(["study", "export", str(snapshot), str(tmp_path / "out")])
     for name, columns in CODEBOOK.items():
         csv = pd.read_csv(tmp_path / "out" / f"{name}.csv")
         parquet = pd.read_parquet(tmp_path / "out" / f"{name}.parquet")
@@ -26,24 +30,30 @@ def test_tables_say_what_their_codebook_says(snapshot: Path, store: Store, tmp_p
     done = people[people["stage"] == "done"]
     assert len(done) > 3
     labels, quiz = pd.read_csv(out / "labels.csv"), pd.read_csv(out / "quiz.csv")
-    last = labels[labels["k"] == store.study.plan.n_steps - 1]
+    events = pd.read_csv(out / "events.csv")
+    last = labels[labels["k"] == study.plan.n_steps - 1]
     for who, row in done.iterrows():
         own = last[last["participant"] == who]
         assert row["inexplicable_transitions"] == (own["label"] == 0).sum()
         assert row["quiz_score"] == quiz.loc[quiz["participant"] == who, "correct"].sum()
-        assert row["interaction_time_s"] > 0
-    assert json.loads((out / "plan.json").read_text())["seed"] == store.study.plan.seed
+        own = events[events["participant"] == who]
+        shown = own[(own["kind"] == "shown") & own["payload"].str.contains("evaluation")]
+        until = own.loc[own["kind"] == "labels", "wall"].max()
+        assert row["interaction_time_s"] == pytest.approx(until - shown["wall"].min(), abs=1e-3)
+    assert json.loads((out / "plan.json").read_text())["seed"] == study.plan.seed
     everything = "".join(path.read_text() for path in out.glob("*.csv"))
-    assert store.secret.hex() not in everything
+    assert collected[1] not in everything
 
 
 def test_a_database_in_use_is_not_read(
     store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
-        export.main([str(store.path), str(tmp_path / "out")])
+        main(["study", "export", str(store.path), str(tmp_path / "out")])
     assert ended.value.code == 2
     assert "in use by a server" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        replay.main([str(tmp_path / "nothing.sqlite")])
+    with pytest.raises(SystemExit) as ended:
+        main(["study", "replay", str(tmp_path / "nothing.sqlite")])
+    assert ended.value.code == 2
+    assert "nothing.sqlite" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

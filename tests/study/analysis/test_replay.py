@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from xplain.study.analysis import replay
+from xplain.cli.main import main
 
 
 def test_replay_agrees_to_the_last_bit_and_notices_any_change(
     snapshot: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    replay.main([str(snapshot)])
+    main(["study", "replay", str(snapshot)])
     assert "26 participants" in (said := capsys.readouterr().out)
     assert "all equal" in said
     changes = (
@@ -34,6 +34,6 @@ def test_replay_agrees_to_the_last_bit_and_notices_any_change(
             assert connection.execute(change).rowcount > 0
         connection.close()
         with pytest.raises(SystemExit) as ended:
-            replay.main([str(snapshot)])
+            main(["study", "replay", str(snapshot)])
         assert ended.value.code == 1, change
     capsys.readouterr()

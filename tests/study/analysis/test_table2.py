@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 
 from xplain.errors import InputError
-from xplain.study.analysis import main as analyse
 from xplain.study.analysis.table2 import analyse as analysis_of
 from xplain.study.analysis.table2 import paper_table, read
 
@@ -78,5 +77,3 @@ def test_files_that_are_no_export_are_named(tmp_path: Path) -> None:
     (tmp_path / "participants.csv").write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="lacks the column participant"):
         read(tmp_path)
-    with pytest.raises(InputError, match="participant, reason"):
-        analyse.exclusions(tmp_path / "participants.csv")

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from tests.study.stand_in import FAULTLESS, street_study
 from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.explanation.belief import Independent, Persistent
 from xplain.study.protocol import machine
 from xplain.study.protocol.machine import Refused, State
 from xplain.study.protocol.plan import Study
@@ -115,9 +116,57 @@ def test_practice_goes_on_until_it_is_understood(study: Study) -> None:
 def test_quiz_scores_every_statement_judged_rightly(study: Study) -> None:
     state = State(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
     true = [i for i, s in enumerate(study.plan.roles[1].quiz) if s.true]
+    for none in ([4], [-1], [0.0], ["0"], [0] * 5, None, "0"):
+        with pytest.raises(Refused):
+            machine.advance(study, state, "quiz", {"chosen": none})
     for chosen, score in ((true, 4), ([], 2), ([0, 1, 2, 3], 2), (true[:1], 3)):
         outcome = machine.advance(study, state, "quiz", {"chosen": chosen})
         assert outcome.state.score == score
+
+
+@pytest.mark.parametrize(
+    ("answers", "accepted"),
+    [
+        ({}, True),
+        ({"age": "18", "comment": "x" * 200}, True),
+        ({"age": "110"}, True),
+        ({"age": "17"}, False),
+        ({"age": "111"}, False),
+        ({"age": "40.5"}, False),
+        ({"age": "-40"}, False),
+        ({"age": "٤٠"}, False),
+        ({"age": 40}, False),
+        ({"comment": "x" * 201}, False),
+        ({"shoe": "42"}, False),
+    ],
+)
+def test_questions_take_what_lies_within_their_bounds(
+    study: Study, answers: dict[str, object], accepted: bool
+) -> None:
+    state = State(stage="questions", user_type=0, condition="conformant", orders=ORDERS)
+    if accepted:
+        assert machine.advance(study, state, "answers", answers).state.stage == "done"
+    else:
+        with pytest.raises(Refused):
+            machine.advance(study, state, "answers", answers)
+
+
+def test_pages_show_the_trace_so_far_the_messages_apart_and_questions_in_their_order(
+    study: Study,
+) -> None:
+    plan = study.plan
+    asked = State(stage="eligibility", user_type=1, condition="conformant", orders=ORDERS)
+    shown = page(study, asked)["questions"]
+    assert shown == [(i, plan.roles[1].eligibility[i]) for i in (2, 0, 1, 3)]
+    quiz = State(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
+    statements = page(study, quiz)["statements"]
+    assert statements == [(i, plan.roles[1].quiz[i].text) for i in (3, 2, 1, 0)]
+    state = State(stage="evaluation", user_type=1, step=2, given=0b0111, new=0b0100, labels=(1, 0))
+    view = page(study, state)
+    assert view["trace"] == plan.trace[:3]
+    assert view["labels"] == (1, 0)
+    assert view["old"] == [plan.facts[0].message, plan.facts[1].message]
+    assert view["new"] == [plan.facts[2].message]
 
 
 PAYLOADS = st.recursive(
@@ -130,22 +179,26 @@ PAYLOADS = st.recursive(
 KEYS = ("agree", "text", "label", "labels", "answers", "chosen", "age", "comment")
 
 
+@pytest.fixture(scope="module")
+def states(study: Study) -> list[State]:
+    """One of each kind of page."""
+    return [
+        State(),
+        State(stage="training", user_type=0, condition="personalized", orders=ORDERS),
+        State(stage="eligibility", user_type=1, condition="personalized", orders=ORDERS),
+        at_evaluation(study, 2, "personalized"),
+        State(stage="quiz", user_type=0, condition="conformant", orders=ORDERS),
+        State(stage="questions", user_type=0, condition="conformant", orders=ORDERS),
+        State(stage="withdrawn"),
+    ]
+
+
 @settings(max_examples=300, deadline=None)
 @given(data=st.data())
-def test_whatever_comes_is_refused_or_leads_to_a_stage(study: Study, data: Any) -> None:
-    state = data.draw(
-        st.sampled_from(
-            [
-                State(),
-                State(stage="training", user_type=0, condition="personalized", orders=ORDERS),
-                State(stage="eligibility", user_type=1, condition="personalized", orders=ORDERS),
-                at_evaluation(study, 2, "personalized"),
-                State(stage="quiz", user_type=0, condition="conformant", orders=ORDERS),
-                State(stage="questions", user_type=0, condition="conformant", orders=ORDERS),
-                State(stage="withdrawn"),
-            ]
-        )
-    )
+def test_whatever_comes_is_refused_or_leads_to_a_stage(
+    study: Study, states: list[State], data: Any
+) -> None:
+    state = data.draw(st.sampled_from(states))
     kind = data.draw(st.sampled_from([*machine.KINDS.values(), "withdraw", "", "x"]))
     payload = data.draw(st.dictionaries(st.sampled_from(KEYS), PAYLOADS))
     try:
@@ -168,15 +221,19 @@ def test_pages_carry_nothing_that_tells_type_condition_or_answers(study: Study) 
         assert sorted(texts) == sorted(s.text for s in study.plan.roles[user_type].quiz)
 
 
-def test_persistent_belief_is_taken_from_the_configuration() -> None:
-    study = street_study(belief={"_target_": "xplain.explanation.belief.Persistent"})
-    state = at_evaluation(study, 0, "personalized")
-    user = SimulatedUser(study.plan.true_labels[0])
-    offline = explain(study.plan.problem, study.policies["personalized"], user, study.belief)
-    while state.stage == "evaluation":
-        labels = study.plan.true_labels[0, : state.step + 1, state.given].tolist()
-        state = machine.advance(study, state, "labels", {"labels": labels}).state
-    assert state.belief == tuple(offline.beliefs[-1].tolist())
+def test_persistent_belief_is_taken_from_the_configuration(study: Study) -> None:
+    other = street_study(belief={"_target_": "xplain.explanation.belief.Persistent"})
+    final = []
+    for one, belief in ((study, Independent()), (other, Persistent())):
+        state = at_evaluation(one, 0, "personalized")
+        user = SimulatedUser(one.plan.true_labels[0])
+        offline = explain(one.plan.problem, one.policies["personalized"], user, belief)
+        while state.stage == "evaluation":
+            labels = one.plan.true_labels[0, : state.step + 1, state.given].tolist()
+            state = machine.advance(one, state, "labels", {"labels": labels}).state
+        assert state.belief == tuple(offline.beliefs[-1].tolist())
+        final.append(state.belief)
+    assert final[0] != final[1]
 
 
 def test_states_are_read_back_as_they_were() -> None:

@@ -7,10 +7,9 @@ facts packed into the lowest bits of an integer.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-called = njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""Decorates what only kernels call: no entry from Python is compiled for it."""
+from xplain.numba_kernels import called
+
 REACH = 64
 """Ones − zeros beyond which a cell's value is beyond doubt."""
 ADDED, TAKEN = np.int64(1), np.int64(-1)

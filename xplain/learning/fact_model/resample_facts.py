@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.learning.fact_model.counts import (
     ADDED,
     TAKEN,
-    called,
     count_rows,
     draw,
     packed,
     table_row,
 )
+from xplain.numba_kernels import called, kernel
 
 BLOCK = 8
 """Facts whose combinations are tried at once for an observer."""
@@ -73,7 +72,7 @@ class Scratch(NamedTuple):
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def resample_facts(answers, prior, state, in_use, number, log_new, temperature, rng, scratch):  # type: ignore[no-untyped-def]
     """Draws R of every observer among all fact sets; ``state.facts`` and ``state.counts`` follow.
 
@@ -87,7 +86,7 @@ def resample_facts(answers, prior, state, in_use, number, log_new, temperature, 
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def resample_facts_wide(answers, prior, state, in_use, number, log_new, temperature, rng, scratch):  # type: ignore[no-untyped-def]
     """As :func:`resample_facts`, where facts are more than BLOCK: each observer may first jump to a
     type in use, and draws BLOCK facts, chosen at random, anew (``state.order``)."""

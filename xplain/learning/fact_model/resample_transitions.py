@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from xplain.learning.fact_model.counts import REACH, called, draw, packed, table_row
+from xplain.learning.fact_model.counts import REACH, draw, packed, table_row
+from xplain.numba_kernels import called, kernel
 
 WIDE = 12
 """Up to so many facts every S_τ is tried at once; with more, those among so many facts: the ones
@@ -67,7 +67,7 @@ class Scratch(NamedTuple):
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def resample_transitions(answers, prior, state, held, temperature, rng, scratch):  # type: ignore[no-untyped-def]
     """Draws (S_τ, ε_τ) of every transition, and counts the labels by the cells that this makes.
 
@@ -87,7 +87,7 @@ def resample_transitions(answers, prior, state, held, temperature, rng, scratch)
     return score
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def resample_transitions_wide(answers, prior, state, held, temperature, rng, scratch):  # type: ignore[no-untyped-def]
     """As :func:`resample_transitions`, each S_τ drawn among the subsets of WIDE facts only.
 

@@ -12,11 +12,11 @@ from math import exp, lgamma, log
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.learning.fact_model.counts import ADDED, REACH, TAKEN, count_rows, table_row
 from xplain.learning.fact_model.model import Answers, Prior, State
+from xplain.numba_kernels import kernel
 
 MANY_OBSERVERS = 100
 """Observers from which types are moved whole too."""
@@ -142,7 +142,7 @@ def _log_likelihood(prior: Prior, state: State) -> float:
     return float(log_likelihood(state.counts, state.noise, prior.marginal, prior.log_flip))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def log_likelihood(count, noise, marginal, log_flip):  # type: ignore[no-untyped-def]
     """log P(all labels | M of every answer, S, ε), f integrated out."""
     total = 0.0
@@ -158,7 +158,7 @@ def log_likelihood(count, noise, marginal, log_flip):  # type: ignore[no-untyped
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def relabel(members, new, answers, prior, state):  # type: ignore[no-untyped-def]
     """Gives the observers ``members`` the fact set ``new``; ``state.counts`` follows."""
     for o in members:

@@ -18,18 +18,13 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.solvers.count_lattice import branch, make_room
-from xplain.solvers.dynamic_programming import (
-    message_discount,
-    message_price,
-    messages_worth_giving,
-    restrict,
-)
-from xplain.solvers.numba_kernels import inlined
+from xplain.numba_kernels import inlined, kernel, shared_kernel
+from xplain.solvers.count_lattice import branch, make_answers
+from xplain.solvers.model import Model, explain_costs, model_of
+from xplain.solvers.restriction import messages_worth_giving
 
 GRID = np.concatenate([[0.0], 1 / (1 + np.exp(-np.linspace(-7, 7, 15))), [1.0]])
 """Beliefs in the first of two types, in equal steps of evidence."""
@@ -37,8 +32,9 @@ NEGLIGIBLE = 1e-7
 """Answers rarer than this are taken to tell the type, which can only raise the bound."""
 LIGHT = 1e-4
 """Types less likely than this stay as they were split."""
-SWEEPS = 3
-"""Over all shifts of weight, each smaller than the last."""
+NO_SWEEP, SWEEPS = np.int64(0), np.int64(3)
+"""Over all shifts of weight, each smaller than the last. (Not literals: numba would compile for
+each.)"""
 
 
 class Pairs(NamedTuple):
@@ -48,7 +44,6 @@ class Pairs(NamedTuple):
         row: [2^n, P] where a pair's values for H are.
         optimal: [m + 1, rows, G] upper bounds of V* at the grid's beliefs.
         explain: [m, rows, G] of Q* of *explain*.
-        grid: [G].
         share: [N, N] of type t's weight, what its pair with u has.
         cell: [P] the last grid point below a pair's belief.
         weight: [P, 2] how much there and at the next point.
@@ -57,7 +52,6 @@ class Pairs(NamedTuple):
     row: NDArray[np.int64]
     optimal: NDArray[np.float64]
     explain: NDArray[np.float64]
-    grid: NDArray[np.float64]
     share: NDArray[np.float64]
     cell: NDArray[np.int64]
     weight: NDArray[np.float64]
@@ -69,9 +63,9 @@ def with_own_room(pairs: Pairs) -> Pairs:
     return pairs._replace(**room)
 
 
-def no_pairs(problem: Problem) -> Pairs:
+def no_pairs(model: Model) -> Pairs:
     """Bounds nothing."""
-    return _joined(problem, [], [], [])
+    return _joined(model, [], [], [])
 
 
 @dataclass(frozen=True)
@@ -87,12 +81,11 @@ class PairTables:
     @cached_property
     def _two(self) -> list[tuple[Problem, tuple[int, ...]]]:
         """Every pair's problem, with the messages that are worth giving in it."""
-        problem, found = self.problem, []
-        for pair in combinations(range(problem.n_types), 2):
-            p, names = problem.p_explicable[list(pair)], problem.type_names
-            two = problem.with_types(p, tuple(names[t] for t in pair))
+        found = []
+        for pair in combinations(range(self.problem.n_types), 2):
+            two = self.problem.only_types(pair)
             kept = messages_worth_giving(two)
-            found.append((restrict(two, kept), kept))
+            found.append((two.with_messages(kept), kept))
         return found
 
     @property
@@ -122,121 +115,93 @@ class PairTables:
                 row += (sets >> j & 1) << i
             first += 1 << len(kept)
             rows.append(row)
-            tables = _pair_tables(two)
+            tables = _pair_tables(model_of(two))
             optimal.append(tables[0])
             explain.append(tables[1])
-        return _joined(self.problem, rows, optimal, explain)
+        return _joined(model_of(self.problem), rows, optimal, explain)
 
 
 def _joined(
-    problem: Problem,
+    model: Model,
     rows: list[NDArray[np.int64]],
     optimal: list[NDArray[np.float64]],
     explain: list[NDArray[np.float64]],
 ) -> Pairs:
-    types, steps, sets = problem.p_explicable.shape
+    steps, sets, types = model.n_steps, model.n_sets, model.n_types
     pairs = len(rows)
     return Pairs(
         np.stack(rows, 1) if rows else np.empty((sets, 0), dtype=np.int64),
         np.concatenate([np.empty((steps + 1, 0, len(GRID))), *optimal], axis=1),
         np.concatenate([np.empty((steps, 0, len(GRID))), *explain], axis=1),
-        GRID,
         np.zeros((types, types)),
         np.zeros(pairs, dtype=np.int64),
         np.zeros((pairs, 2)),
     )
 
 
-def _pair_tables(two: Problem) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _pair_tables(two: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """``optimal`` and ``explain`` of one pair."""
-    _, steps, sets = two.p_explicable.shape
+    steps, sets = two.n_steps, two.n_sets
     optimal, explain = np.zeros((steps + 1, sets, len(GRID))), np.empty((steps, sets, len(GRID)))
-    prices, per_message = message_price(two), message_discount(two)
-    costs = two.inexplicability_cost, two.discount, per_message
-    working = np.empty(2), make_room(steps, 2)
+    costs = explain_costs(two)
     capacity = 64
     # One call a step, so that Ctrl-C is heard between them.
     for k in reversed(range(steps)):
         while True:
-            buffers = np.empty((capacity, 2)), np.empty((capacity, 2), dtype=np.int64)
-            last = k == steps - 1
-            if _pair_step(
-                two.p_explicable,
-                k,
-                last,
-                prices,
-                *costs,
-                GRID,
-                optimal,
-                explain,
-                *buffers,
-                *working,
-            ):
+            answers = make_answers(capacity, steps, 2)
+            if _pair_step(two, k, costs[k], optimal, explain[k], answers):
                 break
             capacity *= 4
     return optimal, explain
 
 
-@njit(cache=True, nogil=True)
-def _pair_step(  # type: ignore[no-untyped-def]
-    p,
-    k,
-    last,
-    prices,
-    inexplicability,
-    discount,
-    message_discount,
-    grid,
-    optimal,
-    explain,
-    out_weight,
-    out_evidence,
-    tail,
-    room,
-):
-    """One step backwards in k; False where there are more answers than room."""
-    sets, points = optimal.shape[1:]
-    even, nothing, zeros = np.full(2, 0.5), np.zeros(2, dtype=np.int64), np.empty(2)
-    for given in range(sets - 1, -1, -1):
-        for t in range(2):
-            zeros[t] = 0.0
-            for i in range(k + 1):
-                zeros[t] += inexplicability * (1.0 - p[t, i, given])
-        after = optimal[k + 1, given]
-        answers = 0
+@kernel
+def _pair_step(model, k, costs, optimal, explain, answers):  # type: ignore[no-untyped-def]
+    """One step backwards in k: fills ``optimal[k]`` [2^n, G] and ``explain`` [2^n, G]. False where
+    there are more answers than room. ``costs`` [2^n, 2] are those of *explain*."""
+    last = k == len(optimal) - 2
+    even, nothing = np.full(2, 0.5), np.zeros(2, dtype=np.int64)
+    for given in range(len(costs) - 1, -1, -1):
+        count = 0
         if not last:
-            answers = branch(
-                p, k, given, even, nothing, NEGLIGIBLE, out_weight, out_evidence, tail, room
-            )
-            if answers < 0:
+            count = branch(model, k, given, even, nothing, NEGLIGIBLE, answers)
+            if count < 0:
                 return False
-        for g in range(points):
+        for g in range(len(GRID)):
             # The even prior of the answers, made this belief.
-            one, two = 2.0 * grid[g], 2.0 * (1.0 - grid[g])
+            one, two = 2.0 * GRID[g], 2.0 * (1.0 - GRID[g])
             value = 0.0
             if not last:
-                value = one * tail[0] * after[points - 1] + two * tail[1] * after[0]
-            for o in range(answers):
-                x, y = one * out_weight[o, 0], two * out_weight[o, 1]
-                value += _value(grid, after, x, y)
-            explain[k, given, g] = discount * value
-            explain[k, given, g] -= 0.5 * (one * zeros[0] + two * zeros[1])
-            best = explain[k, given, g]
-            for j in range(len(prices)):
+                value = _explained(optimal[k + 1, given], one, two, count, answers)
+            explain[given, g] = model.discount * value
+            explain[given, g] -= 0.5 * (one * costs[given, 0] + two * costs[given, 1])
+            best = explain[given, g]
+            for j in range(len(model.price)):
                 more = given | 1 << j
                 if more != given:
-                    best = max(best, message_discount * optimal[k, more, g] - prices[j])
+                    later = model.message_discount * optimal[k, more, g]
+                    best = max(best, later - model.price[j])
             optimal[k, given, g] = best
     return True
 
 
 @inlined
-def _cell(grid, belief):  # type: ignore[no-untyped-def]
+def _explained(after, one, two, count, answers):  # type: ignore[no-untyped-def]
+    """Expected value after the answers, from ``after`` [G], where the types' weights are ``one``
+    and ``two`` times those of the answers."""
+    value = one * answers.tail[0] * after[len(GRID) - 1] + two * answers.tail[1] * after[0]
+    for a in range(count):
+        value += _value(after, one * answers.weight[a, 0], two * answers.weight[a, 1])
+    return value
+
+
+@inlined
+def _cell(belief):  # type: ignore[no-untyped-def]
     """The last grid point at or below a belief, but never the very last."""
-    low, high = 0, len(grid) - 1
+    low, high = 0, len(GRID) - 1
     while high - low > 1:
         middle = (low + high) // 2
-        if grid[middle] <= belief:
+        if GRID[middle] <= belief:
             low = middle
         else:
             high = middle
@@ -244,14 +209,14 @@ def _cell(grid, belief):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _value(grid, table, x, y):  # type: ignore[no-untyped-def]
+def _value(table, x, y):  # type: ignore[no-untyped-def]
     """A pair's value [G] where its types weigh x and y, times x + y."""
     total = x + y
     if total <= 0.0:
         return 0.0
     belief = x / total
-    g = _cell(grid, belief)
-    further = (belief - grid[g]) / (grid[g + 1] - grid[g])
+    g = _cell(belief)
+    further = (belief - GRID[g]) / (GRID[g + 1] - GRID[g])
     return total * (table[g] + further * (table[g + 1] - table[g]))
 
 
@@ -267,58 +232,72 @@ def _shared(pairs, table, given, t, u, x, y):  # type: ignore[no-untyped-def]
     if t > u:
         t, u, x, y = u, t, y, x
     q = _pair(t, u, pairs.share.shape[0])
-    return _value(pairs.grid, table[pairs.row[given, q]], x, y)
+    return _value(table[pairs.row[given, q]], x, y)
 
 
-@inlined
+@shared_kernel
 def mix(pairs, step, given, belief, sweeps):  # type: ignore[no-untyped-def]
     """Makes the mixture for a belief at (k, H), in the room of ``pairs``.
 
     Returns:
-        Whether there is one: not without tables, nor where the type is known.
+        Whether there is one: not where the type is known.
     """
-    types = len(belief)
-    if pairs.row.shape[1] == 0:
-        return False
-    table, share = pairs.optimal[step], pairs.share
-    possible = 0
-    for t in range(types):
-        others = 0.0
-        for u in range(types):
-            others += belief[u] if u != t else 0.0
-        possible += belief[t] > 0.0
-        for u in range(types):
-            share[t, u] = belief[t] * belief[u] / others if u != t and others > 0.0 else 0.0
+    possible = _split(pairs, belief)
     if possible < 2:
         return False
     part = 1.0
     for _ in range(sweeps if possible > 2 else 0):
-        for t in range(types):
-            for u in range(types):
-                for v in range(types):
-                    light = min(belief[t], belief[u], belief[v]) < LIGHT
-                    if light or u in (t, v) or v == t:
-                        continue
-                    shift = part * share[t, u]
-                    now = _shared(pairs, table, given, t, u, share[t, u], share[u, t])
-                    now += _shared(pairs, table, given, t, v, share[t, v], share[v, t])
-                    then = _shared(pairs, table, given, t, u, share[t, u] - shift, share[u, t])
-                    then += _shared(pairs, table, given, t, v, share[t, v] + shift, share[v, t])
-                    if then < now:
-                        share[t, u] -= shift
-                        share[t, v] += shift
+        _shift(pairs, pairs.optimal[step], given, belief, part)
         part *= 0.6
+    types, share = len(belief), pairs.share
     for t in range(types):
         for u in range(t + 1, types):
             q = _pair(t, u, types)
             total = share[t, u] + share[u, t]
             at = share[t, u] / total if total > 0.0 else 0.0
-            g = _cell(pairs.grid, at)
-            further = (at - pairs.grid[g]) / (pairs.grid[g + 1] - pairs.grid[g])
+            g = _cell(at)
+            further = (at - GRID[g]) / (GRID[g + 1] - GRID[g])
             pairs.cell[q] = g
             pairs.weight[q, 0] = total * (1.0 - further)
             pairs.weight[q, 1] = total * further
     return True
+
+
+@inlined
+def _split(pairs, belief):  # type: ignore[no-untyped-def]
+    """Splits every type's weight among the others in proportion to theirs; returns how many types
+    are possible."""
+    possible = 0
+    for t in range(len(belief)):
+        others = 0.0
+        for u in range(len(belief)):
+            others += belief[u] if u != t else 0.0
+        possible += belief[t] > 0.0
+        for u in range(len(belief)):
+            split = u != t and others > 0.0
+            pairs.share[t, u] = belief[t] * belief[u] / others if split else 0.0
+    return possible
+
+
+@inlined
+def _shift(pairs, table, given, belief, part):  # type: ignore[no-untyped-def]
+    """Shifts a part of each type's weight from one of its pairs to another wherever that lowers
+    the bound."""
+    types, share = len(belief), pairs.share
+    for t in range(types):
+        for u in range(types):
+            for v in range(types):
+                light = min(belief[t], belief[u], belief[v]) < LIGHT
+                if light or u in (t, v) or v == t:
+                    continue
+                shift = part * share[t, u]
+                now = _shared(pairs, table, given, t, u, share[t, u], share[u, t])
+                now += _shared(pairs, table, given, t, v, share[t, v], share[v, t])
+                then = _shared(pairs, table, given, t, u, share[t, u] - shift, share[u, t])
+                then += _shared(pairs, table, given, t, v, share[t, v] + shift, share[v, t])
+                if then < now:
+                    share[t, u] -= shift
+                    share[t, v] += shift
 
 
 @inlined

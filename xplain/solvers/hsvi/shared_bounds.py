@@ -1,15 +1,17 @@
-"""What beliefs at one (k, H) learn from each other in :mod:`xplain.solvers.hsvi.search`.
+"""What beliefs at one (k, H) tell each other in :mod:`xplain.solvers.hsvi.search`.
 
 The value of a policy is linear in the belief, so its values for each type (an alpha vector) bound
 every belief's optimum from below; and the optimum is convex, so an upper bound at one belief bounds
-the others from above (the sawtooth). The latest few of both are kept for each (k, H), and the sets
-of messages that no plan dominates.
+the others from above (the sawtooth; Hauskrecht 2000). The latest few of both are kept for each
+(k, H), and the sets of messages that no plan dominates.
 """
 
 from __future__ import annotations
 
-from xplain.solvers.hsvi.tree import CANDIDATES, KEPT, PLACES, WORK, copy, dot
-from xplain.solvers.numba_kernels import inlined
+from xplain.numba_kernels import inlined, shared_kernel
+from xplain.solvers.count_lattice import copy
+from xplain.solvers.hsvi.tree import CANDIDATES, KEPT, SHARED, WORK
+from xplain.solvers.model import expected
 
 IRRELEVANT = -1e30
 """In an alpha vector, the value for a type that cannot be at its node."""
@@ -18,95 +20,96 @@ ROUNDING = 1e-14
 
 
 @inlined
-def learn(tables, store, node):  # type: ignore[no-untyped-def]
-    """Tightens a node's bounds by what other nodes at its (k, H) found out."""
-    step, given, belief = store.step[node], store.given[node], store.belief[node]
-    place = store.listed[step, given, 2]
-    if place < 0:
+def tighten_by_shared(optimal, store, index):  # type: ignore[no-untyped-def]
+    """Tightens a node's bounds by what was published at its (k, H). ``optimal``: V*."""
+    node, belief = store.nodes[index], store.belief[index]
+    row = store.places[node.step, node.given].shared
+    if row < 0:
         return
-    for i in range(min(store.place_count[place, 0], KEPT)):
-        value = dot(belief, store.place_alpha[place, i])
-        if value > store.lower[node]:
-            store.lower[node] = min(value, store.upper[node])
-            copy(store.place_alpha[place, i], store.alpha[node])
+    for i in range(min(store.shared_count[row, 0], KEPT)):
+        value = expected(belief, store.shared_alpha[row, i])
+        if value > node.lower:
+            node.lower = min(value, node.upper)
+            copy(store.shared_alpha[row, i], store.alpha[index])
             # The policy takes the best action: the set that earns the bound must say so.
-            for a in range(store.first[node], store.first[node] + store.n_actions[node]):
-                if store.action_set[a] == store.place_set[place, i]:
-                    value = min(value, store.action_upper[a])
-                    store.action_lower[a] = max(store.action_lower[a], value)
-    known = tables.values[step, given]
-    for i in range(min(store.place_count[place, 1], KEPT)):
-        other = store.place_belief[place, i]
+            for a in range(node.first_action, node.first_action + node.n_actions):
+                action = store.actions[a]
+                if action.messages == store.shared_messages[row, i]:
+                    value = min(value, action.upper)
+                    action.lower = max(action.lower, value)
+    known = optimal[node.step, node.given]
+    for i in range(min(store.shared_count[row, 1], KEPT)):
+        other = store.shared_belief[row, i]
         share = 1.0
         for t in range(len(belief)):
             if other[t] > 0.0:
                 share = min(share, belief[t] / other[t])
         if share > 0.0:
-            value = share * store.place_upper[place, i]
+            value = share * store.shared_upper[row, i]
             for t in range(len(belief)):
                 value += (belief[t] - share * other[t]) * known[t]
-            store.upper[node] = min(store.upper[node], max(value, store.lower[node]))
+            node.upper = min(node.upper, max(value, node.lower))
 
 
-@inlined
-def teach(tables, store, node, upper, lower, news):  # type: ignore[no-untyped-def]
-    """Keeps a node's bounds for the others at its (k, H), if they are better than ``upper`` and
-    ``lower`` by ``news``."""
-    place = store.listed[store.step[node], store.given[node], 2]
-    if store.upper[node] < upper - news:
-        i = store.place_count[place, 1] % KEPT
-        copy(store.belief[node], store.place_belief[place, i])
-        store.place_upper[place, i] = store.upper[node]
-        store.place_count[place, 1] += 1
-    if store.lower[node] > lower + news:
-        best = store.first[node]
-        for a in range(best, best + store.n_actions[node]):
-            if store.action_lower[a] > store.action_lower[best]:
+@shared_kernel
+def publish(tables, store, index, upper, lower, least):  # type: ignore[no-untyped-def]
+    """Keeps a node's bounds for the others at its (k, H), where they are better than ``upper`` and
+    ``lower`` by ``least``."""
+    node = store.nodes[index]
+    row = store.places[node.step, node.given].shared
+    if node.upper < upper - least:
+        i = store.shared_count[row, 1] % KEPT
+        copy(store.belief[index], store.shared_belief[row, i])
+        store.shared_upper[row, i] = node.upper
+        store.shared_count[row, 1] += 1
+    if node.lower > lower + least:
+        best = node.first_action
+        for a in range(best, best + node.n_actions):
+            if store.actions[a].lower > store.actions[best].lower:
                 best = a
-        if store.action_first[best] < 0:
+        if store.actions[best].first_answer < 0:
             return
-        _alpha(tables, store, node, best)
-        i = store.place_count[place, 0] % KEPT
-        copy(store.alpha[node], store.place_alpha[place, i])
-        store.place_set[place, i] = store.action_set[best]
-        store.place_count[place, 0] += 1
+        _make_alpha(tables, store, index, best)
+        i = store.shared_count[row, 0] % KEPT
+        copy(store.alpha[index], store.shared_alpha[row, i])
+        store.shared_messages[row, i] = store.actions[best].messages
+        store.shared_count[row, 0] += 1
 
 
 @inlined
-def _alpha(tables, store, node, a):  # type: ignore[no-untyped-def]
-    """The value, for each type, of taking an expanded action and then what the answers' nodes'
-    alpha vectors stand for."""
-    step, belief, alpha = store.step[node], store.belief[node], store.alpha[node]
-    chosen = store.action_set[a]
-    shown = store.given[node] | chosen
-    begin = store.action_first[a]
-    copy(store.action_tail_alpha[a], alpha)
-    for o in range(begin, begin + store.action_answers[a]):
-        child = store.answer_node[o]
+def _make_alpha(tables, store, index, a):  # type: ignore[no-untyped-def]
+    """A node's alpha vector: the value, for each type, of taking an expanded action and then what
+    the answers' nodes' alpha vectors stand for."""
+    node, belief, alpha = store.nodes[index], store.belief[index], store.alpha[index]
+    action = store.actions[a]
+    shown = node.given | action.messages
+    copy(store.tail_alpha[a], alpha)
+    for o in range(action.first_answer, action.first_answer + action.n_answers):
+        answer = store.answers[o]
         for t in range(len(belief)):
-            if store.belief[child, t] > 0.0:
-                weight = store.answer_probability[o] * store.belief[child, t]
-                alpha[t] += weight * store.alpha[child, t]
+            if store.belief[answer.node, t] > 0.0:
+                weight = answer.weight * store.belief[answer.node, t]
+                alpha[t] += weight * store.alpha[answer.node, t]
+    price, discount = tables.sets.price[action.messages], tables.sets.discount[action.messages]
     for t in range(len(belief)):
         if belief[t] > 0.0:
-            now = (
-                tables.explain[step, shown, t] - tables.discount * tables.values[step + 1, shown, t]
-            )
-            alpha[t] = alpha[t] / belief[t] + tables.factor[chosen] * now - tables.price[chosen]
+            later = tables.model.discount * tables.optimal[node.step + 1, shown, t]
+            now = tables.explain[node.step, shown, t] - later
+            alpha[t] = alpha[t] / belief[t] + discount * now - price
         else:
             alpha[t] = IRRELEVANT
-    store.used[WORK] += store.action_answers[a]
+    store.used[WORK] += action.n_answers
 
 
 @inlined
 def list_candidates(tables, store, step, given):  # type: ignore[no-untyped-def]
     """The sets of messages that may be optimal at (k, H) for some belief: all but those whose
-    upper bound lies below the value of one and the same plan for every type."""
-    sets = len(tables.price)
-    types = tables.p.shape[0]
+    upper bound lies below the value of one and the same plan for every type. False where the store
+    is full."""
+    sets = len(tables.sets.price)
     begin = store.used[CANDIDATES]
-    place = store.used[PLACES]
-    if begin + sets > len(store.candidates) or place == len(store.place_count):
+    row = store.used[SHARED]
+    if begin + sets > len(store.candidates) or row == len(store.shared_count):
         return False
     plans = tables.plans[step, given]
     free = (sets - 1) & ~given
@@ -114,29 +117,34 @@ def list_candidates(tables, store, step, given):  # type: ignore[no-untyped-def]
     chosen = 0
     while True:
         explain = tables.explain[step, given | chosen]
-        dominated = False
-        for u in range(len(plans)):
-            below, strictly = True, False
-            for t in range(types):
-                value = tables.factor[chosen] * explain[t] - tables.price[chosen]
-                if value > plans[u, t]:
-                    below = False
-                    break
-                if value < plans[u, t] - ROUNDING:
-                    strictly = True
-            if below and strictly:
-                dominated = True
-                break
-        if not dominated:
+        if not _dominated(explain, tables.sets.discount[chosen], tables.sets.price[chosen], plans):
             store.candidates[end] = chosen
             end += 1
         chosen = (chosen - free) & free
         if chosen == 0:
             break
-    store.listed[step, given, 0] = begin
-    store.listed[step, given, 1] = end - begin
-    store.listed[step, given, 2] = place
-    store.used[PLACES] += 1
+    place = store.places[step, given]
+    place.first_candidate = begin
+    place.n_candidates = end - begin
+    place.shared = row
+    store.used[SHARED] += 1
     store.used[CANDIDATES] = end
-    store.used[WORK] += sets * types
+    store.used[WORK] += sets * len(explain)
     return True
+
+
+@inlined
+def _dominated(explain, discount, price, plans):  # type: ignore[no-untyped-def]
+    """Whether some plan is worth more than a set of messages to one type, and to none less."""
+    for u in range(len(plans)):
+        below, strictly = True, False
+        for t in range(len(explain)):
+            value = discount * explain[t] - price
+            if value > plans[u, t]:
+                below = False
+                break
+            if value < plans[u, t] - ROUNDING:
+                strictly = True
+        if below and strictly:
+            return True
+    return False

@@ -5,136 +5,156 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from xplain.solvers.count_lattice import hash_key
+from xplain.numba_kernels import inlined
+from xplain.solvers.count_lattice import hash_key, same
 from xplain.solvers.hsvi.initial_bounds import Tables
-from xplain.solvers.numba_kernels import inlined
 
+ROOT = np.int64(0)
+"""The first node. (numba would compile what it is passed to once more for the literal 0.)"""
+NONE = -1
+"""For an index: not opened, not expanded, not listed; in the hash table, free."""
 KEPT = 32
 """Alpha vectors, and upper bounds, kept for each (k, H)."""
 
+NODE = np.dtype(
+    [
+        ("upper", np.float64),  # bounds of the optimal value
+        ("lower", np.float64),
+        ("step", np.int64),  # k
+        ("given", np.int64),  # H
+        ("first_action", np.int64),  # NONE until it is opened
+        ("n_actions", np.int64),
+    ]
+)
+ACTION = np.dtype(
+    [
+        ("messages", np.int64),  # the set given, then *explain*
+        ("upper", np.float64),
+        ("lower", np.float64),
+        ("base", np.float64),  # its expected reward: messages and *explain*
+        ("tail_upper", np.float64),  # of the answers that are not told apart
+        ("tail_lower", np.float64),
+        ("first_answer", np.int64),  # NONE until it is expanded
+        ("n_answers", np.int64),
+    ]
+)
+ANSWER = np.dtype(
+    [
+        ("weight", np.float64),  # its probability, discounted
+        ("node", np.int64),  # where it leads
+    ]
+)
+PLACE = np.dtype(
+    [
+        ("first_candidate", np.int64),  # the sets of messages that may be optimal there
+        ("n_candidates", np.int64),
+        ("shared", np.int64),  # its row in the shared bounds; NONE until a node there is opened
+    ]
+)
+
+NODES, ACTIONS, ANSWERS, CANDIDATES, SHARED, OPENED, WORK, HASHED = range(8)
+"""What ``Store.used`` counts; OPENED nodes, WORK done, and nodes in the hash table."""
+
 
 class Store(NamedTuple):
-    """Nodes, their actions (sets of messages, then *explain*), these actions' answers.
+    """Nodes, their actions, these actions' answers; N types, m steps, n messages.
 
-    ``used`` counts nodes, actions, answers, candidates, places, nodes opened, work done. A node
-    not yet opened has ``first`` −1, and so has an action not yet expanded. A place is a (k, H)
-    where a node was opened; ``listed`` [m, 2^n, 3] holds its first candidate set, their number,
-    and its index; −1 before that.
+    Attributes:
+        used: [8] how much of the rest is in use.
+        nodes: [.] NODE, a belief at (k, H).
+        belief: [nodes, N].
+        evidence: [nodes, N] integers that are an exact key of the belief.
+        alpha: [nodes, N] values by type of the policy that earns the lower bound.
+        actions: [.] ACTION; those of a node lie side by side.
+        tail_alpha: [actions, N] what the answers not told apart add to alpha.
+        answers: [.] ANSWER; those of an action lie side by side.
+        candidates: [.] sets of messages; those of a place lie side by side.
+        places: [m, 2^n] PLACE, by (k, H).
+        shared_count: [shared, 2] lower and upper bounds ever published at a place; the last
+            KEPT of each are here:
+        shared_alpha: [shared, KEPT, N] alpha vectors, bounds from below,
+        shared_messages: [shared, KEPT] the set that earns each,
+        shared_belief: [shared, KEPT, N] a belief, and
+        shared_upper: [shared, KEPT] the upper bound there.
+        hash_table: [.] nodes by (k, H, evidence), open addressing.
     """
 
     used: NDArray[np.int64]
-    step: NDArray[np.int64]
-    given: NDArray[np.int64]
+    nodes: NDArray[np.void]
     belief: NDArray[np.float64]
     evidence: NDArray[np.int64]
-    upper: NDArray[np.float64]
-    lower: NDArray[np.float64]
     alpha: NDArray[np.float64]
-    first: NDArray[np.int64]
-    n_actions: NDArray[np.int64]
-    action_set: NDArray[np.int64]
-    action_upper: NDArray[np.float64]
-    action_lower: NDArray[np.float64]
-    action_base: NDArray[np.float64]
-    action_first: NDArray[np.int64]
-    action_answers: NDArray[np.int64]
-    action_tail: NDArray[np.float64]
-    action_tail_alpha: NDArray[np.float64]
-    answer_node: NDArray[np.int32]
-    answer_probability: NDArray[np.float64]
+    actions: NDArray[np.void]
+    tail_alpha: NDArray[np.float64]
+    answers: NDArray[np.void]
     candidates: NDArray[np.int64]
-    place_count: NDArray[np.int64]
-    place_alpha: NDArray[np.float64]
-    place_set: NDArray[np.int64]
-    place_belief: NDArray[np.float64]
-    place_upper: NDArray[np.float64]
-    listed: NDArray[np.int64]
+    places: NDArray[np.void]
+    shared_count: NDArray[np.int64]
+    shared_alpha: NDArray[np.float64]
+    shared_messages: NDArray[np.int64]
+    shared_belief: NDArray[np.float64]
+    shared_upper: NDArray[np.float64]
     hash_table: NDArray[np.int32]
 
 
-NODES, ACTIONS, ANSWERS, CANDIDATES, PLACES, OPENED, WORK = range(7)
+_KIND = {
+    "nodes": NODES, "belief": NODES, "evidence": NODES, "alpha": NODES,
+    "actions": ACTIONS, "tail_alpha": ACTIONS,
+    "answers": ANSWERS,
+    "candidates": CANDIDATES,
+    "shared_count": SHARED, "shared_alpha": SHARED, "shared_messages": SHARED,
+    "shared_belief": SHARED, "shared_upper": SHARED,
+}  # fmt: skip
+"""What bounds the length of an array that grows."""
 
 
 def make_store(tables: Tables, nodes: int = 1 << 10) -> Store:
     """An empty store."""
-    types, steps, sets = tables.p.shape
-    actions, answers, places = max(4 * nodes, 2 * sets), 4 * nodes, 16
+    steps, sets, types = tables.explain.shape
+    actions, answers, shared = max(4 * nodes, 2 * sets), 4 * nodes, 16
+    places = np.zeros((steps, sets), PLACE)
+    places["shared"] = NONE
     return Store(
-        np.zeros(7, dtype=np.int64),
-        np.zeros(nodes, dtype=np.int64),
-        np.zeros(nodes, dtype=np.int64),
-        np.zeros((nodes, types)),
-        np.zeros((nodes, types), dtype=np.int64),
-        np.zeros(nodes),
-        np.zeros(nodes),
-        np.zeros((nodes, types)),
-        np.zeros(nodes, dtype=np.int64),
-        np.zeros(nodes, dtype=np.int64),
-        np.zeros(actions, dtype=np.int64),
-        np.zeros(actions),
-        np.zeros(actions),
-        np.zeros(actions),
-        np.zeros(actions, dtype=np.int64),
-        np.zeros(actions, dtype=np.int64),
-        np.zeros((actions, 2)),
-        np.zeros((actions, types)),
-        np.zeros(answers, dtype=np.int32),
-        np.zeros(answers),
-        np.zeros(actions, dtype=np.int64),
-        np.zeros((places, 2), dtype=np.int64),
-        np.zeros((places, KEPT, types)),
-        np.zeros((places, KEPT), dtype=np.int64),
-        np.zeros((places, KEPT, types)),
-        np.zeros((places, KEPT)),
-        np.full((steps, sets, 3), -1, dtype=np.int64),
-        np.full(4 * nodes, -1, dtype=np.int32),
+        used=np.zeros(8, np.int64),
+        nodes=np.zeros(nodes, NODE),
+        belief=np.zeros((nodes, types)),
+        evidence=np.zeros((nodes, types), np.int64),
+        alpha=np.zeros((nodes, types)),
+        actions=np.zeros(actions, ACTION),
+        tail_alpha=np.zeros((actions, types)),
+        answers=np.zeros(answers, ANSWER),
+        candidates=np.zeros(actions, np.int64),
+        places=places,
+        shared_count=np.zeros((shared, 2), np.int64),
+        shared_alpha=np.zeros((shared, KEPT, types)),
+        shared_messages=np.zeros((shared, KEPT), np.int64),
+        shared_belief=np.zeros((shared, KEPT, types)),
+        shared_upper=np.zeros((shared, KEPT)),
+        hash_table=np.full(4 * nodes, NONE, np.int32),
     )
 
 
 def grown(store: Store) -> Store:
     """The same store with twice the room for whatever has used up half of it."""
-    room = {NODES: len(store.step), ACTIONS: len(store.action_set)}
-    room |= {ANSWERS: len(store.answer_node), CANDIDATES: len(store.candidates)}
-    room |= {PLACES: len(store.place_count)}
-    short = {kind for kind, size in room.items() if 2 * store.used[kind] >= size}
-    short = short or set(room)
-
-    def bigger(name: str, array: NDArray[Any]) -> NDArray[Any]:
-        kind = _KIND.get(name.split("_")[0], NODES)
-        if kind not in short:
-            return array
-        # Fresh zeros cost nothing until they are touched.
-        more = np.zeros((2 * len(array), *array.shape[1:]), dtype=array.dtype)
-        more[: store.used[kind]] = array[: store.used[kind]]
-        return more
-
-    fixed = {"used": store.used, "listed": store.listed}
-    arrays: dict[str, Any] = {
-        n: fixed[n] if n in fixed else bigger(n, a) for n, a in store._asdict().items()
-    }
-    arrays["hash_table"] = np.full(4 * len(arrays["step"]), -1, dtype=np.int32)
-    new = Store(**arrays)
-    _rehash(new)
-    return new
-
-
-_KIND = {"action": ACTIONS, "answer": ANSWERS, "candidates": CANDIDATES, "place": PLACES}
-"""What an array of the store is about, by the first word of its name; the rest is about nodes."""
+    arrays: dict[str, Any] = store._asdict()
+    size = {kind: len(arrays[name]) for name, kind in _KIND.items()}
+    short = {kind for kind in size if 2 * store.used[kind] >= size[kind]} or set(size)
+    for name, kind in _KIND.items():
+        if kind in short:
+            array = arrays[name]
+            # Fresh zeros cost nothing until they are touched.
+            arrays[name] = np.zeros((2 * len(array), *array.shape[1:]), array.dtype)
+            arrays[name][: store.used[kind]] = array[: store.used[kind]]
+    arrays["hash_table"] = np.full(4 * len(arrays["nodes"]), NONE, np.int32)
+    store.used[HASHED] = 0
+    return Store(**arrays)
 
 
 def store_bytes(store: Store) -> int:
     """What a store takes."""
     return sum(array.nbytes for array in store)
-
-
-@njit(cache=True, nogil=True, _nrt=False)
-def _rehash(store):  # type: ignore[no-untyped-def]
-    for node in range(store.used[NODES]):
-        slot = find(store, store.step[node], store.given[node], store.evidence[node])
-        store.hash_table[slot] = node
 
 
 @inlined
@@ -143,30 +163,21 @@ def find(store, step, given, evidence):  # type: ignore[no-untyped-def]
     mask = np.uint64(len(store.hash_table) - 1)
     slot = hash_key(step, given, evidence) & mask
     while True:
-        node = store.hash_table[slot]
-        if node < 0:
+        index = store.hash_table[slot]
+        if index < 0:
             return slot
-        if store.step[node] == step and store.given[node] == given:
-            same = True
-            for t in range(len(evidence)):
-                if store.evidence[node, t] != evidence[t]:
-                    same = False
-                    break
-            if same:
-                return slot
+        node = store.nodes[index]
+        here = node.step == step and node.given == given
+        if here and same(store.evidence[index], evidence):
+            return slot
         slot = (slot + np.uint64(1)) & mask
 
 
 @inlined
-def copy(source, target):  # type: ignore[no-untyped-def]
-    """Fills an array [N] from another. (``target[:] = source`` would allocate.)"""
-    for t in range(len(target)):
-        target[t] = source[t]
-
-
-@inlined
-def dot(a, b):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for t in range(len(a)):
-        total += a[t] * b[t]
-    return total
+def rehash(store):  # type: ignore[no-untyped-def]
+    """Enters all nodes that a store's hash table does not hold since it grew."""
+    for index in range(store.used[HASHED], store.used[NODES]):
+        node = store.nodes[index]
+        slot = find(store, node.step, node.given, store.evidence[index])
+        store.hash_table[slot] = index
+    store.used[HASHED] = store.used[NODES]

@@ -38,26 +38,15 @@ from numpy.typing import NDArray
 from xplain.errors import InputError
 from xplain.explanation.belief import rounded
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import tell_when_compiling
 from xplain.randomness import derived_seed
 from xplain.solvers.base import Knowledge, Policy
-from xplain.solvers.dynamic_programming import (
-    TIE,
-    Restricted,
-    check_memory,
-    check_memory_gib,
-    messages_worth_giving,
-    restrict,
-)
-from xplain.solvers.numba_kernels import tell_when_compiling
+from xplain.solvers.memory import check_memory, check_memory_gib
+from xplain.solvers.model import best_set, one_by_one
 from xplain.solvers.pomcp.kernel import simulate
-from xplain.solvers.pomcp.tree import (
-    Model,
-    Options,
-    Tree,
-    model_bytes,
-    model_of,
-    tree_bytes,
-)
+from xplain.solvers.pomcp.search_model import SearchModel, model_bytes, model_of
+from xplain.solvers.pomcp.tree import Options, Tree, tree_bytes
+from xplain.solvers.restriction import Restricted, messages_worth_giving
 
 CHUNK = 50_000
 """Simulations between two looks at Ctrl-C."""
@@ -87,7 +76,7 @@ class POMCP:
     memory_gib: most that tables and trees may take.
     """
 
-    simulations: int = 3_000
+    simulations: int = 6_000
     depth: int | None = 3
     depth_unit: Literal["actions", "steps"] = "actions"
     exploration: float = 8.0
@@ -124,7 +113,7 @@ class POMCP:
         """See :class:`xplain.solvers.base.Solver`."""
         tell_when_compiling()
         kept = messages_worth_giving(problem)
-        small = restrict(problem, kept)
+        small = problem.with_messages(kept)
         size = model_bytes(small) + self.trees * tree_bytes(
             small, -(-self.simulations // self.trees)
         )
@@ -154,21 +143,13 @@ class Search:
     """
 
     solver: POMCP
-    model: Model
+    model: SearchModel
     options: Options
     seed: int
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
         """See :class:`xplain.solvers.base.Policy`."""
-        chosen = 0
-        while True:
-            values = self.values(step, given | chosen, belief)
-            best = max(values.values())
-            # The mapping begins with *explain*; the first of equals is chosen.
-            action = next(a for a, v in values.items() if v >= best - TIE * (1 + abs(best)))
-            if action == 0:
-                return chosen
-            chosen |= action
+        return one_by_one(lambda shown: best_set(self.values(step, shown, belief)), given)
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
         """Estimated return of *explain* (0) and of each message (its bit), where it was tried."""

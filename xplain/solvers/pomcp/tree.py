@@ -1,12 +1,8 @@
-"""The arrays that :mod:`xplain.solvers.pomcp.kernel` searches in.
+"""The search tree of :mod:`xplain.solvers.pomcp.kernel`: flat arrays, made before the search.
 
 A node is a history that ends in a belief: k transitions shown, messages H given, exact belief b.
 Children are found in one open-addressing table, by (node, labels) after *explain* and by (node
 where the step began, H) after a message: orders of the same messages lead to one node.
-
-What every type answers alike is no news and is not drawn. Labels with the same column P[:, i, H]
-are exchangeable, so an observation is known by Σ_i [l_i = 0] · w_i, with one 64-bit hash w a
-distinct column (two different observations of a node are taken for one with probability 2^-64).
 """
 
 from __future__ import annotations
@@ -14,17 +10,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import uint64
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.solvers.dynamic_programming import (
-    message_discount,
-    message_price,
-    optimal_values,
-    table_bytes,
-)
-from xplain.solvers.pomcp.kernel import GOLDEN, SETTLED, mix
+from xplain.numba_kernels import inlined
+from xplain.solvers.pomcp.random_words import GOLDEN, count_bits, splitmix64
 
 NODE = np.dtype(
     [
@@ -51,50 +42,28 @@ EDGE = np.dtype(
     align=True,
 )
 ENTRY = np.dtype([("node", np.int32), ("tag", np.uint32)])
-LIKELIEST = np.dtype([("probability", np.float64), ("code", np.uint64)])
+ROOT, END = 0, -1
+"""The node that a search begins at, and what comes after the last *explain*."""
+UNVISITED, UNOPENED = 0, 0
+"""``edge.child`` and ``entry.node`` where there is no node (the root is no child), and
+``node.edges`` until a simulation goes on from there (the first edges are unused)."""
+NODES, EDGES, MASK = 0, 1, 2
+"""Positions in ``tree.used``."""
 FIRST_TABLE = 1 << 12
 """Entries of the table that a search begins with."""
 REMEMBERED = 1 << 11
 """Most observations whose likelihoods a search remembers: they stay in the processor's cache."""
 
 
-class Model(NamedTuple):
-    """A problem as the search wants it.
-
-    Attributes:
-        optimal: [m + 1, 2^n, N] V*_t(k, H).
-        explain_cost: [2^n, m, N] C_inexp Σ_{i ≤ k + 1} (1 − P[t, i, H]).
-        informative: [2^n, m] how many of the first k + 1 labels types answer differently.
-        p: [2^n, m, N] P of the informative labels, in order.
-        weight: [2^n, m] their w.
-        likeliest: [2^n, m, N] LIKELIEST, where each of the first k + 1 informative labels is the
-            likelier of the two: its probability (≥ ½ a label), and its code.
-        wanted: [2^n, m] bitmask of the messages that some type should be given next rather than
-            *explain*; SETTLED where no type should from here to the end.
-        price: [n] λ C_e.
-        discount, message_discount: γ of *explain* and of a message.
-    """
-
-    optimal: NDArray[np.float64]
-    explain_cost: NDArray[np.float64]
-    informative: NDArray[np.int32]
-    p: NDArray[np.float64]
-    weight: NDArray[np.uint64]
-    likeliest: NDArray[np.void]
-    wanted: NDArray[np.int32]
-    price: NDArray[np.float64]
-    discount: float
-    message_discount: float
-
-
 class Options(NamedTuple):
-    """How to search, as numbers of :mod:`xplain.solvers.pomcp.kernel`.
+    """How to search.
 
     Attributes:
         depth: where simulations end.
         message_depth: what a message adds to the depth, 0 or 1; *explain* adds 1.
         exploration: in the problem's unit of cost.
-        leaf, rollout, backup: see :class:`xplain.solvers.pomcp.solver.POMCP`.
+        leaf, rollout, backup: see :class:`xplain.solvers.pomcp.solver.POMCP`; numbered as in
+            :mod:`xplain.solvers.pomcp.rollout` and :mod:`xplain.solvers.pomcp.kernel`.
     """
 
     depth: int
@@ -114,13 +83,13 @@ class Tree(NamedTuple):
             order, then *explain*. The first n + 1 are unused, so that 0 means none.
         beliefs: [S + 1, N], filled for nodes that begin a step.
         table: [a power of two > 2 S + 2] ENTRY, nodes by hash; 0 is none (the root is no child).
-            Only the first ``used[2] + 1`` entries are in use; they double as nodes come.
+            Only the first ``used[MASK] + 1`` entries are in use; they double as nodes come.
         seen: [a power of two] hashes of observations, 0 is none, and
         likelihoods: [.., N] what they are for each type.
-        zero: [m] labels drawn, and
-        now: [N] a belief: room for a rollout.
+        zero: [m] which of the labels drawn last are 0, where not all were the likelier.
+        rollout_belief: [N] a rollout keeps its belief here.
         path: [3, n + m + 1] nodes, edges and actions of a simulation.
-        used: [3] nodes and edges taken, and the table's mask.
+        used: [3] how many nodes and edges are taken (NODES, EDGES), and the table's MASK.
         counter: [1] of the random stream.
     """
 
@@ -131,7 +100,7 @@ class Tree(NamedTuple):
     seen: NDArray[np.uint64]
     likelihoods: NDArray[np.float64]
     zero: NDArray[np.bool_]
-    now: NDArray[np.float64]
+    rollout_belief: NDArray[np.float64]
     path: NDArray[np.int64]
     used: NDArray[np.int64]
     counter: NDArray[np.uint64]
@@ -176,6 +145,75 @@ class Tree(NamedTuple):
         return edges
 
 
+@inlined
+def find(tree, parent, code):  # type: ignore[no-untyped-def]
+    """Where the table holds this child, or has room for it; and the tag it bears there, without
+    which every other child on the way would have to be looked at."""
+    mask = tree.used[MASK]
+    h = splitmix64(code + uint64(parent) * GOLDEN)
+    slot, tag = np.int64(h & uint64(mask)), np.uint32(h >> uint64(32))
+    while True:
+        node = tree.table[slot].node
+        if node == UNVISITED:
+            return slot, tag
+        if tree.table[slot].tag == tag:
+            record = tree.nodes[node]
+            if record.parent == parent and record.code == code:
+                return slot, tag
+        slot = (slot + 1) & mask
+
+
+@inlined
+def grow_table(tree):  # type: ignore[no-untyped-def]
+    """Where the table is half full, spreads the children over twice as much of it: a table no
+    larger than need be stays in the processor's cache."""
+    if 2 * tree.used[NODES] > tree.used[MASK]:
+        tree.used[MASK] = 2 * tree.used[MASK] + 1
+        for slot in range(tree.used[MASK] + 1):
+            tree.table[slot].node = UNVISITED
+        for node in range(1, tree.used[NODES]):
+            record = tree.nodes[node]
+            slot, tag = find(tree, np.int64(record.parent), record.code)
+            tree.table[slot].node = node
+            tree.table[slot].tag = tag
+
+
+@inlined
+def add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
+    """A node without edges; its step, given, base and belief are left to set."""
+    node = tree.used[NODES]
+    tree.used[NODES] += 1
+    tree.table[slot].node = node
+    tree.table[slot].tag = tag
+    record = tree.nodes[node]
+    record.parent = parent
+    record.code = code
+    record.edges = UNOPENED
+    record.visits = 0
+    record.value = 0.0
+    record.leaf = np.nan
+    return node
+
+
+@inlined
+def open_(model, tree, node):  # type: ignore[no-untyped-def]
+    """Gives a node its edges: one for each message not yet given, the last for *explain*."""
+    record = tree.nodes[node]
+    record.edges = tree.used[EDGES]
+    record.untried = ((1 << (len(model.price) + 1)) - 1) & ~record.given
+    actions = count_bits(np.int64(record.untried))
+    tree.used[EDGES] += actions
+    record.reward = 0.0
+    for t in range(tree.beliefs.shape[1]):
+        cost = model.explain_cost[record.given, record.step, t]
+        record.reward -= tree.beliefs[record.base, t] * cost
+    for a in range(actions):
+        edge = tree.edges[record.edges + a]
+        edge.value = -np.inf
+        edge.visits = 0
+        edge.child = UNVISITED
+
+
 def _table_size(simulations: int) -> int:
     return max(FIRST_TABLE, 1 << (2 * simulations + 2).bit_length())
 
@@ -193,77 +231,3 @@ def tree_bytes(problem: Problem, simulations: int) -> int:
     table = _table_size(simulations)
     remembered = min(table, REMEMBERED) * 8 * (problem.n_types + 1)
     return (simulations + 2) * node + ENTRY.itemsize * table + remembered
-
-
-def model_bytes(problem: Problem) -> int:
-    """What :func:`model_of` takes."""
-    sets, steps = 1 << problem.n_messages, problem.n_steps
-    return table_bytes(problem) + sets * steps * (32 * problem.n_types + 16)
-
-
-def model_of(problem: Problem) -> Model:
-    """Lays a problem out for the search."""
-    p = problem.p_explicable
-    types, steps, sets = p.shape
-    model = Model(
-        optimal_values(problem),
-        np.empty((sets, steps, types)),
-        np.empty((sets, steps), np.int32),
-        np.empty((sets, steps, types)),
-        np.empty((sets, steps), np.uint64),
-        np.empty((sets, steps, types), LIKELIEST),
-        np.empty((sets, steps), np.int32),
-        message_price(problem),
-        problem.discount,
-        message_discount(problem),
-    )
-    cost = problem.inexplicability_cost
-    _lay_out(p, p.view(np.uint64), cost, *model[1:6])
-    _want(model.optimal, model.explain_cost, *model[6:])
-    return model
-
-
-@njit(cache=True, nogil=True)
-def _lay_out(p, bits, inexplicability, explain_cost, informative, news, weight, likeliest):  # type: ignore[no-untyped-def]
-    types, steps, sets = p.shape
-    for given in range(sets):
-        found = 0
-        for i in range(steps):
-            differs = False
-            code = GOLDEN
-            for t in range(types):
-                shown_before = explain_cost[given, i - 1, t] if i > 0 else 0.0
-                explain_cost[given, i, t] = shown_before + inexplicability * (1.0 - p[t, i, given])
-                differs |= p[t, i, given] != p[0, i, given]
-                code = mix((code + GOLDEN) ^ bits[t, i, given])
-            if differs:
-                news[given, found] = p[:, i, given]
-                weight[given, found] = code
-                found += 1
-            informative[given, i] = found
-            for t in range(types):
-                usual = likeliest[given, i, t]
-                before = likeliest[given, max(i - 1, 0), t]
-                usual.probability = before.probability if i > 0 else 1.0
-                usual.code = before.code if i > 0 else np.uint64(0)
-                if differs:
-                    yes = p[t, i, given]
-                    usual.probability *= max(yes, 1.0 - yes)
-                    usual.code += code if yes < 0.5 else np.uint64(0)
-
-
-@njit(cache=True, nogil=True)
-def _want(optimal, explain_cost, wanted, price, discount, message_discount):  # type: ignore[no-untyped-def]
-    sets, steps, types = explain_cost.shape
-    for given in range(sets):
-        for k in range(steps - 1, -1, -1):
-            mask = 0
-            for t in range(types):
-                silent = discount * optimal[k + 1, given, t] - explain_cost[given, k, t]
-                if optimal[k, given, t] > silent:
-                    for j in range(len(price)):
-                        if not given >> j & 1:
-                            said = message_discount * optimal[k, given | 1 << j, t] - price[j]
-                            mask |= (said > silent) << j
-            settled = mask == 0 and (k + 1 == steps or wanted[given, k + 1] == SETTLED)
-            wanted[given, k] = SETTLED if settled else mask

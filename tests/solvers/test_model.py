@@ -15,24 +15,19 @@ from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver
-from xplain.solvers.dynamic_programming import (
-    best_set,
-    messages_with_effect,
-    messages_worth_giving,
-    optimal_values,
-    restrict,
-)
 from xplain.solvers.hsvi.solver import Certified
 from xplain.solvers.known_type import Baseline, Conformant, KnownType
 from xplain.solvers.lookahead import Lookahead
+from xplain.solvers.model import best_set, explain_cost_at, explain_costs, model_of, optimal_values
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
+from xplain.solvers.restriction import messages_worth_giving
 
 
 @settings(deadline=None, max_examples=60)
 @given(tiny_problems())
 def test_tables_are_the_plain_recursion(problem: Problem) -> None:
-    table = optimal_values(problem)
+    table = optimal_values(model_of(problem))
     for k in range(problem.n_steps + 1):
         for shown in range(1 << problem.n_messages):
             for t in range(problem.n_types):
@@ -40,12 +35,27 @@ def test_tables_are_the_plain_recursion(problem: Problem) -> None:
                 assert table[k, shown, t] == pytest.approx(plain, abs=1e-9)
 
 
+@settings(deadline=None, max_examples=60)
+@given(tiny_problems())
+def test_explain_costs_are_the_expected_zeros(problem: Problem) -> None:
+    model = model_of(problem)
+    table = explain_costs(model)
+    for k in range(problem.n_steps):
+        for shown in range(1 << problem.n_messages):
+            zeros = (1 - problem.p_explicable[:, : k + 1, shown]).sum(axis=1)
+            expected = problem.inexplicability_cost * zeros
+            assert table[k, shown] == pytest.approx(expected, abs=1e-12)
+            assert explain_cost_at(model, k, shown) == pytest.approx(expected, abs=1e-12)
+
+
 @settings(deadline=None, max_examples=40)
 @given(tiny_problems())
 def test_messages_left_out_would_not_have_paid(problem: Problem) -> None:
     kept = messages_worth_giving(problem)
-    small = restrict(problem, kept)
-    assert optimal_values(small)[0, 0] == pytest.approx(optimal_values(problem)[0, 0], abs=1e-9)
+    small = problem.with_messages(kept)
+    assert optimal_values(model_of(small))[0, 0] == pytest.approx(
+        optimal_values(model_of(problem))[0, 0], abs=1e-9
+    )
 
 
 def idle_problem(**changes: object) -> Problem:
@@ -58,7 +68,7 @@ def idle_problem(**changes: object) -> Problem:
 
 def test_a_message_without_effect_is_never_given_at_the_usual_price() -> None:
     problem = idle_problem()
-    assert messages_with_effect(problem) == (0, 2)
+    assert problem.messages_with_effect() == (0, 2)
     assert messages_worth_giving(problem) == (0, 2)
     for solver in (QMDP(), QHR(), Conformant(), Baseline()):
         policy = solver.plan(problem)

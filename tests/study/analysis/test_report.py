@@ -7,16 +7,18 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from xplain.study.analysis import export
-from xplain.study.analysis import main as analyse
+from xplain.cli.main import main
+from xplain.errors import InputError
+from xplain.study.analysis.export import export
+from xplain.study.analysis.report import exclusions
 
 
 def test_streams_are_never_mixed(
     snapshot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    export.export(snapshot, out)
-    analyse.main([str(out), "--stream", "bot"])
+    export(snapshot, out)
+    main(["study", "analyse", str(out), "--stream", "bot"])
     said = capsys.readouterr().out
     assert "SIMULATED PARTICIPANTS" in said
     for value in ("120.48", "100.85", "0.032", "3.45"):
@@ -29,6 +31,13 @@ def test_streams_are_never_mixed(
     assert flow.loc["completed", "all"] == (bots["stage"] == "done").sum()
     ends = ("completed", "declined", "ineligible", "withdrawn", "timed out", "still on their way")
     assert sum(flow.loc[end, "all"] for end in ends) == 24
-    with pytest.raises(SystemExit):  # one person is no study
-        analyse.main([str(out)])
+    with pytest.raises(SystemExit) as ended:  # one person is no study
+        main(["study", "analyse", str(out)])
+    assert ended.value.code == 2
     assert "at least 2 completed" in capsys.readouterr().err
+
+
+def test_a_file_that_lists_nobody_to_exclude_is_named(tmp_path: Path) -> None:
+    (tmp_path / "participants.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match="participant, reason"):
+        exclusions(tmp_path / "participants.csv")

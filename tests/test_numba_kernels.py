@@ -1,0 +1,200 @@
+"""Kernels: cached machine code is that of the sources as they are, whichever file was edited."""
+
+from __future__ import annotations
+
+import ast
+import logging
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numba
+import pytest
+from numba.core import event
+
+from xplain import numba_kernels
+from xplain.numba_kernels import PACKAGE, _Listener, cache_folder, kernel, kernel_sources
+
+CALLEE = """
+from xplain.numba_kernels import inlined, kernel
+
+@{decorator}
+def callee(x):
+    return x + {number}
+"""
+CALLER = """
+from xplain.callee import callee
+from xplain.numba_kernels import {decorator}, tell_when_compiling
+
+tell_when_compiling()
+
+@{decorator}
+def caller(x):
+    return 2 * callee(x)
+
+if __name__ == "xplain.caller":
+    print(caller(1))
+"""
+
+
+def run(folder: Path, code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Runs code with the package found in a folder first."""
+    env = os.environ | {"PYTHONPATH": str(folder)} | environment
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        env=env,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize(("outer", "inner"), [("kernel", "kernel"), ("lean_kernel", "inlined")])
+def test_an_edited_callee_in_another_file_is_seen(tmp_path: Path, outer: str, inner: str) -> None:
+    """And nothing is compiled where nothing was edited, also not back at the first sources."""
+    copy, cache = tmp_path / "xplain", str(tmp_path / "cache")
+    copy.mkdir()
+    for name in ("__init__.py", "numba_kernels.py"):
+        shutil.copy(PACKAGE / name, copy / name)
+    (copy / "caller.py").write_text(CALLER.format(decorator=outer))
+    outputs = []
+    for number in (10, 10, 70, 10):
+        (copy / "callee.py").write_text(CALLEE.format(decorator=inner, number=number))
+        done = run(tmp_path, "import xplain.caller", NUMBA_CACHE_DIR=cache)
+        outputs.append((int(done.stdout), "compiling" in done.stderr))
+    assert outputs == [(22, True), (22, False), (142, True), (22, False)]
+
+
+FOLDERS = """
+import subprocess, sys
+from xplain.numba_kernels import cache_folder
+ask = "from xplain.numba_kernels import cache_folder; print(cache_folder())"
+print(cache_folder())
+print(subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True).stdout.strip())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="XDG_CACHE_HOME is Linux's")
+@pytest.mark.parametrize(
+    ("variable", "other"), [("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"), ("XDG_CACHE_HOME", "HOME")]
+)
+def test_every_process_started_finds_the_same_folder(
+    tmp_path: Path, variable: str, other: str
+) -> None:
+    """Below NUMBA_CACHE_DIR, or else below the user's cache folder; not one below another."""
+    chosen = {"NUMBA_CACHE_DIR": "", other: str(tmp_path / "b"), variable: str(tmp_path / "a")}
+    here, child = run(PACKAGE.parent, FOLDERS, **chosen).stdout.split()
+    assert here == child
+    assert Path(here).parent == tmp_path / "a" / "xplain" / "kernels"
+
+
+def test_works_where_nothing_can_be_written(tmp_path: Path) -> None:
+    """Said in one line; the kernel compiles, and is not cached beside its source instead."""
+    (tmp_path / "file").touch()
+    (tmp_path / "mine.py").write_text(
+        "from xplain.numba_kernels import kernel\n@kernel\ndef double(x):\n    return 2 * x\n"
+        "print(double(4))"
+    )
+    chosen = {"NUMBA_CACHE_DIR": str(tmp_path / "file"), "PYTHONDONTWRITEBYTECODE": "1"}
+    paths = os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])
+    done = run(tmp_path, "import mine", PYTHONPATH=paths, **chosen)
+    assert done.stdout.strip() == "8"
+    assert len(done.stderr.splitlines()) == 1
+    assert "NUMBA_CACHE_DIR" in done.stderr
+    assert not (tmp_path / "__pycache__").exists()
+
+
+def test_other_packages_cache_where_they_did() -> None:
+    """Our decorator leaves numba's setting alone."""
+    before = numba.config.CACHE_DIR
+    kernel(lambda x: x)
+    assert before == numba.config.CACHE_DIR
+
+
+def test_machine_code_long_unused_is_removed_and_its_folder_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only once there are new sources; what another checkout used lately stays."""
+    base = tmp_path / "xplain" / "kernels"
+    for name, days in (("old", 31), ("recent", 29)):
+        (base / name / "solvers_1").mkdir(parents=True)
+        (base / name / "solvers_1" / "f-1.py311.nbi").touch()
+        used = time.time() - days * 86_400
+        os.utime(base / name, (used, used))
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    folder = Path(cache_folder.__wrapped__())
+    assert sorted(path.name for path in base.iterdir()) == sorted(["old", "recent", folder.name])
+    assert [path.parent.parent.name for path in base.rglob("*.nbi")] == ["recent"]
+    assert (base / "old" / "solvers_1").is_dir()
+
+
+def trees() -> Iterator[tuple[str, ast.Module]]:
+    """Every file of the package, by its path below it."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        yield path.relative_to(PACKAGE).as_posix(), ast.parse(path.read_bytes())
+
+
+def test_all_kernels_are_made_by_our_decorators() -> None:
+    """A kernel with a decorator of numba's own would be cached beside its source."""
+    makers = {"njit", "jit", "vectorize", "guvectorize", "stencil", "cfunc", "jitclass"}
+    for name, tree in trees():
+        used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+        used |= {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+        assert name == "numba_kernels.py" or not used & makers, name
+
+
+def test_what_kernels_take_from_other_files_is_in_the_digest() -> None:
+    """numba makes constants of the global names that a kernel uses, wherever they come from."""
+    sources, seen = kernel_sources(), 0
+    for name, tree in trees():
+        origin = {
+            alias.asname or alias.name: (node.module or "").split(".")
+            for node in tree.body
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        for function in ast.walk(tree):
+            if not isinstance(function, ast.FunctionDef):
+                continue
+            marks = {node.id for node in function.decorator_list if isinstance(node, ast.Name)}
+            if not marks & {"kernel", "lean_kernel", "inlined", "intrinsic"}:
+                continue
+            seen += 1
+            assert name in sources
+            names = {node.id for body in function.body for node in ast.walk(body)
+                     if isinstance(node, ast.Name)}  # fmt: skip
+            for used in names & origin.keys():
+                package, *path = origin[used]
+                assert package != "xplain" or "/".join(path) + ".py" in sources, (name, used)
+    assert seen > 20
+
+
+def test_tells_of_a_compilation_once(caplog: pytest.LogCaptureFixture) -> None:
+    """One line for the first kernel of ours; none for another package's."""
+
+    def add(x):  # type: ignore[no-untyped-def]
+        return x + 1
+
+    caplog.set_level(logging.WARNING)
+    with event.install_listener("numba:compile", _Listener()):
+        numba.njit(add)(1)
+        assert not caplog.messages
+        add.__module__ = "xplain.somewhere"
+        numba.njit(add)(1)
+        numba.njit(add)(1.5)
+    assert len(caplog.messages) == 1
+    assert "compiling" in caplog.messages[0]
+
+
+def test_the_cache_is_numbas_own_index_below_our_folder() -> None:
+    """What a kernel of the package is cached in."""
+    from xplain.solvers.pomcp.kernel import simulate
+
+    assert str(simulate.stats.cache_path).startswith(cache_folder())
+    assert cache_folder() != ""
+    assert numba_kernels.sources_digest() in cache_folder()

@@ -1,0 +1,204 @@
+"""HSVI's driver: sample, back up, stop. Growth of the memory and the clock are below."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from xplain.errors import InputError
+from xplain.explanation.problem import Problem
+from xplain.solvers.count_lattice import make_answers
+from xplain.solvers.hsvi.initial_bounds import Tables
+from xplain.solvers.hsvi.pair_bounds import PairTables, with_own_room
+from xplain.solvers.hsvi.search import (
+    DONE,
+    FULL,
+    NEWS,
+    TAIL,
+    Limits,
+    Start,
+    back_up_all,
+    make_path,
+    sample,
+)
+from xplain.solvers.hsvi.tree import (
+    NODES,
+    OPENED,
+    ROOT,
+    WORK,
+    Store,
+    grown,
+    make_store,
+    store_bytes,
+)
+from xplain.solvers.memory import GIB, check_memory_gib
+
+log = logging.getLogger(__name__)
+
+CHUNK = 100_000
+"""Work between two looks at the clock and at Ctrl-C: some hundredths of a second."""
+COARSER = 2
+"""A search asks for a gap this much smaller than the last that it closed."""
+GROWTH = 1.2
+"""All nodes are backed up once their number has grown by this factor."""
+WORTH = 4
+"""Tables of pairs are made once they cost at most this many times what was spent."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """When a search may stop.
+
+    Attributes:
+        gap: once upper − lower is at most this.
+        nodes: once so many beliefs were opened (the same on every machine).
+        seconds: once so much time has passed (not the same on every machine).
+        memory_gib: rather than take more.
+    """
+
+    gap: float = 1e-3
+    nodes: int = 1_000_000
+    seconds: float = math.inf
+    memory_gib: float = 8.0
+
+    def __post_init__(self) -> None:
+        """Raises InputError."""
+        if not self.gap >= 1e-9:
+            raise InputError("solver.gap", self.gap, "a number ≥ 1e-9")
+        if not self.nodes >= 1:
+            raise InputError("solver.nodes", self.nodes, "a number ≥ 1")
+        if not self.seconds > 0:
+            raise InputError("solver.seconds", self.seconds, "a number > 0")
+        check_memory_gib(self.memory_gib)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found.
+
+    Attributes:
+        tables: those it ended with.
+        store: its nodes.
+    """
+
+    tables: Tables
+    store: Store
+
+    @property
+    def lower(self) -> float:
+        """Lower bound on the root's optimal value."""
+        return float(self.store.nodes["lower"][ROOT])
+
+    @property
+    def upper(self) -> float:
+        """Upper bound on the root's optimal value."""
+        return float(self.store.nodes["upper"][ROOT])
+
+    def values(self, node: int = int(ROOT)) -> dict[int, float]:
+        """Certified lower bounds of the sets of messages not ruled out at an opened node."""
+        opened = self.store.nodes[node]
+        first = int(opened["first_action"])
+        actions = self.store.actions[first : first + int(opened["n_actions"])]
+        return dict(zip(actions["messages"].tolist(), actions["lower"].tolist(), strict=True))
+
+
+def explore(tables: Tables, start: Start, effort: Effort, problem: Problem | None = None) -> Found:
+    """Searches from a belief at (k, H), within the effort. Ctrl-C is heard throughout.
+
+    With the ``problem`` of the tables, a long search makes those of pairs; a short one does not
+    pay for them.
+    """
+    search = _Search(tables, start, effort, problem)
+    while True:
+        search.sample()
+        if search.stops():
+            break
+        search.back_up()
+    if search.gap > effort.gap:
+        search.back_up_all()
+    return Found(search.tables, search.store)
+
+
+class _Search:
+    """A search under way."""
+
+    def __init__(self, tables: Tables, start: Start, effort: Effort, problem: Problem | None):
+        self.began = time.perf_counter()
+        self.effort = effort
+        self.tables = tables._replace(pairs=with_own_room(tables.pairs))
+        self.start = start._replace(belief=start.belief.copy())
+        self.pairs = PairTables(problem) if problem else None
+        steps, _, types = tables.explain.shape
+        self.store = make_store(tables)
+        self.path, self.answers = make_path(steps), make_answers(256, steps, types)
+        self.backed_up = 1  # nodes, when all were
+        self.asked = math.inf
+        self.sample()  # the root
+        # Coarse before fine: a trial for the final gap would first refine what is ruled out later.
+        self.asked = max(float(effort.gap), self.gap / COARSER)
+
+    @property
+    def gap(self) -> float:
+        """The root's."""
+        root = self.store.nodes[ROOT]
+        return float(root["upper"] - root["lower"])
+
+    def sample(self) -> None:
+        """Trials, for a while."""
+        tail_gap = self.effort.gap * TAIL / len(self.path.nodes)
+        limits = Limits(self.asked, tail_gap, self.effort.nodes, CHUNK)
+        while True:
+            self.status = sample(
+                self.tables, self.store, self.start, limits, self.path, self.answers
+            )
+            if self.status != FULL or not self._grow():
+                return
+
+    def stops(self) -> bool:
+        """Whether the effort is spent, or the gap closed as far as it will."""
+        closed = self.status == DONE and self.asked == self.effort.gap
+        spent = self.store.used[OPENED] >= self.effort.nodes or self._seconds > self.effort.seconds
+        return self.status == FULL or closed or bool(spent)
+
+    def back_up(self) -> None:
+        """Backs up all nodes where that is due, and asks for a finer gap where this is closed."""
+        new_pairs = self._make_pairs()
+        if new_pairs or self.status == DONE or self.store.used[NODES] > GROWTH * self.backed_up:
+            self.back_up_all(new_pairs)
+        if self.status == DONE:
+            self.asked = max(float(self.effort.gap), min(self.asked, self.gap) / COARSER)
+
+    def back_up_all(self, new_pairs: bool = False) -> None:
+        """Backs up all nodes."""
+        self.backed_up = int(self.store.used[NODES])
+        order = np.argsort(-self.store.nodes["step"][: self.backed_up], kind="stable")
+        back_up_all(self.tables, self.store, order, NEWS * self.effort.gap, new_pairs)
+
+    @property
+    def _seconds(self) -> float:
+        return time.perf_counter() - self.began
+
+    def _grow(self) -> bool:
+        """Makes room. False where that would take more memory than the effort."""
+        if 2 * store_bytes(self.store) > self.effort.memory_gib * GIB:
+            log.warning("the search stops at solver.memory_gib=%g", self.effort.memory_gib)
+            return False
+        self.store = grown(self.store)
+        capacity, types = self.answers.weight.shape
+        self.answers = make_answers(2 * capacity, len(self.path.nodes), types)
+        return True
+
+    def _make_pairs(self) -> bool:
+        """Makes the tables of pairs, once, if they are worth it. Returns whether it did."""
+        if not self.pairs or not CHUNK <= self.store.used[WORK] >= self.pairs.work / WORTH:
+            return False
+        pairs, self.pairs = self.pairs, None
+        in_time = self._seconds < self.effort.seconds / (1 + WORTH)
+        if not in_time or pairs.bytes >= self.effort.memory_gib * GIB / 4:
+            return False
+        self.tables = self.tables._replace(pairs=pairs.make())
+        return True

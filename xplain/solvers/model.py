@@ -1,0 +1,209 @@
+"""The reduced POMDP of one problem, as arrays: what every solver stands on, kernels included.
+
+Its states are (k, H, b): transitions shown, message set given, belief over the types
+(docs/method.md §5). With the type t known, labels tell nothing, and it is an MDP on (k, H), solved
+backwards in k (Bellman 1957). P[t, i, H] is the probability of label 1, transition i counted from
+0, so that *explain* at k shows the transitions 0 … k:
+
+    C_t(k, H) = C_t(k − 1, H) + C_inexp (1 − P[t, k, H]),              expected cost of *explain*
+    Q_t(k, H) = −C_t(k, H) + γ V_t(k + 1, H),                          value of *explain*
+    V_t(k, H) = max( Q_t(k, H), max_{j ∉ H} −λ C_e(j) + γ' V_t(k, H ∪ {j}) ),   V_t(m, ·) = 0,
+
+with γ' = γ where every action discounts (the paper), 1 where only steps do. Every table here is
+indexed [k, H, t], the types side by side, as beliefs want them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.problem import Problem
+from xplain.numba_kernels import inlined, kernel, tell_when_compiling
+
+TIE = 1e-9
+"""Values closer than this, relative to 1 + their size, are equal."""
+
+
+class Model(NamedTuple):
+    """N types, m steps, n messages. Making one takes no time and no memory: tables are asked for.
+
+    Attributes:
+        p: [m, 2^n, N] P(label 1), a view of the problem's table. Read by the functions of this
+            module alone.
+        price: [n] λ C_e(j) of each message.
+        inexplicability: C_inexp.
+        discount: γ, of *explain*.
+        message_discount: γ', of a message.
+    """
+
+    p: NDArray[np.float64]
+    price: NDArray[np.float64]
+    inexplicability: float
+    discount: float
+    message_discount: float
+
+    @property
+    def n_steps(self) -> int:
+        """m."""
+        return int(self.p.shape[0])
+
+    @property
+    def n_sets(self) -> int:
+        """2^n."""
+        return int(self.p.shape[1])
+
+    @property
+    def n_types(self) -> int:
+        """N."""
+        return int(self.p.shape[2])
+
+
+def model_of(problem: Problem) -> Model:
+    """The problem's model."""
+    return Model(
+        problem.p_explicable.transpose(1, 2, 0),
+        problem.trade_off * problem.message_cost,
+        problem.inexplicability_cost,
+        problem.discount,
+        problem.discount if problem.discount_per == "action" else 1.0,
+    )
+
+
+def table_bytes(problem: Problem) -> int:
+    """What one table [m + 1, 2^n, N] takes."""
+    return (problem.n_steps + 1 << problem.n_messages) * problem.n_types * 8
+
+
+def explain_costs(model: Model) -> NDArray[np.float64]:
+    """C_t(k, H) for all: [m, 2^n, N]."""
+    costs = np.empty(model.p.shape)
+    for k in range(model.n_steps):
+        _accumulate(model, k, costs)
+    return costs
+
+
+def explain_cost_at(model: Model, step: int, given: int | NDArray[np.int64]) -> NDArray[np.float64]:
+    """C_t(k, H) at one k: [N], or [B, N] for B message sets."""
+    zeros: NDArray[np.float64] = (1 - model.p[: step + 1, given]).sum(axis=0)
+    return model.inexplicability * zeros
+
+
+def optimal_values(model: Model) -> NDArray[np.float64]:
+    """V*_t(k, H) for all: [m + 1, 2^n, N]."""
+    tell_when_compiling()
+    values = np.zeros((model.n_steps + 1, model.n_sets, model.n_types))
+    # One call a step, so that Ctrl-C is heard between them. Costs make room for values.
+    for k in range(model.n_steps):
+        _accumulate(model, k, values)
+    for k in reversed(range(model.n_steps)):
+        _back_up(model, values[k], values[k + 1])
+    return values
+
+
+def explain_values(model: Model, optimal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Q_t(k, H) of *explain* for all: [m, 2^n, N], from :func:`optimal_values`."""
+    return model.discount * optimal[1:] - explain_costs(model)
+
+
+class SetPrices(NamedTuple):
+    """Sets of messages, each given the cheapest message first, as is best where giving discounts.
+
+    Attributes:
+        price: [2^n] discounted price of a set.
+        discount: [2^n] what discounts the *explain* after it.
+    """
+
+    price: NDArray[np.float64]
+    discount: NDArray[np.float64]
+
+
+def set_prices(model: Model) -> SetPrices:
+    """Prices of all sets of messages."""
+    sets = np.arange(model.n_sets)
+    price, discount = np.zeros(len(sets)), np.ones(len(sets))
+    for j in np.argsort(model.price, kind="stable"):
+        has = sets >> j & 1 == 1
+        price[has] += discount[has] * model.price[j]
+        discount[has] *= model.message_discount
+    return SetPrices(price, discount)
+
+
+def best_set(values: Mapping[int, float]) -> int:
+    """The message set (0 is *explain* at once) that :func:`best_of` takes."""
+    return best_of(np.array(list(values)), np.array(list(values.values())))
+
+
+def best_of(sets: NDArray[np.int64], values: NDArray[np.float64]) -> int:
+    """The set with the largest value; ties: fewest messages, then message order."""
+    best = values.max()
+    tied = sets[values >= best - TIE * (1 + abs(best))]
+    size = np.bitwise_count(tied)
+    return int(tied[size == size.min()].min())
+
+
+def one_by_one(best_action: Callable[[int], int], given: int) -> int:
+    """All the messages given before the next *explain* by who gives one at a time.
+
+    Args:
+        best_action: the best action (0 is *explain*, else a message's bit) by the messages given.
+            No label comes in between, so the belief stays.
+        given: H.
+    """
+    chosen = 0
+    while message := best_action(given | chosen):
+        chosen |= message
+    return chosen
+
+
+@inlined
+def explicable(model, i, given, t):  # type: ignore[no-untyped-def]
+    """P(label of transition i is 1 | H, t)."""
+    return model.p[i, given, t]
+
+
+@inlined
+def explain_cost(model, k, given, t):  # type: ignore[no-untyped-def]
+    """C_t(k, H)."""
+    cost = 0.0
+    for i in range(k + 1):
+        cost += model.inexplicability * (1.0 - model.p[i, given, t])
+    return cost
+
+
+@inlined
+def expected(belief, row):  # type: ignore[no-untyped-def]
+    """Σ_t b(t) x_t, for a row [N] of a table."""
+    total = 0.0
+    for t in range(len(belief)):
+        total += belief[t] * row[t]
+    return total
+
+
+@kernel
+def _accumulate(model, k, costs):  # type: ignore[no-untyped-def]
+    """Fills ``costs[k]`` [2^n, N] from ``costs[k − 1]``."""
+    for given in range(costs.shape[1]):
+        for t in range(costs.shape[2]):
+            newest = model.inexplicability * (1.0 - model.p[k, given, t])
+            costs[k, given, t] = costs[k - 1, given, t] + newest if k > 0 else newest
+
+
+@kernel
+def _back_up(model, values, after):  # type: ignore[no-untyped-def]
+    """``values`` [2^n, N] holds C(k, ·), and leaves with V(k, ·), made from ``after``, V(k + 1, ·).
+    A superset of H is a larger integer than H, so descending H meets it first."""
+    sets, types = values.shape
+    for given in range(sets - 1, -1, -1):
+        for t in range(types):
+            values[given, t] = model.discount * after[given, t] - values[given, t]
+        for j in range(len(model.price)):
+            more = given | (1 << j)
+            if more != given:
+                for t in range(types):
+                    value = model.message_discount * values[more, t] - model.price[j]
+                    if value > values[given, t]:
+                        values[given, t] = value
