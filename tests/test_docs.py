@@ -199,6 +199,7 @@ def test_sections_of_the_method_that_are_named_exist():
     missing = [f"{file}: {n}" for file, n in found if not set(n.split(" and ")) <= sections]
     assert found
     assert missing == []
+    assert list(named(r"SPEC §")) == []  # a page that is not in the repository
 
 
 def test_every_command_goes_through_the_one_door():
