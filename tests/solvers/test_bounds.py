@@ -39,10 +39,10 @@ def test_bounds_and_prices_enclose_the_truth() -> None:
 
 def test_prices_are_differences_that_are_never_negative() -> None:
     found = Bounds(lower=-3.0, upper=-2.0, known_type=-0.5)
-    assert found.price_of_not_knowing == (1.5, 2.5)
-    assert found.price_of_approximation(-4.0) == (1.0, 2.0)
-    assert found.price_of_approximation(-2.5) == (0.0, 0.5)
-    assert found.price_of_approximation(-2.0) == (0.0, 0.0)
+    assert found.value_of_perfect_information == (1.5, 2.5)
+    assert found.suboptimality(-4.0) == (1.0, 2.0)
+    assert found.suboptimality(-2.5) == (0.0, 0.5)
+    assert found.suboptimality(-2.0) == (0.0, 0.0)
 
 
 def test_lookahead_bounds_enclose_the_optimum_and_tighten_qmdp() -> None:
