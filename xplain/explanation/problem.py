@@ -148,9 +148,8 @@ class Problem:
         return tuple(j for j in range(self.n_messages) if clear[j] or self._has_effect(j))
 
     def _has_effect(self, message: int) -> bool:
-        # Type by type: most messages matter to the first, and comparing takes memory.
-        pairs = self.p_explicable.reshape(self.n_types, self.n_steps, -1, 2, 1 << message)
-        return not all(np.array_equal(p[:, :, 0], p[:, :, 1]) for p in pairs)
+        pairs = self.p_explicable.reshape(-1, 2, 1 << message)
+        return bool((pairs[:, 0] != pairs[:, 1]).any())
 
     def with_messages(self, kept: tuple[int, ...]) -> Problem:
         """The problem with only some messages (ascending positions); the others are never
