@@ -89,7 +89,7 @@ def explain_costs(model: Model) -> NDArray[np.float64]:
 
 def explain_cost_at(model: Model, step: int, given: int | NDArray[np.int64]) -> NDArray[np.float64]:
     """C_t(k, H) at one k: [N], or [B, N] for B message sets."""
-    zeros: NDArray[np.float64] = (1 - model.p[: step + 1, given]).sum(axis=0)
+    zeros: NDArray[np.float64] = np.add.reduce(1 - model.p[: step + 1, given], axis=0)
     return model.inexplicability * zeros
 
 
@@ -146,8 +146,12 @@ def best_set(values: Mapping[int, float]) -> int:
 
 def best_of(sets: NDArray[np.int64], values: NDArray[np.float64]) -> int:
     """The set with the largest value; ties: fewest messages, then message order."""
-    best = values.max()
-    tied = sets[values >= best - TIE * (1 + abs(best))]
+    first = values.argmax()
+    best = values[first]
+    equal = values >= best - TIE * (1 + abs(best))
+    if np.count_nonzero(equal) == 1:
+        return int(sets[first])
+    tied = sets[equal]
     size = np.bitwise_count(tied)
     return int(tied[size == size.min()].min())
 
