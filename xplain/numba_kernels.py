@@ -24,8 +24,8 @@ import numba
 import numpy as np
 from numba.core import event
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.compiler_machinery import FunctionPass, register_pass
-from numba.core.untyped_passes import IRProcessing
+from numba.core.compiler_machinery import register_pass
+from numba.core.typed_passes import NativeLowering
 from numba.extending import typeof_impl
 
 log = logging.getLogger(__name__)
@@ -122,34 +122,54 @@ def kernel(function: Callable[..., Any]) -> Any:
     return _compiled(function)
 
 
-@register_pass(mutates_CFG=False, analysis_only=False)
-class _LeaveUnoptimized(FunctionPass):  # type: ignore[misc]
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _LowerPart(NativeLowering):  # type: ignore[misc]
     """numba links what a kernel calls into the kernel, and optimizes all of it there: whatever is
     only called by kernels need not be optimized before, by itself and in each of its callers."""
 
-    _name = "leave_unoptimized"
-
-    def __init__(self) -> None:
-        FunctionPass.__init__(self)
+    _name = "lower_part"
 
     def run_pass(self, state: Any) -> bool:
         state.library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
         state.library.enable_object_caching()
         state.library._optimize_final_module = lambda: None
-        return False
+        return bool(super().run_pass(state))
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _LowerInlined(_LowerPart):
+    """Nor is what is never called, but inlined, made into machine code."""
+
+    _name = "lower_inlined"
+
+    def run_pass(self, state: Any) -> bool:
+        state.flags.no_compile = True
+        done = super().run_pass(state)
+        state.library._finalize_specific = lambda: None
+        never_called = [].clear  # numba wants a built-in function, another one for each
+        state.cr = state.cr._replace(cfunc=never_called)
+        state.targetctx.insert_user_function(never_called, state.cr.fndesc, [state.library])
+        return done
 
 
 class _Part(CompilerBase):  # type: ignore[misc]
     """Compiles what is only called by kernels."""
 
+    lowering: type[_LowerPart] = _LowerPart
+
     def define_pipelines(self) -> list[Any]:
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes.add_pass_after(_LeaveUnoptimized, IRProcessing)
+        passes.passes = [
+            (self.lowering if each is NativeLowering else each, why) for each, why in passes.passes
+        ]
         passes.finalize()
         return [passes]
 
 
-PART: dict[str, Any] = {"_nrt": False, "no_cpython_wrapper": True, "pipeline_class": _Part}
+class _Inlined(_Part):
+    """Compiles what is inlined."""
+
+    lowering = _LowerInlined
 
 
 class shared_kernel:
@@ -157,7 +177,8 @@ class shared_kernel:
     call from Python would take. Called from Python, it is the plain function."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self.compiled = _compiled(function, **PART)
+        unwrapped = {"no_cpython_wrapper": True, "pipeline_class": _Part}
+        self.compiled = _compiled(function, _nrt=False, **unwrapped)
         self.py_func = function
 
     def __call__(self, *arguments: Any) -> Any:
@@ -179,7 +200,9 @@ class inlined:
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self.compiled = numba.njit(forceinline=True, no_cfunc_wrapper=True, **PART)(function)
+        unwrapped = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        options = unwrapped | {"forceinline": True, "_nrt": False, "pipeline_class": _Inlined}
+        self.compiled = numba.njit(**options)(function)
         self.py_func = function
 
     def __call__(self, *arguments: Any) -> Any:
