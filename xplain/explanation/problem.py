@@ -142,15 +142,17 @@ class Problem:
         return self.with_types(self.p_explicable.min(axis=0, keepdims=True), ("pessimist",))
 
     def messages_with_effect(self) -> tuple[int, ...]:
-        """The positions of the messages that change some P[t, i, H]."""
+        """The positions of the messages that change some P[t, i, H], ascending."""
         alone = self.p_explicable[:, :, [1 << j for j in range(self.n_messages)]]
         clear = (alone != self.p_explicable[:, :, :1]).any(axis=(0, 1))
-        return tuple(j for j in range(self.n_messages) if clear[j] or self._has_effect(j))
-
-    def _has_effect(self, message: int) -> bool:
-        # Type by type: most messages matter to the first, and comparing takes memory.
-        pairs = self.p_explicable.reshape(self.n_types, self.n_steps, -1, 2, 1 << message)
-        return not all(np.array_equal(p[:, :, 0], p[:, :, 1]) for p in pairs)
+        table, effective = self.p_explicable, []
+        for j in reversed(range(self.n_messages)):
+            pairs = table.reshape(-1, 2, 1 << j)
+            if clear[j] or (pairs[:, 0] != pairs[:, 1]).any():
+                effective.append(j)
+            else:
+                table = pairs[:, 0]  # without this message half of the table is left
+        return tuple(reversed(effective))
 
     def with_messages(self, kept: tuple[int, ...]) -> Problem:
         """The problem with only some messages (ascending positions); the others are never

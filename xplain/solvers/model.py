@@ -15,7 +15,7 @@ indexed [k, H, t], the types side by side, as beliefs want them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +26,8 @@ from xplain.numba_kernels import inlined, kernel, tell_when_compiling
 
 TIE = 1e-9
 """Values closer than this, relative to 1 + their size, are equal."""
+BATCH = 1 << 20
+"""Entries of a table that one call of a kernel fills, about: some hundredths of a second."""
 
 
 class Model(NamedTuple):
@@ -81,14 +83,13 @@ def table_bytes(problem: Problem) -> int:
 def explain_costs(model: Model) -> NDArray[np.float64]:
     """C_t(k, H) for all: [m, 2^n, N]."""
     costs = np.empty(model.p.shape)
-    for k in range(model.n_steps):
-        _accumulate(model, k, costs)
+    _accumulate(model, costs)
     return costs
 
 
 def explain_cost_at(model: Model, step: int, given: int | NDArray[np.int64]) -> NDArray[np.float64]:
     """C_t(k, H) at one k: [N], or [B, N] for B message sets."""
-    zeros: NDArray[np.float64] = (1 - model.p[: step + 1, given]).sum(axis=0)
+    zeros: NDArray[np.float64] = np.add.reduce(1 - model.p[: step + 1, given], axis=0)
     return model.inexplicability * zeros
 
 
@@ -96,12 +97,18 @@ def optimal_values(model: Model) -> NDArray[np.float64]:
     """V*_t(k, H) for all: [m + 1, 2^n, N]."""
     tell_when_compiling()
     values = np.zeros((model.n_steps + 1, model.n_sets, model.n_types))
-    # One call a step, so that Ctrl-C is heard between them. Costs make room for values.
-    for k in range(model.n_steps):
-        _accumulate(model, k, values)
-    for k in reversed(range(model.n_steps)):
-        _back_up(model, values[k], values[k + 1])
+    _accumulate(model, values)
+    for first, end in backwards(model):
+        _back_up(model, values, first, end)
     return values
+
+
+def backwards(model: Model) -> Iterator[tuple[int, int]]:
+    """The steps from the last to the first, in ranges (first, end): one call of a kernel each, so
+    that Ctrl-C is heard between them, and small tables take no more calls than they need."""
+    together = max(1, BATCH // (model.n_sets * model.n_types))
+    for end in range(model.n_steps, 0, -together):
+        yield max(0, end - together), end
 
 
 def explain_values(model: Model, optimal: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -139,8 +146,12 @@ def best_set(values: Mapping[int, float]) -> int:
 
 def best_of(sets: NDArray[np.int64], values: NDArray[np.float64]) -> int:
     """The set with the largest value; ties: fewest messages, then message order."""
-    best = values.max()
-    tied = sets[values >= best - TIE * (1 + abs(best))]
+    first = values.argmax()
+    best = values[first]
+    equal = values >= best - TIE * (1 + abs(best))
+    if np.count_nonzero(equal) == 1:
+        return int(sets[first])
+    tied = sets[equal]
     size = np.bitwise_count(tied)
     return int(tied[size == size.min()].min())
 
@@ -184,26 +195,30 @@ def expected(belief, row):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _accumulate(model, k, costs):  # type: ignore[no-untyped-def]
-    """Fills ``costs[k]`` [2^n, N] from ``costs[k − 1]``."""
-    for given in range(costs.shape[1]):
-        for t in range(costs.shape[2]):
-            newest = model.inexplicability * (1.0 - model.p[k, given, t])
-            costs[k, given, t] = costs[k - 1, given, t] + newest if k > 0 else newest
+def _accumulate(model, costs):  # type: ignore[no-untyped-def]
+    """Fills ``costs`` [≥ m, 2^n, N] with C_t(k, H)."""
+    for k in range(model.p.shape[0]):
+        for given in range(costs.shape[1]):
+            for t in range(costs.shape[2]):
+                newest = model.inexplicability * (1.0 - model.p[k, given, t])
+                costs[k, given, t] = costs[k - 1, given, t] + newest if k > 0 else newest
 
 
 @kernel
-def _back_up(model, values, after):  # type: ignore[no-untyped-def]
-    """``values`` [2^n, N] holds C(k, ·), and leaves with V(k, ·), made from ``after``, V(k + 1, ·).
-    A superset of H is a larger integer than H, so descending H meets it first."""
-    sets, types = values.shape
-    for given in range(sets - 1, -1, -1):
-        for t in range(types):
-            values[given, t] = model.discount * after[given, t] - values[given, t]
-        for j in range(len(model.price)):
-            more = given | (1 << j)
-            if more != given:
-                for t in range(types):
-                    value = model.message_discount * values[more, t] - model.price[j]
-                    if value > values[given, t]:
-                        values[given, t] = value
+def _back_up(model, values, first, end):  # type: ignore[no-untyped-def]
+    """``values`` [m + 1, 2^n, N] holds C(k, ·) from step ``first`` to before ``end``, V(k, ·) from
+    there on, and leaves with V(k, ·) in all of these. A superset of H is a larger integer than H,
+    so descending H meets it first."""
+    _, sets, types = values.shape
+    for k in range(end - 1, first - 1, -1):
+        now, after = values[k], values[k + 1]
+        for given in range(sets - 1, -1, -1):
+            for t in range(types):
+                now[given, t] = model.discount * after[given, t] - now[given, t]
+            for j in range(len(model.price)):
+                more = given | (1 << j)
+                if more != given:
+                    for t in range(types):
+                        value = model.message_discount * now[more, t] - model.price[j]
+                        if value > now[given, t]:
+                            now[given, t] = value

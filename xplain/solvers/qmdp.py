@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,27 +62,31 @@ class Greedy:
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
         """See :class:`xplain.solvers.base.Policy`."""
-        return one_by_one(lambda shown: best_of(*self._values(step, shown, belief)), given)
+        return one_by_one(
+            lambda shown: best_of(self._actions, self._values(step, shown, belief)), given
+        )
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
         """Σ_t b(t) Q*_t(k, H, a) of *explain* (0) and of each message (its bit)."""
-        actions, values = self._values(step, given, belief)
-        return dict(zip(actions.tolist(), values.tolist(), strict=True))
+        values = self._values(step, given, belief).tolist()
+        actions = zip(self._actions.tolist(), values, strict=True)
+        return {action: value for action, value in actions if not action & given}
 
-    def _values(
-        self, step: int, given: int, belief: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The actions and their values."""
+    @cached_property
+    def _actions(self) -> NDArray[np.int64]:
+        """[n + 1] *explain*, then the messages."""
+        return np.array([0, *(1 << j for j in range(len(self.model.price)))])
+
+    def _values(self, step: int, given: int, belief: NDArray[np.float64]) -> NDArray[np.float64]:
+        """[n + 1] values of the actions; −inf of the messages already given."""
         model = self.model
-        free = [j for j in range(len(model.price)) if not given >> j & 1]
-        actions = np.array([0, *(1 << j for j in free)])
+        values = np.empty(len(self._actions))
         explain = model.discount * self.optimal[step + 1, given]
-        explain = explain - explain_cost_at(model, step, given)
-        values = np.empty(len(actions))
-        values[0] = belief @ explain
-        later = self.optimal[step, given | actions[1:]] @ belief
-        values[1:] = model.message_discount * later - model.price[free]
-        return actions, values
+        values[0] = belief @ (explain - explain_cost_at(model, step, given))
+        later = self.optimal[step, given | self._actions[1:]] @ belief
+        values[1:] = model.message_discount * later - model.price
+        values[self._actions & given != 0] = -np.inf
+        return values
 
 
 def greedy_policy(problem: Problem, what: str, memory_gib: float, instead: str) -> Policy:

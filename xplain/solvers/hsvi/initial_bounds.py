@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import kernel
+from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.hsvi.pair_bounds import Pairs, no_pairs
 from xplain.solvers.model import (
     Model,
     SetPrices,
+    backwards,
     explain_costs,
     model_of,
     optimal_values,
@@ -58,29 +59,38 @@ def make_tables(problem: Problem) -> Tables:
     explain = model.discount * optimal[1:] - costs
     types = model.n_types
     plans = np.zeros((model.n_steps + 1, model.n_sets, types + 1, types))
-    for k in reversed(range(model.n_steps)):
-        _plan_step(model, costs[k], optimal[k], explain[k], plans[k], plans[k + 1])
+    for first, end in backwards(model):
+        _plan(model, costs, optimal, explain, plans, first, end)
     return Tables(model, optimal, explain, plans, set_prices(model), no_pairs(model))
 
 
 @kernel
-def _plan_step(model, costs, optimal, explain, plans, after):  # type: ignore[no-untyped-def]
-    """One step backwards in k: fills ``plans`` [2^n, N + 1, N] from ``after``, those of k + 1.
-    ``costs``, ``optimal`` and ``explain`` are those of k, [2^n, N]."""
-    sets, types = costs.shape
-    for given in range(sets - 1, -1, -1):
-        for u in range(types + 1):
-            best, message = -np.inf, -1
-            if u < types:
-                best = explain[given, u] + 1e-12
-                for j in range(len(model.price)):
-                    if not given >> j & 1:
-                        value = model.message_discount * optimal[given | 1 << j, u] - model.price[j]
-                        if value > best:
-                            best, message = value, j
-            for t in range(types):
-                if message < 0:
-                    plans[given, u, t] = model.discount * after[given, u, t] - costs[given, t]
-                else:
-                    later = model.message_discount * plans[given | 1 << message, u, t]
-                    plans[given, u, t] = later - model.price[message]
+def _plan(model, costs, optimal, explain, plans, first, end):  # type: ignore[no-untyped-def]
+    """Fills ``plans`` [m + 1, 2^n, N + 1, N] from step ``end`` − 1 down to ``first``. ``costs`` and
+    ``explain`` are [m, 2^n, N], ``optimal`` [m + 1, 2^n, N]."""
+    _, sets, types = costs.shape
+    for k in range(end - 1, first - 1, -1):
+        for given in range(sets - 1, -1, -1):
+            for u in range(types + 1):
+                message = -1
+                if u < types:
+                    message = _best_message(model, explain[k, given, u], optimal[k], given, u)
+                for t in range(types):
+                    if message < 0:
+                        later = model.discount * plans[k + 1, given, u, t]
+                        plans[k, given, u, t] = later - costs[k, given, t]
+                    else:
+                        later = model.message_discount * plans[k, given | 1 << message, u, t]
+                        plans[k, given, u, t] = later - model.price[message]
+
+
+@inlined
+def _best_message(model, explain, optimal, given, t):  # type: ignore[no-untyped-def]
+    """What is best for type t at one k: a message, or −1 for *explain*, worth ``explain``."""
+    best, message = explain + 1e-12, -1
+    for j in range(len(model.price)):
+        if not given >> j & 1:
+            value = model.message_discount * optimal[given | 1 << j, t] - model.price[j]
+            if value > best:
+                best, message = value, j
+    return message

@@ -143,15 +143,11 @@ def _pair_tables(two: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """``optimal`` and ``explain`` of one pair."""
     steps, sets = two.n_steps, two.n_sets
     optimal, explain = np.zeros((steps + 1, sets, len(GRID))), np.empty((steps, sets, len(GRID)))
-    costs = explain_costs(two)
-    capacity = 64
+    costs, answers = explain_costs(two), make_answers(64, steps, 2)
     # One call a step, so that Ctrl-C is heard between them.
     for k in reversed(range(steps)):
-        while True:
-            answers = make_answers(capacity, steps, 2)
-            if _pair_step(two, k, costs[k], optimal, explain[k], answers):
-                break
-            capacity *= 4
+        while not _pair_step(two, k, costs[k], optimal, explain[k], answers):
+            answers = make_answers(4 * len(answers.weight), steps, 2)
     return optimal, explain
 
 

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.numba_kernels import inlined, lean_kernel, shared_kernel
+from xplain.numba_kernels import inlined, lean_kernel
 from xplain.solvers.count_lattice import branch, copy
 from xplain.solvers.hsvi.pair_bounds import NO_SWEEP, SWEEPS, mix, mixed
 from xplain.solvers.hsvi.shared_bounds import ROUNDING, list_candidates, publish, tighten_by_shared
@@ -217,7 +217,7 @@ def _widest_answer(store, a, allowed):  # type: ignore[no-untyped-def]
     return widest
 
 
-@shared_kernel
+@inlined
 def _make_node(tables, store, slot, step, given, answers, o):  # type: ignore[no-untyped-def]
     """Makes the node of an answer, with its first bounds, and enters it into the hash table.
     False where the store is full."""
@@ -387,7 +387,7 @@ def _list_answers(tables, store, index, a, gap, answers):  # type: ignore[no-unt
     return count
 
 
-@shared_kernel
+@inlined
 def _back_up(used, nodes, actions, answers, index, a):  # type: ignore[no-untyped-def]
     """Both bounds of an expanded action and its node, from its answers'. The first four are the
     store's."""
