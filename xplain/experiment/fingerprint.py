@@ -22,8 +22,6 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-import xplain
-
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "kneed", "numba", "pandas", "pyarrow")
 """Distributions whose version may change a number."""
 
@@ -61,7 +59,7 @@ def fingerprint(config: dict[str, Any]) -> str:
 def code_version() -> str:
     """A digest of the package's own sources: results of other code are other results."""
     digest = hashlib.sha256()
-    root = Path(xplain.__file__).parent
+    root = Path(__file__).parents[1]
     for path in sorted(root.rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode())
         digest.update(path.read_bytes())
@@ -71,7 +69,7 @@ def code_version() -> str:
 @cache
 def git_state() -> dict[str, str]:
     """Commit and whether the checkout has changes; empty where the package is no checkout."""
-    root = Path(xplain.__file__).parent.parent
+    root = Path(__file__).parents[2]
     if not (root / ".git").exists():
         return {}
     try:

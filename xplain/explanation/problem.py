@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError
-from xplain.message_sets import subsets
 
 MAX_MESSAGES = 20
 """Tables over message sets hold 2^messages entries; beyond 2^20 no solver here is of use."""
@@ -159,9 +158,11 @@ class Problem:
         given."""
         if len(kept) == self.n_messages:
             return self
+        sets = np.arange(1 << len(kept))
+        whole = sum(((sets >> i & 1) << j for i, j in enumerate(kept)), start=np.zeros_like(sets))
         return replace(
             self,
-            p_explicable=self.p_explicable[:, :, subsets(kept)],
+            p_explicable=self.p_explicable[:, :, whole],
             message_cost=self.message_cost[list(kept)],
             message_names=tuple(self.message_names[j] for j in kept),
         )
