@@ -342,5 +342,8 @@ def test_trees_take_no_more_than_told() -> None:
     tree = Tree.rooted(1000, 3, 4, 0, 0, problem.prior, 0)
     model = model_of(problem)
     assert sum(a.nbytes for a in tree) == pytest.approx(tree_bytes(problem, 1000), rel=0.01)
+    small = Tree.rooted(1, problem.n_messages, problem.n_steps, 0, 0, problem.prior, 0)
+    counted = (small.nodes, small.edges, small.beliefs, small.table, small.seen, small.likelihoods)
+    assert sum(a.nbytes for a in counted) <= tree_bytes(problem, 1)  # the most that it takes
     held = sum(a.nbytes for a in model if isinstance(a, np.ndarray))
     assert held <= model_bytes(problem) + 100
