@@ -176,6 +176,8 @@ def test_models_are_solved_alike_alone_and_together() -> None:
         ({"probability": np.full((2, 2, 1), 0.5)}, "sum to 1"),
         ({"reward": np.full((2, 2, 1), np.nan)}, "finite"),
         ({"successor": np.full((2, 2, 1), 2)}, "does not exist"),
+        ({"successor": np.array([[[0], [2]], [[1], [1]]])}, "does not exist"),
+        ({"successor": np.array([[[0], [-1]], [[1], [1]]])}, "does not exist"),
         ({"terminal": np.zeros(3, dtype=bool)}, "terminal"),
         ({"reward": np.zeros((2, 2, 2))}, "share"),
         ({"probability": np.zeros((2, 2, 1))}, "needs an action"),

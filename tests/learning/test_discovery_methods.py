@@ -219,7 +219,7 @@ def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
     [
         (DirichletMixture, {"concentration": 0.0}, "concentration"),
         (DirichletMixture, {"sweeps": 3}, "sweeps"),
-        (DirichletMixture, {"heat": 0.5}, "heat"),
+        (DirichletMixture, {"heat": 0.99}, "heat"),
         (DirichletMixture, {"depth": 0}, "depth"),
         (Mixture, {"max_types": 0}, "max_types"),
         (Mixture, {"folds": 1}, "folds"),
@@ -229,3 +229,9 @@ def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
 def test_bad_values_are_named(component: type, options: dict[str, float], key: str) -> None:
     with pytest.raises(InputError, match=f"clusterer.*{key}"):
         component(**options)
+
+
+def test_a_chain_need_not_be_heated() -> None:
+    dataset, truth = made(np.random.default_rng(3), TYPES, size=200)
+    found = DirichletMixture(heat=1).cluster(dataset, LabelerTrainer(), 0, None)
+    assert adjusted_rand_score(truth, found.assignment) == 1
