@@ -20,6 +20,7 @@ import pytest
 
 from tests.participants.server_process import ROOT, ServerProcess
 from tests.study.stand_in import FAULTLESS, street_study
+from xplain.cli.main import main
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
 from xplain.participants.simulation.chromium import (
@@ -35,7 +36,6 @@ from xplain.participants.simulation.chromium import (
     wait,
 )
 from xplain.participants.simulation.http_client import Page, fill
-from xplain.study.analysis import replay
 from xplain.study.policies import study_of
 from xplain.study.prepare import study_plan
 from xplain.study.protocol.plan import Study
@@ -211,7 +211,7 @@ def test_bots_in_chromium_take_part_and_replay_agrees(
             person = Person(study.plan, Habits(mistake=0), np.random.default_rng(number))
             assert take_part(driver, person) == "done"
             assert "Simulated participant" in driver.page_source
-    replay.main([str(path)])
+    main(["study", "replay", str(path)])
     assert "all equal" in capsys.readouterr().out
     store = Store(path, study)
     (times,) = store.query(
