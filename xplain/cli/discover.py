@@ -38,9 +38,8 @@ def discover(arguments: list[str]) -> Row:
     """Finds the types and writes the files; returns what the command prints. ``arguments``
     override conf/discover.yaml."""
     from xplain.data.label_table import read_table
+    from xplain.experiment.pipeline import learn
     from xplain.learning.cross_validation import held_out_log_likelihood
-    from xplain.learning.user_types import learn_types
-    from xplain.randomness import derived_seed
 
     began = time.perf_counter()
     cfg = composed("discover", arguments)
@@ -49,14 +48,8 @@ def discover(arguments: list[str]) -> Row:
     require_writable(folder)
     trainer, clusterer = instantiate(cfg.labeler), instantiate(cfg.clusterer)
     dataset = read_table(cfg.data, cfg.messages, cfg.features, cfg.ignore)
-    clustering = clusterer.cluster(dataset, trainer, derived_seed(cfg.seed, "clusterer"), None)
-    types = learn_types(
-        dataset,
-        clustering,
-        trainer,
-        derived_seed(cfg.seed, "labelers"),
-        none_of_these=cfg.none_of_these,
-    )
+    types = learn(dataset, trainer, clusterer, cfg.seed, none_of_these=cfg.none_of_these)
+    clustering = types.clustering
     likelihood = None
     if cfg.held_out:
         likelihood = held_out_log_likelihood(dataset, clusterer, trainer, cfg.seed)
