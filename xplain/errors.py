@@ -23,8 +23,8 @@ class InputError(XplainError):
 
     def __init__(self, key: str, value: object, allowed: str) -> None:
         shown = repr(value)
-        if len(shown) > 80:
-            shown = shown[:77] + "..."
+        if len(shown) > 80:  # both ends: a path ends with what tells it from others
+            shown = f"{shown[:38]}...{shown[-39:]}"
         super().__init__(f"{key}={shown}: {allowed}")
         self.key = key
         self.value = value
