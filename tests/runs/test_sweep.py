@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import sqlite3
@@ -15,6 +16,9 @@ from hydra.core.global_hydra import GlobalHydra
 from tests.runs import sweeps
 from xplain.cli import hydra_plugins
 from xplain.config import CONF, SWEEPS, register
+from xplain.runs.folder import SweepFolder
+from xplain.runs.plan import make_plan
+from xplain.runs.sweep import Run
 
 SERIAL = "hydra/launcher=basic"
 QUICK = (*sweeps.TINY[:-1], "lambda=1", SERIAL)
@@ -264,3 +268,26 @@ def test_sweep_files_set_known_keys_and_open_with_their_command(name):
     first = (SWEEPS / f"{name}.yaml").read_text().splitlines()[:2]
     assert first == ["# @package _global_", f"# python -m xplain sweeps={name}"]
     assert chosen.hydra.mode.name == "MULTIRUN"
+
+
+def test_an_interruption_that_became_another_error_is_one_all_the_same(tmp_path):
+    plan = make_plan("tiny", [{"seed": "0"}], [], lambda overrides: {}, lambda config: ("f", "s"))
+    folder = SweepFolder(tmp_path / plan.identity)
+    folder.path.mkdir()
+    folder.save(plan, {})
+    run = Run(plan, folder, None, tmp_path, "missing")
+    launched = []
+
+    def launch(jobs):
+        launched.append(jobs)
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(10)
+        except KeyboardInterrupt as error:
+            raise ValueError("while composing") from error
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        run.through(launch)
+    assert len(launched) == 1
+    assert signal.getsignal(signal.SIGINT) is before

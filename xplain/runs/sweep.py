@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 from hydra.core.plugins import Plugins
@@ -127,8 +128,9 @@ class Run:
         self._announce()
         status = "KILLED"
         try:
-            with _terminable(), Watch(folder, self._todo, self._mirror, self._done_before):
-                self._attempt(launch)
+            watch = Watch(folder, self._todo, self._mirror, self._done_before)
+            with _interruptible() as interrupted, watch:
+                self._attempt(launch, interrupted)
             states = [folder.state(job) for job in plan.jobs]
             if all(state == "finished" for state in states):
                 status = "FINISHED"
@@ -154,9 +156,14 @@ class Run:
         log.info("%s: %d jobs to run%s", self._plan.identity, len(self._todo), before)
         log.info("folder: %s", self._folder.path)
 
-    def _attempt(self, launch: Callable[[list[Job]], None]) -> None:
+    def _attempt(self, launch: Callable[[list[Job]], None], interrupted: Event) -> None:
         """Launches until every job has ended. When a worker dies, launchers give up on all
-        jobs: those not begun are launched again, those it may have died of each on its own."""
+        jobs: those not begun are launched again, those it may have died of each on its own.
+
+        Raises:
+            KeyboardInterrupt: also where what was interrupted made another error of it, as the
+                composition of a configuration does.
+        """
         fresh, suspects, idle = in_launch_order(self._todo), list[Job](), 0
         while fresh or suspects:
             alone = not fresh
@@ -166,6 +173,8 @@ class Run:
                 launch(batch)
             except Exception as raised:  # noqa: BLE001  (launchers raise what they like)
                 error = raised
+            if interrupted.is_set():
+                raise KeyboardInterrupt
             fresh = [job for job in batch if self._folder.state(job) == "waiting"]
             lost = [job for job in batch if self._folder.state(job) == "running"]
             # A worker may die before it begins a job; when it happens again and again the
@@ -269,21 +278,29 @@ def _note_failure(folder: SweepFolder, job: Job, returned: JobReturn) -> None:
 
 
 @contextmanager
-def _terminable() -> Iterator[None]:
-    """SIGTERM ends the sweep like Ctrl-C, so that its runs do not stay open."""
+def _interruptible() -> Iterator[Event]:
+    """SIGTERM ends the sweep like Ctrl-C, so that its runs do not stay open; the event tells that
+    either came."""
+    came = Event()
 
     def interrupt(*_: object) -> None:
+        came.set()
         raise KeyboardInterrupt
 
+    before = {}
     try:
-        before = signal.signal(signal.SIGTERM, interrupt)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            # A shell's background job ignores Ctrl-C, and shall.
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                before[number] = signal.signal(number, interrupt)
     except ValueError:  # not the main thread: someone embeds this
-        yield
+        yield came
         return
     try:
-        yield
+        yield came
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def age() -> float:
