@@ -88,8 +88,7 @@ class Certify:
         # earns what it earns against their mixture.
         world = problem
         if own.n_types == 1:
-            mixture = np.tensordot(problem.prior, problem.p_explicable, 1)[None]
-            world = problem.with_types(mixture, own.type_names)
+            world = problem.mixture(problem.prior, own.type_names[0])
         worth = evaluate(world, solver.plan(own, seed), self.beliefs, self.episodes, seed)
         margin = 1.96 * worth.value_se
         low, _ = found.suboptimality(worth.value + margin)
