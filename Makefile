@@ -16,7 +16,7 @@ run: $(READY)
 	$(BIN)/python -m xplain solver=pomcp domain=rescue lambda=1.5
 
 test: lint
-	$(BIN)/python -m pytest -q -m "not browser and not slow"
+	$(BIN)/python -m pytest -q -m "not browser and not slow" --numprocesses auto --dist loadfile
 
 test-docs: $(READY)
 	$(BIN)/python -m pytest -q -m slow tests/test_docs.py tests/test_examples.py
