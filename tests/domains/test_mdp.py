@@ -59,7 +59,9 @@ def best_by_enumeration(model: MDP) -> np.ndarray:
 
 def scale(model: MDP) -> float:
     """The largest value that a policy could have."""
-    return max(np.abs(model.reward[model.probability > 0]).max(initial=0), 1e-12) / (1 - model.discount)
+    return max(np.abs(model.reward[model.probability > 0]).max(initial=0), 1e-12) / (
+        1 - model.discount
+    )
 
 
 @settings(max_examples=150, deadline=None)
