@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xplain.data.rollouts import sample_trace
 from xplain.domains import mdp
-from xplain.domains.base import Domain, transition_features
+from xplain.domains.base import Domain
 from xplain.users.setting import Setting
 
 LARGEST_TRADE_OFF = 2.5
@@ -35,8 +35,8 @@ class Problems:
         tables: number of distinct label tables, transitions dropped that everybody finds
             explicable whatever is told: traces with one table are one problem.
         commonest: share of the traces that have the commonest table.
-        puzzling: the largest share of traces on which one and the same transition, as a labeler
-            sees it, is inexplicable to every type to whom nothing was said.
+        puzzling: share of the traces with a transition that is inexplicable to every type as long
+            as nothing is said.
     """
 
     smallest: NDArray[np.int64]
@@ -95,23 +95,25 @@ def inexplicable_alone(domain: Domain, traces: Sequence[Trace]) -> dict[str, flo
 def problems(setting: Setting, traces: Sequence[Trace]) -> Problems:
     """The explanation problems of these traces."""
     size = np.array([h.bit_count() for h in range(1 << setting.n_messages)])
+    transitions, index = np.unique(np.concatenate(traces), axis=0, return_inverse=True)
+    labels = setting.label_table(transitions)  # [N, T, 2^n]
+    ends = np.cumsum([len(trace) for trace in traces])[:-1]
     smallest, worth = [], []
     tables: Counter[bytes] = Counter()
-    puzzled: Counter[bytes] = Counter()
-    for trace in traces:
-        table = setting.label_table(trace)  # [N, m, 2^n]
+    puzzled = 0
+    for where in np.split(index.ravel(), ends):
+        table = labels[:, where]  # [N, m, 2^n]
         need = np.where(table.all(axis=1), size, setting.n_messages).min(axis=1)
         # Step k shows transitions 1 … k, so the i-th of m is labelled m − i + 1 times.
-        silence = (1 - table[:, :, 0].astype(np.int64)) @ np.arange(len(trace), 0, -1)
+        silence = (1 - table[:, :, 0].astype(np.int64)) @ np.arange(len(where), 0, -1)
         smallest.append(need)
         worth.append(LARGEST_TRADE_OFF * need < silence)
         tables[table[:, ~table.all(axis=(0, 2))].tobytes()] += 1
-        to_all = trace[~table[:, :, 0].any(axis=0)]
-        puzzled.update({row.tobytes() for row in transition_features(setting.domain, to_all)})
+        puzzled += not table[:, :, 0].any(axis=0).all()
     return Problems(
         smallest=np.array(smallest),
         worth=np.array(worth),
         tables=len(tables),
         commonest=max(tables.values()) / len(traces),
-        puzzling=max(puzzled.values(), default=0) / len(traces),
+        puzzling=puzzled / len(traces),
     )
