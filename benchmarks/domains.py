@@ -2,6 +2,7 @@
 
     python benchmarks/domains.py            the table of properties, in Markdown
     python benchmarks/domains.py --draw     draws random maps up to the first with all properties
+    python benchmarks/domains.py --pictures a trace on each of the paper's domains (docs/pictures)
     python benchmarks/domains.py --quick    a smoke run
 
 No learner and no solver of explanations is involved: only the tasks, their types, and true labels.
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from itertools import islice, product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,15 +35,15 @@ from xplain.domains.rescue import Rescue
 from xplain.domains.rescue_maps import random_map
 from xplain.errors import XplainError
 from xplain.randomness import stream
+from xplain.report.traces import Story, save_trace
 from xplain.users.setting import Setting
 
 DOMAINS = ("four_rooms", "rescue", "taxi", "cliff_walking", "frozen_lake")
+PICTURES = Path(__file__).parent.parent / "docs" / "pictures"
 TYPE_COUNTS = (2, 3, 4)
 """Of domains whose types are drawn: figures are means over these and the seeds."""
 SEEDS = 10
 TRACES = 200
-LENGTHS = (10, 40)
-"""Transitions at most of a trace: as observers see them, as they are explained."""
 
 
 def settings_of(domain: str, seeds: int = SEEDS) -> list[Setting]:
@@ -56,16 +58,16 @@ def settings_of(domain: str, seeds: int = SEEDS) -> list[Setting]:
     ]
 
 
-def sampled(setting: Setting, max_length: int) -> list[Trace]:
+def sampled(setting: Setting) -> list[Trace]:
     """The traces that figures are taken over."""
-    return on_policy_traces(setting, TRACES, stream(0, "domain properties"), max_length)
+    return on_policy_traces(setting, TRACES, stream(0, "domain properties"))
 
 
 def properties(domain: str, seeds: int = SEEDS) -> dict[str, str]:
     """The column of a domain."""
     settings = settings_of(domain, seeds)
     first = settings[0]
-    traces = sampled(first, LENGTHS[0])
+    traces = sampled(first)
     found = [problems(setting, traces) for setting in settings]
     alone = inexplicable_alone(first.domain, traces)
     through = f"{share_through(first.domain, traces, DOORS):.0%}"
@@ -107,8 +109,8 @@ def has_all(found: Problems) -> bool:
 
 
 def draws() -> Iterator[tuple[str, bool | None]]:
-    """Random maps, one after the other, and whether they have all properties, with traces of either
-    length; None where something has no way to the shelter, or no floor is left to start from."""
+    """Random maps, one after the other, and whether they have all properties; None where something
+    has no way to the shelter."""
     cfg = composed("observe", ["domain=rescue"])
     node: Any = OmegaConf.to_container(cfg.domain, resolve=True)
     fixed = {key: value for key, value in node.items() if not key.startswith("_")}
@@ -122,7 +124,7 @@ def draws() -> Iterator[tuple[str, bool | None]]:
         except XplainError:
             yield drawn, None
             continue
-        yield drawn, all(has_all(problems(setting, sampled(setting, n))) for n in LENGTHS)
+        yield drawn, has_all(problems(setting, sampled(setting)))
 
 
 def draw(most: int) -> None:
@@ -136,6 +138,33 @@ def draw(most: int) -> None:
     print(f"none of {most} maps ({usable} can be used) has all properties")
 
 
+def picture(domain: str, folder: Path) -> None:
+    """Draws the sampled trace that passes most doors (in rescue: the longest), labelled by a user
+    of the first type to whom nothing is said."""
+    setting = settings_of(domain, 1)[0]
+    traces = sampled(setting)
+
+    def doors(trace: Trace) -> tuple[float, int]:
+        return sum(share_through(setting.domain, [trace], [door]) for door in DOORS), len(trace)
+
+    number = max(range(len(traces)), key=lambda index: doors(traces[index]))
+    trace = traces[number]
+    labels = setting.label_table(trace)[0, :, 0].tolist()
+    rows = tuple(tuple(labels[: k + 1]) for k in range(len(trace)))
+    places = [setting.domain.position(int(s)) for s in (*trace[:, 0], trace[-1, 2])]
+    story = Story(
+        solver="silence",
+        trace=number,
+        user_type=f"{setting.types[0].name} ({', '.join(setting.types[0].inaccurate)})",
+        cost=float(sum(row.count(0) for row in rows)),
+        phrases=tuple(setting.domain.describe(step) for step in trace),
+        positions=tuple(place for place in places if place is not None),
+        messages=((),) * len(trace),
+        labels=rows,
+    )
+    save_trace(folder / f"{domain}.png", setting.domain.scene, story)
+
+
 def main() -> None:
     """Prints the table, or draws the map."""
     parser = argparse.ArgumentParser(
@@ -143,9 +172,14 @@ def main() -> None:
     )
     parser.add_argument("--draw", action="store_true", help="draw rescue's map anew")
     parser.add_argument("--quick", action="store_true", help="only that it runs")
+    parser.add_argument("--pictures", action="store_true", help="draw the pictures anew")
     options = parser.parse_args()
     if options.draw:
         draw(20 if options.quick else 20_000)
+        return
+    if options.pictures:
+        for name in DOMAINS[:2]:
+            picture(name, PICTURES)
         return
     names = DOMAINS[:2] if options.quick else DOMAINS
     columns = [properties(name, 1 if options.quick else SEEDS) for name in names]

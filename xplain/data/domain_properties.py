@@ -20,6 +20,8 @@ from xplain.users.setting import Setting
 
 LARGEST_TRADE_OFF = 2.5
 """Of the paper's table."""
+MAX_LENGTH = 40
+"""Traces are taken to their end, as they are explained, or to so many transitions."""
 Trace = NDArray[np.int64]
 
 
@@ -47,14 +49,14 @@ class Problems:
 
 
 def on_policy_traces(
-    setting: Setting, count: int, rng: np.random.Generator, max_length: int = 10
+    setting: Setting, count: int, rng: np.random.Generator, max_length: int = MAX_LENGTH
 ) -> list[Trace]:
     """``count`` random traces of the robot, each [m, 3]."""
     model, optimal, starts = setting.models[0], setting.optimal[0], setting.domain.starts
     return [sample_trace(model, optimal, starts, rng, max_length) for _ in range(count)]
 
 
-def count_traces(setting: Setting, max_length: int = 10) -> int:
+def count_traces(setting: Setting, max_length: int = MAX_LENGTH) -> int:
     """Number of different traces that the robot can make, counted step by step from their ends."""
     model, optimal = setting.models[0], setting.optimal[0]
     possible = optimal[:, :, None] & (model.probability > 0)
