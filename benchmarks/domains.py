@@ -22,7 +22,6 @@ from omegaconf import OmegaConf
 
 from xplain.config import composed
 from xplain.data.domain_properties import (
-    Problems,
     Trace,
     count_traces,
     inexplicable_alone,
@@ -97,14 +96,17 @@ def properties(domain: str, seeds: int = SEEDS) -> dict[str, str]:
     }
 
 
-def has_all(found: Problems) -> bool:
-    """What rescue's map must have (docs/choices.md)."""
+def has_all(setting: Setting) -> bool:
+    """Whether a rescue task has the properties that its map must have (docs/choices.md)."""
+    traces = sampled(setting)
+    found = problems(setting, traces)
     return bool(
         1.5 <= found.smallest.mean() <= 2.0
         and found.worth.mean() >= 0.95
         and found.tables >= 15
         and found.commonest <= 0.25
         and found.puzzling <= 0.1
+        and min(inexplicable_alone(setting.domain, traces).values()) >= 0.02
     )
 
 
@@ -124,7 +126,7 @@ def draws() -> Iterator[tuple[str, bool | None]]:
         except XplainError:
             yield drawn, None
             continue
-        yield drawn, has_all(problems(setting, sampled(setting)))
+        yield drawn, has_all(setting)
 
 
 def draw(most: int) -> None:

@@ -67,3 +67,8 @@ def test_rescue_has_many_different_problems() -> None:
     assert found.tables >= 15
     assert found.commonest <= 1 / 4
     assert found.puzzling <= 1 / 10
+
+
+def test_each_fact_of_rescue_held_wrong_alone_matters() -> None:
+    alone = inexplicable_alone(domain_of(RESCUE), traces_of(RESCUE))
+    assert all(share >= 0.02 for share in alone.values()), alone
