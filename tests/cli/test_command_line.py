@@ -95,6 +95,7 @@ BAD = [
     (["domain.map='SVAFUrpf#s'"], ["domain.map", "path"]),
     (["domain.discount=1"], ["domain.discount", "1"]),
     (["observers.points=1"], ["points", "1"]),
+    (["solver=true"], ["solver", "true", "qmdp"]),
     (["observers=file", "observers.path=absent.csv"], ["absent.csv"]),
 ]
 

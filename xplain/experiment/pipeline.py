@@ -27,8 +27,10 @@ from xplain.domains.base import (
     transition_features,
 )
 from xplain.errors import InputError, whole_number
+from xplain.experiment.known_types import Known, Tables, true_types
 from xplain.learning.clustering import Clusterer, Perfect
 from xplain.learning.labelers import Labeler, LabelerTrainer
+from xplain.learning.true_labels import TrueLabels
 from xplain.learning.user_types import UserTypes, learn_types, p_explicable
 from xplain.randomness import derived_seed, stream
 from xplain.users.setting import Setting
@@ -165,37 +167,67 @@ def prepare(components: Components, track: Track[Any] = untracked) -> Prepared:
     Raises:
         XplainError: the configuration or the data cannot be used; the text says what to change.
     """
-    domain, trainer, seed = components.domain, components.labeler, components.seed
+    domain, seed = components.domain, components.seed
     observed = observe(domain, components.users, components.observers, seed)
-    _require_same_features(observed.dataset, domain)
-    references = learn_references(observed, trainer, seed)
-    types = learn(observed.dataset, trainer, components.clusterer, seed, observed.truth)
-    _require_tested(types.labelers)
     setting = observed.setting
+    if isinstance(components.labeler, TrueLabels):
+        known = true_types(setting, observed.truth)
+    else:
+        known = learned_types(observed, components)
     traces = track(range(components.traces), "labelling traces", components.traces)
-    cases = tuple(
-        build_case(
-            setting, draw_trace(setting, components.max_steps, seed, index), types, references
-        )
-        for index in traces
-    )
-    assignment = types.clustering.assignment
     return Prepared(
         domain=domain.name,
         messages=setting.message_names,
         sentences=tuple(parameter.message for parameter in domain.parameters),
         types=tuple(user_type.name for user_type in setting.types),
         distinct=setting.distinct,
-        learned_types=types.names,
-        matched_true_type=match_true_types(observed, types),
-        type_shares=np.bincount(assignment) / len(assignment),
-        learning=learning_figures(observed, types, references),
-        curve=np.asarray(
-            [] if types.clustering.curve is None else types.clustering.curve, dtype=float
-        ),
-        rule=types.clustering.rule,
+        learned_types=known.names,
+        matched_true_type=known.matched_true_type,
+        type_shares=known.shares,
+        learning=known.figures,
+        curve=known.curve,
+        rule=known.rule,
         scene=domain.scene,
-        cases=cases,
+        cases=tuple(
+            build_case(
+                setting, draw_trace(setting, components.max_steps, seed, index), known.tables
+            )
+            for index in traces
+        ),
+    )
+
+
+def learned_types(observed: Observed, components: Components) -> Known:
+    """What labels tell: the types that a clusterer finds, with a labeler each.
+
+    Raises:
+        InputError: the labels are too few, or not of this domain's features and messages.
+    """
+    domain, trainer, seed = components.domain, components.labeler, components.seed
+    _require_same_features(observed.dataset, domain)
+    references = learn_references(observed, trainer, seed)
+    types = learn(observed.dataset, trainer, components.clusterer, seed, observed.truth)
+    _require_tested(types.labelers)
+    n, oracle = observed.setting.n_messages, references.oracle
+
+    def tables(transitions: NDArray[np.int64]) -> Tables:
+        features = transition_features(domain, transitions)
+        return Tables(
+            learned=p_explicable(types.labelers, features, n),
+            everyone=p_explicable([references.everyone], features, n),
+            perfect=None if oracle is None else p_explicable(oracle, features, n),
+        )
+
+    clustering = types.clustering
+    curve = np.zeros(0) if clustering.curve is None else clustering.curve
+    return Known(
+        names=types.names,
+        matched_true_type=match_true_types(observed, types),
+        shares=np.bincount(clustering.assignment) / len(clustering.assignment),
+        figures=learning_figures(observed, types, references),
+        curve=np.asarray(curve, dtype=float),
+        rule=clustering.rule,
+        tables=tables,
     )
 
 
@@ -275,22 +307,17 @@ def draw_trace(setting: Setting, max_steps: int, seed: int, index: int) -> NDArr
 def build_case(
     setting: Setting,
     transitions: NDArray[np.int64],
-    types: UserTypes,
-    references: References,
+    tables: Callable[[NDArray[np.int64]], Tables],
 ) -> Case:
     """Lays out what every agent and every user thinks of a trace [m, 3]."""
-    domain, n = setting.domain, setting.n_messages
-    features = transition_features(domain, transitions)
+    domain = setting.domain
     states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]
     cells = [domain.position(state) for state in states]
-    everyone, oracle = references.everyone, references.oracle
     return Case(
         transitions=transitions,
         phrases=tuple(domain.describe(transition) for transition in transitions),
         positions=tuple(cell for cell in cells if cell is not None),
-        learned=p_explicable(types.labelers, features, n),
-        everyone=p_explicable([everyone], features, n),
-        perfect=None if oracle is None else p_explicable(oracle, features, n),
+        **tables(transitions)._asdict(),
         labels=setting.label_table(transitions),
     )
 

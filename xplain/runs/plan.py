@@ -13,6 +13,7 @@ from typing import Any
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 
+from xplain.config import named
 from xplain.errors import InputError
 
 Compose = Callable[[list[str]], dict[str, Any]]
@@ -91,7 +92,8 @@ def make_plan(
         for combination in itertools.product(*merged.values()):
             values = dict(zip(merged, combination, strict=True))
             if all(values.get(key) in given[key] for key in apart):
-                chosen[tuple(f"{key}={value}" for key, value in values.items())] = values
+                texts = [f"{key}={value}" for key, value in values.items()]
+                chosen[tuple(named(texts))] = values
     if not chosen:
         has = "; ".join(
             " ".join(f"{key}={_text(setting[key])}" for key in apart if key in setting) or "none"
@@ -133,7 +135,9 @@ def _parse(overrides: list[str]) -> dict[str, list[str]]:
         if not override.is_sweep_override():
             parsed[key] = [override.get_value_element_as_str()]
         elif override.is_discrete_sweep():
-            parsed[key] = [str(value) for value in override.sweep_string_iterator()]
+            # As they were written: Hydra gives truth values in Python's spelling.
+            spelt = {"True": "true", "False": "false"}
+            parsed[key] = [spelt.get(str(v), str(v)) for v in override.sweep_string_iterator()]
         else:
             raise InputError(key, _value(override), "a list, choice(...) or range(...)")
     return parsed
