@@ -37,6 +37,24 @@ def _shipped(folder: str) -> Path:
 CONF = _shipped("conf")
 SWEEPS = _shipped("sweeps")
 
+GROUPS = (
+    "domain",
+    "users",
+    "observers",
+    "queries",
+    "labeler",
+    "clusterer",
+    "solver",
+    "belief",
+)
+"""Groups of components that decide a number; a choice says what it is without its key."""
+MOVED = {
+    "observers.queries": "queries=independent or queries=shared",
+    "observers.trace_length": "queries.trace_length",
+    "observers.message_probability": "queries.message_probability",
+}
+"""Keys that are called otherwise today."""
+
 _unique = secrets.token_hex(3)
 
 
@@ -187,7 +205,9 @@ def _composition(error: ConfigCompositionException) -> str:
     if misspelt:
         key = misspelt.group(1)
         line = f"{key}: no such key"
-        known = [*schema(), "users", "observers", "labeler", "clusterer", "solver", "belief"]
+        if key in MOVED:
+            return f"{key}: no such key; it is {MOVED[key]} now"
+        known = [*schema(), *GROUPS]
         near = difflib.get_close_matches(key, known, 1)
         if near:
             line += f"; did you mean {near[0]}?"

@@ -13,13 +13,11 @@ from typing import Any
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 
+from xplain.config import GROUPS
 from xplain.errors import InputError
 
 Compose = Callable[[list[str]], dict[str, Any]]
 """From overrides to the resolved configuration of a job."""
-
-GROUPS = ("domain", "users", "observers", "labeler", "clusterer", "solver", "belief")
-"""Groups whose choice says what it is without its key."""
 
 _LAST = ("solver", "lambda", "seed")
 """Keys that end a job's name, so that names sort by setting."""
