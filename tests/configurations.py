@@ -16,7 +16,13 @@ Path = tuple[str | int, ...]
 CHOICES = (
     ("domain=rescue", "solver=pomcp", "labeler=practice", "clusterer=agglomerative"),
     ("domain=four_rooms", "solver=certified", "labeler=pruned", "clusterer=dirichlet"),
-    ("domain=rescue", "solver=lookahead", "clusterer=agglomerative", "users=rescue_completions"),
+    (
+        "domain=rescue",
+        "queries=shared",
+        "solver=lookahead",
+        "clusterer=agglomerative",
+        "users=rescue_completions",
+    ),
     ("domain=frozen_lake", "solver=oracle", "clusterer=em", "belief=persistent", "tracking=none"),
     (
         "domain=rescue",

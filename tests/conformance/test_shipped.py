@@ -15,6 +15,7 @@ from xplain.testing import (
     DomainConformance,
     LabelerConformance,
     PartitionConformance,
+    QueriesConformance,
     SolverConformance,
     TypeSourceConformance,
 )
@@ -46,6 +47,12 @@ class TestTypeSources(TypeSourceConformance):
     @pytest.fixture(
         params=shipped("users", explicit="users.groups={A: [fire], B: [fence, first_aid]}")
     )
+    def component(self, request: pytest.FixtureRequest) -> Any:
+        return request.param.component
+
+
+class TestQueries(QueriesConformance):
+    @pytest.fixture(params=shipped("queries"))
     def component(self, request: pytest.FixtureRequest) -> Any:
         return request.param.component
 

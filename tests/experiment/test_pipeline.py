@@ -11,6 +11,7 @@ import pytest
 from tests.domains.configs import domain_of
 from tests.handmade import a_prepared, with_cases
 from xplain.data.dataset import Dataset
+from xplain.data.queries import Queries, Shared
 from xplain.domains.base import transition_feature_names
 from xplain.errors import InputError
 from xplain.experiment.explanations import Costs, evaluate, problem_for
@@ -266,7 +267,7 @@ class Eight:
 
     known: bool = True
 
-    def collect(self, setting: Setting, seed: int):
+    def collect(self, setting: Setting, queries: Queries, seed: int):
         names = transition_feature_names(setting.domain)
         dataset = Dataset(
             features=np.zeros((1, len(names))),
@@ -294,6 +295,7 @@ def source(**changes) -> Components:
         "domain": domain_of("domain=rescue"),
         "users": TYPES,
         "observers": Eight(),
+        "queries": Shared(),
         "labeler": Rates(),
         "clusterer": Given(),
         "traces": 4,

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
 from xplain.data.observers import Observers
+from xplain.data.queries import Queries
 from xplain.data.rollouts import sample_trace
 from xplain.domains.base import (
     Domain,
@@ -51,7 +52,7 @@ class Components:
     """What decides the data, the types and the traces, but no explanation.
 
     Attributes:
-        domain, users, observers, labeler, clusterer: chosen in the configuration.
+        domain, users, observers, queries, labeler, clusterer: chosen in the configuration.
         traces: how many traces to explain.
         max_steps: a trace ends at a terminal state or here.
         seed: of every stream.
@@ -60,6 +61,7 @@ class Components:
     domain: Domain
     users: TypeSource
     observers: Observers
+    queries: Queries
     labeler: LabelerTrainer
     clusterer: Clusterer
     traces: int
@@ -168,7 +170,7 @@ def prepare(components: Components, track: Track[Any] = untracked) -> Prepared:
         XplainError: the configuration or the data cannot be used; the text says what to change.
     """
     domain, seed = components.domain, components.seed
-    observed = observe(domain, components.users, components.observers, seed)
+    observed = observe(domain, components.users, components.observers, components.queries, seed)
     setting = observed.setting
     if isinstance(components.labeler, TrueLabels):
         known = true_types(setting, observed.truth)
@@ -231,14 +233,16 @@ def learned_types(observed: Observed, components: Components) -> Known:
     )
 
 
-def observe(domain: Domain, users: TypeSource, observers: Observers, seed: int) -> Observed:
-    """The true types, and the labels that observers of these types gave.
+def observe(
+    domain: Domain, users: TypeSource, observers: Observers, queries: Queries, seed: int
+) -> Observed:
+    """The true types, and the labels that observers of these types gave when asked.
 
     Raises:
         XplainError: the types do not fit the domain, or the labels cannot be used.
     """
     setting = Setting.build(domain, users.types(domain, stream(seed, "users")))
-    dataset, truth = observers.collect(setting, seed)
+    dataset, truth = observers.collect(setting, queries, seed)
     return Observed(setting, dataset, truth)
 
 

@@ -17,7 +17,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__
-from xplain.config import hand_over, one_line
+from xplain.config import GROUPS, hand_over, one_line
 from xplain.experiment.cache import prepared_once, source_fingerprint
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import evaluate
@@ -40,8 +40,6 @@ from xplain.solvers.known_type import KnownType
 from xplain.storage import write_text
 
 log = logging.getLogger(__name__)
-
-CHOICES = ("domain", "users", "observers", "labeler", "clusterer", "solver", "belief")
 
 
 def run_job(cfg: DictConfig) -> float | None:
@@ -108,7 +106,7 @@ def run_experiment(
         folder: of the run.
         track: shows progress.
     """
-    choices = {group: str(HydraConfig.get().runtime.choices[group]) for group in CHOICES}
+    choices = {group: str(HydraConfig.get().runtime.choices[group]) for group in GROUPS}
     outputs = Path(cfg.outputs).absolute()
     started = time.time()
 

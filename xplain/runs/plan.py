@@ -13,14 +13,11 @@ from typing import Any
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 
-from xplain.config import named
+from xplain.config import GROUPS, named
 from xplain.errors import InputError
 
 Compose = Callable[[list[str]], dict[str, Any]]
 """From overrides to the resolved configuration of a job."""
-
-GROUPS = ("domain", "users", "observers", "labeler", "clusterer", "solver", "belief")
-"""Groups whose choice says what it is without its key."""
 
 _LAST = ("solver", "lambda", "seed")
 """Keys that end a job's name, so that names sort by setting."""
@@ -133,14 +130,17 @@ def _parse(overrides: list[str]) -> dict[str, list[str]]:
     for override in OverridesParser.create().parse_overrides(overrides):
         key = override.get_key_element()
         if not override.is_sweep_override():
-            parsed[key] = [override.get_value_element_as_str()]
+            parsed[key] = [_spelt(override.get_value_element_as_str())]
         elif override.is_discrete_sweep():
-            # As they were written: Hydra gives truth values in Python's spelling.
-            spelt = {"True": "true", "False": "false"}
-            parsed[key] = [spelt.get(str(v), str(v)) for v in override.sweep_string_iterator()]
+            parsed[key] = [_spelt(str(value)) for value in override.sweep_string_iterator()]
         else:
             raise InputError(key, _value(override), "a list, choice(...) or range(...)")
     return parsed
+
+
+def _spelt(value: str) -> str:
+    """Truth values as YAML has them: Hydra gives them in Python's spelling."""
+    return {"True": "true", "False": "false"}.get(value, value)
 
 
 def _value(override: Override) -> str:
