@@ -195,16 +195,13 @@ def test_a_regret_is_left_out_where_its_reference_did_not_run(reference):
 
 def test_what_learned_labels_cost_is_against_the_same_solver_with_true_ones():
     known = [
-        Record("true_labels", r.trace, r.user_type, r.right, replace(r.episode, trade_off=0.0))
-        for r in RECORDS
-        if r.solver == "solver"
+        by_hand("true_labels", 0, 0, 3.0, [0.5, 0.9], [1]),
+        by_hand("true_labels", 1, 0, 4.5, [0.5, 0.9, 1], [1, 0]),
+        by_hand("true_labels", 2, 0, 1.5, [0.5, 0.9, 1, 1], [1, 0, 0]),
     ]
     assert "cost_over_true_labels" not in summarise(RECORDS)
     figures = summarise(RECORDS + known)
-    own = [record.episode.cost for record in RECORDS if record.solver == "solver"]
-    other = [record.episode.cost for record in known]
-    assert figures["cost_over_true_labels"].mean == pytest.approx(sum(own) / sum(other))
-    assert figures["cost_over_true_labels"].mean != 1
+    assert figures["cost_over_true_labels"].mean == pytest.approx((5 + 9 + 4) / (3 + 4.5 + 1.5))
     # Nothing else is of these records.
     del figures["cost_over_true_labels"]
     assert figures == summarise(RECORDS)
