@@ -11,10 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.evaluation.episode import Episode
-from xplain.evaluation.statistics import Estimate, clustered_mean
+from xplain.evaluation.statistics import ANY, Estimate, Range, clustered_mean
 
 SURE = 0.9
 """A type counts as recognised once the belief in it exceeds this."""
+
+
+SIGNED = ("regret",)
+"""Measures that may be negative: the oracle's labelers err, and a lucky plan can beat it."""
+SHARES = ("final_belief",)
+
+
+def possible(measure: str) -> Range:
+    """The values that a measure of an episode can have. (Nothing costs less than the
+    clairvoyant, but for what plans that discount and costs that do not may differ by.)"""
+    if measure in SIGNED:
+        return ANY
+    return (0.0, 1.0) if measure in SHARES else (0.0, np.inf)
 
 
 @dataclass(frozen=True)
@@ -76,7 +89,10 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
             other = [by_solver[reference][key].episode.cost for key in own]
             columns[f"{reference}_cost"] = other
             columns[name] = [c - o for c, o in zip(columns["cost"], other, strict=True)]
-    return {name: clustered_mean(column, traces) for name, column in columns.items()}
+    return {
+        name: clustered_mean(column, traces, possible=possible(name))
+        for name, column in columns.items()
+    }
 
 
 def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
