@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from xplain.evaluation.statistics import clustered_mean
+from xplain.evaluation.statistics import clustered_mean, clustered_ratio
 
 
 @given(st.lists(st.floats(-100, 100), min_size=2, max_size=30))
@@ -59,3 +59,25 @@ def test_an_interval_of_a_share_is_one_of_shares(values):
 def test_what_was_seen_is_possible():
     cut = clustered_mean([-1, 0, 1, 4], range(4), possible=(0, 2))
     assert (cut.low, cut.high) == (-1, 4)
+
+
+@given(st.lists(st.floats(0.1, 100), min_size=4, max_size=20), st.floats(0.1, 10))
+def test_a_ratio_that_never_varies_is_certain(below, ratio):
+    estimate = clustered_ratio(np.multiply(below, ratio), below, range(len(below)))
+    assert estimate.mean == pytest.approx(ratio)
+    assert (estimate.low, estimate.high) == (pytest.approx(ratio), pytest.approx(ratio))
+
+
+def test_ratios_cover_as_often_as_they_say_and_are_never_negative():
+    rng = np.random.default_rng(6)
+    covered, rounds = 0, 1500
+    for _ in range(rounds):
+        below = np.repeat(rng.gamma(4, size=40), 3)
+        above = 1.5 * below + np.repeat(rng.gamma(2, size=40), 3)  # mean 8 over mean 4
+        estimate = clustered_ratio(above, below, np.repeat(range(40), 3))
+        covered += estimate.low <= 2.0 <= estimate.high
+    # Linearised: a little short of 95 % with 40 clusters.
+    assert 0.92 < covered / rounds < 0.97
+    rare = clustered_ratio([0, 0, 0, 9], [1, 1, 1, 1], range(4))
+    assert rare.low == 0
+    assert np.isnan(clustered_ratio([1, 2], [1, 1], [0, 0]).low)

@@ -12,7 +12,13 @@ from tests.configurations import composed
 from xplain.data.observers import FileObservers
 from xplain.errors import InputError
 from xplain.evaluation.metrics import Record
-from xplain.experiment.explanations import Costs, evaluate, problem_of_types, trace_seed
+from xplain.experiment.explanations import (
+    Costs,
+    evaluate,
+    problem_of_types,
+    trace_seed,
+    with_true_labels,
+)
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.known_types import true_types
 from xplain.experiment.pipeline import Prepared, prepare
@@ -155,6 +161,8 @@ def test_traces_are_those_of_any_other_labeler() -> None:
     for one, other in zip(learned.cases, true.cases, strict=True):
         assert np.array_equal(one.transitions, other.transitions)
         assert np.array_equal(one.labels, other.labels)
+    for one, other in zip(with_true_labels(learned).cases, true.cases, strict=True):
+        assert np.array_equal(one.learned, other.learned)  # both say what true labels are
 
 
 def test_types_of_real_people_are_not_known(tmp_path) -> None:
