@@ -50,22 +50,22 @@ class Model(NamedTuple):
 
     @property
     def n_steps(self) -> int:
-        """m."""
+        """m, the number of steps."""
         return int(self.p.shape[0])
 
     @property
     def n_sets(self) -> int:
-        """2^n."""
+        """2^n, the number of message sets."""
         return int(self.p.shape[1])
 
     @property
     def n_types(self) -> int:
-        """N."""
+        """N, the number of user types."""
         return int(self.p.shape[2])
 
 
 def model_of(problem: Problem) -> Model:
-    """The problem's model."""
+    """The reduced POMDP of a problem; shares the problem's table."""
     return Model(
         problem.p_explicable.transpose(1, 2, 0),
         problem.trade_off * problem.message_cost,
@@ -178,7 +178,7 @@ def explicable(model, i, given, t):  # type: ignore[no-untyped-def]
 
 @inlined
 def explain_cost(model, k, given, t):  # type: ignore[no-untyped-def]
-    """C_t(k, H)."""
+    """C_t(k, H), the expected cost of *explain* for type t."""
     cost = 0.0
     for i in range(k + 1):
         cost += model.inexplicability * (1.0 - model.p[i, given, t])
