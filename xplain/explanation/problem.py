@@ -103,7 +103,7 @@ class Problem:
 
     @property
     def n_types(self) -> int:
-        """N."""
+        """N, the number of user types."""
         return int(self.p_explicable.shape[0])
 
     @property
@@ -113,7 +113,7 @@ class Problem:
 
     @property
     def n_messages(self) -> int:
-        """n."""
+        """n, the number of messages."""
         return int(self.p_explicable.shape[2]).bit_length() - 1
 
     def label_probabilities(self, count: int, given: int) -> NDArray[np.float64]:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import inlined, kernel, tell_when_compiling
+from xplain.numba_kernels import inlined, lean_kernel, tell_when_compiling
 
 TIE = 1e-9
 """Values closer than this, relative to 1 + their size, are equal."""
@@ -50,22 +50,22 @@ class Model(NamedTuple):
 
     @property
     def n_steps(self) -> int:
-        """m."""
+        """m, the number of steps."""
         return int(self.p.shape[0])
 
     @property
     def n_sets(self) -> int:
-        """2^n."""
+        """2^n, the number of message sets."""
         return int(self.p.shape[1])
 
     @property
     def n_types(self) -> int:
-        """N."""
+        """N, the number of user types."""
         return int(self.p.shape[2])
 
 
 def model_of(problem: Problem) -> Model:
-    """The problem's model."""
+    """The reduced POMDP of a problem; shares the problem's table."""
     return Model(
         problem.p_explicable.transpose(1, 2, 0),
         problem.trade_off * problem.message_cost,
@@ -99,7 +99,7 @@ def optimal_values(model: Model) -> NDArray[np.float64]:
     values = np.zeros((model.n_steps + 1, model.n_sets, model.n_types))
     _accumulate(model, values)
     for first, end in backwards(model):
-        _back_up(model, values, first, end)
+        _back_up(model.price, model.discount, model.message_discount, values, first, end)
     return values
 
 
@@ -178,7 +178,7 @@ def explicable(model, i, given, t):  # type: ignore[no-untyped-def]
 
 @inlined
 def explain_cost(model, k, given, t):  # type: ignore[no-untyped-def]
-    """C_t(k, H)."""
+    """C_t(k, H), the expected cost of *explain* for type t."""
     cost = 0.0
     for i in range(k + 1):
         cost += model.inexplicability * (1.0 - model.p[i, given, t])
@@ -194,18 +194,17 @@ def expected(belief, row):  # type: ignore[no-untyped-def]
     return total
 
 
-@kernel
-def _accumulate(model, costs):  # type: ignore[no-untyped-def]
+def _accumulate(model: Model, costs: NDArray[np.float64]) -> None:
     """Fills ``costs`` [≥ m, 2^n, N] with C_t(k, H)."""
-    for k in range(model.p.shape[0]):
-        for given in range(costs.shape[1]):
-            for t in range(costs.shape[2]):
-                newest = model.inexplicability * (1.0 - model.p[k, given, t])
-                costs[k, given, t] = costs[k - 1, given, t] + newest if k > 0 else newest
+    for k, p in enumerate(model.p):
+        np.subtract(1.0, p, out=costs[k])
+        costs[k] *= model.inexplicability
+        if k > 0:
+            costs[k] += costs[k - 1]
 
 
-@kernel
-def _back_up(model, values, first, end):  # type: ignore[no-untyped-def]
+@lean_kernel
+def _back_up(price, discount, message_discount, values, first, end):  # type: ignore[no-untyped-def]
     """``values`` [m + 1, 2^n, N] holds C(k, ·) from step ``first`` to before ``end``, V(k, ·) from
     there on, and leaves with V(k, ·) in all of these. A superset of H is a larger integer than H,
     so descending H meets it first."""
@@ -214,11 +213,11 @@ def _back_up(model, values, first, end):  # type: ignore[no-untyped-def]
         now, after = values[k], values[k + 1]
         for given in range(sets - 1, -1, -1):
             for t in range(types):
-                now[given, t] = model.discount * after[given, t] - now[given, t]
-            for j in range(len(model.price)):
+                now[given, t] = discount * after[given, t] - now[given, t]
+            for j in range(len(price)):
                 more = given | (1 << j)
                 if more != given:
                     for t in range(types):
-                        value = model.message_discount * now[more, t] - model.price[j]
+                        value = message_discount * now[more, t] - price[j]
                         if value > now[given, t]:
                             now[given, t] = value

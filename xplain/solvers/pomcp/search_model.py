@@ -53,7 +53,7 @@ class SearchModel(NamedTuple):
 
 
 def model_bytes(problem: Problem) -> int:
-    """What :func:`model_of` takes."""
+    """Memory that :func:`model_of` takes, in bytes."""
     sets, steps = 1 << problem.n_messages, problem.n_steps
     return table_bytes(problem) + sets * steps * (32 * problem.n_types + 16)
 
