@@ -44,7 +44,7 @@ SOLVERS: dict[str, Solver] = {
     "silent": Silent(),
     "say_all": SayAll(),
 }
-GAMMA_1 = ("labeler=true", "discount=1", "traces=6", "lambda=1.3")
+GAMMA_1 = ("labeler=true", "discount=1", "traces=4", "max_steps=7", "lambda=1.3")
 
 
 @cache
@@ -68,7 +68,7 @@ both = pytest.mark.parametrize("domain", ["rescue", "four_rooms"])
 def test_the_oracle_is_the_clairvoyant(domain: str) -> None:
     found = episodes(domain)
     keys = [key[1:] for key in found if key[0] == "oracle"]
-    assert len(keys) >= 18
+    assert len(keys) >= 12
     for key in keys:
         oracle, clairvoyant = found["oracle", *key], found["clairvoyant", *key]
         assert oracle.episode.cost == clairvoyant.episode.cost
