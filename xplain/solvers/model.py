@@ -83,7 +83,7 @@ def table_bytes(problem: Problem) -> int:
 def explain_costs(model: Model) -> NDArray[np.float64]:
     """C_t(k, H) for all: [m, 2^n, N]."""
     costs = np.empty(model.p.shape)
-    _accumulate(model, costs)
+    _accumulate(model.p, model.inexplicability, costs)
     return costs
 
 
@@ -97,7 +97,7 @@ def optimal_values(model: Model) -> NDArray[np.float64]:
     """V*_t(k, H) for all: [m + 1, 2^n, N]."""
     tell_when_compiling()
     values = np.zeros((model.n_steps + 1, model.n_sets, model.n_types))
-    _accumulate(model, values)
+    _accumulate(model.p, model.inexplicability, values)
     for first, end in backwards(model):
         _back_up(model.price, model.discount, model.message_discount, values, first, end)
     return values
@@ -194,13 +194,14 @@ def expected(belief, row):  # type: ignore[no-untyped-def]
     return total
 
 
-def _accumulate(model: Model, costs: NDArray[np.float64]) -> None:
+@lean_kernel
+def _accumulate(p, inexplicability, costs):  # type: ignore[no-untyped-def]
     """Fills ``costs`` [≥ m, 2^n, N] with C_t(k, H)."""
-    for k, p in enumerate(model.p):
-        np.subtract(1.0, p, out=costs[k])
-        costs[k] *= model.inexplicability
-        if k > 0:
-            costs[k] += costs[k - 1]
+    for k in range(p.shape[0]):
+        for given in range(costs.shape[1]):
+            for t in range(costs.shape[2]):
+                newest = inexplicability * (1.0 - p[k, given, t])
+                costs[k, given, t] = costs[k - 1, given, t] + newest if k > 0 else newest
 
 
 @lean_kernel
