@@ -11,8 +11,9 @@ import numpy as np
 from numba import uint64
 
 from xplain.numba_kernels import inlined, lean_kernel
+from xplain.solvers.bits import count_bits, nth_bit
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
-from xplain.solvers.pomcp.random_words import count_bits, next_below, next_uniform, nth_bit
+from xplain.solvers.pomcp.random_words import next_below, next_uniform
 from xplain.solvers.pomcp.rollout import (
     RANDOM,
     SILENT,

@@ -10,9 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from xplain.numba_kernels import inlined
+from xplain.solvers.bits import count_bits, first_bit, nth_bit
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
-from xplain.solvers.pomcp.random_words import count_bits, first_bit, next_below, nth_bit
-from xplain.solvers.pomcp.search_model import SETTLED
+from xplain.solvers.pomcp.random_words import next_below
+from xplain.solvers.pomcp.search_model import SETTLED, wanted_at
+from xplain.solvers.rows import row
 
 CERTAIN = 1 - 1e-6
 """A belief from here on counts as certainty in rollouts."""
@@ -28,7 +30,7 @@ def leaf_value(model, reading, step, given, belief):  # type: ignore[no-untyped-
         return _qmdp(model, step, given, belief)[0]
     value = 0.0
     for t in range(len(belief)):
-        value += belief[t] * model.optimal[step, given, t]
+        value += belief[t] * model.optimal[step, row(model.rows, given, t), t]
     return value
 
 
@@ -37,10 +39,11 @@ def _qmdp(model, step, given, belief):  # type: ignore[no-untyped-def]
     """max_a Σ_t b(t) Q_t(k, H, a), and the action (n is *explain*)."""
     best = 0.0
     for t in range(len(belief)):
-        later = model.discount * model.optimal[step + 1, given, t]
-        best += belief[t] * (later - model.explain_cost[given, step, t])
+        at = row(model.rows, given, t)
+        later = model.discount * model.optimal[step + 1, at, t]
+        best += belief[t] * (later - model.explain_cost[at, step, t])
     action = len(model.price)
-    messages = np.int64(model.wanted[given, step])
+    messages = wanted_at(model.rows, model.wanted, step, given)
     if messages == SETTLED:
         return best, action
     while messages:
@@ -48,7 +51,7 @@ def _qmdp(model, step, given, belief):  # type: ignore[no-untyped-def]
         messages &= messages - 1
         value = 0.0
         for t in range(len(belief)):
-            value += belief[t] * model.optimal[step, given | 1 << j, t]
+            value += belief[t] * model.optimal[step, row(model.rows, given | 1 << j, t), t]
         value = model.message_discount * value - model.price[j]
         if value > best:
             best, action = value, j
@@ -64,10 +67,10 @@ def roll_random(model, counter, step, given, t):  # type: ignore[no-untyped-def]
     value, scale = 0.0, 1.0
     while step < model.explain_cost.shape[1]:
         if count == 0:
-            return value + scale * model.optimal[step, given, t]
+            return value + scale * model.optimal[step, row(model.rows, given, t), t]
         choice = next_below(counter, count + 1)
         if choice == count:
-            value -= scale * model.explain_cost[given, step, t]
+            value -= scale * model.explain_cost[row(model.rows, given, t), step, t]
             scale *= model.discount
             step += 1
         else:
@@ -86,7 +89,7 @@ def roll_silent(model, step, given, belief):  # type: ignore[no-untyped-def]
     value, scale = 0.0, 1.0
     for k in range(step, model.explain_cost.shape[1]):
         for t in range(len(belief)):
-            value -= scale * belief[t] * model.explain_cost[given, k, t]
+            value -= scale * belief[t] * model.explain_cost[row(model.rows, given, t), k, t]
         scale *= model.discount
     return value
 
@@ -101,17 +104,18 @@ def roll_qmdp(model, tree, step, given, t, belief):  # type: ignore[no-untyped-d
         tree.rollout_belief[other] = belief[other]
     value, scale = 0.0, 1.0
     while step < steps:
-        if tree.rollout_belief[t] > CERTAIN or model.wanted[given, step] == SETTLED:
-            return value + scale * model.optimal[step, given, t]
+        wanted = wanted_at(model.rows, model.wanted, step, given)
+        if tree.rollout_belief[t] > CERTAIN or wanted == SETTLED:
+            return value + scale * model.optimal[step, row(model.rows, given, t), t]
         action = len(model.price)
-        if model.wanted[given, step] != 0:
+        if wanted != 0:
             _, action = _qmdp(model, step, given, tree.rollout_belief)
         if action < len(model.price):
             value -= scale * model.price[action]
             scale *= model.message_discount
             given |= 1 << action
         else:
-            value -= scale * model.explain_cost[given, step, t]
+            value -= scale * model.explain_cost[row(model.rows, given, t), step, t]
             scale *= model.discount
             if step + 1 < steps:
                 code = draw_labels(model, tree, step, given, t)

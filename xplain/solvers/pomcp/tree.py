@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined
-from xplain.solvers.pomcp.random_words import GOLDEN, count_bits, splitmix64
+from xplain.solvers.bits import count_bits
+from xplain.solvers.pomcp.random_words import GOLDEN, splitmix64
+from xplain.solvers.rows import row
 
 NODE = np.dtype(
     [
@@ -33,6 +35,9 @@ NODE = np.dtype(
     ],
     align=True,
 )
+MASKS = {"given": np.int64, "untried": np.int64}
+WIDE_NODE = np.dtype([(str(k), MASKS.get(str(k), NODE[str(k)])) for k in NODE.names or ()])
+"""A node where messages are more than a mask of 32 bits holds."""
 EDGE = np.dtype(
     [
         ("value", np.float64),  # estimated return; −inf until tried
@@ -78,7 +83,7 @@ class Tree(NamedTuple):
     """Room for a search of S simulations: each adds at most one node.
 
     Attributes:
-        nodes: [S + 1] NODE.
+        nodes: [S + 1] NODE, or WIDE_NODE.
         edges: [(S + 2) · (n + 1)] EDGE; a node's are those of the messages not yet given, in
             order, then *explain*. The first n + 1 are unused, so that 0 means none.
         beliefs: [S + 1, N], filled for nodes that begin a step.
@@ -120,7 +125,7 @@ class Tree(NamedTuple):
         size, actions = simulations + 1, n_messages + 1
         remembered = min(_table_size(simulations), REMEMBERED)
         tree = cls(
-            _in_lines(size, NODE),
+            _in_lines(size, NODE if actions < 32 else WIDE_NODE),
             np.empty((size + 1) * actions, EDGE),
             np.empty((size, len(belief))),
             np.zeros(_table_size(simulations), ENTRY),
@@ -205,7 +210,8 @@ def open_(model, tree, node):  # type: ignore[no-untyped-def]
     tree.used[EDGES] += actions
     record.reward = 0.0
     for t in range(tree.beliefs.shape[1]):
-        cost = model.explain_cost[record.given, record.step, t]
+        at = row(model.rows, np.int64(record.given), t)
+        cost = model.explain_cost[at, record.step, t]
         record.reward -= tree.beliefs[record.base, t] * cost
     for a in range(actions):
         edge = tree.edges[record.edges + a]
@@ -227,7 +233,7 @@ def _in_lines(size: int, kind: np.dtype[np.void]) -> NDArray[np.void]:
 
 def tree_bytes(problem: Problem, simulations: int) -> int:
     """The most that a tree takes."""
-    node = NODE.itemsize + 8 * problem.n_types + EDGE.itemsize * (problem.n_messages + 1)
+    node = WIDE_NODE.itemsize + 8 * problem.n_types + EDGE.itemsize * (problem.n_messages + 1)
     table = _table_size(simulations)
     remembered = min(table, REMEMBERED) * 8 * (problem.n_types + 1)
     return (simulations + 2) * node + ENTRY.itemsize * table + remembered
