@@ -141,7 +141,8 @@ def test_sixty_messages_are_planned_for() -> None:
     sure = np.eye(problem.n_types)[2]
     own = set(problem.relevant[2].tolist())
     chosen = qmdp.messages(10, 0, sure)
-    assert chosen and chosen == pomcp.messages(10, 0, sure)
+    assert chosen
+    assert chosen == pomcp.messages(10, 0, sure)
     assert {j for j in range(60) if chosen >> j & 1} <= own
     found = bounds(problem)
     assert found.lower <= found.upper <= found.known_type + 1e-12

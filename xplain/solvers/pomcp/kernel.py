@@ -133,7 +133,7 @@ def evaluate(model, options, tree, node, is_new, user_type):  # type: ignore[no-
     step, given, belief = np.int64(record.step), np.int64(record.given), tree.beliefs[record.base]
     if not is_new:
         if np.isnan(record.leaf):
-            record.leaf = leaf_value(model, options.leaf, step, given, belief)
+            record.leaf = leaf_value(model, tree.gain, options.leaf, step, given, belief)
         return record.leaf
     if options.rollout == RANDOM:
         return roll_random(model, tree.counter, step, given, user_type)

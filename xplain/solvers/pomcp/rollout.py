@@ -18,16 +18,18 @@ from xplain.solvers.rows import row
 
 CERTAIN = 1 - 1e-6
 """A belief from here on counts as certainty in rollouts."""
+ROUNDING = 1e-12
+"""Messages worth the same but for this are equal, the first is taken."""
 
 MAX_OF_MEAN, MEAN_OF_MAX = 0, 1
 RANDOM, QMDP, SILENT = 0, 1, 2
 
 
 @inlined
-def leaf_value(model, reading, step, given, belief):  # type: ignore[no-untyped-def]
+def leaf_value(model, gain, reading, step, given, belief):  # type: ignore[no-untyped-def]
     """Where simulations end: max_a Σ_t b(t) Q_t(k, H, a), or Σ_t b(t) V*_t(k, H)."""
     if reading == MAX_OF_MEAN:
-        return _qmdp(model, step, given, belief)[0]
+        return _qmdp(model.rows, model, gain, step, given, belief)[0]
     value = 0.0
     for t in range(len(belief)):
         value += belief[t] * model.optimal[step, row(model.rows, given, t), t]
@@ -35,13 +37,19 @@ def leaf_value(model, reading, step, given, belief):  # type: ignore[no-untyped-
 
 
 @inlined
-def _qmdp(model, step, given, belief):  # type: ignore[no-untyped-def]
+def _qmdp(rows, model, gain, step, given, belief):  # type: ignore[no-untyped-def]
     """max_a Σ_t b(t) Q_t(k, H, a), and the action (n is *explain*)."""
+    if rows is None:
+        return _qmdp_dense(model, step, given, belief)
+    return _qmdp_by_type(rows, model, gain, step, given, belief)
+
+
+@inlined
+def _qmdp_dense(model, step, given, belief):  # type: ignore[no-untyped-def]
     best = 0.0
     for t in range(len(belief)):
-        at = row(model.rows, given, t)
-        later = model.discount * model.optimal[step + 1, at, t]
-        best += belief[t] * (later - model.explain_cost[at, step, t])
+        later = model.discount * model.optimal[step + 1, given, t]
+        best += belief[t] * (later - model.explain_cost[given, step, t])
     action = len(model.price)
     messages = wanted_at(model.rows, model.wanted, step, given)
     if messages == SETTLED:
@@ -51,10 +59,43 @@ def _qmdp(model, step, given, belief):  # type: ignore[no-untyped-def]
         messages &= messages - 1
         value = 0.0
         for t in range(len(belief)):
-            value += belief[t] * model.optimal[step, row(model.rows, given | 1 << j, t), t]
+            value += belief[t] * model.optimal[step, given | 1 << j, t]
         value = model.message_discount * value - model.price[j]
         if value > best:
             best, action = value, j
+    return best, action
+
+
+@inlined
+def _qmdp_by_type(rows, model, gain, step, given, belief):  # type: ignore[no-untyped-def]
+    """A message changes what it is worth to give only for the types that it matters to: ``gain``
+    [n], all 0 between calls, sums that up."""
+    best, base = 0.0, 0.0
+    messages = 0
+    for t in range(len(belief)):
+        at = row(rows, given, t)
+        now = model.optimal[step, at, t]
+        later = model.discount * model.optimal[step + 1, at, t]
+        base += belief[t] * now
+        best += belief[t] * (later - model.explain_cost[at, step, t])
+        messages |= max(model.wanted[at, step, t], 0)
+        for c in range(rows.mask.shape[1]):
+            left = rows.mask[t, c] & ~given
+            if left:
+                more = belief[t] * (model.optimal[step, at + rows.stride[t, c], t] - now)
+                while left:
+                    gain[first_bit(left)] += more
+                    left &= left - 1
+    messages &= ~given
+    action = len(model.price)
+    while messages:
+        j = first_bit(messages)
+        messages &= messages - 1
+        value = model.message_discount * (base + gain[j]) - model.price[j]
+        if value > best + ROUNDING:
+            best, action = value, j
+    for j in range(len(gain)):
+        gain[j] = 0.0
     return best, action
 
 
@@ -109,7 +150,7 @@ def roll_qmdp(model, tree, step, given, t, belief):  # type: ignore[no-untyped-d
             return value + scale * model.optimal[step, row(model.rows, given, t), t]
         action = len(model.price)
         if wanted != 0:
-            _, action = _qmdp(model, step, given, tree.rollout_belief)
+            _, action = _qmdp(model.rows, model, tree.gain, step, given, tree.rollout_belief)
         if action < len(model.price):
             value -= scale * model.price[action]
             scale *= model.message_discount

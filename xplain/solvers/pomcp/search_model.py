@@ -41,7 +41,7 @@ class SearchModel(NamedTuple):
         weight: [sets, m] their w.
         likeliest: [sets, m, N] LIKELIEST, where each of the first k + 1 informative labels is the
             likelier of the two: its probability (≥ ½ a label), and its code.
-        wanted: [2^n, m] bitmask of the messages that some type should be given next rather than
+        wanted: [2^n, m, 1] bitmask of the messages that some type should be given next rather than
             *explain*; SETTLED where no type should from here to the end. By type: [rows, m, N].
         price: [n] λ C_e.
         discount, message_discount: γ of *explain* and of a message.
@@ -88,7 +88,7 @@ def model_of(problem: Problem) -> SearchModel:
         p=p,
         weight=weight,
         likeliest=likeliest,
-        wanted=np.empty((rows, steps), np.int32),
+        wanted=np.empty((rows, steps, 1), np.int32),
         price=reduced.price,
         discount=reduced.discount,
         message_discount=reduced.message_discount,
@@ -192,7 +192,7 @@ def _cached_place(model, given):  # type: ignore[no-untyped-def]
 def wanted_at(rows, wanted, step, given):  # type: ignore[no-untyped-def]
     """The messages that some type should be given next at (k, H), or SETTLED."""
     if rows is None:
-        return np.int64(wanted[given, step])
+        return np.int64(wanted[given, step, 0])
     mask, settled = 0, True
     for t in range(wanted.shape[2]):
         own = wanted[row(rows, given, t), step, t]
@@ -217,8 +217,8 @@ def _find_wanted(model):  # type: ignore[no-untyped-def]
                         if not given >> j & 1:
                             said = model.message_discount * model.optimal[k, given | 1 << j, t]
                             mask |= (said - model.price[j] > silent) << j
-            settled = mask == 0 and (k + 1 == steps or model.wanted[given, k + 1] == SETTLED)
-            model.wanted[given, k] = SETTLED if settled else mask
+            settled = mask == 0 and (k + 1 == steps or model.wanted[given, k + 1, 0] == SETTLED)
+            model.wanted[given, k, 0] = SETTLED if settled else mask
 
 
 @lean_kernel

@@ -93,6 +93,7 @@ class Tree(NamedTuple):
         likelihoods: [.., N] what they are for each type.
         zero: [m] which of the labels drawn last are 0, where not all were the likelier.
         rollout_belief: [N] a rollout keeps its belief here.
+        gain: [n] what QMDP finds messages worth, in problems kept by type.
         path: [3, n + m + 1] nodes, edges and actions of a simulation.
         used: [3] how many nodes and edges are taken (NODES, EDGES), and the table's MASK.
         counter: [1] of the random stream.
@@ -106,6 +107,7 @@ class Tree(NamedTuple):
     likelihoods: NDArray[np.float64]
     zero: NDArray[np.bool_]
     rollout_belief: NDArray[np.float64]
+    gain: NDArray[np.float64]
     path: NDArray[np.int64]
     used: NDArray[np.int64]
     counter: NDArray[np.uint64]
@@ -133,6 +135,7 @@ class Tree(NamedTuple):
             np.empty((remembered, len(belief))),
             np.empty(n_steps, np.bool_),
             np.empty(len(belief)),
+            np.zeros(n_messages),
             np.empty((3, n_messages + n_steps + 1), np.int64),
             np.array([1, actions, FIRST_TABLE - 1]),
             np.array([seed], np.uint64),
