@@ -39,6 +39,7 @@ from omegaconf import OmegaConf
 from sklearn.metrics import adjusted_rand_score
 
 from xplain.config import composed
+from xplain.data import queries as designs
 from xplain.data.dataset import Dataset
 from xplain.data.observers import SimulatedObservers
 from xplain.data.rollouts import sample_trace
@@ -59,6 +60,7 @@ from xplain.users.types import RandomCover
 RESULTS = Path(__file__).parent / "results"
 ROWS = Path("outputs/benchmarks/discovery_grid.csv")
 FIRST_SEED = 5000
+QUERIES = {"shared": designs.Shared(), "independent": designs.Independent()}
 DATA = ["domain", "types", "queries", "points", "noise"]
 FIGURES = ["ari", "found", "held_out", "cpu_seconds"]
 GOALS = [  # domain, types, questions, points, noise, goal
@@ -102,8 +104,8 @@ def find(
 ) -> Found:
     """One data set, one method."""
     setting = setting_of(domain, types, seed)
-    observers = SimulatedObservers(points=points, queries=queries, label_noise=noise)  # type: ignore[arg-type]
-    dataset, truth = observers.collect(setting, seed)
+    observers = SimulatedObservers(points=points, label_noise=noise)
+    dataset, truth = observers.collect(setting, QUERIES[queries], seed)
     trainer = LabelerTrainer()
     began = time.process_time()
     found = clusterer(method).cluster(dataset, trainer, derived_seed(seed, "clusterer"), None)
@@ -230,8 +232,8 @@ def growth(quick: bool) -> pd.DataFrame:
     setting = setting_of("rescue", None, 0)
     rows = []
     for observers in (30, 100) if quick else (100, 1000, 10_000):
-        crowd = SimulatedObservers(observers // 5, points=100, queries="independent")
-        dataset, truth = crowd.collect(setting, FIRST_SEED)
+        crowd = SimulatedObservers(observers // 5, points=100)
+        dataset, truth = crowd.collect(setting, designs.Independent(), FIRST_SEED)
         for method in ("dirichlet", "kmeans"):
             began = time.process_time()
             found = clusterer(method).cluster(dataset, LabelerTrainer(), 0, None)

@@ -31,6 +31,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import MinMaxScaler, PolynomialFeatures
 from sklearn.tree import DecisionTreeClassifier
 
+from xplain.data import queries
 from xplain.data.dataset import Dataset
 from xplain.data.observers import SimulatedObservers
 from xplain.data.rollouts import sample_trace
@@ -70,7 +71,7 @@ BINS = np.linspace(0, 1, 11)
 
 def unseen(setting: Setting, dataset: Dataset, seed: int) -> tuple[Dataset, np.ndarray]:
     """Fresh on-policy questions, less those in the dataset; and the true type of who answers."""
-    fresh, truth = SimulatedObservers(1, 1500, queries="independent").collect(setting, seed + 10**6)
+    fresh, truth = SimulatedObservers(1, 1500).collect(setting, queries.Independent(), seed + 10**6)
     asked = {
         (dataset.features[t].tobytes(), int(given))
         for t, given in zip(dataset.transition, dataset.message_set, strict=True)
@@ -111,8 +112,8 @@ def measure(
 ) -> tuple[dict[str, Any], np.ndarray]:
     """The figures of one fit, and its reliability: [10, 3] labels, ones, sum of P, by P."""
     setting = setting_of(domain, types, seed)
-    observers = SimulatedObservers(3, points, queries="independent", label_noise=noise)
-    dataset, truth = observers.collect(setting, seed)
+    observers = SimulatedObservers(3, points, label_noise=noise)
+    dataset, truth = observers.collect(setting, queries.Independent(), seed)
     clustering = Perfect().cluster(dataset, LabelerTrainer(), 0, truth)
     learned = learn_types(dataset, clustering, LABELERS[name], seed, prior="uniform")
     p, y = [], []

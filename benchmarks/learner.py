@@ -34,7 +34,7 @@ def learning(overrides: list[str], seed: int) -> dict[str, float]:
     """The figures of the learning stage on one data set."""
     register()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose("config", [*overrides, f"seed={seed}", "traces=1"])
+        cfg = compose("config", [*overrides, f"seed={seed}", "traces=1", "queries=shared"])
     return prepared(components_of(cfg)).learning
 
 

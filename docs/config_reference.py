@@ -19,6 +19,7 @@ GROUPS = {
     "domain": "the robot's task",
     "users": "the true user types",
     "observers": "who labelled transitions",
+    "queries": "what observers are asked",
     "labeler": "learns a labeling model from labels",
     "clusterer": "finds the user types",
     "solver": "plans the explanation",

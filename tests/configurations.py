@@ -9,14 +9,20 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.config import CONF, register
+from xplain.config import CONF, named, register
 
 Path = tuple[str | int, ...]
 
 CHOICES = (
     ("domain=rescue", "solver=pomcp", "labeler=practice", "clusterer=agglomerative"),
     ("domain=four_rooms", "solver=certified", "labeler=pruned", "clusterer=dirichlet"),
-    ("domain=rescue", "solver=lookahead", "clusterer=agglomerative", "users=rescue_completions"),
+    (
+        "domain=rescue",
+        "queries=shared",
+        "solver=lookahead",
+        "clusterer=agglomerative",
+        "users=rescue_completions",
+    ),
     ("domain=frozen_lake", "solver=oracle", "clusterer=em", "belief=persistent", "tracking=none"),
     (
         "domain=rescue",
@@ -40,7 +46,7 @@ def composed(*overrides: str) -> DictConfig:
     register()
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("config", list(overrides))
+        return compose("config", named(overrides))
 
 
 def dotted(path: Path) -> str:

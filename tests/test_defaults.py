@@ -14,7 +14,7 @@ from xplain.config import CONF, composed, schema
 from xplain.participants.server.http import Server
 from xplain.runs.mlflow import MLflow
 
-GROUPS = ("labeler", "clusterer", "users", "observers", "belief", "domain", "solver")
+GROUPS = ("labeler", "clusterer", "users", "observers", "queries", "belief", "domain", "solver")
 VARIANTS = {
     "labeler/practice",
     "labeler/pruned",

@@ -47,6 +47,7 @@ WITH_KEYS = {command.config for command in COMMANDS.values() if command.config}
 OURS = (
     *(f"{name}.yaml" for name in ("config", *sorted(WITH_KEYS))),
     "observers",
+    "queries",
     "labeler",
     "clusterer",
     "solver",

@@ -37,6 +37,24 @@ def _shipped(folder: str) -> Path:
 CONF = _shipped("conf")
 SWEEPS = _shipped("sweeps")
 
+GROUPS = (
+    "domain",
+    "users",
+    "observers",
+    "queries",
+    "labeler",
+    "clusterer",
+    "solver",
+    "belief",
+)
+"""Groups of components that decide a number; a choice says what it is without its key."""
+MOVED = {
+    "observers.queries": "queries=independent or queries=shared",
+    "observers.trace_length": "queries.trace_length",
+    "observers.message_probability": "queries.message_probability",
+}
+"""Keys that are called otherwise today."""
+
 _unique = secrets.token_hex(3)
 
 
@@ -103,7 +121,18 @@ def composed(name: str, overrides: Sequence[str], with_hydra: bool = False) -> D
                 near = difflib.get_close_matches(key, known, 1)
                 hint = f"did you mean {near[0]}? " if near else ""
                 raise InputError(key, override, f"no such key; {hint}keys: {', '.join(known)}")
-        return compose(name, list(overrides), return_hydra_config=with_hydra)
+        return compose(name, named(overrides), return_hydra_config=with_hydra)
+
+
+def named(overrides: Sequence[str]) -> list[str]:
+    """Overrides whose choice of a group is a name to Hydra too: it reads ``labeler=true`` as a
+    truth value, where only text can name a file."""
+
+    def quoted(override: str) -> str:
+        key, _, value = override.partition("=")
+        return f"{key}='{value}'" if key in GROUPS and value in ("true", "false") else override
+
+    return [quoted(override) for override in overrides]
 
 
 def require_seed(cfg: DictConfig) -> int:
@@ -187,7 +216,9 @@ def _composition(error: ConfigCompositionException) -> str:
     if misspelt:
         key = misspelt.group(1)
         line = f"{key}: no such key"
-        known = [*schema(), "users", "observers", "labeler", "clusterer", "solver", "belief"]
+        if key in MOVED:
+            return f"{key}: no such key; it is {MOVED[key]} now"
+        known = [*schema(), *GROUPS]
         near = difflib.get_close_matches(key, known, 1)
         if near:
             line += f"; did you mean {near[0]}?"

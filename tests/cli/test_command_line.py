@@ -94,7 +94,11 @@ BAD = [
     (["domain.map='SV?'"], ["domain.map", "?"]),
     (["domain.map='SVAFUrpf#s'"], ["domain.map", "path"]),
     (["domain.discount=1"], ["domain.discount", "1"]),
-    (["observers.points=1"], ["points", "1"]),
+    (["observers.points=1", "queries=shared"], ["points", "1"]),
+    (["observers.queries=shared"], ["observers.queries", "queries=shared"]),
+    (["observers.trace_length=4"], ["queries.trace_length"]),
+    (["observers.message_probability=0.3"], ["queries.message_probability"]),
+    (["solver=true"], ["solver", "true", "qmdp"]),
     (["observers=file", "observers.path=absent.csv"], ["absent.csv"]),
 ]
 
@@ -167,7 +171,7 @@ def test_an_output_folder_that_cannot_be_written_is_one_line(tmp_path, xplain):
 
 def choices():
     """(group, choice) of every component's config file that ships."""
-    groups = ("domain", "users", "observers", "labeler", "clusterer", "solver", "belief")
+    groups = ("domain", "users", "observers", "queries", "labeler", "clusterer", "solver", "belief")
     files = [(group, path) for group in groups for path in sorted((CONF / group).glob("*.yaml"))]
     return [(group, path.stem) for group, path in files]
 

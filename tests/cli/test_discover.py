@@ -35,7 +35,7 @@ def run(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize("name", ["labels.csv", "labels.parquet"])
 def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path, name: str) -> None:
-    options = ("observers.queries=independent", "observers.label_noise=0.02", f"output={name}")
+    options = ("observers.label_noise=0.02", f"output={name}")
     code, out, _ = run("observe", "domain=rescue", *options)
     assert code == 0
     told = json.loads(out.splitlines()[-1])
@@ -124,6 +124,9 @@ def test_every_method_bears_what_people_do(run, tmp_path: Path, caplog, method: 
         ("observe", ("observers.points=0",), "observers.points"),
         ("observe", ("observers.label_noise=2",), "observers.label_noise"),
         ("observe", ("domain=mars",), "unknown choice"),
+        ("observe", ("queries=magic",), "unknown choice"),
+        ("observe", ("queries.trace_length=0",), "queries.trace_length"),
+        ("observe", ("observers.queries=shared",), "queries=independent or queries=shared"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(
@@ -146,3 +149,11 @@ def test_help_needs_no_library(command: Command) -> None:
         done = command(module, "--help")
         assert done.returncode == 0
         assert "JSON" in done.stdout
+
+
+def test_true_labels_are_nothing_that_a_file_of_labels_can_be_learned_with(run) -> None:
+    assert run("observe", "domain=rescue", "output=labels.csv")[0] == 0
+    for clusterer in ("kmeans", "dirichlet"):
+        code, _, err = run("discover", "data=labels.csv", "labeler=true", f"clusterer={clusterer}")
+        assert code == 2
+        assert err.strip().splitlines()[-1].startswith("xplain: labeler='true': ")

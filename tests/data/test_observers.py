@@ -7,6 +7,7 @@ import pytest
 from tests.users.corridor import Corridor
 from xplain.data.label_table import write_table
 from xplain.data.observers import FileObservers, SimulatedObservers
+from xplain.data.queries import Answer, Answered, Independent, Queries, Shared
 from xplain.domains.base import transition_feature_names, transition_features
 from xplain.errors import InputError
 from xplain.users.setting import Setting, UserType
@@ -18,13 +19,17 @@ def setting() -> Setting:
     return Setting.build(Corridor(), types)
 
 
-def labelled(setting: Setting, **options: Any) -> Any:
-    return SimulatedObservers(**{"points": 40, "per_type": 2, **options}).collect(setting, 3)
+DESIGNS = [pytest.param(Independent, id="independent"), pytest.param(Shared, id="shared")]
 
 
-@pytest.mark.parametrize("queries", ["shared", "independent"])
-def test_labels_are_those_of_the_true_types(setting: Setting, queries: str) -> None:
-    dataset, truth = labelled(setting, queries=queries)
+def labelled(setting: Setting, queries: Queries | None = None, **options: Any) -> Any:
+    observers = SimulatedObservers(**{"points": 40, "per_type": 2, **options})
+    return observers.collect(setting, queries or Shared(), 3)
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+def test_labels_are_those_of_the_true_types(setting: Setting, design: type[Queries]) -> None:
+    dataset, truth = labelled(setting, design())
     assert truth.tolist() == [0, 0, 1, 1]
     assert np.bincount(dataset.observer).tolist() == [40] * 4
     known = transition_features(setting.domain, setting.reachable)
@@ -39,43 +44,38 @@ def test_labels_are_those_of_the_true_types(setting: Setting, queries: str) -> N
     assert len(np.unique(dataset.features, axis=0)) == len(dataset.features)
 
 
-@pytest.mark.parametrize("length", [1, 2, 3])
-@pytest.mark.parametrize("queries", ["shared", "independent"])
-def test_traces_run_from_a_start_to_their_length_under_one_message_set(
-    length: int, queries: str
-) -> None:
-    types = (UserType("A", {"end": "left"}),)
-    setting = Setting.build(Corridor(starts=(1,)), types)
-    dataset, _ = labelled(setting, points=600, per_type=1, trace_length=length, queries=queries)
-    cell = dataset.features[dataset.transition][:, 0]
-    assert cell.tolist() == [1 + i % length for i in range(600)]
-    traces = dataset.message_set.reshape(-1, length)
-    assert (traces == traces[:, :1]).all()
+def test_observers_are_asked_one_screen_after_the_other(setting: Setting) -> None:
+    """A design sees each answer before it asks on, and an observer's errors do not depend on how
+    many questions a screen shows, or on who was asked in between."""
+
+    class OneByOne(Independent):
+        def ask(self, setting: Setting, sizes: Any, answer: Answer, seed: int) -> list[Answered]:
+            whole = super().ask(setting, sizes, lambda o, t, h: np.zeros(len(t), np.uint8), seed)
+            labels: list[list[int]] = [[] for _ in sizes]
+            for i in range(int(sizes.max())):
+                for o, one in enumerate(whole):
+                    screen = slice(i, i + 1)
+                    labels[o] += answer(
+                        o, one.transitions[screen], one.message_sets[screen]
+                    ).tolist()
+            told = [np.array(o, np.uint8) for o in labels]
+            return [
+                Answered(one.transitions, one.message_sets, own)
+                for one, own in zip(whole, told, strict=True)
+            ]
+
+    at_once, _ = labelled(setting, Independent(), label_noise=0.2)
+    in_turn, _ = labelled(setting, OneByOne(), label_noise=0.2)
+    assert (at_once.label == in_turn.label).all()
 
 
-def test_messages_are_given_one_by_one(setting: Setting) -> None:
-    dataset, _ = labelled(setting, points=4000, per_type=1, trace_length=1, message_probability=0.3)
-    share = np.bincount(dataset.message_set[dataset.observer == 0], minlength=4) / 4000
-    expected = np.array([0.49, 0.21, 0.21, 0.09])
-    assert (abs(share - expected) < 4 * (expected * (1 - expected) / 4000) ** 0.5).all()
+def test_a_design_may_need_fewer_questions(setting: Setting) -> None:
+    class Half(Shared):
+        def ask(self, setting: Setting, sizes: Any, answer: Answer, seed: int) -> list[Answered]:
+            return super().ask(setting, sizes // np.array([1, 2, 1, 4]), answer, seed)
 
-
-def test_shared_questions_are_shared_and_independent_ones_are_not(setting: Setting) -> None:
-    def asked(queries: str) -> list[tuple[bytes, bytes]]:
-        dataset, truth = labelled(setting, queries=queries)
-        parts = [dataset.of(np.array([o])) for o in range(len(truth))]
-        return [(part.transition.tobytes(), part.message_set.tobytes()) for part in parts]
-
-    assert len(set(asked("shared"))) == 1
-    assert len(set(asked("independent"))) == 4
-
-
-def test_message_probability_at_its_limits(setting: Setting) -> None:
-    assert not labelled(setting, message_probability=0.0)[0].message_set.any()
-    everything, _ = labelled(setting, message_probability=1.0)
-    assert (everything.message_set == 3).all()
-    # Told everything, everybody agrees with the robot.
-    assert everything.label.all()
+    dataset, _ = labelled(setting, Half())
+    assert np.bincount(dataset.observer).tolist() == [40, 20, 40, 10]
 
 
 def test_noise_flips_labels_and_nothing_else(setting: Setting) -> None:
@@ -87,9 +87,9 @@ def test_noise_flips_labels_and_nothing_else(setting: Setting) -> None:
     assert flipped == pytest.approx(0.1, abs=4 * (0.1 * 0.9 / len(clean)) ** 0.5)
 
 
-@pytest.mark.parametrize("queries", ["shared", "independent"])
-def test_observers_err_each_on_their_own(setting: Setting, queries: str) -> None:
-    options = {"queries": queries, "points": 3000, "per_type": 3}
+@pytest.mark.parametrize("design", DESIGNS)
+def test_observers_err_each_on_their_own(setting: Setting, design: type[Queries]) -> None:
+    options = {"queries": design(), "points": 3000, "per_type": 3}
     clean, truth = labelled(setting, **options)
     noisy, _ = labelled(setting, label_noise=0.3, **options)
     flipped = (clean.label != noisy.label).reshape(len(truth), -1)
@@ -110,8 +110,8 @@ def test_unequal_observers(setting: Setting) -> None:
 
 
 def test_seeds(setting: Setting) -> None:
-    simulated = SimulatedObservers(points=30, queries="independent")
-    first, again, other = (simulated.collect(setting, seed)[0] for seed in (1, 1, 2))
+    simulated = SimulatedObservers(points=30)
+    first, again, other = (simulated.collect(setting, Shared(), seed)[0] for seed in (1, 1, 2))
     assert (first.message_set == again.message_set).all()
     assert (first.label == again.label).all()
     assert not (first.message_set == other.message_set).all()
@@ -126,10 +126,6 @@ def test_seeds(setting: Setting) -> None:
         ("points", 0),
         ("points", [9, 3]),
         ("points", "many"),
-        ("trace_length", 0),
-        ("queries", "none"),
-        ("message_probability", 1.5),
-        ("message_probability", float("nan")),
         ("label_noise", 0.6),
         ("label_noise", "much"),
     ],
@@ -145,9 +141,9 @@ def test_counts_must_fit_the_types(setting: Setting) -> None:
 
 
 def test_a_file_takes_their_place(setting: Setting, tmp_path: Path) -> None:
-    dataset, _ = labelled(setting, queries="independent")
+    dataset, _ = labelled(setting, Independent())
     write_table(dataset, tmp_path / "people.csv")
-    again, truth = FileObservers(str(tmp_path / "people.csv")).collect(setting, 0)
+    again, truth = FileObservers(str(tmp_path / "people.csv")).collect(setting, Shared(), 0)
     assert truth is None
     assert again.feature_names == dataset.feature_names
     assert again.messages == dataset.messages

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from inspect import signature
 
 import numpy as np
 import pytest
 
+from xplain.data.queries import Independent
 from xplain.domains.base import Parameter
 from xplain.learning.clustering import Clustering
 from xplain.learning.labelers import LabelerTrainer
@@ -18,10 +20,11 @@ from xplain.testing import (
     DomainConformance,
     LabelerConformance,
     PartitionConformance,
+    QueriesConformance,
     SolverConformance,
     TypeSourceConformance,
 )
-from xplain.users.setting import UserType
+from xplain.users.setting import Setting, UserType
 
 
 class Wrapped:
@@ -110,6 +113,56 @@ SOURCES = [
     ("same_stream", lambda d, rng: (UserType(str(next(counter)), {first: -1.0}),)),
     ("told_apart", lambda d, rng: tuple(UserType(n, {first: -1.0}) for n in "AB")),
 ]
+
+
+@dataclass(frozen=True)
+class Asks:
+    """Independent questions with a fault: ``wrong(answered, setting)`` of each observer, other
+    ``sizes`` than agreed, or another ``stream`` of the setting and the seed."""
+
+    wrong: object = lambda one, setting: one
+    sizes: object = lambda sizes: sizes
+    stream: object = lambda setting, seed: seed
+
+    def ask(self, setting, sizes, answer, seed):
+        seed = self.stream(setting, seed)
+        asked = Independent().ask(setting, self.sizes(sizes), answer, seed)
+        return [self.wrong(one, setting) for one in asked]
+
+
+def impossible(one, setting):
+    """A transition that ends where it began, which no move of the robot's does."""
+    return replace(one, transitions=one.transitions[:, [0, 1, 0]])
+
+
+def invented(one, setting):
+    return replace(one, message_sets=one.message_sets | 1 << setting.n_messages)
+
+
+QUERIES = [
+    ("no_more_than_agreed", Asks(sizes=lambda sizes: sizes + 1)),
+    ("no_more_than_agreed", Asks(sizes=lambda sizes: sizes[1:])),
+    ("no_more_than_agreed", Asks(lambda one, _: replace(one, transitions=one.transitions[1:]))),
+    ("no_more_than_agreed", Asks(lambda one, _: replace(one, message_sets=one.message_sets[1:]))),
+    ("answers_are", Asks(lambda one, _: replace(one, labels=one.labels[::-1]))),
+    ("answers_are", Asks(lambda one, _: replace(one, labels=1 - one.labels))),
+    ("answers_are", Asks(lambda one, _: replace(one, message_sets=one.message_sets[::-1]))),
+    ("answers_are", Asks(lambda one, _: replace(one, transitions=one.transitions[::-1]))),
+    ("what_the_robot_does", Asks(impossible)),
+    ("what_the_robot_does", Asks(invented)),
+    ("what_the_robot_does", Asks(lambda one, _: replace(one, message_sets=-1 - one.message_sets))),
+    ("same_seed", Asks(stream=lambda setting, seed: next(counter))),
+    (
+        "true_types",
+        Asks(stream=lambda setting, seed: rescue.parameters.index(parameter_of(setting))),
+    ),
+]
+
+
+def parameter_of(setting):
+    """What the first type holds wrong."""
+    wrong = setting.types[0].inaccurate
+    return next(p for p in setting.domain.parameters if p.name in wrong)
 
 
 class Sure:
@@ -208,6 +261,7 @@ FAULTS = [
         (TypeSourceConformance, test, Wrapped(None, types=lambda w, d, r, f=f: f(d, r)))
         for test, f in SOURCES
     ),
+    *((QueriesConformance, test, c) for test, c in QUERIES),
     *((LabelerConformance, test, c) for test, c in LABELERS),
     *((ClustererConformance, test, c) for test, c in CLUSTERERS),
     *((PartitionConformance, test, c) for test, c in PARTITIONS),
@@ -217,9 +271,11 @@ FAULTS = [
 @pytest.mark.parametrize(("suite", "about", "component"), FAULTS)
 def test_a_fault_fails_the_test_that_is_about_it(suite, about, component):
     (name,) = (name for name in dir(suite) if name.startswith("test_") and about in name)
-    given = {"domain": rescue} if suite is TypeSourceConformance else {}
+    fixtures = {"domain": rescue, "setting": Setting.build(rescue, (UserType("A", {first: -1.0}),))}
+    test = getattr(suite(), name)
+    given = {key: fixtures[key] for key in fixtures if key in signature(test).parameters}
     with pytest.raises((AssertionError, ValueError)):
-        getattr(suite(), name)(component=component, **given)
+        test(component=component, **given)
 
 
 def test_every_promise_has_a_fault_that_breaks_it():

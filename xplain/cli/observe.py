@@ -35,7 +35,11 @@ def observe(arguments: list[str]) -> dict[str, Any]:
     if output.resolve() == beside.resolve():
         raise InputError("truth", cfg.truth, "another file than the output")
     observed = pipeline.observe(
-        instantiate(cfg.domain), instantiate(cfg.users), instantiate(cfg.observers), cfg.seed
+        instantiate(cfg.domain),
+        instantiate(cfg.users),
+        instantiate(cfg.observers),
+        instantiate(cfg.queries),
+        cfg.seed,
     )
     dataset, truth, setting = observed.dataset, observed.truth, observed.setting
     types = setting.types

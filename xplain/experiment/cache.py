@@ -28,6 +28,7 @@ SOURCE = (
     "domain",
     "users",
     "observers",
+    "queries",
     "labeler",
     "clusterer",
     "traces",

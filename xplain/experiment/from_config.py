@@ -19,6 +19,7 @@ def components_of(cfg: DictConfig) -> Components:
         domain=instantiate(cfg.domain),
         users=instantiate(cfg.users),
         observers=instantiate(cfg.observers),
+        queries=instantiate(cfg.queries),
         labeler=instantiate(cfg.labeler),
         clusterer=instantiate(cfg.clusterer),
         traces=cfg.traces,

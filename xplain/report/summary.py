@@ -26,7 +26,17 @@ from xplain.experiment.results import RESULTS, Results, load_results
 ORDER = ("qmdp", "pomcp", "qhr", "baseline", "conformant")
 """The paper's columns come first, others after them by name."""
 
-_SOURCE = ("domain", "users", "observers", "labeler", "clusterer", "points", "traces", "max_steps")
+_SOURCE = (
+    "domain",
+    "users",
+    "observers",
+    "queries",
+    "labeler",
+    "clusterer",
+    "points",
+    "traces",
+    "max_steps",
+)
 """What tells settings apart; anything else that is swept tells methods apart."""
 
 _WORDS = {"users.count": "{} types", "users.index": "completion {}"}

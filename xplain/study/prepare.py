@@ -44,7 +44,11 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     config = fixed(cfg)
     Rules(**config["rules"])  # refused before the work, not after it
     observed = observe(
-        instantiate(cfg.domain), instantiate(cfg.users), instantiate(cfg.observers), cfg.seed
+        instantiate(cfg.domain),
+        instantiate(cfg.users),
+        instantiate(cfg.observers),
+        instantiate(cfg.queries),
+        cfg.seed,
     )
     setting = observed.setting
     transitions = choose_trace(setting, config["trace"], config["max_steps"], cfg.seed)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from xplain.testing.clusterer import ClustererConformance, PartitionConformance
     from xplain.testing.domain import DomainConformance
     from xplain.testing.labeler import LabelerConformance
+    from xplain.testing.queries import QueriesConformance
     from xplain.testing.solver import SolverConformance
     from xplain.testing.types import TypeSourceConformance
 
@@ -33,6 +34,7 @@ __all__ = [
     "DomainConformance",
     "LabelerConformance",
     "PartitionConformance",
+    "QueriesConformance",
     "SolverConformance",
     "TypeSourceConformance",
 ]
@@ -43,6 +45,7 @@ _WHERE = {
     "DomainConformance": "domain",
     "LabelerConformance": "labeler",
     "PartitionConformance": "clusterer",
+    "QueriesConformance": "queries",
     "SolverConformance": "solver",
     "TypeSourceConformance": "types",
 }

@@ -1,0 +1,45 @@
+"""Questions that follow up: what puzzles somebody is asked again, one message at a time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from xplain.data.queries import Answer, Answered, RandomTraces
+from xplain.randomness import stream
+from xplain.users.setting import Setting
+
+
+@dataclass(frozen=True)
+class FollowUp:
+    """Attributes:
+    trace_length: where a trace is cut.
+    """
+
+    trace_length: int = 10
+
+    def ask(self, setting: Setting, sizes: np.ndarray, answer: Answer, seed: int) -> list[Answered]:
+        """A trace without a message first; then, of all that made no sense, which single message
+        would have explained it."""
+        return [self._interview(setting, int(s), answer, o, seed) for o, s in enumerate(sizes)]
+
+    def _interview(
+        self, setting: Setting, size: int, answer: Answer, observer: int, seed: int
+    ) -> Answered:
+        rng = stream(seed, "queries", observer)
+        silent = RandomTraces(self.trace_length, message_probability=0.0)
+        single = 1 << np.arange(setting.n_messages)
+        asked = Answered(np.empty((0, 3), int), np.empty(0, int), np.empty(0, np.uint8))
+        while (left := size - len(asked.labels)) > 0:
+            trace, nothing = silent.draw(setting, min(left, self.trace_length), rng)
+            labels = answer(observer, trace, nothing)
+            asked = _and(asked, trace, nothing, labels)
+            again = np.repeat(trace[labels == 0], len(single), axis=0)[: left - len(trace)]
+            if len(again):
+                messages = np.resize(single, len(again))
+                asked = _and(asked, again, messages, answer(observer, again, messages))
+        return asked
+
+
+def _and(asked: Answered, *more: np.ndarray) -> Answered:
+    before = asked.transitions, asked.message_sets, asked.labels
+    return Answered(*(np.concatenate(pair) for pair in zip(before, more, strict=True)))

@@ -1,0 +1,128 @@
+"""Queries: which transitions observers label, under which message sets
+(docs/method.md, section 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.data.rollouts import sample_trace
+from xplain.errors import InputError, number, whole_number
+from xplain.randomness import stream
+from xplain.users.setting import Setting
+
+Answer = Callable[[int, NDArray[np.int64], NDArray[np.int64]], NDArray[np.uint8]]
+"""``answer(observer, transitions [c, 3], message_sets [c])`` → labels [c], with that observer's
+errors. Called for one screen of questions after the other: whoever is asked again may answer
+otherwise."""
+
+
+@dataclass(frozen=True)
+class Answered:
+    """What one observer was asked, in this order, and answered.
+
+    Attributes:
+        transitions: [p, 3].
+        message_sets: [p] bitmasks.
+        labels: [p], 1 = explicable.
+    """
+
+    transitions: NDArray[np.int64]
+    message_sets: NDArray[np.int64]
+    labels: NDArray[np.uint8]
+
+
+class Queries(Protocol):
+    """A query design: the interface of every component ``queries``."""
+
+    def ask(
+        self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
+    ) -> list[Answered]:
+        """Asks O observers; each question may depend on all earlier answers.
+
+        A design knows the domain. The types in ``setting`` are those of the observers, which it
+        is to help find: it must not look at them.
+
+        Args:
+            setting: the domain, its messages, and what the robot does.
+            sizes: [O] labels that each observer gives, at most.
+            answer: an observer's labels.
+            seed: of every draw.
+
+        Returns:
+            One for each observer: between 1 and ``sizes[o]`` questions with their answers.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class RandomTraces:
+    """Questions as the paper has them: transitions of the robot's traces, which start at random
+    and follow its optimal policy (ties broken at random), each trace under one random message set.
+
+    Attributes:
+        trace_length: where a trace is cut.
+        message_probability: of each message to be in a trace's message set.
+    """
+
+    trace_length: int = 10
+    message_probability: float = 0.5
+
+    def __post_init__(self) -> None:
+        whole_number("queries.trace_length", self.trace_length, 1)
+        if not 0 <= number("queries.message_probability", self.message_probability) <= 1:
+            allowed = "a number in [0, 1]"
+            raise InputError("queries.message_probability", self.message_probability, allowed)
+
+    def draw(
+        self, setting: Setting, count: int, rng: np.random.Generator
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Transitions [count, 3] and the message set [count] of each; the last trace is cut."""
+        weights = 1 << np.arange(setting.n_messages, dtype=np.int64)
+        robot, optimal, starts = setting.models[0], setting.optimal[0], setting.domain.starts
+        traces: list[NDArray[np.int64]] = []
+        message_sets: list[NDArray[np.int64]] = []
+        total = 0
+        while total < count:
+            traces.append(sample_trace(robot, optimal, starts, rng, self.trace_length))
+            given = rng.random(setting.n_messages) < self.message_probability
+            message_sets.append(np.full(len(traces[-1]), int(weights[given].sum())))
+            total += len(traces[-1])
+        return np.concatenate(traces)[:count], np.concatenate(message_sets)[:count]
+
+
+@dataclass(frozen=True)
+class Independent(RandomTraces):
+    """Each observer is asked about random traces of their own (the paper, as it reads)."""
+
+    def ask(
+        self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
+    ) -> list[Answered]:
+        """Exactly ``sizes`` questions, one stream an observer."""
+        asked = []
+        for o, size in enumerate(sizes):
+            questions = self.draw(setting, int(size), stream(seed, "queries", o))
+            asked.append(Answered(*questions, answer(o, *questions)))
+        return asked
+
+
+@dataclass(frozen=True)
+class Shared(RandomTraces):
+    """All observers are asked about the same random traces: clustering that counts coinciding
+    questions (the paper's) has the most to count. Without errors, observers of one type then give
+    identical data."""
+
+    def ask(
+        self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
+    ) -> list[Answered]:
+        """The first ``sizes`` questions of one battery."""
+        battery = self.draw(setting, int(sizes.max()), stream(seed, "queries", "shared"))
+        asked = []
+        for o, size in enumerate(sizes):
+            questions = battery[0][:size], battery[1][:size]
+            asked.append(Answered(*questions, answer(o, *questions)))
+        return asked

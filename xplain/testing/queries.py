@@ -1,0 +1,109 @@
+"""What every query design keeps to (see :mod:`xplain.data.queries`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from xplain.data.queries import Answered
+from xplain.domains.base import Domain
+from xplain.testing.chosen import Chosen
+from xplain.testing.suite import Conformance
+from xplain.users.setting import Setting, UserType
+
+RESCUE = Chosen("domain", "rescue")
+SIZES = np.array([23, 1, 12, 40])
+"""Labels that each of four observers gives, at most."""
+
+
+class QueriesConformance(Conformance):
+    """Holds a design, ``ask(setting, sizes, answer, seed)``, to what data and learning need of its
+    questions. The observers here answer at random: a design must bear any answers."""
+
+    @pytest.fixture(scope="class")
+    def domain(self) -> Domain:
+        """What is asked about; to be overridden for designs of another domain."""
+        made: Domain = RESCUE.component
+        return made
+
+    @pytest.fixture(scope="class")
+    def setting(self, domain: Domain) -> Setting:
+        """One type who holds the first parameter wrong."""
+        return _setting(domain, 0)
+
+    def test_everybody_is_asked_no_more_than_agreed(self, component: Any, setting: Setting) -> None:
+        """One :class:`~xplain.data.queries.Answered` an observer, 1 to ``sizes[o]`` questions."""
+        asked, _ = _asked(component, setting)
+        assert len(asked) == len(SIZES), "not one of each observer"
+        counts = [len(one.labels) for one in asked]
+        assert all(1 <= c <= s for c, s in zip(counts, SIZES, strict=True)), f"asked {counts}"
+        for one in asked:
+            assert one.transitions.shape == (len(one.labels), 3), "transitions are [p, 3]"
+            assert one.message_sets.shape == one.labels.shape, "one message set a label"
+
+    def test_answers_are_the_observers(self, component: Any, setting: Setting) -> None:
+        """Every question and answer is handed on, in the order in which it was asked."""
+        asked, heard = _asked(component, setting)
+        for one, told in zip(asked, heard, strict=True):
+            assert np.array_equal(one.transitions, told.transitions), "asked another transition"
+            assert np.array_equal(one.message_sets, told.message_sets), "under other messages"
+            assert np.array_equal(one.labels, told.labels), "answered otherwise"
+
+    def test_questions_are_about_what_the_robot_does(
+        self, component: Any, setting: Setting
+    ) -> None:
+        """Transitions that its optimal policy can make, message sets that exist."""
+        possible = set(map(tuple, setting.reachable.tolist()))
+        for one in _asked(component, setting)[0]:
+            assert set(map(tuple, one.transitions.tolist())) <= possible, "the robot never does it"
+            assert (one.message_sets >= 0).all(), "a message set is a bitmask"
+            assert (one.message_sets < 1 << setting.n_messages).all(), "there is no such message"
+
+    def test_the_same_seed_asks_the_same(self, component: Any, setting: Setting) -> None:
+        """Randomness comes from the seed alone."""
+        for seed in range(3):
+            once, again = (_asked(component, setting, seed)[0] for _ in range(2))
+            assert _same(once, again), "two rounds with one seed and the same answers differ"
+
+    def test_does_not_look_at_the_true_types(self, component: Any, domain: Domain) -> None:
+        """Where other types answer alike, it asks alike."""
+        last = len(domain.parameters) - 1
+        one, other = (_asked(component, _setting(domain, j))[0] for j in (0, last))
+        assert _same(one, other), "the questions depend on the true types"
+
+
+def _setting(domain: Domain, wrong: int) -> Setting:
+    parameter = domain.parameters[wrong]
+    return Setting.build(domain, (UserType("one", {parameter.name: parameter.inaccurate}),))
+
+
+def _asked(design: Any, setting: Setting, seed: int = 0) -> tuple[list[Answered], list[Answered]]:
+    """What the design returns, and what its observers saw and said."""
+    rngs = [np.random.default_rng([o, seed]) for o in range(len(SIZES))]
+    nothing = np.zeros((0, 3), dtype=np.int64)
+    heard = [Answered(nothing, nothing[:, 0], nothing[:, 0].astype(np.uint8)) for _ in SIZES]
+
+    def answer(
+        observer: int, transitions: NDArray[np.int64], message_sets: NDArray[np.int64]
+    ) -> NDArray[np.uint8]:
+        labels = rngs[observer].integers(0, 2, len(transitions)).astype(np.uint8)
+        before = heard[observer]
+        heard[observer] = Answered(
+            np.concatenate([before.transitions, transitions]),
+            np.concatenate([before.message_sets, message_sets]),
+            np.concatenate([before.labels, labels]),
+        )
+        return labels
+
+    return design.ask(setting, SIZES, answer, seed), heard
+
+
+def _same(one: list[Answered], other: list[Answered]) -> bool:
+    return all(
+        np.array_equal(a.transitions, b.transitions)
+        and np.array_equal(a.message_sets, b.message_sets)
+        for a, b in zip(one, other, strict=True)
+    )
