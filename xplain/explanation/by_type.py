@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, TooLargeError
 
+DENSE = 12
+"""Up to so many messages dense tables are small, and quicker to work with."""
 MAX_RELEVANT = 20
 """Messages that may matter to one type: its table holds 2^r entries a transition."""
 NONE = -1
@@ -94,6 +96,15 @@ class ByType:
             tables.append(own[:, _spread(np.arange(1 << len(effective)), effective)])
         return cls.padded(rows, tables)
 
+    def __len__(self) -> int:
+        """N."""
+        return len(self.relevant)
+
+    def __getitem__(self, types: int | slice) -> ByType:
+        """Some of the types, or one alone."""
+        own = slice(types, types + 1) if isinstance(types, int) else types
+        return ByType(self.relevant[own], self.p[own])
+
     def effective(self) -> list[tuple[int, ...]]:
         """For each type the messages that do change some label, ascending."""
         return [
@@ -151,6 +162,28 @@ class ByType:
         """
         union = tuple(sorted(set().union(*self.effective())))
         return ByType(np.array([union], dtype=np.int64).reshape(1, -1), combine(self.over(union)))
+
+
+LabelTable = NDArray[np.float64] | ByType
+"""P(label 1) of N types: dense [N, m, 2^n], or kept by type."""
+
+
+def joined(parts: Sequence[LabelTable]) -> LabelTable:
+    """Tables of one trace's parts, one after the other; dense where all are."""
+    dense = [part for part in parts if not isinstance(part, ByType)]
+    if len(dense) == len(parts):
+        return np.concatenate(dense, axis=1)
+    kept = [part if isinstance(part, ByType) else ByType.of_table(part) for part in parts]
+    rows, tables = [], []
+    for t in range(len(kept[0])):
+        union = sorted({int(j) for part in kept for j in part.relevant[t] if j != NONE})
+        if len(union) > MAX_RELEVANT:
+            raise TooLargeError(
+                f"{len(union)} messages matter to one type on this trace, more than {MAX_RELEVANT}"
+            )
+        rows.append(np.array(union, dtype=np.int64))
+        tables.append(np.concatenate([part[t].over(union)[0] for part in kept]))
+    return ByType.padded(rows, tables)
 
 
 def _spread(sets: NDArray[np.int64], positions: Sequence[int]) -> NDArray[np.int64]:

@@ -18,14 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError
-from xplain.explanation.by_type import ByType, effective_bits
+from xplain.explanation.by_type import DENSE, ByType, LabelTable, effective_bits
 
 MAX_MESSAGES = 62
 """A message set is a signed integer of 64 bits."""
 MAX_DENSE = 20
 """A dense table holds 2^messages entries; with more messages it is kept by type."""
-DENSE = 12
-"""Up to so many messages dense tables are small, and quicker to work with."""
 
 DiscountPer = Literal["action", "step"]
 
@@ -94,8 +92,10 @@ class Problem:
             "message_names": tuple(self.message_names) or tuple(f"message_{j}" for j in range(n)),
             "type_names": tuple(self.type_names) or tuple(f"type_{t}" for t in range(len(p))),
         }
-        if by_type is not None:
-            checked |= {"relevant": by_type.relevant, "p_relevant": by_type.p}
+        none = np.empty((0, 0), np.int64), np.empty((0, 0, 0))
+        checked["relevant"], checked["p_relevant"] = (
+            none if by_type is None else (by_type.relevant, by_type.p)
+        )
         if checked["inexplicability_cost"] < 0:
             raise InputError("inexplicability_cost", self.inexplicability_cost, "a number ≥ 0")
         if checked["trade_off"] < 0:
@@ -123,6 +123,13 @@ class Problem:
         by_type = ByType.checked(self.relevant, self.p_relevant, len(cost))
         _check_probabilities("p_relevant", by_type.p)
         return by_type
+
+    @classmethod
+    def of_table(cls, table: LabelTable, message_cost: NDArray[np.float64], **rest: Any) -> Problem:
+        """A problem with a table of either form; ``rest`` are the other fields, by name."""
+        if isinstance(table, ByType):
+            return cls.of_types(table, message_cost, **rest)
+        return cls(table, message_cost, **rest)
 
     @classmethod
     def of_types(cls, by_type: ByType, message_cost: NDArray[np.float64], **rest: Any) -> Problem:
@@ -167,7 +174,7 @@ class Problem:
             return self
         return self._with_table(self.by_type.over(range(self.n_messages)))
 
-    def _with_table(self, table: NDArray[np.float64] | ByType, **changes: Any) -> Problem:
+    def _with_table(self, table: LabelTable, **changes: Any) -> Problem:
         """Another table, dense or by type."""
         tables: dict[str, Any]
         if isinstance(table, ByType):
@@ -178,9 +185,7 @@ class Problem:
             tables = {"p_explicable": table, "relevant": empty[0], "p_relevant": empty[1]}
         return replace(self, **tables, **changes)
 
-    def with_types(
-        self, p_explicable: NDArray[np.float64] | ByType, type_names: tuple[str, ...]
-    ) -> Problem:
+    def with_types(self, p_explicable: LabelTable, type_names: tuple[str, ...]) -> Problem:
         """The same trace and costs with other user types, equally likely a priori."""
         count = len(type_names)
         uniform = np.full(count, 1 / count)

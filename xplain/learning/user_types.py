@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset, inputs
 from xplain.errors import InputError
+from xplain.explanation.by_type import DENSE, ByType, LabelTable
 from xplain.learning.clustering import Clustering
 from xplain.learning.labelers import Labeler, LabelerTrainer
 
@@ -34,8 +35,9 @@ class UserTypes:
 
 def p_explicable(
     labelers: Iterable[Labeler], features: NDArray[np.float64], n_messages: int
-) -> NDArray[np.float64]:
-    """P(label = 1) of m transitions under every message set, one table a labeler: [N, m, 2^n].
+) -> LabelTable:
+    """P(label = 1) of m transitions under every message set, one table a labeler: [N, m, 2^n], and
+    kept by type where messages are more than DENSE.
 
     Args:
         labelers: N ≥ 1 of them.
@@ -44,7 +46,11 @@ def p_explicable(
 
     Raises:
         InputError: a labeler was trained with another number of messages.
+        TooLargeError: a labeler looks at too many of them on these transitions.
     """
+    if n_messages > DENSE:
+        own = [labeler.relevant_table(features) for labeler in labelers]
+        return ByType.padded([row for row, _ in own], [table for _, table in own])
     return np.stack([labeler.table(features, n_messages) for labeler in labelers])
 
 

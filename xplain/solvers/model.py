@@ -265,7 +265,7 @@ def _back_up_rows(model, values, first, end):  # type: ignore[no-untyped-def]
     rows = model.rows
     for k in range(end - 1, first - 1, -1):
         for t in range(values.shape[2]):
-            for at in range(rows.count[t] - 1, -1, -1):
+            for at in range(rows.number[t] - 1, -1, -1):
                 best = model.discount * values[k + 1, at, t] - values[k, at, t]
                 for c in range(rows.stride.shape[1]):
                     if at // rows.stride[t, c] % (rows.size[t, c] + 1) < rows.size[t, c]:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import TooLargeError
-from xplain.explanation.problem import DENSE, MAX_DENSE, Problem
+from xplain.explanation.by_type import DENSE
+from xplain.explanation.problem import MAX_DENSE, Problem
 from xplain.message_sets import compress, expand
 from xplain.solvers.base import Policy
 from xplain.solvers.model import explain_cost_at, model_of, optimal_values

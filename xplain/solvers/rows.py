@@ -31,14 +31,14 @@ class Rows(NamedTuple):
         stride: [N, c] by how much one more of them moves the row.
         size: [N, c] how many there are.
         price: [N, c] λ C_e of each.
-        count: [N] rows of a type.
+        number: [N] rows of a type.
     """
 
     mask: NDArray[np.int64]
     stride: NDArray[np.int64]
     size: NDArray[np.int64]
     price: NDArray[np.float64]
-    count: NDArray[np.int64]
+    number: NDArray[np.int64]
 
 
 @inlined
@@ -98,7 +98,7 @@ def make_rows(by_type: ByType, price: NDArray[np.float64], idle: list[list[int]]
                 "rows of its table; where giving messages pays as a mere delay, discount_per=step "
                 "makes an end of it"
             )
-        rows.count[t] = count
+        rows.number[t] = count
     return rows
 
 
@@ -128,8 +128,8 @@ def delaying(
 def spread(by_type: ByType, rows: Rows) -> NDArray[np.float64]:
     """The tables by rows: [m, rows, N]. Relevant messages are the lowest digits of a row."""
     types, steps, _ = by_type.p.shape
-    p = np.ones((steps, int(rows.count.max()), types))
+    p = np.ones((steps, int(rows.number.max()), types))
     for t, own in enumerate(by_type.p):
         subsets = 1 << int((by_type.relevant[t] != NONE).sum())
-        p[:, : rows.count[t], t] = own[:, np.arange(rows.count[t]) % subsets]
+        p[:, : rows.number[t], t] = own[:, np.arange(rows.number[t]) % subsets]
     return p

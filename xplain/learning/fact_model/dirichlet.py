@@ -24,6 +24,8 @@ from xplain.randomness import stream
 log = logging.getLogger(__name__)
 
 FEWEST_SWEEPS = 20
+MANY = 38
+"""Messages of which there are too many sets of four."""
 MAX_SUBSETS = 1 << 15
 """Fact sets S that may matter at a transition; all are weighed in every sweep."""
 
@@ -36,7 +38,7 @@ class DirichletMixture:
         concentration: α > 0 of the Chinese restaurant process; more makes new types likelier.
         depth: facts that may matter together at one transition; None: 5, or 4 where there are
             more than 12 messages, or so many observers that chains stop early (``updates``):
-            among more sets of facts they have not settled by then.
+            among more sets of facts they have not settled by then; 3 beyond 38 messages.
         chains: independent runs; half start from one type, half from types at random.
         sweeps: of each chain, the first half of them heated. Large data need few:
         updates: a chain stops at this many updates of an observer (but makes 20 sweeps).
@@ -79,7 +81,8 @@ class DirichletMixture:
 
         observers, n = len(dataset.observers), dataset.n_messages
         long = observers * self.sweeps <= self.updates
-        depth = min(self.depth or (5 if n <= WIDE and long else 4), n)
+        usual = 5 if n <= WIDE and long else 4 if n <= MANY else 3
+        depth = min(self.depth or usual, n)
         if n**depth > 64 * MAX_SUBSETS:
             raise TooLargeError(
                 f"clusterer.depth={depth}: too many sets of {n} messages; use a smaller depth"

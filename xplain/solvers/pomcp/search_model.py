@@ -227,7 +227,7 @@ def _find_wanted_by_type(model):  # type: ignore[no-untyped-def]
     rows = model.rows
     _, steps, types = model.explain_cost.shape
     for t in range(types):
-        for at in range(rows.count[t]):
+        for at in range(rows.number[t]):
             for k in range(steps - 1, -1, -1):
                 mask = 0
                 silent = model.discount * model.optimal[k + 1, at, t] - model.explain_cost[at, k, t]
