@@ -118,7 +118,9 @@ def test_a_leaf_is_worth_what_qmdp_says(both: Both) -> None:
 
 
 def plain_qmdp_value(problem: Problem, step: int, shown: int, belief: NDArray[np.float64]) -> float:
-    """max_a Σ_t b(t) Q_t(k, H, a) from the dense tables of optimal values."""
+    """max_a Σ_t b(t) Q_t(k, H, a) from the dense tables of optimal values, over *explain* and the
+    messages that some type should be given. (Any other would be worth giving, too, if it were true
+    that the type becomes known after the next action.)"""
     model = model_of(problem)
     optimal = optimal_values(model)
     explain = model.discount * optimal[step + 1, shown] - explain_cost_at(model, step, shown)
@@ -126,7 +128,8 @@ def plain_qmdp_value(problem: Problem, step: int, shown: int, belief: NDArray[np
     for j, price in enumerate(model.price):
         if not shown >> j & 1:
             after = optimal[step, shown | 1 << j]
-            values.append(float(model.message_discount * belief @ after - price))
+            if (model.message_discount * after - price > explain + 1e-12).any():
+                values.append(float(model.message_discount * belief @ after - price))
     return max(values)
 
 

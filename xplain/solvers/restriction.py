@@ -15,6 +15,9 @@ from xplain.message_sets import compress, expand
 from xplain.solvers.base import Policy
 from xplain.solvers.model import explain_cost_at, model_of, optimal_values
 
+IMAGINED = 16
+"""With so many messages an imagined type is planned for: it needs a table over all their sets."""
+
 
 def messages_worth_giving(problem: Problem) -> tuple[int, ...]:
     """The messages to plan with: those with effect, and those that may pay as a mere delay.
@@ -36,10 +39,11 @@ def messages_worth_giving(problem: Problem) -> tuple[int, ...]:
 
 
 def _most_to_pay(problem: Problem, effective: tuple[int, ...]) -> float:
-    """What may still be to pay under the optimum, at most: with few messages, what the imagined
-    type does; else what saying everything at once and then nothing costs whom it helps least."""
+    """What may still be to pay under the optimum, at most: what the imagined type does; with too
+    many messages for that, what saying everything at once and then nothing costs whom it helps
+    least."""
     small = problem.with_messages(effective)
-    if problem.by_type is None or len(effective) <= DENSE:
+    if problem.by_type is None or len(effective) <= IMAGINED:
         return -float(optimal_values(model_of(small.pessimistic())).min())
     model = model_of(small)
     left, most = np.zeros(problem.n_types), 0.0

@@ -227,11 +227,18 @@ def _find_wanted_by_type(model):  # type: ignore[no-untyped-def]
     rows = model.rows
     _, steps, types = model.explain_cost.shape
     for t in range(types):
+        others = (1 << len(model.price)) - 1
+        for c in range(rows.mask.shape[1]):
+            others &= ~rows.mask[t, c]
         for at in range(rows.number[t]):
             for k in range(steps - 1, -1, -1):
                 mask = 0
                 silent = model.discount * model.optimal[k + 1, at, t] - model.explain_cost[at, k, t]
                 if model.optimal[k, at, t] > silent:
+                    for j in range(len(model.price)):
+                        if others >> j & 1:
+                            said = model.message_discount * model.optimal[k, at, t]
+                            mask |= (said - model.price[j] > silent) << j
                     for c in range(rows.stride.shape[1]):
                         stride = rows.stride[t, c]
                         if at // stride % (rows.size[t, c] + 1) < rows.size[t, c]:
