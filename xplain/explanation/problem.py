@@ -66,6 +66,8 @@ class Problem:
         cost = _numbers("message_cost", self.message_cost)
         by_type = None
         if np.size(self.p_relevant) or np.size(self.relevant):
+            if cost.ndim == 0 and self.message_names:
+                cost = np.full(len(self.message_names), float(cost))
             by_type = self._checked_by_type(cost)
             p, n = np.empty((*by_type.p.shape[:2], 0)), len(cost)
         else:
@@ -117,7 +119,7 @@ class Problem:
             shape = np.shape(self.p_explicable)
             raise InputError("p_explicable", shape, "empty beside relevant and p_relevant")
         if cost.ndim != 1:
-            raise InputError("message_cost", cost.tolist(), "one cost a message, with p_relevant")
+            raise InputError("message_cost", cost.tolist(), "one cost a message, or message_names")
         if len(cost) > MAX_MESSAGES:
             raise InputError("message_cost", len(cost), f"at most {MAX_MESSAGES} messages")
         by_type = ByType.checked(self.relevant, self.p_relevant, len(cost))
