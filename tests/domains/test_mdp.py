@@ -16,7 +16,8 @@ from xplain.errors import DomainError
 
 @st.composite
 def small_mdps(draw: st.DrawFn) -> MDP:
-    """Up to 5 states, 3 actions, 3 outcomes; some actions unavailable, some states terminal.
+    """Up to 5 states, 3 actions, 3 outcomes; some actions unavailable, some states terminal, of
+    which half have no action at all.
 
     Rewards are small whole numbers and probabilities are coarse, so that exact ties are common.
     """
@@ -26,13 +27,15 @@ def small_mdps(draw: st.DrawFn) -> MDP:
     weight[:, :, 0] += weight.sum(axis=2) == 0
     available = rng.random((states, actions)) < 0.8
     available[np.arange(states), rng.integers(actions, size=states)] = True
+    terminal = rng.random(states) < 0.2
+    available[terminal & (rng.random(states) < 0.5)] = False  # nothing is done where all ends
     probability = weight / weight.sum(axis=2, keepdims=True) * available[:, :, None]
     return MDP(
         rng.integers(0, states, weight.shape),
         probability,
         rng.integers(-2, 3, weight.shape).astype(float),
         draw(st.sampled_from([0.0, 0.5, 0.9, 0.99, 0.999])),
-        rng.random(states) < 0.2,
+        terminal,
     )
 
 
@@ -56,7 +59,9 @@ def best_by_enumeration(model: MDP) -> np.ndarray:
 
 def scale(model: MDP) -> float:
     """The largest value that a policy could have."""
-    return max(np.abs(model.reward[model.probability > 0]).max(), 1e-12) / (1 - model.discount)
+    return max(np.abs(model.reward[model.probability > 0]).max(initial=0), 1e-12) / (
+        1 - model.discount
+    )
 
 
 @settings(max_examples=150, deadline=None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -90,6 +91,14 @@ def test_a_module_under_another_name_counts(plugin, moved):
     (plugin / "their_solver" / "best.py").rename(plugin / moved)
     fingerprints._package.cache_clear()
     assert fingerprint(CONFIG) != before
+
+
+def test_the_order_in_which_files_are_found_does_not_count(plugin, monkeypatch):
+    before = fingerprint(CONFIG)
+    listed = Path.rglob
+    monkeypatch.setattr(Path, "rglob", lambda *args: reversed(list(listed(*args))))
+    fingerprints._package.cache_clear()
+    assert fingerprint(CONFIG) == before
 
 
 def test_an_installed_plugin_counts_by_the_hashes_of_its_files(plugin):

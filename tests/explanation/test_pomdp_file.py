@@ -102,6 +102,11 @@ def test_rewards_are_one_line_a_state_and_action(problem: Problem) -> None:
             if not shown >> j & 1:
                 price = problem.trade_off * problem.message_cost[j]
                 assert flat.reward[j + 1, here] == pytest.approx(-price, abs=1e-12)
+            else:  # worse than all that could still follow, so nobody says a message twice
+                labels = problem.n_steps * (problem.n_steps + 1) // 2
+                worst = problem.trade_off * problem.message_cost.sum()
+                worst += problem.inexplicability_cost * labels
+                assert flat.reward[j + 1, here] < -worst
 
 
 def test_reader_refuses_what_it_does_not_know() -> None:

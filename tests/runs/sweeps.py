@@ -10,7 +10,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests import forked
+
 ROOT = Path(__file__).parents[2]
+
+SERIAL = "hydra/launcher=basic"
+"""All jobs in the sweep's own process."""
 
 TINY = (
     "-m",
@@ -50,7 +55,9 @@ def start(folder: Path, *arguments: str, words: str = "xplain") -> subprocess.Po
 
 
 def run(folder: Path, *arguments: str) -> tuple[int, str]:
-    """Exit code and all output."""
+    """Exit code and all output; without a process started anew where the jobs need none either."""
+    if SERIAL in arguments:
+        return forked.run(folder, *arguments)
     process = start(folder, *arguments)
     return wait(folder, process)
 

@@ -20,8 +20,7 @@ from xplain.runs.folder import SweepFolder
 from xplain.runs.plan import make_plan
 from xplain.runs.sweep import Run
 
-SERIAL = "hydra/launcher=basic"
-QUICK = (*sweeps.TINY[:-1], "lambda=1", SERIAL)
+QUICK = (*sweeps.TINY[:-1], "lambda=1", sweeps.SERIAL)
 """Two jobs in one process."""
 
 
@@ -80,7 +79,7 @@ def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
 def test_the_same_command_again_runs_nothing_and_says_the_same(finished):
     folder = finished.folder
     before, tables, runs = results(folder), sweeps.tables(folder), sweeps.runs(folder)
-    code, output = sweeps.run(folder, *sweeps.TINY)
+    code, output = sweeps.run(folder, *sweeps.TINY, sweeps.SERIAL)
     assert code == 0, output
     assert "nothing is missing" in output
     assert (results(folder), sweeps.tables(folder), sweeps.runs(folder)) == (before, tables, runs)
@@ -93,7 +92,7 @@ def test_only_what_is_missing_or_damaged_runs(finished):
     jobs = sweeps.sweep_folder(folder) / "jobs"
     (jobs / lost / "results.json").unlink()
     (jobs / damaged / "results.json").write_text('{"metrics": ')
-    code, output = sweeps.run(folder, *sweeps.TINY)
+    code, output = sweeps.run(folder, *sweeps.TINY, sweeps.SERIAL)
     assert code == 0, output
     assert "2 jobs to run, 4 finished before" in output
     after = results(folder)
@@ -126,7 +125,7 @@ def test_a_way_to_resume_that_does_not_exist_is_one_line(tmp_path):
 
 def test_every_launcher_gives_the_same_table(finished, tmp_path):
     folder = finished.folder
-    code, output = sweeps.run(tmp_path, *sweeps.TINY, SERIAL, "tracking=none")
+    code, output = sweeps.run(tmp_path, *sweeps.TINY, sweeps.SERIAL, "tracking=none")
     assert code == 0, output
     assert sweeps.tables(tmp_path) == sweeps.tables(folder)
     assert not (tmp_path / "outputs" / "mlflow.db").exists()
@@ -204,7 +203,7 @@ def test_a_worker_that_always_dies_fails_its_job_alone(tmp_path):
 
 
 def test_ctrl_c_leaves_no_run_open(tmp_path):
-    process = sweeps.start(tmp_path, *sweeps.TINY[:-1], "lambda=range(0,15)", SERIAL)
+    process = sweeps.start(tmp_path, *sweeps.TINY[:-1], "lambda=range(0,15)", sweeps.SERIAL)
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline:
         try:
