@@ -53,6 +53,27 @@ def test_traces_that_differ_in_what_nobody_doubts_are_one_problem() -> None:
     assert found.commonest == pytest.approx(3 / 5)
 
 
+def smallest_and_silence(table: np.ndarray) -> tuple[int, int]:
+    """Of label table [m, 2^n]: messages of the smallest set that leaves nothing inexplicable, and
+    the cost of silence by Definition 2 (C_inexp = 1)."""
+    explained = np.flatnonzero(table.all(axis=0))
+    smallest = min(int(h).bit_count() for h in explained)
+    shown = len(table) - np.arange(len(table))
+    return smallest, int(((1 - table[:, 0].astype(int)) * shown).sum())
+
+
+@pytest.mark.parametrize("choice", ["rescue", "four_rooms"])
+def test_the_smallest_sets_and_their_worth_are_as_one_by_one(choice: str) -> None:
+    setting = setting_of(f"domain={choice}")
+    traces = on_policy_traces(setting, 30, stream(0, "test"))
+    found = problems(setting, traces)
+    for trace, small, worth in zip(traces, found.smallest, found.worth, strict=True):
+        for t, table in enumerate(setting.label_table(trace)):
+            size, silence = smallest_and_silence(table)
+            assert small[t] == size
+            assert worth[t] == all(x * size < silence for x in (0.5, 1, 1.5, 2, 2.5))
+
+
 def enumerated(setting: Setting, max_length: int) -> set[tuple[tuple[int, int, int], ...]]:
     """All traces, one by one."""
     model, optimal = setting.models[0], setting.optimal[0]
