@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 from tests.domains.configs import configured, domain_of, setting_of
 from xplain.data.rollouts import sample_trace
 from xplain.domains import mdp
-from xplain.domains.four_rooms import FourRooms
+from xplain.domains.four_rooms import DOORS, FourRooms
 from xplain.errors import InputError
 from xplain.randomness import stream
 
@@ -97,29 +97,17 @@ def test_phrases_and_scene_tell_the_place() -> None:
 
 
 def test_no_trace_starts_at_a_goal() -> None:
-    for setting in (
-        domain_of(FOUR_ROOMS),
-        FourRooms(**edited("map", given()["map"].replace("s", "."))),
-    ):
-        goals = {tuple(goal["cell"]) for goal in accurate(setting)["goals"]}
-        assert not goals & {setting.position(start) for start in setting.starts}
-        assert len(set(setting.starts.tolist())) == len(setting.starts) > 0
-
-
-def test_each_parameter_held_wrong_alone_matters() -> None:
-    """docs/choices.md: at least 2 % of on-policy transitions."""
     domain = domain_of(FOUR_ROOMS)
-    values = accurate(domain)
-    wrong = [values | {p.name: p.inaccurate} for p in domain.parameters]
-    models = [domain.model(v) for v in (values, *wrong)]
-    optimal = mdp.optimal_actions(models)
-    rng = stream(0, "test", "traces")
-    transitions = np.concatenate(
-        [sample_trace(models[0], optimal[0], domain.starts, rng, 10) for _ in range(200)]
-    )
-    inexplicable = 1 - mdp.labels(models, optimal, transitions).mean(axis=1)
-    assert inexplicable[0] == 0
-    assert (inexplicable[1:] >= 0.02).all()
+    goals = {tuple(goal["cell"]) for goal in accurate(domain)["goals"]}
+    assert not goals & {domain.position(start) for start in domain.starts}
+    assert len(set(domain.starts.tolist())) == len(domain.starts) > 0
+
+
+def test_starts_may_be_marked_on_the_map() -> None:
+    rows = given()["map"].splitlines()
+    rows[1] = "#s...s#.....#"
+    domain = FourRooms(**edited("map", "\n".join(rows)))
+    assert [domain.position(start) for start in domain.starts] == [(1, 1), (1, 5)]
 
 
 def test_no_tie_is_ambiguous_in_any_of_the_32_models() -> None:
@@ -195,11 +183,14 @@ def test_a_missing_parameter_is_named() -> None:
 
 
 def test_a_goal_behind_walls_is_refused() -> None:
-    doors_shut = given()["map"].replace("s", ".").replace("##.####", "#######")
-    arguments = edited("map", doors_shut)
-    arguments["map"] = arguments["map"].replace("#...........#", "#.....#.....#")
-    goals = arguments["parameters"]["goals"]
+    """The four doors are shut; nothing else lies in the walls."""
+    rows = [list(row) for row in given()["map"].splitlines()]
+    for row, column in DOORS:
+        rows[row][column] = "#"
+    arguments = edited("map", "\n".join("".join(row) for row in rows))
+    goals, penalty_cells = (arguments["parameters"][name] for name in ("goals", "penalty_cells"))
     goals["accurate"] = [{"cell": [1, 8], "reward": 5.0}]
     goals["inaccurate"] = [{"cell": [1, 9], "reward": 5.0}]
+    penalty_cells["accurate"], penalty_cells["inaccurate"] = [[1, 1]], [[1, 2]]
     with pytest.raises(InputError, match="no path from the start to the goal"):
         FourRooms(**arguments)

@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 
 from tests.domains.configs import domain_of, setting_of
-from xplain.data.rollouts import sample_trace
 from xplain.domains import mdp
 from xplain.domains.rescue import Rescue
 from xplain.errors import InputError
 from xplain.message_sets import indices
-from xplain.randomness import stream
-from xplain.users.setting import Setting
 
 RESCUE = "domain=rescue"
 REWARD = {"A": "first_aid", "F": "fire", "U": "refuel", "r": "rubble", "p": "puddle", "f": "fence"}
@@ -204,47 +201,6 @@ def test_bad_input_is_one_clear_line(changes: dict, key: str, text: str) -> None
         rescue(**changes)
     assert caught.value.key.startswith(key)
     assert "\n" not in str(caught.value)
-
-
-def traces_of(setting: Setting, count: int, length: int) -> list[np.ndarray]:
-    rng = stream(0, "test", "traces")
-    model, optimal, starts = setting.models[0], setting.optimal[0], setting.domain.starts
-    return [sample_trace(model, optimal, starts, rng, length) for _ in range(count)]
-
-
-def smallest_and_silence(table: np.ndarray) -> tuple[int, int]:
-    """Of label table [m, 2^n]: messages of the smallest set that leaves nothing inexplicable, and
-    the cost of silence by Definition 2 (C_inexp = 1)."""
-    explained = np.flatnonzero(table.all(axis=0))
-    smallest = min(int(h).bit_count() for h in explained)
-    shown = len(table) - np.arange(len(table))
-    return smallest, int(((1 - table[:, 0].astype(int)) * shown).sum())
-
-
-@pytest.mark.parametrize("length", [10, 40])
-def test_most_traces_need_both_facts_and_early(length: int) -> None:
-    """docs/choices.md, the rescue map: traces as observers see them (10 steps) and to their end."""
-    setting = setting_of(RESCUE)
-    sizes, worth = [], []
-    for trace in traces_of(setting, 200, length):
-        for table in setting.label_table(trace):
-            size, silence = smallest_and_silence(table)
-            sizes.append(size)
-            worth.append(all(trade_off * size < silence for trade_off in (0.5, 1, 1.5, 2, 2.5)))
-    assert 1.5 <= np.mean(sizes) <= 2.0
-    assert np.mean(worth) >= 0.95
-
-
-def test_every_fact_matters_alone() -> None:
-    domain = domain_of(RESCUE)
-    values = {p.name: p.accurate for p in domain.parameters}
-    wrong = [values | {p.name: p.inaccurate} for p in domain.parameters]
-    models = [domain.model(v) for v in (values, *wrong)]
-    optimal = mdp.optimal_actions(models)
-    transitions = np.concatenate(traces_of(setting_of(RESCUE), 200, 10))
-    inexplicable = 1 - mdp.labels(models, optimal, transitions).mean(axis=1)
-    assert inexplicable[0] == 0
-    assert (inexplicable[1:] >= 0.02).all()
 
 
 def test_default_types_differ_in_behaviour() -> None:

@@ -18,6 +18,8 @@ from xplain.domains.mdp import MDP
 from xplain.errors import InputError, discount_factor, number
 
 PARAMETERS = ("goals", "discount", "step_cost", "penalty_cells", "penalty")
+DOORS = ((3, 6), (10, 6), (6, 2), (7, 9))
+"""Of the published map: (row, column) from 0, the wall being row and column 0."""
 
 
 class FourRooms:

@@ -1,0 +1,195 @@
+"""What makes the domains real tasks, measured; and how rescue's map was drawn (docs/domains.md).
+
+    python benchmarks/domains.py            the table of properties, in Markdown
+    python benchmarks/domains.py --draw     draws random maps up to the first with all properties
+    python benchmarks/domains.py --pictures a trace on each of the paper's domains (docs/pictures)
+    python benchmarks/domains.py --quick    a smoke run
+
+No learner and no solver of explanations is involved: only the tasks, their types, and true labels.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from itertools import islice, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+from xplain.config import composed
+from xplain.data.domain_properties import (
+    Trace,
+    count_traces,
+    inexplicable_alone,
+    on_policy_traces,
+    problems,
+    share_through,
+)
+from xplain.domains.four_rooms import DOORS
+from xplain.domains.rescue import Rescue
+from xplain.domains.rescue_maps import random_map
+from xplain.errors import XplainError
+from xplain.randomness import stream
+from xplain.report.traces import Story, save_trace
+from xplain.users.setting import Setting
+
+DOMAINS = ("four_rooms", "rescue", "taxi", "cliff_walking", "frozen_lake")
+PICTURES = Path(__file__).parent.parent / "docs" / "pictures"
+TYPE_COUNTS = (2, 3, 4)
+"""Of domains whose types are drawn: figures are means over these and the seeds."""
+SEEDS = 10
+TRACES = 200
+
+
+def settings_of(domain: str, seeds: int = SEEDS) -> list[Setting]:
+    """The domain with its types; where these are drawn at random, one of each count and seed."""
+    cfg = composed("observe", [f"domain={domain}"])
+    made = instantiate(cfg.domain)
+    if "count" not in cfg.users:
+        return [Setting.build(made, instantiate(cfg.users).types(made, stream(0, "users")))]
+    return [
+        Setting.build(made, instantiate(cfg.users, count=n).types(made, stream(seed, "users")))
+        for n, seed in product(TYPE_COUNTS, range(seeds))
+    ]
+
+
+def sampled(setting: Setting) -> list[Trace]:
+    """The traces that figures are taken over."""
+    return on_policy_traces(setting, TRACES, stream(0, "domain properties"))
+
+
+def properties(domain: str, seeds: int = SEEDS) -> dict[str, str]:
+    """The column of a domain."""
+    settings = settings_of(domain, seeds)
+    first = settings[0]
+    traces = sampled(first)
+    found = [problems(setting, traces) for setting in settings]
+    alone = inexplicable_alone(first.domain, traces)
+    through = f"{share_through(first.domain, traces, DOORS):.0%}"
+
+    def mean(values: Iterator[Any]) -> float:
+        return float(np.mean([np.mean(value) for value in values]))
+
+    return {
+        "starts": str(len(first.domain.starts)),
+        "transitions the robot may make": str(len(first.reachable)),
+        "different traces": f"{count_traces(first):,}",
+        "mean length of a trace": f"{np.mean([len(trace) for trace in traces]):.1f}",
+        "traces through a door": through if domain == "four_rooms" else "–",
+        "least and most that one wrong fact alone makes inexplicable, of transitions": (
+            f"{min(alone.values()):.0%}, {max(alone.values()):.0%}"
+        ),
+        "mean smallest explaining set": f"{mean(p.smallest for p in found):.2f}",
+        "(trace, type) that need no message": f"{mean(p.smallest == 0 for p in found):.0%}",
+        "(trace, type) where the set costs less than silence, λ ≤ 2.5": (
+            f"{mean(p.worth for p in found):.0%}"
+        ),
+        "different label tables": f"{mean(p.tables for p in found):.0f}",
+        "traces with the commonest of them": f"{mean(p.commonest for p in found):.0%}",
+        "traces with a transition that puzzles every type": (
+            f"{mean(p.puzzling for p in found):.0%}"
+        ),
+    }
+
+
+def has_all(setting: Setting) -> bool:
+    """Whether a rescue task has the properties that its map must have (docs/choices.md)."""
+    traces = sampled(setting)
+    found = problems(setting, traces)
+    return bool(
+        1.5 <= found.smallest.mean() <= 2.0
+        and found.worth.mean() >= 0.95
+        and found.tables >= 15
+        and found.commonest <= 0.25
+        and found.puzzling <= 0.1
+        and min(inexplicable_alone(setting.domain, traces).values()) >= 0.02
+    )
+
+
+def draws() -> Iterator[tuple[str, bool | None]]:
+    """Random maps, one after the other, and whether they have all properties; None where something
+    has no way to the shelter."""
+    cfg = composed("observe", ["domain=rescue"])
+    node: Any = OmegaConf.to_container(cfg.domain, resolve=True)
+    fixed = {key: value for key, value in node.items() if not key.startswith("_")}
+    source = instantiate(cfg.users)
+    rng = stream(0, "rescue maps")
+    while True:
+        drawn = random_map(rng)
+        try:
+            domain = Rescue(**fixed | {"map": drawn})
+            setting = Setting.build(domain, source.types(domain, stream(0, "users")))
+        except XplainError:
+            yield drawn, None
+            continue
+        yield drawn, has_all(setting)
+
+
+def draw(most: int) -> None:
+    """Prints the first map with all properties, and how many were drawn."""
+    usable = 0
+    for number, (drawn, chosen) in enumerate(islice(draws(), most), 1):
+        usable += chosen is not None
+        if chosen:
+            print(f"map {number} of seed 0 ({usable} of these maps can be used):\n{drawn}", end="")
+            return
+    print(f"none of {most} maps ({usable} can be used) has all properties")
+
+
+def picture(domain: str, folder: Path) -> None:
+    """Draws the sampled trace that passes most doors (in rescue: the longest), labelled by a user
+    of the first type to whom nothing is said."""
+    setting = settings_of(domain, 1)[0]
+    traces = sampled(setting)
+
+    def doors(trace: Trace) -> tuple[float, int]:
+        return sum(share_through(setting.domain, [trace], [door]) for door in DOORS), len(trace)
+
+    number = max(range(len(traces)), key=lambda index: doors(traces[index]))
+    trace = traces[number]
+    labels = setting.label_table(trace)[0, :, 0].tolist()
+    rows = tuple(tuple(labels[: k + 1]) for k in range(len(trace)))
+    places = [setting.domain.position(int(s)) for s in (*trace[:, 0], trace[-1, 2])]
+    story = Story(
+        solver="silence",
+        trace=number,
+        user_type=f"{setting.types[0].name} ({', '.join(setting.types[0].inaccurate)})",
+        cost=float(sum(row.count(0) for row in rows)),
+        phrases=tuple(setting.domain.describe(step) for step in trace),
+        positions=tuple(place for place in places if place is not None),
+        messages=((),) * len(trace),
+        labels=rows,
+    )
+    save_trace(folder / f"{domain}.png", setting.domain.scene, story)
+
+
+def main() -> None:
+    """Prints the table, or draws the map."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--draw", action="store_true", help="draw rescue's map anew")
+    parser.add_argument("--quick", action="store_true", help="only that it runs")
+    parser.add_argument("--pictures", action="store_true", help="draw the pictures anew")
+    options = parser.parse_args()
+    if options.draw:
+        draw(20 if options.quick else 20_000)
+        return
+    if options.pictures:
+        for name in DOMAINS[:2]:
+            picture(name, PICTURES)
+        return
+    names = DOMAINS[:2] if options.quick else DOMAINS
+    columns = [properties(name, 1 if options.quick else SEEDS) for name in names]
+    print(f"| | {' | '.join(names)} |")
+    print("|---" * (len(names) + 1) + "|")
+    for key in columns[0]:
+        print(f"| {key} | {' | '.join(column[key] for column in columns)} |")
+
+
+if __name__ == "__main__":
+    main()

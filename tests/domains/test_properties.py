@@ -1,0 +1,74 @@
+"""The shipped domains are real tasks: many different traces and problems (docs/choices.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tests.domains.configs import domain_of, setting_of
+from xplain.data.domain_properties import (
+    count_traces,
+    inexplicable_alone,
+    on_policy_traces,
+    problems,
+    share_through,
+)
+from xplain.domains.four_rooms import DOORS
+from xplain.randomness import stream
+
+FOUR_ROOMS, RESCUE = "domain=four_rooms", "domain=rescue"
+
+
+def traces_of(domain: str) -> list[np.ndarray]:
+    """As many as the properties speak of."""
+    return on_policy_traces(setting_of(domain), 200, stream(0, "domain properties"))
+
+
+def test_four_rooms_starts_everywhere_but_at_its_goals() -> None:
+    domain = domain_of(FOUR_ROOMS)
+    goals = [tuple(g["cell"]) for p in domain.parameters[:1] for g in p.accurate]
+    assert 1 <= len(goals) <= 2
+    starts = {domain.position(state) for state in domain.starts}
+    assert starts == {domain.position(s) for s in range(104)} - set(goals)
+
+
+def test_four_rooms_is_walked_through() -> None:
+    setting, traces = setting_of(FOUR_ROOMS), traces_of(FOUR_ROOMS)
+    assert len(setting.reachable) >= 100
+    assert count_traces(setting) >= 500
+    assert np.mean([len(trace) for trace in traces]) >= 6
+    assert share_through(setting.domain, traces, DOORS) >= 1 / 3
+
+
+def test_each_fact_of_four_rooms_held_wrong_alone_matters_now_and_then() -> None:
+    alone = inexplicable_alone(domain_of(FOUR_ROOMS), traces_of(FOUR_ROOMS))
+    assert all(0.05 <= share <= 0.4 for share in alone.values()), alone
+
+
+def test_drawn_types_of_four_rooms_need_about_one_message() -> None:
+    """Over settings with 2, 3 and 4 types, as the paper pools them."""
+    traces = traces_of(FOUR_ROOMS)
+    found = [
+        problems(setting_of(FOUR_ROOMS, f"users.count={count}", seed=seed), traces)
+        for count in (2, 3, 4)
+        for seed in range(5)
+    ]
+    assert 0.4 <= np.mean([p.smallest.mean() for p in found]) <= 1.2
+    assert 1 / 4 <= np.mean([(p.smallest == 0).mean() for p in found]) <= 2 / 3
+
+
+def test_rescue_needs_two_facts_early() -> None:
+    found = problems(setting_of(RESCUE), traces_of(RESCUE))
+    assert 1.5 <= found.smallest.mean() <= 2.0
+    assert found.worth.mean() >= 0.95
+
+
+def test_rescue_has_many_different_problems() -> None:
+    found = problems(setting_of(RESCUE), traces_of(RESCUE))
+    assert found.tables >= 15
+    assert found.commonest <= 1 / 4
+    assert found.puzzling <= 1 / 10
+
+
+def test_each_fact_of_rescue_held_wrong_alone_matters() -> None:
+    alone = inexplicable_alone(domain_of(RESCUE), traces_of(RESCUE))
+    assert all(share >= 0.02 for share in alone.values()), alone

@@ -1,0 +1,27 @@
+"""A random generator of maps for the rescue task; where its default map comes from
+(docs/choices.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+SIZE = 6
+"""Rows, and columns."""
+ONE_OF_EACH = "SVAFU"
+"""Shelter, victim, first aid, fire, fuel station: each in one cell."""
+OBSTACLES = "rpf"
+"""Rubble, puddle, fence: each in one to MOST_OBSTACLES cells, every number equally likely."""
+MOST_OBSTACLES = 3
+MOST_WALLS = SIZE * SIZE // 4
+"""Walls are in none to this many cells, every number equally likely."""
+
+
+def random_map(rng: np.random.Generator) -> str:
+    """A 6 × 6 map: numbers of obstacles and walls drawn first, then everything put into different
+    cells uniformly at random; the rest is floor. Nothing ensures that all of it can be reached."""
+    symbols = ONE_OF_EACH
+    for obstacle in OBSTACLES:
+        symbols += obstacle * int(rng.integers(1, MOST_OBSTACLES + 1))
+    symbols += "#" * int(rng.integers(0, MOST_WALLS + 1))
+    cells = rng.permutation(list(symbols.ljust(SIZE * SIZE, "."))).reshape(SIZE, SIZE)
+    return "".join("".join(row) + "\n" for row in cells)
