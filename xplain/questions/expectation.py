@@ -35,7 +35,7 @@ class Group:
     Attributes:
         facts: [2^s] int64 the subsets of these facts, in the order of the table.
         packed: [C] int64 of each candidate the position of its facts among them.
-        coefficients: [2^s, G] float64 c_A of each function.
+        coefficients: [1 + V, 2^s, G] float64 c_A of each function, by variant.
         transitions: G arrays, which transitions have each function.
     """
 
@@ -45,11 +45,15 @@ class Group:
     transitions: tuple[NDArray[np.int64], ...]
 
     def expected(self, weight: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Σ_R weight(R) f(R ∩ K) by the facts K that are not told: weight [C] → [2^s, G]."""
-        held = np.bincount(self.packed, weight, minlength=len(self.facts))
-        above = held[::-1].copy()  # by the complement: sums over supersets as sums over subsets
-        _zeta(above)
-        result = self.coefficients * above[::-1, None]
+        """Σ weight(v, R) f^v(R ∩ K) by the facts K that are not told: weight [1 + V, C] →
+        [2^s, G]."""
+        result = np.zeros(self.coefficients.shape[1:])
+        for own, coefficients in zip(weight, self.coefficients, strict=True):
+            held = np.bincount(self.packed, own, minlength=len(self.facts))
+            # By the complement: sums over supersets become sums over subsets.
+            above = held[::-1].astype(np.float64)
+            _zeta(above)
+            result += coefficients * above[::-1, None]
         _zeta(result)
         return result
 
@@ -67,18 +71,22 @@ def groups(hypotheses: Hypotheses) -> tuple[Group, ...]:
         if len(facts) > MAX_FACTS:
             names = ", ".join(names_of(mask, hypotheses.messages))
             raise TooLargeError(
-                f"hypotheses: labels of transition {own[0]} depend on {len(facts)} facts ({names}); "
-                f"at most {MAX_FACTS}"
+                f"hypotheses: labels of transition {own[0]} depend on {len(facts)} facts, at most "
+                f"{MAX_FACTS}: {names}"
             )
         held = subsets(facts)
         known = np.isin(held, hypotheses.facts)  # all others have weight 0
-        labels = np.zeros((len(held), len(own)))
-        labels[known] = hypotheses.labels[np.ix_(hypotheses.row(held[known]), own)]
-        table, which = np.unique(labels, axis=1, return_inverse=True)
-        transitions = tuple(own[which.ravel() == g] for g in range(table.shape[1]))
+        labels = np.zeros((len(hypotheses.tables), len(held), len(own)))
+        labels[:, known] = hypotheses.tables[:, hypotheses.row(held[known])][:, :, own]
+        every = labels.reshape(-1, len(own))
+        _, first, which = np.unique(
+            np.packbits(every.astype(bool), axis=0), axis=1, return_index=True, return_inverse=True
+        )
+        transitions = tuple(own[which.ravel() == g] for g in range(len(first)))
         packed = np.searchsorted(held, hypotheses.facts & mask)
-        coefficients = np.ascontiguousarray(table)
-        _zeta(coefficients, -1)
+        coefficients = np.ascontiguousarray(labels[:, :, first])
+        for one in coefficients:
+            _zeta(one, -1)
         found.append(Group(held, packed, coefficients, transitions))
     return tuple(found)
 

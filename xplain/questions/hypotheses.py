@@ -7,9 +7,10 @@ still holds R \\ H wrong and labels transition τ by ``labels[R \\ H, τ]``, but
 
 from __future__ import annotations
 
+import logging
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import combinations
 from math import comb
@@ -19,14 +20,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.domains.base import Domain, transition_feature_names, transition_features
-from xplain.errors import InputError, TooLargeError, whole_number
+from xplain.domains.base import Domain, Parameter, transition_feature_names, transition_features
+from xplain.errors import DomainError, InputError, TooLargeError, XplainError, whole_number
 from xplain.message_sets import names_of, subsets
 from xplain.storage import written_whole
 from xplain.users.setting import MAX_MODELS, Setting, UserType
 
+log = logging.getLogger(__name__)
+
 SUM = 1e-6
 """A prior sums to 1 within this."""
+AS_ASSUMED = 0.6
+"""Prior of the assumed values, where there are variants."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,8 @@ class Hypotheses:
         phrases: T descriptions for people; empty where there are none.
         states: [T, 2] int64 where a transition starts and ends, for clips of transitions in a
             row; None where unknown.
+        variants: [V, C, T] uint8 the labels were the wrong values others (half, double, …), which
+            somebody may hold as well; V may be 0.
     """
 
     labels: NDArray[np.uint8]
@@ -53,6 +60,7 @@ class Hypotheses:
     feature_names: tuple[str, ...] = ()
     phrases: tuple[str, ...] = ()
     states: NDArray[np.int64] | None = None
+    variants: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 1, 1), np.uint8))
 
     @classmethod
     def of(
@@ -88,12 +96,20 @@ class Hypotheses:
             raise InputError("hypotheses.messages", ", ".join(names), f"{n} names, all different")
         weight = prior_over(prior, len(table), "hypotheses.prior")
         order = np.argsort(masks)
+        if len(about.get("variants", ())):
+            about["variants"] = np.stack([_table(one) for one in about["variants"]])
+            if about["variants"].shape[1:] != table.shape:
+                shape = about["variants"].shape
+                raise InputError("hypotheses.variants", shape, f"tables like labels, {table.shape}")
+            about["variants"] = about["variants"][:, order]
         made = cls(table[order], masks[order], names, weight[order], **about)
         made._check()
         return made
 
     @classmethod
-    def of_domain(cls, domain: Domain, most: int | None = None) -> Hypotheses:
+    def of_domain(
+        cls, domain: Domain, most: int | None = None, scales: Sequence[float] = (0.5, 2.0)
+    ) -> Hypotheses:
         """All sets of at most ``most`` of a domain's parameters, at their inaccurate values.
 
         The transitions are those that the robot can make, from any start along an optimal policy.
@@ -101,50 +117,45 @@ class Hypotheses:
         Args:
             domain: the robot's task.
             most: parameters held wrong together; None: as many as MAX_MODELS models allow.
+            scales: one variant each: all inaccurate values that are numbers times this. A value
+                that the domain refuses stays as it is, and a variant with ambiguous ties is left
+                out.
 
         Raises:
             DomainError: some model's ties are ambiguous.
             InputError: the parameters change no label of these transitions.
             TooLargeError: more than MAX_MODELS models.
         """
-        parameters = domain.parameters
-        n = len(parameters)
+        n = len(domain.parameters)
         if most is None:
             most = max(k for k in range(n + 1) if comb(n, k) << k <= MAX_MODELS)
             most = n if 1 << n <= MAX_MODELS else max(most, 1)
         most = min(whole_number("hypotheses.most", most, 1), n)
-        largest = list(combinations(range(n), most))
-        setting = Setting.build(
-            domain,
-            tuple(
-                UserType(str(i), {parameters[j].name: parameters[j].inaccurate for j in chosen})
-                for i, chosen in enumerate(largest)
-            ),
-        )
-        model: dict[int, int] = {}
-        for i, chosen in enumerate(largest):
-            everything = sum(1 << j for j in chosen)
-            own = subsets(chosen)
-            models = setting.model_index(i, everything & ~own)
-            model.update(zip(own.tolist(), models.tolist(), strict=True))
-        facts = np.array(sorted(model))
+        setting, facts, labels = _labels_of(domain, most, 1.0)
         transitions = setting.reachable
-        by_model = setting.label_by_model(transitions)
+        variants = []
+        for scale in scales:
+            try:
+                variants.append(_labels_of(domain, most, scale)[2])
+            except DomainError as error:
+                log.info("no variant of the hypotheses with values times %g: %s", scale, error)
         return cls.of(
-            by_model[[model[held] for held in facts.tolist()]],
+            labels,
             facts,
             setting.message_names,
             features=transition_features(domain, transitions),
             feature_names=transition_feature_names(domain),
             phrases=tuple(domain.describe(transition) for transition in transitions),
             states=transitions[:, [0, 2]],
+            variants=np.array(variants, dtype=np.uint8),
         )
 
     @classmethod
     def load(cls, path: str | Path) -> Hypotheses:
         """Reads a ``.npz`` file: ``labels`` [2^n, T], and optionally ``features`` [T, F],
-        ``feature_names``, ``messages``, ``phrases`` [T], ``states`` [T, 2], ``prior`` [2^n], and
-        ``facts`` [C] where not all 2^n sets are candidates. Nothing in it is run.
+        ``feature_names``, ``messages``, ``phrases`` [T], ``states`` [T, 2], ``prior`` [2^n],
+        ``variants`` [V, 2^n, T], and ``facts`` [C] where not all 2^n sets are candidates. Nothing
+        in it is run.
 
         Raises:
             InputError: no such file, or its arrays are not as :meth:`of` wants them.
@@ -157,9 +168,9 @@ class Hypotheses:
             raise InputError("hypotheses", str(path), f"an .npz file ({reason})") from None
         if "labels" not in arrays:
             raise InputError("hypotheses", str(path), "an .npz file with the array labels")
-        known = ("labels", "facts", "messages", "prior", "features", "feature_names", "phrases")
-        if unknown := arrays.keys() - {*known, "states"}:
-            raise InputError("hypotheses", min(unknown), f"arrays {', '.join(known)}, states")
+        known = [one.name for one in fields(cls)]
+        if unknown := arrays.keys() - set(known):
+            raise InputError("hypotheses", min(unknown), f"arrays {', '.join(known)}")
         text = ("messages", "feature_names", "phrases")
         about = {
             key: tuple(str(item) for item in array.ravel().tolist()) if key in text else array
@@ -176,6 +187,8 @@ class Hypotheses:
             "messages": np.array(self.messages, dtype=np.str_),
             "prior": self.prior,
         }
+        if len(self.variants):
+            arrays["variants"] = self.variants
         for key in ("features", "states"):
             if getattr(self, key) is not None:
                 arrays[key] = getattr(self, key)
@@ -199,12 +212,23 @@ class Hypotheses:
         """The rows of :attr:`labels` of sets that are candidates, of any shape."""
         return np.searchsorted(self.facts, held)
 
-    def label(
-        self, transitions: ArrayLike, message_sets: ArrayLike, candidates: slice = slice(None)
-    ) -> NDArray[np.uint8]:
-        """f_τ(R \\ H) of Q questions by candidate: transitions [Q], message sets [Q] → [C, Q]."""
-        held = self.facts[candidates, None] & ~np.asarray(message_sets, dtype=np.int64)
-        return self.labels[self.row(held), np.asarray(transitions)]
+    def label(self, transitions: ArrayLike, message_sets: ArrayLike) -> NDArray[np.uint8]:
+        """f_τ(R \\ H) of Q questions by variant and candidate: transitions [Q], message sets [Q]
+        or one → [1 + V, C, Q]."""
+        held = self.facts[:, None] & ~np.asarray(message_sets, dtype=np.int64)
+        return np.asarray(self.tables[:, self.row(held), np.asarray(transitions)])
+
+    @cached_property
+    def tables(self) -> NDArray[np.uint8]:
+        """[1 + V, C, T] the labels, and those of the variants."""
+        variants = self.variants if len(self.variants) else self.labels[None][:0]
+        return np.concatenate([self.labels[None], variants])
+
+    @cached_property
+    def variant_prior(self) -> NDArray[np.float64]:
+        """[1 + V] of the values as assumed, and of the variants."""
+        count = len(self.variants)
+        return np.array([AS_ASSUMED] + [(1 - AS_ASSUMED) / count] * count if count else [1.0])
 
     @cached_property
     def matters(self) -> NDArray[np.int64]:
@@ -212,14 +236,15 @@ class Hypotheses:
         found = np.zeros(self.n_transitions, dtype=np.int64)
         for j in range(self.n_messages):
             more = self.facts[self.facts >> j & 1 == 1]
-            differ = self.labels[self.row(more)] != self.labels[self.row(more & ~(1 << j))]
-            found[differ.any(axis=0)] |= 1 << j
+            without = self.row(more & ~(1 << j))
+            differ = self.tables[:, self.row(more)] != self.tables[:, without]
+            found[differ.any(axis=(0, 1))] |= 1 << j
         return found
 
     @cached_property
     def essential(self) -> NDArray[np.int64]:
-        """[C] of each candidate the facts that some question reveals: candidates behave alike if
-        and only if these agree.
+        """[C] of each candidate the facts that some question reveals, values being as assumed:
+        candidates behave alike if and only if these agree.
 
         Candidates that behave alike have an intersection that does, too (give the messages
         outside it), so that each class has one smallest member. A fact j is in it unless for every
@@ -285,7 +310,7 @@ def prior_over(prior: ArrayLike | None, count: int, key: str) -> NDArray[np.floa
         raise InputError(key, weight.shape, f"{count} probabilities, one a candidate")
     if not (weight >= 0).all() or not abs(weight.sum() - 1) < SUM:
         raise InputError(key, float(weight.sum()), "probabilities that sum to 1")
-    return weight / weight.sum()
+    return np.asarray(weight / weight.sum())
 
 
 def _table(labels: ArrayLike) -> NDArray[np.uint8]:
@@ -304,3 +329,42 @@ def _table(labels: ArrayLike) -> NDArray[np.uint8]:
             "many facts"
         )
     return table.astype(np.uint8)
+
+
+def _labels_of(
+    domain: Domain, most: int, scale: float
+) -> tuple[Setting, NDArray[np.int64], NDArray[np.uint8]]:
+    """The sets of at most ``most`` facts [C], and who holds them, at the scaled values, labels
+    what the robot can do [C, T]."""
+    n = len(domain.parameters)
+    value = {p.name: _scaled(domain, p, scale) for p in domain.parameters}
+    names = [parameter.name for parameter in domain.parameters]
+    largest = list(combinations(range(n), most))
+    setting = Setting.build(
+        domain,
+        tuple(
+            UserType(str(i), {names[j]: value[names[j]] for j in chosen})
+            for i, chosen in enumerate(largest)
+        ),
+    )
+    model: dict[int, int] = {}
+    for i, chosen in enumerate(largest):
+        own = subsets(chosen)
+        models = setting.model_index(i, int(own[-1]) & ~own)
+        model.update(zip(own.tolist(), models.tolist(), strict=True))
+    facts = np.array(sorted(model))
+    by_model = setting.label_by_model(setting.reachable)
+    return setting, facts, by_model[[model[held] for held in facts.tolist()]]
+
+
+def _scaled(domain: Domain, parameter: Parameter, scale: float) -> Any:
+    """The inaccurate value times ``scale``, where it is a number and the domain takes it."""
+    wrong = parameter.inaccurate
+    if scale == 1 or isinstance(wrong, bool) or not isinstance(wrong, (int, float)):
+        return wrong
+    values = {one.name: one.accurate for one in domain.parameters}
+    try:
+        domain.model(values | {parameter.name: scale * wrong})
+    except XplainError:
+        return wrong
+    return scale * wrong

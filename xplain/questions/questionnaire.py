@@ -98,10 +98,11 @@ class Questionnaire:
         start = known.prior if prior is None else prior_over(prior, len(known.facts), "prior")
         self.asked: list[Asked] = []
         self._pending: Question | None = None
-        # log P(answers, R, fits or not): [2, C]
+        # log P(answers, layer, R): [2 + V, C]; the layers are the variants, and "none fits".
+        share = np.append((1 - self.none_prior) * known.variant_prior, self.none_prior)
+        self._error = np.append(np.full(len(share) - 1, self.error), NONE_ERROR)
         with np.errstate(divide="ignore"):
-            share = np.array([[1 - self.none_prior], [self.none_prior]])
-            self._log_joint = np.log(share) + np.log(start)
+            self._log_joint = np.log(share)[:, None] + np.log(start)
         self._refresh()
 
     def next(self) -> Question:
@@ -139,18 +140,18 @@ class Questionnaire:
     @property
     def posterior(self) -> NDArray[np.float64]:
         """[C] P(candidate | answers); with :attr:`none` it sums to 1."""
-        return self._weight[0]
+        return np.asarray(self._weight[:-1].sum(axis=0))
 
     @property
     def none(self) -> float:
         """P(no hypothesis fits | answers)."""
-        return float(self._weight[1].sum())
+        return float(self._weight[-1].sum())
 
     @property
     def classes(self) -> NDArray[np.float64]:
         """[classes] posterior of each class of candidates that behave alike, in the order of
         ``hypotheses.classes``."""
-        return np.bincount(self.hypotheses.classes, self.posterior)
+        return np.asarray(np.bincount(self.hypotheses.classes, self.posterior), np.float64)
 
     @property
     def best(self) -> int:
@@ -216,25 +217,29 @@ class Questionnaire:
     def information(self, question: Question) -> float:
         """Mutual information, in bits, of the answer and (the candidate, whether any fits)."""
         transitions, told = self._checked(question)
-        labels = self.hypotheses.label(transitions, told)
-        pattern = labels.astype(np.int64) @ (1 << np.arange(len(transitions)))
+        pattern = self._labels(transitions, told) @ (1 << np.arange(len(transitions)))
         shares = np.stack(
-            [np.bincount(pattern, row, minlength=1 << len(transitions)) for row in self._weight]
+            [
+                np.bincount(one, row, minlength=1 << len(transitions)).astype(np.float64)
+                for one, row in zip(pattern, self._weight, strict=True)
+            ]
         )
         return float(self._information(shares[:, :, None])[0])
 
     def _take(self, one: Asked) -> None:
-        right = self.hypotheses.label(one.transitions, one.message_set) == np.array(one.labels)
-        agree = right.sum(axis=1)
-        of = len(one.labels)
-        for layer, error in enumerate((self.error, NONE_ERROR)):
-            likelihood = (1 - error) ** agree * error ** (of - agree)
-            with np.errstate(divide="ignore"):
-                self._log_joint[layer] += np.log(
-                    (1 - self.misread) * likelihood + self.misread / 2**of
-                )
+        right = self._labels(one.transitions, one.message_set) == np.array(one.labels)
+        agree, of = right.sum(axis=2), len(one.labels)
+        error = self._error[:, None]
+        likelihood = (1 - error) ** agree * error ** (of - agree)
+        with np.errstate(divide="ignore"):
+            self._log_joint += np.log((1 - self.misread) * likelihood + self.misread / 2**of)
         self.asked.append(one)
         self._refresh()
+
+    def _labels(self, transitions: ArrayLike, told: int) -> NDArray[np.int64]:
+        """[2 + V, C, Q] labels by layer and candidate; whom none fits goes by those assumed."""
+        labels = self.hypotheses.label(transitions, told).astype(np.int64)
+        return np.concatenate([labels, labels[:1]])
 
     def _refresh(self) -> None:
         top = self._log_joint.max()
@@ -276,8 +281,9 @@ class Questionnaire:
         All errors are those of a symmetric channel, so that a question tells more the nearer its
         P(label 1) is to ½.
         """
-        slope = np.array([1 - 2 * self.error, 1 - 2 * NONE_ERROR])
-        weight = slope @ self._weight
+        weight = (1 - 2 * self._error)[:, None] * self._weight
+        weight[0] += weight[-1]
+        weight = weight[:-1]
         middle = weight.sum() / 2
         off = [group.expected(weight) for group in self._groups]
         for values in off:
@@ -323,21 +329,21 @@ class Questionnaire:
         every = np.arange(known.n_transitions)
         rng = stream(self.seed, "questionnaire", "clip", len(self.asked))
         for start, told in starts:
-            labels = known.label(every, told)
-            clip, pattern = [start], labels[:, start].astype(np.int64)
+            labels = self._labels(every, told)
+            clip, pattern = [start], labels[:, :, start]
             value = self.information((clip, told))
             while len(clip) < self.clip and len(after := self._beside(clip)):
                 size = 1 << len(clip)
-                of_one = np.stack(  # [2, patterns, further]: share of label 1 beside each pattern
-                    [_sum_rows(pattern, row[:, None] * labels[:, after], size)
-                     for row in self._weight]
-                )  # fmt: skip
-                of_any = np.stack([np.bincount(pattern, row, size) for row in self._weight])
+                layers = list(zip(pattern, self._weight, labels[:, :, after], strict=True))
+                of_one = np.stack(  # [2 + V, patterns, further]: share of label 1 after a pattern
+                    [_sum_rows(own, row[:, None] * label, size) for own, row, label in layers]
+                )
+                of_any = np.stack([np.bincount(own, row, size) for own, row, _ in layers])
                 shares = np.concatenate([of_any[:, :, None] - of_one, of_one], axis=1)
                 values = self._information(shares)
                 ties = np.flatnonzero(values > values.max() - TIE)
                 i = int(rng.choice(ties))
-                pattern = pattern + size * labels[:, after[i]]
+                pattern = pattern + size * labels[:, :, after[i]]
                 value = float(values[i])
                 clip.append(int(after[i]))
             if value > most + TIE:
@@ -351,15 +357,15 @@ class Questionnaire:
         return others if states is None else others[states[others, 0] == states[clip[-1], 1]]
 
     def _information(self, shares: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Bits that answers tell: shares [2, 2^c, Q] of each pattern of labels, by whether a
-        hypothesis fits, of Q questions about c transitions → [Q].
+        """Bits that answers tell: shares [2 + V, 2^c, Q] of each pattern of labels, by layer, of Q
+        questions about c transitions → [Q].
 
         The noise has the same entropy whatever the pattern.
         """
         patterns = shares.shape[1]
         layers = [
             _channel(patterns.bit_length() - 1, error, self.misread)
-            for error in (self.error, NONE_ERROR)
+            for error in self._error.tolist()
         ]
         answers = sum(layer @ share for layer, share in zip(layers, shares, strict=True))
         noise = sum(
@@ -370,7 +376,7 @@ class Questionnaire:
 
 
 def _smallest(parts: list[NDArray[np.float64]], count: int) -> float:
-    """The value of the ``count``-th smallest of all numbers, or the largest where they are fewer."""
+    """The ``count``-th smallest of all numbers, or the largest where they are fewer."""
     if count == 1:
         return min(float(part.min()) for part in parts)
     merged = np.concatenate(parts)
@@ -408,4 +414,4 @@ def _share(key: str, value: object, below: float) -> float:
 
 def _digest(hypotheses: Hypotheses) -> int:
     """Tells tables of labels apart."""
-    return zlib.crc32(hypotheses.labels.tobytes() + hypotheses.facts.tobytes())
+    return zlib.crc32(hypotheses.tables.tobytes() + hypotheses.facts.tobytes())
