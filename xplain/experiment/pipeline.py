@@ -292,9 +292,9 @@ def build_case(
         transitions=transitions,
         phrases=tuple(domain.describe(transition) for transition in transitions),
         positions=tuple(cell for cell in cells if cell is not None),
-        learned=p_explicable(types.labelers, features, n),
-        everyone=p_explicable([everyone], features, n),
-        perfect=None if oracle is None else p_explicable(oracle, features, n),
+        learned=p_explicable(types.labelers, features, n, transitions),
+        everyone=p_explicable([everyone], features, n, transitions),
+        perfect=None if oracle is None else p_explicable(oracle, features, n, transitions),
         labels=setting.label_table(transitions),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +33,22 @@ class UserTypes:
     prior: NDArray[np.float64]
 
 
+@runtime_checkable
+class KnowsTransitions(Protocol):
+    """A labeler that tells transitions apart that share their features."""
+
+    def table_of(
+        self, features: NDArray[np.float64], n_messages: int, transitions: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """As ``table``, of the transitions [T, 3] with these features [T, F]: [T, 2^n]."""
+        ...
+
+
 def p_explicable(
-    labelers: Iterable[Labeler], features: NDArray[np.float64], n_messages: int
+    labelers: Iterable[Labeler],
+    features: NDArray[np.float64],
+    n_messages: int,
+    transitions: NDArray[np.int64] | None = None,
 ) -> NDArray[np.float64]:
     """P(label = 1) of m transitions under every message set, one table a labeler: [N, m, 2^n].
 
@@ -42,11 +56,19 @@ def p_explicable(
         labelers: N ≥ 1 of them.
         features: [m, F] of the transitions, as the labelers were trained on.
         n_messages: n; the last axis is indexed by the message set's bitmask.
+        transitions: [m, 3] with these features, where they are known.
 
     Raises:
         InputError: a labeler was trained with another number of messages.
     """
-    return np.stack([labeler.table(features, n_messages) for labeler in labelers])
+    return np.stack(
+        [
+            labeler.table_of(features, n_messages, transitions)
+            if transitions is not None and isinstance(labeler, KnowsTransitions)
+            else labeler.table(features, n_messages)
+            for labeler in labelers
+        ]
+    )
 
 
 def learn_types(

@@ -25,8 +25,8 @@ from xplain.questions.hypotheses import Hypotheses
 DEVIATION = np.array([0.001, 0.01, 0.05, 1 / 3])
 """δ is one of these; the last is that of people whom no hypothesis fits."""
 DEVIATION_PRIOR = np.array([0.7, 0.15, 0.1, 0.05])
-DISPUTED = 0.1
-"""δ at least, where variants of the hypotheses disagree."""
+DISPUTED = 20.0
+"""δ is so much larger, up to ⅓, where variants of the hypotheses disagree."""
 ERROR = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
 """ε is one of these, as likely each."""
 SWEEPS = 30
@@ -61,6 +61,32 @@ class KnownTransitions:
     def by_cell(self) -> NDArray[np.float64]:
         """[C · U, 1 + V] :attr:`share` by the key of a cell."""
         return np.ascontiguousarray(self.share.reshape(len(self.share), -1).T)
+
+    @cached_property
+    def ambiguous(self) -> NDArray[np.bool_]:
+        """[U] whether transitions that share the features are labelled differently."""
+        return np.asarray(((self.share > 0) & (self.share < 1)).any(axis=(0, 1)))
+
+    @cached_property
+    def _exact(self) -> dict[bytes, int]:
+        states, rows = self.hypotheses.states, self.hypotheses.features
+        if states is None or rows is None:
+            return {}
+        return {
+            state.tobytes() + row.tobytes(): t
+            for t, (state, row) in enumerate(
+                zip(states.astype(np.int64), rows.astype(np.float32), strict=True)
+            )
+        }
+
+    def find_exactly(
+        self, features: NDArray[np.float64], states: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """[P] the hypotheses' transitions with these features [P, F] between these states [P, 2];
+        −1 where there is none."""
+        rows = features.astype(np.float32)
+        keys = [s.tobytes() + row.tobytes() for s, row in zip(states, rows, strict=True)]
+        return np.array([self._exact.get(key, -1) for key in keys], dtype=np.int64)
 
     @cached_property
     def _place(self) -> dict[bytes, int]:
@@ -146,7 +172,8 @@ def truth(share: NDArray[np.float64]) -> NDArray[np.float64]:
     """P(f = 1) of cells [N, 1 + V] by how often the hypotheses are wrong: [N, 1 + V, D]. Where
     variants disagree, more than the others may be true."""
     disputed = share.min(axis=1) != share.max(axis=1)
-    deviation = np.where(disputed[:, None], np.maximum(DEVIATION, DISPUTED), DEVIATION)[:, None]
+    more = np.minimum(DISPUTED * DEVIATION, DEVIATION[-1])
+    deviation = np.where(disputed[:, None], more, DEVIATION)[:, None]
     return np.asarray(share[:, :, None] * (1 - deviation) + (1 - share[:, :, None]) * deviation)
 
 

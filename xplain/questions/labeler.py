@@ -88,6 +88,17 @@ class FactSetClassifier:
             result += one[place.ravel()]
         return np.clip(result, EDGE, 1 - EDGE)
 
+    def exactly(
+        self, transitions: NDArray[np.int64], told: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(f = 1) by the hypotheses alone, of their transitions [P]: [P]. Where transitions
+        share their features, nobody knows which of them an answer was about."""
+        known, result = self.known.hypotheses, np.zeros(len(transitions))
+        for r, facts in enumerate(self.facts.tolist()):
+            labels = known.tables[:, known.row(facts & ~told), transitions].T.astype(np.float64)
+            result += (truth(labels) * self.weight[r]).sum(axis=(1, 2))
+        return np.clip(result, EDGE, 1 - EDGE)
+
     def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
         """P(label = 0) and P(label = 1) of rows [P, F + n]: [P, 2]."""
         n = self.known.hypotheses.n_messages
@@ -114,6 +125,21 @@ class HypothesisLabeler(Labeler):
         if not isinstance(self.classifier, FactSetClassifier):
             return super()._probability(x)
         return np.asarray(self.classifier.predict_proba(x)[:, 1])
+
+    def table_of(
+        self, features: NDArray[np.float64], n_messages: int, transitions: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(label = 1) of transitions [T, 3] with features [T, F]: [T, 2^n]. Those that share
+        their features are told apart."""
+        result = self.table(features, n_messages)
+        known = self.classifier.known
+        place = known.find(features)
+        rows = np.flatnonzero((place >= 0) & known.ambiguous[place])
+        found = known.find_exactly(features[rows], transitions[rows][:, [0, 2]])
+        every = np.arange(1 << n_messages)
+        for row, t in zip(rows[found >= 0].tolist(), found[found >= 0].tolist(), strict=True):
+            result[row] = self.classifier.exactly(np.full(len(every), t), every)
+        return result
 
 
 @dataclass(frozen=True)
