@@ -1,6 +1,6 @@
 """What well-chosen questions save: labels, and what explanations cost with them.
 
-    python benchmarks/questions.py identify      questions until it is known what one person holds wrong
+    python benchmarks/questions.py identify      questions until it is known what one holds wrong
     python benchmarks/questions.py grid          labels × design × labeler × errors → types, costs
     python benchmarks/questions.py wrong         people whom the hypotheses do not fit
     python benchmarks/questions.py plot          the grid's picture, from its rows
@@ -72,6 +72,7 @@ WAYS = {
     "adaptive, hypotheses": ("adaptive", "hypotheses"),
 }
 POINTS = (5, 10, 20, 40, 80, 320)
+IDENTIFIED = ("map", "seed", "error", "questions", "right")
 KEY = ["map", "way", "points", "error", "people", "seed"]
 
 
@@ -305,7 +306,8 @@ def identify(seeds: int) -> pd.DataFrame:
                 label = int(hypotheses.label([t], told)[0, row, 0])  # type: ignore[list-item]
                 questions.answer(label ^ int(rng.random() < error))
             count, right = len(questions.asked), questions.best == held
-            rows.append(dict(map=name, seed=seed, error=error, questions=count, right=right))
+            values = (name, seed, error, count, right)
+            rows.append(dict(zip(IDENTIFIED, values, strict=True)))
     return pd.DataFrame(rows)
 
 
