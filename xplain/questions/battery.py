@@ -24,7 +24,8 @@ Battery = tuple[NDArray[np.int64], NDArray[np.int64]]
 def battery(
     hypotheses: Hypotheses, redundancy: int = 1, seed: int = 0, at_least: int = 0
 ) -> Battery:
-    """The list, those questions first that separate most.
+    """The list, those questions first that separate most; of questions that separate the same,
+    one about a transition not asked about before, with few messages to read.
 
     Args:
         hypotheses: the candidates.
@@ -55,7 +56,8 @@ def battery(
         best = int(rng.choice(np.flatnonzero(gain == gain.max())))
         among = questions[best]
         new = among[seen[among[:, 0]] == seen[among[:, 0]].min()]
-        transition, told = (int(x) for x in rng.choice(new))
+        words = np.array([int(told).bit_count() for told in new[:, 1]])
+        transition, told = (int(x) for x in rng.choice(new[words == words.min()]))
         chosen.append((transition, told))
         seen[transition] += 1
         lacking -= partition[best][:, None] != partition[best]

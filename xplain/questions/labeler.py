@@ -181,7 +181,7 @@ class HypothesisTrainer(LabelerTrainer):
             InputError: no labels.
         """
         if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
-            return super().fit(dataset, seed)
+            return LabelerTrainer(self.classifier, self.holdout).fit(dataset, seed)
         if len(dataset) == 0:
             raise InputError("data", 0, "a labeler needs at least one label")
         x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
