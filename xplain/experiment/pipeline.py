@@ -225,9 +225,11 @@ def learned_types(observed: Observed, components: Components) -> Known:
     def tables(transitions: NDArray[np.int64]) -> Tables:
         features = transition_features(domain, transitions)
         return Tables(
-            learned=p_explicable(types.labelers, features, n),
-            everyone=unless_too_large(lambda: p_explicable([references.everyone], features, n)),
-            perfect=None if oracle is None else p_explicable(oracle, features, n),
+            learned=p_explicable(types.labelers, features, n, transitions),
+            everyone=unless_too_large(
+                lambda: p_explicable([references.everyone], features, n, transitions)
+            ),
+            perfect=None if oracle is None else p_explicable(oracle, features, n, transitions),
         )
 
     clustering = types.clustering

@@ -102,12 +102,7 @@ class Labeler:
             )
         found = cubes(self.classifier.tree_, features, self.n_messages)
         relevant = indices(int(np.bitwise_or.reduce(found.ones | found.zeros, initial=0)))
-        if len(relevant) > MAX_LOOKED_AT:
-            raise TooLargeError(
-                f"labeler: a type's tree looks at {len(relevant)} of {self.n_messages} messages on "
-                f"one trace, more than {MAX_LOOKED_AT}; shorter traces, or a pruned tree "
-                "(labeler=pruned), look at fewer"
-            )
+        check_looked_at(len(relevant), self.n_messages)
         packed = found.over(relevant)
         table = packed.table(self._of_leaves(), (len(features), 1 << len(relevant)))
         return np.array(relevant, dtype=np.int64), table
@@ -227,6 +222,16 @@ class LabelerTrainer:
         names = [name for name in model.get_params() if name.split("__")[-1] == "random_state"]
         model.set_params(**dict.fromkeys(names, state))
         return model.fit(x, y) if weight is None else model.fit(x, y, sample_weight=weight)
+
+
+def check_looked_at(count: int, n_messages: int) -> None:
+    """Raises TooLargeError where a labeler looks at more than MAX_LOOKED_AT messages on a trace."""
+    if count > MAX_LOOKED_AT:
+        raise TooLargeError(
+            f"labeler: a type's labeler looks at {count} of {n_messages} messages on one trace, "
+            f"more than {MAX_LOOKED_AT}; shorter traces, or a pruned tree (labeler=pruned), look "
+            "at fewer"
+        )
 
 
 def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
 from xplain.errors import InputError, TooLargeError
-from xplain.learning.clustering import Clustering, by_first_appearance
+from xplain.learning.clustering import Clustering, KnowsFactSets, by_first_appearance
 from xplain.learning.fact_model.gibbs import Chain, sample
 from xplain.learning.fact_model.model import Answers, Prior, facts_that_matter
 from xplain.learning.fact_model.resample_transitions import WIDE
@@ -74,9 +74,16 @@ class DirichletMixture:
     ) -> Clustering:
         """Types, what each needs to be told, and the posterior over their number.
 
+        A trainer that knows what people might hold wrong finds the types itself: its hypotheses
+        take the place of the prior over which facts matter where.
+
         Raises:
             TooLargeError: ``depth`` is too large for so many messages.
         """
+        if isinstance(trainer, KnowsFactSets):
+            known = trainer.find_types(dataset, self.concentration, seed)
+            if known is not None:
+                return known
         from joblib import Parallel, delayed
 
         observers, n = len(dataset.observers), dataset.n_messages
