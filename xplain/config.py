@@ -15,6 +15,7 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException
 from omegaconf import (
+    AnyNode,
     DictConfig,
     FloatNode,
     IntegerNode,
@@ -69,7 +70,7 @@ def schema() -> DictConfig:
             "max_steps": IntegerNode(40),
             "discount": FloatNode(0.95),
             "discount_per": StringNode("action"),
-            "message_cost": FloatNode(1.0),
+            "message_cost": AnyNode(1.0),  # a number, or one by name; checked with the messages
             "inexplicability_cost": FloatNode(1.0),
             "prior": StringNode("uniform"),
             "resume": StringNode("missing"),

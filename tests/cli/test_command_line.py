@@ -74,6 +74,7 @@ def test_the_list_of_keys_names_choices_and_keys(capsys):
 
 RAGGED = "domain.map='S..V\n...'"
 
+SIX = ("first_aid", "fire", "refuel", "rubble", "puddle", "fence")
 BAD = [
     (["solver=nonsense"], ["solver", "nonsense", "qmdp"]),
     (["lamda=2"], ["lamda", "lambda"]),
@@ -88,6 +89,10 @@ BAD = [
     (["traces=0"], ["traces", "0"]),
     (["seed=-3"], ["seed", "-3"]),
     (["message_cost=-1"], ["message_cost", "-1"]),
+    (["message_cost=much"], ["message_cost", "much"]),
+    (["message_cost={fire: 2}"], ["message_cost", "fire", "fence missing"]),
+    (["message_cost={lava: 2}"], ["message_cost", "lava", "first_aid"]),
+    ([f"message_cost={{{', '.join(f'{m}: -2' for m in SIX)}}}"], ["message_cost.first_aid", "-2"]),
     (["inexplicability_cost=-2"], ["inexplicability_cost", "-2"]),
     ([RAGGED], ["domain.map"]),
     (["domain.map='SVSAFUrpfs'"], ["domain.map", "shelter"]),

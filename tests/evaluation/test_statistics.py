@@ -47,6 +47,20 @@ def test_intervals_cover_as_often_as_they_say():
     assert abs(covered / rounds - 0.95) < 4 * (0.95 * 0.05 / rounds) ** 0.5
 
 
+@given(st.lists(st.floats(0, 1), min_size=2, max_size=10))
+def test_an_interval_of_a_share_is_one_of_shares(values):
+    plain = clustered_mean(values, range(len(values)))
+    cut = clustered_mean(values, range(len(values)), possible=(0, 1))
+    assert (cut.low, cut.high) == (max(0, plain.low), min(1, plain.high))
+    assert 0 <= cut.low <= cut.mean + 1e-12
+    assert cut.mean - 1e-12 <= cut.high <= 1
+
+
+def test_what_was_seen_is_possible():
+    cut = clustered_mean([-1, 0, 1, 4], range(4), possible=(0, 2))
+    assert (cut.low, cut.high) == (-1, 4)
+
+
 @given(st.lists(st.floats(0.1, 100), min_size=4, max_size=20), st.floats(0.1, 10))
 def test_a_ratio_that_never_varies_is_certain(below, ratio):
     estimate = clustered_ratio(np.multiply(below, ratio), below, range(len(below)))

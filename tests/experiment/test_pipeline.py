@@ -58,6 +58,42 @@ def test_every_cost_reaches_the_problem():
     assert np.array_equal(problem.p_explicable, table)
 
 
+def test_a_message_has_the_cost_of_its_name():
+    """In the problem's order, whatever the order in which they were written."""
+    costs = replace(COSTS, message_cost={"b": 2, "a": 0.25})
+    table = np.full((2, 3, 4), 0.5)
+    problem = costs.problem(table, ("a", "b"), ("F1", "F2"), np.array([0.7, 0.3]))
+    assert problem.message_cost.tolist() == [0.25, 2]
+    prepared = a_prepared(steps=(3,))
+    for record in evaluate(prepared, costs, {"solver": Spy("types", after=1)}, Independent(), 0):
+        table = prepared.cases[0].labels[record.user_type]
+        zeros = int(
+            (table[:1, 0] == 0).sum() + (table[:2, 3] == 0).sum() + (table[:, 3] == 0).sum()
+        )
+        assert record.episode.communication == 2.25
+        assert record.episode.cost == pytest.approx(1.5 * (0.25 + 2) + 2.0 * zeros)
+
+
+@pytest.mark.parametrize(
+    ("message_cost", "words"),
+    [
+        ({"a": 1.0, "lava": 2.0}, ["message_cost='lava'", "messages: a, b"]),
+        ({"a": 1.0}, ["message_cost={'a': 1.0}", "b missing"]),
+        ({"a": 1.0, "b": -1}, ["message_cost.b=-1", "≥ 0"]),
+        ({"a": 1.0, "b": float("nan")}, ["message_cost.b=nan", "finite"]),
+        ({"a": 1.0, "b": "much"}, ["message_cost.b='much'", "number"]),
+        (-0.5, ["message_cost=-0.5", "≥ 0"]),
+        (float("inf"), ["message_cost=inf", "finite"]),
+    ],
+)
+def test_a_cost_that_no_message_can_have_is_one_line(message_cost, words):
+    with pytest.raises(InputError) as error:
+        replace(COSTS, message_cost=message_cost).message_costs(("a", "b"))
+    assert "\n" not in str(error.value)
+    for word in words:
+        assert word in str(error.value)
+
+
 @pytest.mark.parametrize("user", [0, 1, 2])
 def test_a_solver_plans_with_what_it_may_know(user):
     prepared = a_prepared()

@@ -151,7 +151,7 @@ def stage(overrides: Sequence[str], trace: int) -> Stage:
             types,
             solver,
             costs.trade_off,
-            costs.message_cost,
+            costs.message_costs(prepared.messages),
             costs.inexplicability_cost,
             costs.discount,
             costs.discount_per,

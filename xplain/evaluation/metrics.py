@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.evaluation.episode import Episode
-from xplain.evaluation.statistics import Estimate, clustered_mean, clustered_ratio
+from xplain.evaluation.statistics import (
+    ANY,
+    Estimate,
+    Range,
+    clustered_mean,
+    clustered_ratio,
+)
 
 SURE = 0.9
 """A type counts as recognised once the belief in it exceeds this."""
@@ -20,6 +26,19 @@ RATIOS = (
     ("cost_over_true_labels", "solver", "true_labels"),
 )
 """Figures that compare what two of the records' solvers cost."""
+
+
+SIGNED = ("regret",)
+"""Measures that may be negative: the oracle's labelers err, and a lucky plan can beat it."""
+SHARES = ("final_belief",)
+
+
+def possible(measure: str) -> Range:
+    """The values that a measure of an episode can have. (Nothing costs less than the
+    clairvoyant, but for what plans that discount and costs that do not may differ by.)"""
+    if measure in SIGNED:
+        return ANY
+    return (0.0, 1.0) if measure in SHARES else (0.0, np.inf)
 
 
 @dataclass(frozen=True)
@@ -86,7 +105,10 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
             other = [by_solver[reference][key].episode.cost for key in own]
             columns[f"{reference}_cost"] = other
             columns[name] = [c - o for c, o in zip(columns["cost"], other, strict=True)]
-    found = {name: clustered_mean(column, traces) for name, column in columns.items()}
+    found = {
+        name: clustered_mean(column, traces, possible=possible(name))
+        for name, column in columns.items()
+    }
     for name, above, below in RATIOS:
         if above in by_solver and below in by_solver:
             dear, cheap = (

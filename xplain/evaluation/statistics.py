@@ -7,6 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+Range = tuple[float, float]
+"""The least and the largest value that a quantity can have."""
+
+ANY: Range = (-np.inf, np.inf)
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -39,7 +44,9 @@ def clustered_ratio(
     return Estimate(float(ratio), float(np.maximum(found.low, 0)), found.high)
 
 
-def clustered_mean(values: ArrayLike, clusters: ArrayLike, level: float = 0.95) -> Estimate:
+def clustered_mean(
+    values: ArrayLike, clusters: ArrayLike, level: float = 0.95, possible: Range = ANY
+) -> Estimate:
     """Mean of values with a t interval over cluster means' spread.
 
     Episodes on one trace share its difficulty, so the trace (in a sweep: seed and trace) is the
@@ -49,6 +56,8 @@ def clustered_mean(values: ArrayLike, clusters: ArrayLike, level: float = 0.95) 
         values: [E].
         clusters: [E] the same number for values of one cluster.
         level: of the interval.
+        possible: values of the quantity; the interval is cut where the mean cannot be. (A value
+            outside that was seen is possible.)
     """
     from scipy.special import stdtrit
 
@@ -63,4 +72,6 @@ def clustered_mean(values: ArrayLike, clusters: ArrayLike, level: float = 0.95) 
     totals = np.bincount(index, weights=values - mean)
     variance = groups / (groups - 1) * float((totals**2).sum()) / len(values) ** 2
     half = float(stdtrit(groups - 1, 0.5 + level / 2)) * variance**0.5
-    return Estimate(mean, mean - half, mean + half)
+    least = min(possible[0], float(values.min()))
+    most = max(possible[1], float(values.max()))
+    return Estimate(mean, max(mean - half, least), min(mean + half, most))

@@ -5,13 +5,14 @@ Case ── Problem ── Policy ── Episode ── Record
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
+from xplain.errors import InputError, number
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.evaluation.metrics import Record
 from xplain.experiment.pipeline import Case, Prepared, Track, untracked
@@ -28,10 +29,16 @@ class Costs:
     """What messages and inexplicable labels cost, and how plans discount.
 
     docs/method.md, section 5.
+
+    Attributes:
+        trade_off: λ.
+        message_cost: C_e, one number for all messages, or one of each message by its name.
+        inexplicability_cost, discount, discount_per: see :class:`Problem`.
+        prior: ``uniform``, or ``observers``: their shares.
     """
 
     trade_off: float
-    message_cost: float
+    message_cost: float | Mapping[str, float]
     inexplicability_cost: float
     discount: float
     discount_per: DiscountPer
@@ -39,9 +46,30 @@ class Costs:
 
     def __post_init__(self) -> None:
         """Checks what :class:`Problem` would refuse, before any work is done."""
-        self.problem(np.full((1, 1, 1), 0.5), (), ("type",), np.ones(1))
+        names = tuple(self.message_cost) if isinstance(self.message_cost, Mapping) else ()
+        table = ByType(np.empty((1, 0), np.int64), np.full((1, 1, 1), 0.5))
+        self.problem(table, names, ("type",), np.ones(1))
         if self.prior not in ("uniform", "observers"):
             raise InputError("prior", self.prior, "uniform or observers")
+
+    def message_costs(self, names: tuple[str, ...]) -> NDArray[np.float64]:
+        """[n] C_e of each message.
+
+        Raises:
+            InputError: no number ≥ 0; or by name, and a message has none, or there is no such
+                message.
+        """
+        costs = self.message_cost
+        if not isinstance(costs, Mapping):
+            return np.full(len(names), _cost("message_cost", costs))
+        unknown = [name for name in costs if name not in names]
+        if unknown:
+            raise InputError("message_cost", unknown[0], f"messages: {', '.join(names)}")
+        missing = [name for name in names if name not in costs]
+        if missing:
+            wanted = f"a cost of each message; {', '.join(missing)} missing"
+            raise InputError("message_cost", dict(costs), wanted)
+        return np.array([_cost(f"message_cost.{name}", costs[name]) for name in names])
 
     def problem(
         self,
@@ -51,11 +79,9 @@ class Costs:
         shares: NDArray[np.float64],
     ) -> Problem:
         """The problem of one trace; ``shares`` [N] of the observers, for the prior."""
-        if not (np.isfinite(self.message_cost) and self.message_cost >= 0):
-            raise InputError("message_cost", self.message_cost, "a number ≥ 0")
         return Problem.of_table(
             p_explicable,
-            message_cost=np.full(len(message_names), self.message_cost),
+            message_cost=self.message_costs(message_names),
             inexplicability_cost=self.inexplicability_cost,
             trade_off=self.trade_off,
             discount=self.discount,
@@ -64,6 +90,13 @@ class Costs:
             message_names=message_names,
             type_names=type_names,
         )
+
+
+def _cost(key: str, value: object) -> float:
+    cost = number(key, value)
+    if cost < 0:
+        raise InputError(key, value, "a number ≥ 0")
+    return cost
 
 
 def problem_of_types(prepared: Prepared, case: Case, costs: Costs) -> Problem:

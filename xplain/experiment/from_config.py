@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import Components
@@ -32,13 +32,19 @@ def costs_of(cfg: DictConfig) -> Costs:
     """λ and the other costs.
 
     Raises:
-        InputError: one that no problem can have.
+        InputError: one that no problem can have, or of a message that the domain does not have.
     """
-    return Costs(
+    message_cost = cfg.message_cost
+    if by_name := OmegaConf.is_config(message_cost):
+        message_cost = OmegaConf.to_container(message_cost, resolve=True)
+    costs = Costs(
         trade_off=cfg["lambda"],
-        message_cost=cfg.message_cost,
+        message_cost=message_cost,
         inexplicability_cost=cfg.inexplicability_cost,
         discount=cfg.discount,
         discount_per=cfg.discount_per,
         prior=cfg.prior,
     )
+    if by_name:  # before anything is learned
+        costs.message_costs(tuple(p.name for p in instantiate(cfg.domain).parameters))
+    return costs

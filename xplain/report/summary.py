@@ -10,7 +10,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
@@ -20,10 +20,21 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from xplain.evaluation.metrics import possible
 from xplain.evaluation.statistics import Estimate, clustered_mean
 from xplain.experiment.results import RESULTS, Results, load_results
 
-ORDER = ("qmdp", "pomcp", "qhr", "baseline", "conformant")
+ORDER = (
+    "qmdp",
+    "pomcp_paper",
+    "pomcp",
+    "certified",
+    "qhr",
+    "baseline",
+    "conformant",
+    "silent",
+    "say_all",
+)
 """The paper's columns come first, others after them by name."""
 
 _SOURCE = (
@@ -118,6 +129,7 @@ class Summary:
         frame = pd.DataFrame(rows)
         if len(frame):
             frame["regret"] = frame["cost"] - frame["oracle"]
+            frame["regret to clairvoyant"] = frame["cost"] - frame["clairvoyant"]
         return frame
 
     @cached_property
@@ -154,19 +166,25 @@ class Summary:
         frame = frame[np.isfinite(frame[measure])]
         if not len(frame):
             return None
-        estimate = clustered_mean(frame[measure], self._clusters(frame))
+        name = measure.replace(" ", "_")
+        estimate = clustered_mean(frame[measure], self._clusters(frame), possible=possible(name))
         label = "all" if setting is None else setting
         return TableCell(domain, label, trade_off, method, estimate, len(frame))
 
-    def oracle(self, domain: str, trade_off: float, setting: str | None = None) -> TableCell | None:
-        """The oracle's cost: it is the same in every job of a setting, so one method's will do."""
+    def reference(
+        self, name: str, domain: str, trade_off: float, setting: str | None = None
+    ) -> TableCell | None:
+        """The cost of the oracle or the clairvoyant: it is the same in every job of a setting, so
+        one method's will do."""
         for method in self.methods:
-            cell = self.estimate("oracle", domain, trade_off, method, setting)
+            cell = self.estimate(name, domain, trade_off, method, setting)
             if cell is not None:
-                return TableCell(
-                    domain, cell.setting, trade_off, "oracle", cell.estimate, cell.episodes
-                )
+                return replace(cell, measure=name)
         return None
+
+    def oracle(self, domain: str, trade_off: float, setting: str | None = None) -> TableCell | None:
+        """The oracle's cost."""
+        return self.reference("oracle", domain, trade_off, setting)
 
     def differences(self) -> Iterator[tuple[str, float, str, str, Estimate]]:
         """(domain, λ, method, other, cost of the method less the other's on the same trace and
@@ -264,6 +282,18 @@ class Summary:
             }
             for key, by_seed in found.items()
         }
+
+    def types_found(self) -> dict[str, list[float]]:
+        """By domain, the adjusted Rand index of each data set: one a setting and seed."""
+        found: dict[tuple[str, str, int], float] = {}
+        for job, results in self.results:
+            if "adjusted_rand_index" in results.learning:
+                key = (results.domain, setting_of(job["values"]), results.seed)
+                found[key] = results.learning["adjusted_rand_index"]
+        domains: dict[str, list[float]] = {}
+        for (domain, *_), index in found.items():
+            domains.setdefault(domain, []).append(index)
+        return domains
 
     def curves(self) -> list[tuple[str, float, float]]:
         """(name, λ, mean) of complete cells, for charts."""

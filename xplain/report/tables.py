@@ -31,21 +31,30 @@ class Entry:
         return None if self.paper is None else self.estimate.mean - self.paper
 
 
-def entries(summary: Summary, by_setting: bool = False) -> Iterator[Entry]:
-    """All numbers, row by row: the oracle's cost, then the regret of each method.
+REFERENCES = ("oracle", "clairvoyant")
+"""Whose costs stand before the methods' regrets."""
+
+
+def entries(summary: Summary, by_setting: bool = False, measure: str = "regret") -> Iterator[Entry]:
+    """All numbers, row by row: the references' costs, then the regret of each method.
 
     Args:
         summary: of a sweep.
         by_setting: one row a setting; else a domain's settings are pooled, as in the paper.
+        measure: ``regret`` (to the oracle) or ``regret to clairvoyant``, of which the paper has no
+            values.
     """
     published = table1()
     for domain in summary.domains:
         settings = summary.settings(domain) if by_setting else [None]
         for setting in settings:
             for trade_off in summary.trade_offs:
-                paper = published.get((domain, trade_off), {})
-                cells = [("oracle", summary.oracle(domain, trade_off, setting))] + [
-                    (method, summary.estimate("regret", domain, trade_off, method, setting))
+                paper = published.get((domain, trade_off), {}) if measure == "regret" else {}
+                cells = [
+                    (name, summary.reference(name, domain, trade_off, setting))
+                    for name in REFERENCES
+                ] + [
+                    (method, summary.estimate(measure, domain, trade_off, method, setting))
                     for method in summary.methods
                 ]
                 for column, cell in cells:
@@ -61,8 +70,9 @@ def entries(summary: Summary, by_setting: bool = False) -> Iterator[Entry]:
                         )
 
 
-def as_csv(summary: Summary) -> str:
-    """One line a number, pooled and by setting, six decimals."""
+def as_csv(summary: Summary, measure: str = "regret") -> str:
+    """One line a number, pooled and by setting, six decimals; ``measure`` as in
+    :func:`entries`."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(
@@ -79,9 +89,9 @@ def as_csv(summary: Summary) -> str:
             "episodes",
         ]
     )
-    rows = list(entries(summary))
+    rows = list(entries(summary, measure=measure))
     if any(len(summary.settings(domain)) > 1 for domain in summary.domains):
-        rows += list(entries(summary, by_setting=True))
+        rows += list(entries(summary, by_setting=True, measure=measure))
     for e in rows:
         numbers = [e.estimate.mean, e.estimate.low, e.estimate.high, e.paper, e.difference]
         writer.writerow(
@@ -105,30 +115,34 @@ def differences_csv(summary: Summary) -> str:
     return out.getvalue()
 
 
-def grid(summary: Summary, by_setting: bool = False) -> list[tuple[str, str, float, list[Entry]]]:
+def grid(
+    summary: Summary, by_setting: bool = False, measure: str = "regret"
+) -> list[tuple[str, str, float, list[Entry]]]:
     """(domain, setting, λ, numbers in the order of the columns)."""
     rows: dict[tuple[str, str, float], list[Entry]] = {}
-    for entry in entries(summary, by_setting):
+    for entry in entries(summary, by_setting, measure):
         rows.setdefault((entry.domain, entry.setting, entry.trade_off), []).append(entry)
     return [(*key, numbers) for key, numbers in rows.items()]
 
 
 def columns(summary: Summary) -> list[str]:
     """Keys of the columns."""
-    return ["oracle", *summary.methods]
+    known = {name for name in REFERENCES if summary.episodes[name].notna().any()}
+    return [*(name for name in REFERENCES if name in known), *summary.methods]
 
 
-def markdown(summary: Summary) -> str:
+def markdown(summary: Summary, by_setting: bool = False, measure: str = "regret") -> str:
     """The table in the paper's layout: mean, interval, and the paper's value with the
-    difference."""
+    difference; arguments as of :func:`entries`."""
     keys = columns(summary)
     heads = ["Domain", "λ", *(title(key) for key in keys)]
     lines = ["| " + " | ".join(heads) + " |", "|---|---|" + "---|" * len(keys)]
-    for domain, _, trade_off, numbers in grid(summary):
+    for domain, setting, trade_off, numbers in grid(summary, by_setting, measure):
         cells = {entry.column: cell_text(entry) for entry in numbers}
-        words = [title(domain), f"{trade_off:g}", *(cells.get(key, "") for key in keys)]
+        name = f"{title(domain)} {setting if by_setting else ''}".rstrip()
+        words = [name, f"{trade_off:g}", *(cells.get(key, "") for key in keys)]
         lines.append("| " + " | ".join(words) + " |")
-    return "\n".join([*lines, "", caption(summary), ""])
+    return "\n".join([*lines, "", caption(summary, measure), ""])
 
 
 def cell_text(entry: Entry) -> str:
@@ -172,8 +186,8 @@ def latex(summary: Summary) -> str:
     return "\n".join(lines) + "\n"
 
 
-def caption(summary: Summary) -> str:
-    """How to read the table."""
+def caption(summary: Summary, measure: str = "regret") -> str:
+    """How to read the table; ``measure`` as in :func:`entries`."""
     pooled = [
         f"{title(domain)} pools {len(summary.settings(domain))} settings "
         f"({'; '.join(summary.settings(domain))})"
@@ -181,10 +195,12 @@ def caption(summary: Summary) -> str:
         if len(summary.settings(domain)) > 1
     ]
     unit = "seeds" if summary.seeds > 1 else "traces"
+    to_oracle = measure == "regret"
+    whose = "oracle's" if to_oracle else "clairvoyant's"
+    paper = "; in parentheses the paper's value and our difference to it" if to_oracle else ""
     text = (
-        "Oracle's cost, and regret (cost less the oracle's on the same trace and user) of each "
-        f"method; 95 % intervals over {unit} in brackets; in parentheses the paper's value and "
-        "our difference to it."
+        f"Costs of the references, and regret (cost less the {whose} on the same trace and user) "
+        f"of each method; 95 % intervals over {unit} in brackets{paper}."
     )
     if summary.missing:
         text += f" {summary.missing} of {len(summary.jobs)} jobs are missing."

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from xplain.report import tables
+from xplain.report import claims, tables
 from xplain.report.page import Picture, Pictures, page
 from xplain.report.paper import title
 from xplain.report.summary import Summary
@@ -27,9 +27,21 @@ def write_report(folder: Path) -> tuple[Summary, Path]:
         write_text(report / "table1.md", tables.markdown(summary))
         write_text(report / "table1.tex", tables.latex(summary))
         write_text(report / "table1.csv", tables.as_csv(summary))
+        _write_more_of_table1(summary, report)
         write_text(report / "differences.csv", tables.differences_csv(summary))
         write_text(report / "index.html", page(summary, draw(summary, report)))
     return summary, report
+
+
+def _write_more_of_table1(summary: Summary, report: Path) -> None:
+    """Beside the paper's table: a row a setting, regret to the clairvoyant, and what the paper
+    claims."""
+    to_floor = "regret to clairvoyant"
+    write_text(report / "table1_by_setting.md", tables.markdown(summary, by_setting=True))
+    write_text(report / "table1_clairvoyant.md", tables.markdown(summary, measure=to_floor))
+    write_text(report / "table1_clairvoyant.csv", tables.as_csv(summary, to_floor))
+    tested = claims.claims(summary.episodes, summary.types_found())
+    write_text(report / "claims.md", claims.markdown(tested))
 
 
 def draw(summary: Summary, report: Path) -> Pictures:

@@ -24,7 +24,7 @@ from xplain.solvers.count_lattice import branch, copy, hash_key, make_answers, s
 from xplain.solvers.model import Model, explain_cost_at, model_of
 
 NEGLIGIBLE = 1e-16
-"""Joint probability below which an answer is not followed."""
+"""Joint probability below which an answer is not followed, at the precision EXACT."""
 EXACT = 1e-9
 """A walk is called exact when what it left out cannot change the value by more than this."""
 
@@ -50,7 +50,12 @@ class PolicyValue:
 
 
 def evaluate(
-    problem: Problem, policy: Policy, beliefs: int = 5_000, episodes: int = 1_000, seed: int = 0
+    problem: Problem,
+    policy: Policy,
+    beliefs: int = 5_000,
+    episodes: int = 1_000,
+    seed: int = 0,
+    precision: float = EXACT,
 ) -> PolicyValue:
     """The policy's worth, exactly where it reaches no more than ``beliefs`` beliefs.
 
@@ -60,13 +65,17 @@ def evaluate(
         beliefs: the exact walk is given up where it would reach more.
         episodes: then simulated.
         seed: of the simulated labels' stream.
+        precision: relative, of what is called exact; beliefs too unlikely to matter are not
+            walked to.
     """
     asked = CachedPolicy(policy)
-    exact = _walk(problem, asked, beliefs)
+    exact = _walk(problem, asked, beliefs, precision)
     return exact if exact is not None else simulate(problem, asked, episodes, seed)
 
 
-def _walk(problem: Problem, policy: Policy, limit: int) -> PolicyValue | None:
+def _walk(
+    problem: Problem, policy: Policy, limit: int, precision: float = EXACT
+) -> PolicyValue | None:
     """None where more than ``limit`` beliefs are reachable, or will be: a layer is seldom smaller
     than the one before, so there must be room for two of its size."""
     given = np.zeros(1, dtype=np.int64)
@@ -75,6 +84,8 @@ def _walk(problem: Problem, policy: Policy, limit: int) -> PolicyValue | None:
     asked, value, cost, left_out = 0, 0.0, 0.0, 0.0
     model = model_of(problem)
     worst = _worst_remaining(model)
+    budget = precision / (2 * problem.n_steps * max(worst, 1))
+    negligible = NEGLIGIBLE * precision / EXACT
     for k in range(problem.n_steps):
         if asked + min(2, problem.n_steps - k) * len(given) > limit:
             return None
@@ -91,14 +102,14 @@ def _walk(problem: Problem, policy: Policy, limit: int) -> PolicyValue | None:
         cost += float(zeros.sum())
         value -= float(zeros @ _discounts(model, k, given))
         if k + 1 < problem.n_steps:
-            layer = _next_layer(model, k, given, weight, evidence, limit)
+            layer = _next_layer(model, k, given, weight, evidence, limit, negligible)
             if layer is None:
                 return None
             given, weight, evidence, tail = layer
-            kept, faint = _likely(weight, EXACT / (2 * problem.n_steps * max(worst, 1)))
+            kept, faint = _likely(weight, budget)
             given, weight, evidence = given[kept], weight[kept], evidence[kept]
             left_out += (tail + faint) * worst
-    if left_out > EXACT * (1 + abs(value)):
+    if left_out > precision * (1 + abs(value)):
         return None
     return PolicyValue(float(value), float(cost), "exact", 0.0, 0.0, asked)
 
@@ -140,6 +151,7 @@ def _next_layer(
     weight: NDArray[np.float64],
     evidence: NDArray[np.int64],
     limit: int,
+    negligible: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], float] | None:
     """The beliefs after the answers, and the probability of what was left out."""
     after = Layer(
@@ -149,7 +161,9 @@ def _next_layer(
     )
     answers = make_answers(limit + 1, model.n_steps, model.n_types)
     slots = np.full(1 << (4 * limit + 3).bit_length(), -1, np.int64)
-    found, tail = _expand_layer(model, step, Layer(given, weight, evidence), after, slots, answers)
+    found, tail = _expand_layer(
+        model, step, Layer(given, weight, evidence), after, slots, answers, negligible
+    )
     if found < 0:
         return None
     return after.given[:found], after.weight[:found], after.evidence[:found], tail
@@ -170,7 +184,7 @@ class Layer(NamedTuple):
 
 
 @lean_kernel
-def _expand_layer(model, step, layer, after, slots, answers):  # type: ignore[no-untyped-def]
+def _expand_layer(model, step, layer, after, slots, answers, negligible):  # type: ignore[no-untyped-def]
     """Fills ``after`` with the beliefs that the layer's answers lead to, equal ones merged.
     ``slots`` is a hash table, all −1, a power of two long.
 
@@ -182,7 +196,7 @@ def _expand_layer(model, step, layer, after, slots, answers):  # type: ignore[no
     found = 0
     for b in range(len(layer.given)):
         given = layer.given[b]
-        count = branch(model, step, given, layer.weight[b], layer.evidence[b], NEGLIGIBLE, answers)
+        count = branch(model, step, given, layer.weight[b], layer.evidence[b], negligible, answers)
         for t in range(len(answers.tail)):
             left_out += answers.tail[t]
         if count < 0:

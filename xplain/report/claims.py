@@ -1,0 +1,173 @@
+"""What the paper reads from its Table 1, each claim tested on a sweep's episodes.
+
+A claim is about a *figure* with a 95 % interval, and a *range* that the figure lies in where the
+claim is true. It *holds* where the whole interval lies in the range, *does not hold* where it all
+lies outside, and is *not decided* otherwise. Intervals are over seeds, each with data,
+types, labelers and traces of its own; one seed decides nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+
+from xplain.evaluation.statistics import Estimate, Range, clustered_mean
+from xplain.report.paper import title
+
+ALIKE = 0.1
+"""Costs that differ by no more than this share of QMDP's are about the same, and an oracle's cost
+that leaves a straight line by no more than this share of itself is linear in λ. (The paper's own
+four-rooms column leaves it by 6 %.)"""
+
+ORDER = (("qmdp", "qhr"), ("pomcp_paper", "qhr"), ("qhr", "baseline"))
+"""(costs less, than this one)."""
+
+Verdict = Literal["holds", "does not hold", "not decided"]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim on one domain.
+
+    Attributes:
+        domain: where it is tested.
+        text: the claim, with its λ where it is about one.
+        figure: what the estimate is, in words.
+        estimate: mean and interval over seeds.
+        true_in: where the figure lies if the claim is true; open at both ends.
+    """
+
+    domain: str
+    text: str
+    figure: str
+    estimate: Estimate
+    true_in: Range
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the interval settles it."""
+        low, high = self.estimate.low, self.estimate.high
+        least, most = self.true_in
+        if math.isnan(low):
+            return "not decided"
+        if least < low and high < most:
+            return "holds"
+        return "does not hold" if high <= least or most <= low else "not decided"
+
+
+def claims(
+    episodes: pd.DataFrame, found: Mapping[str, Iterable[float]] | None = None
+) -> list[Claim]:
+    """Tests every claim that a sweep's methods allow, domain by domain.
+
+    Args:
+        episodes: a row an episode, with domain, setting, method, lambda, seed, trace, type, cost
+            and oracle (:attr:`xplain.report.summary.Summary.episodes`).
+        found: by domain, the adjusted Rand index of every data set that types were sought in.
+    """
+    tested = []
+    for domain in dict.fromkeys(episodes["domain"]):
+        own = episodes[episodes["domain"] == domain]
+        tested += [
+            *(Claim(domain, *claim) for claim in _orders(own)),
+            *(Claim(domain, *claim) for claim in _linear(own)),
+            *(Claim(domain, *claim) for claim in _types((found or {}).get(domain, ()))),
+        ]
+    return tested
+
+
+def paired(episodes: pd.DataFrame, method: str, other: str) -> pd.DataFrame:
+    """Rows of a method with ``difference``: its cost less the other's on the same λ, setting, seed,
+    trace and user."""
+    key = ["lambda", "setting", "seed", "trace", "type"]
+    one, two = (
+        episodes.loc[episodes["method"] == name, [*key, "cost"]] for name in (method, other)
+    )
+    both = one.merge(two, on=key, suffixes=("", "_other"), validate="one_to_one")
+    return both.assign(difference=both["cost"] - both["cost_other"])
+
+
+_Parts = tuple[str, str, Estimate, Range]
+
+
+def _orders(episodes: pd.DataFrame) -> Iterator[_Parts]:
+    """The claims about pairs of methods, at each λ."""
+    methods = set(episodes["method"])
+    for trade_off in sorted(set(episodes["lambda"])):
+        own = episodes[episodes["lambda"] == trade_off]
+        at = f"λ = {trade_off:g}"
+        if {"qmdp", "pomcp_paper"} <= methods:
+            both = paired(own, "pomcp_paper", "qmdp")
+            if len(both):
+                margin = ALIKE * float(both["cost_other"].mean())
+                estimate = clustered_mean(both["difference"], both["seed"])
+                text = f"QMDP and POMCP cost about the same, {at}"
+                yield text, "POMCP − QMDP", estimate, (-margin, margin)
+        for less, more in ORDER:
+            both = paired(own, more, less) if {less, more} <= methods else own.head(0)
+            if len(both):
+                estimate = clustered_mean(both["difference"], both["seed"])
+                names = [_NAMES[name] for name in (less, more)]
+                text = f"{names[0]} costs less than {names[1]}, {at}"
+                yield text, f"{names[1]} − {names[0]}", estimate, (0.0, math.inf)
+
+
+_NAMES = {"qmdp": "QMDP", "pomcp_paper": "POMCP", "qhr": "QHR", "baseline": "the baseline"}
+
+
+def _linear(episodes: pd.DataFrame) -> Iterator[_Parts]:
+    """The oracle's cost is linear in λ. Its optimum is a lower envelope of lines in λ, one for each
+    plan: where other plans become better it bends down, below the line through its values at the
+    two smallest λ."""
+    one = episodes[episodes["method"] == episodes["method"].iloc[0]]
+    costs = one[np.isfinite(one["oracle"])].pivot_table("oracle", "seed", "lambda")
+    if len(costs.columns) < 3 or not len(costs):
+        return
+    first, second, last = (costs.columns[i] for i in (0, 1, -1))
+    slope = (costs[second] - costs[first]) / (second - first)
+    line = costs[first] + slope * (last - first)
+    below = (line - costs[last]) / costs[last].mean()
+    figure = f"share of the oracle's cost at λ = {last:g} by which it is below the line"
+    yield (
+        "the oracle's cost is linear in λ",
+        figure,
+        clustered_mean(below, below.index),
+        (-ALIKE, ALIKE),
+    )
+
+
+def _types(found: Iterable[float]) -> Iterator[_Parts]:
+    """The types are found, in most data sets."""
+    exact = [index == 1.0 for index in found]
+    if exact:
+        figure = f"share of {len(exact)} data sets whose types are found exactly"
+        yield "the types are found", figure, wilson(sum(exact), len(exact)), (0.5, math.inf)
+
+
+def wilson(right: int, of: int) -> Estimate:
+    """A share with Wilson's 95 % score interval (1927), which never leaves [0, 1]. Unknown for one
+    data set."""
+    share, z = right / of, 1.959963984540054
+    if of < 2:
+        return Estimate(share, math.nan, math.nan)
+    centre = (share + z * z / (2 * of)) / (1 + z * z / of)
+    half = z / (1 + z * z / of) * math.sqrt(share * (1 - share) / of + (z / (2 * of)) ** 2)
+    return Estimate(share, max(0.0, centre - half), min(1.0, max(share, centre + half)))
+
+
+def markdown(tested: Iterable[Claim]) -> str:
+    """A table of claims with their figures and verdicts."""
+    lines = ["| Domain | Claim | Figure | 95 % interval | |", "|---|---|---|---|---|"]
+    for claim in tested:
+        e = claim.estimate
+        interval = "" if math.isnan(e.low) else f"[{e.low:.2f}, {e.high:.2f}]"
+        text = f"{claim.figure}: {e.mean:.2f}"
+        lines.append(
+            f"| {title(claim.domain)} | {claim.text} | {text} | {interval} | {claim.verdict} |"
+        )
+    return "\n".join([*lines, ""])
