@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import gc
 import logging
 import os
 import shutil
@@ -198,3 +199,35 @@ def test_the_cache_is_numbas_own_index_below_our_folder() -> None:
     assert str(simulate.stats.cache_path).startswith(cache_folder())
     assert cache_folder() != ""
     assert numba_kernels.sources_digest() in cache_folder()
+
+
+@pytest.mark.parametrize("collects", [True, False])
+def test_compiling_leaves_the_process_as_it_was(collects: bool) -> None:
+    """Garbage collection and numba's setting come back, also after what does not compile, and of
+    another package's function they are not touched."""
+    seen: list[tuple[bool, int]] = []
+
+    class Look(event.Listener):  # type: ignore[misc]
+        def on_start(self, event: event.Event) -> None:
+            seen.append((gc.isenabled(), numba.config.LOOP_VECTORIZE))
+
+        on_end = on_start
+
+    def add(x):  # type: ignore[no-untyped-def]
+        return x + 1
+
+    before = gc.isenabled(), numba.config.LOOP_VECTORIZE
+    (gc.enable if collects else gc.disable)()
+    try:
+        with event.install_listener("numba:run_pass", Look()):
+            numba.njit(add)(1)
+            assert set(seen) == {(collects, before[1])}
+            seen.clear()
+            add.__module__ = "xplain.somewhere"
+            numba.njit(add)(1)
+            with pytest.raises(numba.TypingError):
+                numba.njit(add)("no number")
+            assert set(seen) == {(False, 0)}
+        assert (gc.isenabled(), numba.config.LOOP_VECTORIZE) == (collects, before[1])
+    finally:
+        (gc.enable if before[0] else gc.disable)()

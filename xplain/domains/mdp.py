@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import DomainError
-from xplain.numba_kernels import kernel
+from xplain.numba_kernels import inlined, lean_kernel
 
 TIE = 1e-10
 """Two actions tie when their values differ by less than this, relative to the model's scale."""
@@ -82,6 +83,16 @@ class MDP:
         return np.asarray(reached.any(axis=1))
 
 
+class Fields(NamedTuple):
+    """Those of an :class:`MDP`, for a kernel."""
+
+    successor: NDArray[np.int64]
+    probability: NDArray[np.float64]
+    reward: NDArray[np.float64]
+    discount: float
+    terminal: NDArray[np.bool_]
+
+
 def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
     """Optimal action values of many models over the same states and actions.
 
@@ -97,15 +108,9 @@ def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
     for b, model in enumerate(models):
         available = model.probability.sum(axis=2) > 0
         result[b] = np.where(available | model.terminal[:, None], 0.0, -np.inf)
-        if not _solve(
-            model.successor,
-            model.probability,
-            model.reward,
-            model.discount,
-            model.terminal,
-            SOLVED * _scale(model),
-            result[b],
-        ):
+        fields = model.successor, model.probability, model.reward, model.discount, model.terminal
+        value, greedy = np.zeros(model.n_states), np.zeros(model.n_states, dtype=np.int64)
+        if not _solve(Fields(*fields), SOLVED * _scale(model), result[b], value, greedy):
             raise DomainError(
                 f"domain: a model with discount {model.discount} cannot be solved to the accuracy "
                 "that safe ties need; use a smaller discount"
@@ -161,8 +166,20 @@ def _scale(model: MDP) -> float:
     return max(largest, 1e-12) / (1 - model.discount)
 
 
-@kernel
-def _solve(successor, probability, reward, discount, terminal, tolerance, q):  # type: ignore[no-untyped-def]
+@inlined
+def _action_value(model, value, s, a):  # type: ignore[no-untyped-def]
+    """Q(s, a) for the values [S] of what comes after."""
+    total = 0.0
+    for k in range(model.successor.shape[2]):
+        p = model.probability[s, a, k]
+        if p > 0.0:
+            after = value[model.successor[s, a, k]]
+            total += p * (model.reward[s, a, k] + model.discount * after)
+    return total
+
+
+@lean_kernel
+def _solve(model, tolerance, q, value, greedy):  # type: ignore[no-untyped-def]
     """Modified policy iteration (Puterman & Shin 1978); fills q [S, A] to |q − Q*| ≤ tolerance.
 
     An in-place Bellman sweep is a γ-contraction in the max norm with fixed point V*. So when it
@@ -171,30 +188,27 @@ def _solve(successor, probability, reward, discount, terminal, tolerance, q):  #
     sweeps the values move towards those of the greedy policy, A times cheaper; this alone bears on
     speed, not on the stopping rule.
 
+    Args:
+        value, greedy: [S] zeros, room to work in.
+
     Returns:
         whether the tolerance was reached.
     """
-    states, actions, slots = successor.shape
-    value = np.zeros(states)
-    greedy = np.zeros(states, dtype=np.int64)
-    allowed = tolerance * (1.0 - discount) / max(discount * discount, 1e-300)
+    states, actions = q.shape
+    allowed = tolerance * (1.0 - model.discount) / max(model.discount**2, 1e-300)
     reached = False
     for sweep in range(20_000):
         change = 0.0
         for index in range(states):
             # Alternating directions carry values both ways through a grid.
             s = index if sweep % 2 == 0 else states - 1 - index
-            if terminal[s]:
+            if model.terminal[s]:
                 continue
             best = -np.inf
             for a in range(actions):
                 if q[s, a] == -np.inf:
                     continue
-                total = 0.0
-                for k in range(slots):
-                    p = probability[s, a, k]
-                    if p > 0.0:
-                        total += p * (reward[s, a, k] + discount * value[successor[s, a, k]])
+                total = _action_value(model, value, s, a)
                 if total > best:
                     best = total
                     greedy[s] = a
@@ -207,26 +221,15 @@ def _solve(successor, probability, reward, discount, terminal, tolerance, q):  #
             moved = 0.0
             for index in range(states):
                 s = index if inner % 2 == 0 else states - 1 - index
-                if terminal[s]:
+                if model.terminal[s]:
                     continue
-                a = greedy[s]
-                total = 0.0
-                for k in range(slots):
-                    p = probability[s, a, k]
-                    if p > 0.0:
-                        total += p * (reward[s, a, k] + discount * value[successor[s, a, k]])
+                total = _action_value(model, value, s, greedy[s])
                 moved = max(moved, abs(total - value[s]))
                 value[s] = total
             if moved <= 0.1 * allowed:
                 break
     for s in range(states):
         for a in range(actions):
-            if q[s, a] == -np.inf or terminal[s]:
-                continue
-            total = 0.0
-            for k in range(slots):
-                p = probability[s, a, k]
-                if p > 0.0:
-                    total += p * (reward[s, a, k] + discount * value[successor[s, a, k]])
-            q[s, a] = total
+            if q[s, a] != -np.inf and not model.terminal[s]:
+                q[s, a] = _action_value(model, value, s, a)
     return reached

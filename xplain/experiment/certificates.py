@@ -37,7 +37,7 @@ class Certify:
     episodes: int
 
     def __post_init__(self) -> None:
-        """Checks the numbers."""
+        """Raises InputError for a number out of its range."""
         for key, least in (("traces", 0), ("nodes", 1), ("beliefs", 0), ("episodes", 2)):
             whole_number(f"certify.{key}", getattr(self, key), least)
         if not self.gap > 0:

@@ -71,7 +71,7 @@ class Components:
     seed: int
 
     def __post_init__(self) -> None:
-        """Checks the numbers."""
+        """Raises InputError for a number out of its range."""
         for key in ("traces", "max_steps"):
             whole_number(key, getattr(self, key), 1)
         whole_number("seed", self.seed, 0)

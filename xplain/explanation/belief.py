@@ -34,7 +34,7 @@ class Independent:
     """The paper: at every step all labels of the prefix are drawn afresh, all are evidence."""
 
     def evidence(self, message_set: int, previous: int | None, count: int) -> slice:
-        """Every label."""
+        """All labels of an answer are evidence."""
         return slice(0, count)
 
 

@@ -147,7 +147,7 @@ class Problem:
 
     @property
     def n_types(self) -> int:
-        """N."""
+        """N, the number of user types."""
         return int(self.p_explicable.shape[0])
 
     @property
@@ -157,7 +157,7 @@ class Problem:
 
     @property
     def n_messages(self) -> int:
-        """n."""
+        """n, the number of messages."""
         return len(self.message_cost)
 
     def label_probabilities(self, count: int, given: int) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset, query_index
-from xplain.numba_kernels import kernel
+from xplain.numba_kernels import lean_kernel
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def disagreements(dataset: Dataset, assignment: NDArray[np.int64]) -> int:
     return Cells.of(dataset).disagreements(assignment)
 
 
-@kernel
+@lean_kernel
 def _count(start, cluster, label, counts):  # type: ignore[no-untyped-def]
     """``counts`` [2, k]: zeros and ones by cluster in the current cell, all 0 between cells."""
     total = 0
@@ -67,5 +67,5 @@ def _count(start, cluster, label, counts):  # type: ignore[no-untyped-def]
             total += counts[1 - label[i], cluster[i]]
             counts[label[i], cluster[i]] += 1
         for i in range(start[c], start[c + 1]):
-            counts[:, cluster[i]] = 0
+            counts[0, cluster[i]] = counts[1, cluster[i]] = 0
     return total

@@ -20,7 +20,7 @@ from xplain.errors import TooLargeError
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.tree_leaves import cubes
 from xplain.message_sets import indices
-from xplain.numba_kernels import kernel
+from xplain.numba_kernels import lean_kernel
 
 MAX_PREDICTIONS = 1 << 28
 """A classifier that is no tree is asked at most this often (some minutes)."""
@@ -91,12 +91,12 @@ def _by_paths(classifier: Any, features: NDArray[np.float64], n_messages: int) -
     ones, zeros = (np.ascontiguousarray(column) for column in np.concatenate(parts).T)
     relevant = int(np.bitwise_or.reduce(ones))
     order = np.array(indices(relevant), dtype=np.int64)
-    return int(
-        _search(start, ones, zeros, weight, order, _greedy(start, ones, zeros, weight, order))
-    )
+    terms = start, ones, zeros, weight, order
+    room = np.zeros((3, len(order) + 1), dtype=np.int64)
+    return int(_search(*terms, _greedy(*terms), room))
 
 
-@kernel
+@lean_kernel
 def _unmet(start, ones, zeros, weight, given):  # type: ignore[no-untyped-def]
     """Weight of the clauses that hold in none of their terms under this message set."""
     total = 0
@@ -111,7 +111,7 @@ def _unmet(start, ones, zeros, weight, given):  # type: ignore[no-untyped-def]
     return total
 
 
-@kernel
+@lean_kernel
 def _size(mask):  # type: ignore[no-untyped-def]
     count = 0
     while mask:
@@ -120,7 +120,7 @@ def _size(mask):  # type: ignore[no-untyped-def]
     return count
 
 
-@kernel
+@lean_kernel
 def _greedy(start, ones, zeros, weight, order):  # type: ignore[no-untyped-def]
     """A good message set to start from: single messages turned while that helps."""
     given = 0
@@ -138,23 +138,20 @@ def _greedy(start, ones, zeros, weight, order):  # type: ignore[no-untyped-def]
     return given
 
 
-@kernel
-def _search(start, ones, zeros, weight, order, first):  # type: ignore[no-untyped-def]
+@lean_kernel
+def _search(start, ones, zeros, weight, order, first, room):  # type: ignore[no-untyped-def]
     """Branch and bound over the messages in order, "given" tried first: of equally good message
     sets the first one met is the first in message order.
 
     The bound at a node: clauses without a term left are lost; as long as that is all that may be
     lost, the clause that lacks most messages tells how many must still be given. A message that
-    no living term asks for is never given.
+    no living term asks for is never given. ``room`` [3, depth + 1] is all 0.
     """
     best = first
     best_cost = _unmet(start, ones, zeros, weight, first)
     best_size = _size(first)
     met_equal = False
-    depth = len(order)
-    given = np.zeros(depth + 1, dtype=np.int64)
-    refused = np.zeros(depth + 1, dtype=np.int64)
-    turn = np.zeros(depth + 1, dtype=np.int64)  # 0 fresh, 1 "given" done, 2 both done
+    given, refused, turn = room[0], room[1], room[2]  # turn: 0 fresh, 1 "given" done, 2 both done
     level = 0
     while level >= 0:
         if turn[level] == 0:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.numba_kernels import kernel
+from xplain.numba_kernels import lean_kernel
 
 
 @dataclass(frozen=True)
@@ -63,25 +63,26 @@ def cubes(tree: Any, features: NDArray[np.float64], n_messages: int) -> Cubes:
     nodes = (tree.feature, tree.threshold, tree.children_left, tree.children_right)
     # The tree compares single precision inputs with double precision thresholds.
     single = np.ascontiguousarray(features, dtype=np.float32)
+    stack = np.empty((tree.max_depth + 2, 3), dtype=np.int64)
     nothing = np.empty((4, 0), dtype=np.int64)
-    found = np.empty((4, _walk(*nodes, tree.max_depth, single, nothing)), dtype=np.int64)
-    _walk(*nodes, tree.max_depth, single, found)
+    found = np.empty((4, _walk(*nodes, single, stack, nothing)), dtype=np.int64)
+    _walk(*nodes, single, stack, found)
     return Cubes(*found)
 
 
-@kernel
-def _walk(feature, threshold, left, right, max_depth, features, out):  # type: ignore[no-untyped-def]
-    """Counts the cubes; writes them where ``out`` [4, C] has room."""
+@lean_kernel
+def _walk(feature, threshold, left, right, features, stack, out):  # type: ignore[no-untyped-def]
+    """Counts the cubes; writes them where ``out`` [4, C] has room. ``stack`` [depth + 2, 3] is room
+    for the nodes still to visit, each with its ones and zeros."""
     room = out.shape[1]
     width = features.shape[1]
-    stack = np.empty((max_depth + 2, 3), dtype=np.int64)
     count = 0
     for t in range(len(features)):
-        stack[0] = 0
+        stack[0, 0], stack[0, 1], stack[0, 2] = 0, 0, 0
         top = 1
         while top > 0:
             top -= 1
-            node, ones, zeros = stack[top]
+            node, ones, zeros = stack[top, 0], stack[top, 1], stack[top, 2]
             if left[node] < 0:
                 if count < room:
                     out[0, count] = t
@@ -91,20 +92,20 @@ def _walk(feature, threshold, left, right, max_depth, features, out):  # type: i
                 count += 1
             elif feature[node] < width:
                 below = features[t, feature[node]] <= threshold[node]
-                stack[top] = (left[node] if below else right[node]), ones, zeros
+                stack[top, 0] = left[node] if below else right[node]  # its cube is in place
                 top += 1
             else:
                 bit = np.int64(1) << (feature[node] - width)
                 if not ones & bit:
-                    stack[top] = left[node], ones, zeros | bit
+                    stack[top, 0], stack[top, 1], stack[top, 2] = left[node], ones, zeros | bit
                     top += 1
                 if not zeros & bit:
-                    stack[top] = right[node], ones | bit, zeros
+                    stack[top, 0], stack[top, 1], stack[top, 2] = right[node], ones | bit, zeros
                     top += 1
     return count
 
 
-@kernel
+@lean_kernel
 def _fill(transition, ones, zeros, value, table):  # type: ignore[no-untyped-def]
     everything = table.shape[1] - 1
     for c in range(len(transition)):

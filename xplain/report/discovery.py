@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -18,7 +17,8 @@ from xplain.report.plots import COLOURS
 
 def posterior(probability: Mapping[int, float], found: int) -> Figure:
     """P(number of types | labels), the number that was taken in another colour and hatched."""
-    figure, axes = plt.subplots(figsize=(5, 3.2))
+    figure = Figure(figsize=(5, 3.2))
+    axes = figure.subplots()
     numbers = np.arange(1, max(*probability, found) + 2)
     heights = [probability.get(int(k), 0.0) for k in numbers]
     bars = axes.bar(numbers, heights, color=COLOURS[5], edgecolor="black")
@@ -33,7 +33,6 @@ def posterior(probability: Mapping[int, float], found: int) -> Figure:
         ylim=(0, 1),
     )
     axes.xaxis.set_major_locator(MaxNLocator(12, integer=True))
-    plt.close(figure)
     return figure
 
 
@@ -41,7 +40,8 @@ def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> F
     """How much likelier a label is 1 where a message was given, by type and message."""
     gain = np.array([_gain(dataset.of(clustering.members(t))) for t in range(clustering.n_types)])
     height = 1.6 + 0.32 * len(gain)
-    figure, axes = plt.subplots(figsize=(2.5 + 0.75 * gain.shape[1], height))
+    figure = Figure(figsize=(2.5 + 0.75 * gain.shape[1], height))
+    axes = figure.subplots()
     image = axes.imshow(gain, cmap="PuOr", vmin=-0.5, vmax=0.5, aspect="auto")
     axes.set_xticks(range(gain.shape[1]), dataset.messages, rotation=30, ha="right")
     axes.set_yticks(range(len(gain)), list(names)[: len(gain)])
@@ -52,7 +52,6 @@ def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> F
             axes.text(j, t, f"{100 * value:+.0f}", ha="center", va="center", color=ink, fontsize=8)
     axes.set(xlabel="message", title="Explicable labels: given − not given (percentage points)")
     figure.colorbar(image, ax=axes, label="difference of shares")
-    plt.close(figure)
     return figure
 
 

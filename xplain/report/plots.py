@@ -1,4 +1,8 @@
-"""Plots: labelled axes, intervals, colours that colour-blind people and printers can tell apart."""
+"""Plots: labelled axes, intervals, colours that colour-blind people and printers can tell apart.
+
+Figures are made without pyplot: it keeps each until it is closed, and a run would wait for its
+import.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
-
-matplotlib.use("Agg", force=False)
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -25,7 +26,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 STYLES = ("-", "--", "-.", ":", "-", "--", "-.")
 
-plt.rcParams.update(
+matplotlib.rcParams.update(
     {
         "figure.dpi": 150,
         "savefig.bbox": "tight",
@@ -51,7 +52,8 @@ def series_style(index: int) -> dict[str, Any]:
 
 def disagreements(curve: Sequence[float], found: int, rule: str) -> Figure:
     """Disagreements against the number of clusters, with the number that was chosen."""
-    figure, axes = plt.subplots(figsize=(5, 3.2))
+    figure = Figure(figsize=(5, 3.2))
+    axes = figure.subplots()
     k = np.arange(1, len(curve) + 1)
     axes.plot(k, curve, **series_style(0))
     axes.plot(
@@ -176,10 +178,8 @@ def middle(trade_offs: list[float]) -> float:
 
 
 def _panels(count: int, height: float = 3.4, width: float = 4.2) -> tuple[Figure, list[Axes]]:
-    figure, panels = plt.subplots(
-        1, count, figsize=(width * count + 1.2, height), squeeze=False, layout="constrained"
-    )
-    return figure, list(panels[0])
+    figure = Figure(figsize=(width * count + 1.2, height), layout="constrained")
+    return figure, list(figure.subplots(1, count, squeeze=False)[0])
 
 
 def _scale(axes: Axes, measure: str) -> None:
@@ -204,7 +204,6 @@ def _least_gap(values: list[float]) -> float:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Writes a figure in the format of the path's suffix, and frees it."""
+    """Writes a figure in the format of the path's suffix."""
     # Without dates and random ids the same figure is the same file.
     figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
-    plt.close(figure)

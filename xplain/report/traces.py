@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -95,12 +94,12 @@ def draw_trace(scene: Scene | None, story: Story) -> Figure:
     """Map and path at the left; at the right one row a transition, one column a step."""
     m = len(story.phrases)
     if scene is None or len(story.positions) != m + 1:
-        figure, axes = plt.subplots(figsize=(4.6 + 0.34 * m, max(3.4, 0.34 * m + 2.6)))
-        _draw_steps(axes, story)
+        figure = Figure(figsize=(4.6 + 0.34 * m, max(3.4, 0.34 * m + 2.6)))
+        _draw_steps(figure.subplots(), story)
         return figure
     # Long phrases at the right must not make the map small: each half is laid out by itself.
     widths = [5.2, max(6.6, 3.6 + 0.34 * m)]
-    figure = plt.figure(figsize=(sum(widths), max(5.4, 0.34 * m + 2.6)), layout="constrained")
+    figure = Figure(figsize=(sum(widths), max(5.4, 0.34 * m + 2.6)), layout="constrained")
     halves = figure.subfigures(1, 2, width_ratios=widths, squeeze=False)
     left, right = (half.subplots() for half in halves[0])
     draw_map(left, scene, story.positions)

@@ -44,5 +44,6 @@ class CachedPolicy:
         return answer
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """What the sets or messages to choose from are worth, as
+        :class:`xplain.solvers.base.Policy` says."""
         return self.policy.values(step, given, belief)

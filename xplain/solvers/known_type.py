@@ -37,11 +37,11 @@ class Baseline:
     knows: Knowledge = "everyone"
 
     def __post_init__(self) -> None:
-        """Raises InputError."""
+        """Raises InputError for a setting out of its range."""
         check_memory_gib(self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """See :class:`xplain.solvers.base.Solver`."""
+        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         one = problem.mixture(problem.prior)
         return BeliefBlind(greedy_policy(one, "baseline", self.memory_gib, INSTEAD))
 
@@ -59,11 +59,11 @@ class Conformant:
     knows: Knowledge = "types"
 
     def __post_init__(self) -> None:
-        """Raises InputError."""
+        """Raises InputError for a setting out of its range."""
         check_memory_gib(self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """See :class:`xplain.solvers.base.Solver`."""
+        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         # N types' costs are N times the cost of the mean labeler.
         summed = replace(
             problem.mixture(np.full(problem.n_types, 1 / problem.n_types)),
@@ -85,7 +85,7 @@ class KnownType:
     memory_gib: float = 8.0
 
     def __post_init__(self) -> None:
-        """Raises InputError."""
+        """Raises InputError for a setting out of its range."""
         check_memory_gib(self.memory_gib)
         if self.knows not in ("type", "labels"):
             raise InputError("solver.knows", self.knows, "type (oracle) or labels (clairvoyant)")
@@ -104,11 +104,13 @@ class BeliefBlind:
     policy: Policy
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """The messages to give before the next *explain*, as
+        :class:`xplain.solvers.base.Policy` says."""
         return self.policy.messages(step, given, np.ones(1))
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """What the sets or messages to choose from are worth, as
+        :class:`xplain.solvers.base.Policy` says."""
         return self.policy.values(step, given, np.ones(1))
 
 

@@ -52,14 +52,14 @@ class Lookahead:
     knows: Knowledge = "types"
 
     def __post_init__(self) -> None:
-        """Raises InputError."""
+        """Raises InputError for a setting out of its range."""
         for key in ("candidates", "answers"):
             if not getattr(self, key) >= 1:
                 raise InputError(f"solver.{key}", getattr(self, key), "a number ≥ 1")
         check_memory_gib(self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> LookaheadPolicy:
-        """See :class:`xplain.solvers.base.Solver`."""
+        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         small, kept = coupled(problem, "lookahead")
         check_memory(
             "lookahead", dense_table_bytes(small), self.memory_gib, "qhr plans without tables"
@@ -99,7 +99,8 @@ class Expectimax:
     answers: int
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """The messages to give before the next *explain*, as
+        :class:`xplain.solvers.base.Policy` says."""
         return best_set(self.values(step, given, belief))
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import inlined, kernel, tell_when_compiling
+from xplain.numba_kernels import inlined, lean_kernel, tell_when_compiling
 from xplain.solvers.rows import Rows, delaying, make_rows, relevant_rows, row, rows_at, spread
 
 TIE = 1e-9
@@ -54,22 +54,22 @@ class Model(NamedTuple):
 
     @property
     def n_steps(self) -> int:
-        """m."""
+        """m, the number of steps."""
         return int(self.p.shape[0])
 
     @property
     def n_rows(self) -> int:
-        """2^n where dense."""
+        """Rows of a table; 2^n, the number of message sets, where dense."""
         return int(self.p.shape[1])
 
     @property
     def n_types(self) -> int:
-        """N."""
+        """N, the number of user types."""
         return int(self.p.shape[2])
 
 
 def model_of(problem: Problem) -> Model:
-    """The problem's model."""
+    """The reduced POMDP of a problem; shares the problem's table where that is dense."""
     by_type = problem.by_type
     model = Model(
         problem.p_explicable.transpose(1, 2, 0),
@@ -103,7 +103,7 @@ def dense_table_bytes(problem: Problem) -> int:
 def explain_costs(model: Model) -> NDArray[np.float64]:
     """C_t(k, H) for all: [m, rows, N]."""
     costs = np.empty(model.p.shape)
-    _accumulate(model, costs)
+    _accumulate(model.p, model.inexplicability, costs)
     return costs
 
 
@@ -127,12 +127,12 @@ def optimal_values(model: Model) -> NDArray[np.float64]:
     """V*_t(k, H) for all: [m + 1, rows, N]."""
     tell_when_compiling()
     values = np.zeros((model.n_steps + 1, model.n_rows, model.n_types))
-    _accumulate(model, values)
+    _accumulate(model.p, model.inexplicability, values)
     for first, end in backwards(model):
         if model.rows is None:
-            _back_up(model, values, first, end)
+            _back_up(model.price, model.discount, model.message_discount, values, first, end)
         else:
-            _back_up_rows(model, values, first, end)
+            _back_up_rows(model.rows, model.discount, model.message_discount, values, first, end)
     return values
 
 
@@ -211,7 +211,7 @@ def explicable(model, i, given, t):  # type: ignore[no-untyped-def]
 
 @inlined
 def explain_cost(model, k, given, t):  # type: ignore[no-untyped-def]
-    """C_t(k, H)."""
+    """C_t(k, H), the expected cost of *explain* for type t."""
     cost = 0.0
     at = row(model.rows, given, t)
     for i in range(k + 1):
@@ -228,18 +228,18 @@ def expected(belief, row):  # type: ignore[no-untyped-def]
     return total
 
 
-@kernel
-def _accumulate(model, costs):  # type: ignore[no-untyped-def]
+@lean_kernel
+def _accumulate(p, inexplicability, costs):  # type: ignore[no-untyped-def]
     """Fills ``costs`` [≥ m, rows, N] with C_t(k, H)."""
-    for k in range(model.p.shape[0]):
+    for k in range(p.shape[0]):
         for given in range(costs.shape[1]):
             for t in range(costs.shape[2]):
-                newest = model.inexplicability * (1.0 - model.p[k, given, t])
+                newest = inexplicability * (1.0 - p[k, given, t])
                 costs[k, given, t] = costs[k - 1, given, t] + newest if k > 0 else newest
 
 
-@kernel
-def _back_up(model, values, first, end):  # type: ignore[no-untyped-def]
+@lean_kernel
+def _back_up(price, discount, message_discount, values, first, end):  # type: ignore[no-untyped-def]
     """``values`` [m + 1, 2^n, N] holds C(k, ·) from step ``first`` to before ``end``, V(k, ·) from
     there on, and leaves with V(k, ·) in all of these. A superset of H is a larger integer than H,
     so descending H meets it first."""
@@ -248,27 +248,26 @@ def _back_up(model, values, first, end):  # type: ignore[no-untyped-def]
         now, after = values[k], values[k + 1]
         for given in range(sets - 1, -1, -1):
             for t in range(types):
-                now[given, t] = model.discount * after[given, t] - now[given, t]
-            for j in range(len(model.price)):
+                now[given, t] = discount * after[given, t] - now[given, t]
+            for j in range(len(price)):
                 more = given | (1 << j)
                 if more != given:
                     for t in range(types):
-                        value = model.message_discount * now[more, t] - model.price[j]
+                        value = message_discount * now[more, t] - price[j]
                         if value > now[given, t]:
                             now[given, t] = value
 
 
-@kernel
-def _back_up_rows(model, values, first, end):  # type: ignore[no-untyped-def]
+@lean_kernel
+def _back_up_rows(rows, discount, message_discount, values, first, end):  # type: ignore[no-untyped-def]
     """As :func:`_back_up`, type by type, for a model with rows. One more message of a class is
     its stride further on."""
-    rows = model.rows
     for k in range(end - 1, first - 1, -1):
         for t in range(values.shape[2]):
             for at in range(rows.number[t] - 1, -1, -1):
-                best = model.discount * values[k + 1, at, t] - values[k, at, t]
+                best = discount * values[k + 1, at, t] - values[k, at, t]
                 for c in range(rows.stride.shape[1]):
                     if at // rows.stride[t, c] % (rows.size[t, c] + 1) < rows.size[t, c]:
-                        value = model.message_discount * values[k, at + rows.stride[t, c], t]
+                        value = message_discount * values[k, at + rows.stride[t, c], t]
                         best = max(best, value - rows.price[t, c])
                 values[k, at, t] = best

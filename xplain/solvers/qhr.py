@@ -29,7 +29,7 @@ class QHR:
     knows: Knowledge = "types"
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """See :class:`xplain.solvers.base.Solver`.
+        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says.
 
         Raises:
             TooLargeError: kept by type, and more than MAX_DENSE messages matter.
@@ -47,7 +47,8 @@ class QHRPolicy:
     model: Model
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """The messages to give before the next *explain*, as
+        :class:`xplain.solvers.base.Policy` says."""
         return best_of(*self._all(step, given, belief))
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:

@@ -40,11 +40,11 @@ class QMDP:
     knows: Knowledge = "types"
 
     def __post_init__(self) -> None:
-        """Raises InputError."""
+        """Raises InputError for a setting out of its range."""
         check_memory_gib(self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """See :class:`xplain.solvers.base.Solver`."""
+        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         return greedy_policy(problem, "qmdp", self.memory_gib, "qhr plans without tables")
 
 
@@ -62,7 +62,8 @@ class Greedy:
     optimal: NDArray[np.float64]
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """The messages to give before the next *explain*, as
+        :class:`xplain.solvers.base.Policy` says."""
         return one_by_one(
             lambda shown: best_of(self._actions, self._values(step, shown, belief)), given
         )

@@ -90,10 +90,12 @@ class Restricted:
     kept: tuple[int, ...]
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """The messages to give before the next *explain*, as
+        :class:`xplain.solvers.base.Policy` says."""
         return expand(self.policy.messages(step, compress(given, self.kept), belief), self.kept)
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """What the sets or messages to choose from are worth, as
+        :class:`xplain.solvers.base.Policy` says."""
         values = self.policy.values(step, compress(given, self.kept), belief)
         return {expand(mask, self.kept): value for mask, value in values.items()}

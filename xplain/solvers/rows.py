@@ -128,8 +128,8 @@ def delaying(
 def spread(by_type: ByType, rows: Rows) -> NDArray[np.float64]:
     """The tables by rows: [m, rows, N]. Relevant messages are the lowest digits of a row."""
     types, steps, _ = by_type.p.shape
-    p = np.ones((steps, int(rows.number.max()), types))
+    p = np.ones((types, steps, int(rows.number.max())))
     for t, own in enumerate(by_type.p):
         subsets = 1 << int((by_type.relevant[t] != NONE).sum())
-        p[:, : rows.number[t], t] = own[:, np.arange(rows.number[t]) % subsets]
-    return p
+        p[t, :, : rows.number[t]] = own[:, np.arange(rows.number[t]) % subsets]
+    return p.transpose(1, 2, 0)  # as a dense table lies: kernels need not be compiled for another

@@ -66,7 +66,7 @@ class Effort:
     memory_gib: float = 8.0
 
     def __post_init__(self) -> None:
-        """Raises InputError."""
+        """Raises InputError for a setting out of its range."""
         if not self.gap >= 1e-9:
             raise InputError("solver.gap", self.gap, "a number ≥ 1e-9")
         if not self.nodes >= 1:
@@ -143,7 +143,7 @@ class _Search:
 
     @property
     def gap(self) -> float:
-        """The root's."""
+        """Upper − lower bound at the root."""
         root = self.store.nodes[ROOT]
         return float(root["upper"] - root["lower"])
 

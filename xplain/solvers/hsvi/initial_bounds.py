@@ -48,7 +48,7 @@ class Tables(NamedTuple):
 
 
 def table_bytes(problem: Problem) -> int:
-    """What :func:`make_tables` takes."""
+    """Memory that :func:`make_tables` takes, in bytes."""
     return dense_table_bytes(problem) * (problem.n_types + 4)
 
 

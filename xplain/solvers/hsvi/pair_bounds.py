@@ -64,7 +64,7 @@ def with_own_room(pairs: Pairs) -> Pairs:
 
 
 def no_pairs(model: Model) -> Pairs:
-    """Bounds nothing."""
+    """Tables of no pair, which bound nothing."""
     return _joined(model, [], [], [])
 
 
@@ -95,7 +95,7 @@ class PairTables:
 
     @property
     def bytes(self) -> int:
-        """What they take."""
+        """Memory that the tables take."""
         row = len(self._two) << self.problem.n_messages
         return 8 * (2 * self._entries + row)
 
@@ -105,7 +105,7 @@ class PairTables:
         return self._entries * self.problem.n_steps
 
     def make(self) -> Pairs:
-        """Makes them."""
+        """Makes the tables, side by side."""
         rows, optimal, explain = [], [], []
         first = 0
         sets = np.arange(1 << self.problem.n_messages)

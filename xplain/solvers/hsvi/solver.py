@@ -49,7 +49,7 @@ class Certified:
     knows: Knowledge = "types"
 
     def __post_init__(self) -> None:
-        """Raises InputError."""
+        """Raises InputError for a setting out of its range."""
         if not self.decision_nodes >= 1:
             raise InputError("solver.decision_nodes", self.decision_nodes, "a number ≥ 1")
         _ = self._effort
@@ -60,7 +60,7 @@ class Certified:
         return Effort(self.gap, self.nodes, seconds, self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """See :class:`xplain.solvers.base.Solver`."""
+        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         small, kept = coupled(problem, "certified")
         small, tables = tables_within(small, self.memory_gib)
         found = explore(tables, Start(0, 0, small.prior), self._effort, small)
@@ -114,7 +114,8 @@ class Searched:
     brief: Effort
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """The messages to give before the next *explain*, as
+        :class:`xplain.solvers.base.Policy` says."""
         return best_set(self.values(step, given, belief))
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:

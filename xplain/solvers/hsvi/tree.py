@@ -111,7 +111,7 @@ _KIND = {
 
 
 def make_store(tables: Tables, nodes: int = 1 << 10) -> Store:
-    """An empty store."""
+    """An empty store, with room for so many nodes."""
     steps, sets, types = tables.explain.shape
     actions, answers, shared = max(4 * nodes, 2 * sets), 4 * nodes, 16
     places = np.zeros((steps, sets), PLACE)

@@ -66,7 +66,7 @@ class SearchModel(NamedTuple):
 
 
 def model_bytes(problem: Problem) -> int:
-    """What :func:`model_of` takes."""
+    """Memory that :func:`model_of` takes, in bytes."""
     if problem.by_type is not None:
         return 4 * table_bytes(problem) + CACHE
     sets, steps = 1 << problem.n_messages, problem.n_steps

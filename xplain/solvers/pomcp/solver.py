@@ -94,7 +94,7 @@ class POMCP:
     knows: Knowledge = "types"
 
     def __post_init__(self) -> None:
-        """Raises InputError."""
+        """Raises InputError for a setting out of its range."""
         for key in ("simulations", "trees", "threads"):
             if not _is_count(getattr(self, key)):
                 raise InputError(f"solver.{key}", getattr(self, key), "an integer ≥ 1")
@@ -115,7 +115,7 @@ class POMCP:
         check_memory_gib(self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """See :class:`xplain.solvers.base.Solver`."""
+        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         tell_when_compiling()
         small, kept = restricted(problem)
         size = model_bytes(small) + self.trees * tree_bytes(
@@ -152,7 +152,8 @@ class Search:
     seed: int
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """See :class:`xplain.solvers.base.Policy`."""
+        """The messages to give before the next *explain*, as
+        :class:`xplain.solvers.base.Policy` says."""
         return one_by_one(lambda shown: best_set(self.values(step, shown, belief)), given)
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:

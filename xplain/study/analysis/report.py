@@ -113,13 +113,11 @@ def save(analysis: Analysis, folder: Path) -> None:
 
 def draw(analysis: Analysis, path: Path) -> None:
     """Every participant, means with 95 % intervals, the paper's means; below, effect sizes."""
-    import matplotlib as mpl
-
-    mpl.use("agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     primary = [row for row in analysis.rows if row.paper]
-    figure, axes = plt.subplots(2, len(primary), figsize=(10.5, 5.6), height_ratios=(3.2, 1))
+    figure = Figure(figsize=(10.5, 5.6))
+    axes = figure.subplots(2, len(primary), height_ratios=(3.2, 1))
     for column, row in enumerate(primary):
         _draw_measure(axes[0, column], analysis, row)
         _draw_effect(axes[1, column], row)
@@ -127,7 +125,6 @@ def draw(analysis: Analysis, path: Path) -> None:
     figure.legend(handles, labels, loc="upper center", ncols=3, frameon=False, fontsize=9)
     figure.tight_layout(rect=(0, 0, 1, 0.94))
     figure.savefig(path, dpi=160)
-    plt.close(figure)
 
 
 def _draw_measure(axis: Axes, analysis: Analysis, row: Row) -> None:

@@ -149,12 +149,10 @@ def sensitivity(
 
 def draw_curves(rows: list[dict[str, Any]], path: Path) -> None:
     """Power against n; full lines simulated, thin grey the paper's effects."""
-    import matplotlib as mpl
+    from matplotlib.figure import Figure
 
-    mpl.use("agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(1, len(MEASURES), figsize=(10.5, 3.8), sharey=True)
+    figure = Figure(figsize=(10.5, 3.8))
+    axes = figure.subplots(1, len(MEASURES), sharey=True)
     for axis, (measure, title) in zip(axes, MEASURES.items(), strict=True):
         own = [row for row in rows if row["measure"] == measure]
         sizes = [row["n_per_condition"] for row in own]
@@ -179,17 +177,14 @@ def draw_curves(rows: list[dict[str, Any]], path: Path) -> None:
     figure.legend(handles, labels, loc="upper center", ncols=4, frameon=False, fontsize=9)
     figure.tight_layout(rect=(0, 0, 1, 0.93))
     figure.savefig(path, dpi=160)
-    plt.close(figure)
 
 
 def draw_sensitivity(rows: list[dict[str, Any]], path: Path) -> None:
     """The effect of each measure against each assumption."""
-    import matplotlib as mpl
+    from matplotlib.figure import Figure
 
-    mpl.use("agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(2, 3, figsize=(10.5, 6), sharey=True)
+    figure = Figure(figsize=(10.5, 6))
+    axes = figure.subplots(2, 3, sharey=True)
     for axis, assumption in zip(axes.flat, SWEEPS, strict=True):
         for measure, title in MEASURES.items():
             own = [r for r in rows if r["assumption"] == assumption and r["measure"] == measure]
@@ -211,7 +206,6 @@ def draw_sensitivity(rows: list[dict[str, Any]], path: Path) -> None:
     axes[0, 0].legend(frameon=False, fontsize=8)
     figure.tight_layout()
     figure.savefig(path, dpi=160)
-    plt.close(figure)
 
 
 def write(study: Study, folder: Path, people: int, studies: int, n: int) -> None:
