@@ -26,7 +26,7 @@ GROUPS = {
     "belief": "which labels are evidence",
     "tracking": "where results go besides the disk",
 }
-COMMANDS = ("discover", "observe", "plan", "export")
+COMMANDS = ("discover", "observe", "questions", "plan", "export")
 """Commands with keys of their own."""
 UNTOLD = ("defaults", "hydra", "_convert_")
 """Sections that are no settings of an experiment."""

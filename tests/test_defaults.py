@@ -16,6 +16,7 @@ from xplain.runs.mlflow import MLflow
 
 GROUPS = ("labeler", "clusterer", "users", "observers", "queries", "belief", "domain", "solver")
 VARIANTS = {
+    "labeler/hypotheses",
     "labeler/practice",
     "labeler/pruned",
     "solver/clairvoyant",

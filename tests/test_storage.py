@@ -8,6 +8,7 @@ import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -121,3 +122,22 @@ def test_those_who_may_read_a_new_file_may_read_results(tmp_path):
     written = tmp_path / "written.txt"
     write_text(written, "")
     assert stat.S_IMODE(written.stat().st_mode) == stat.S_IMODE(plain.stat().st_mode)
+
+
+@dataclass(frozen=True)
+class Kept:
+    numbers: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Either:
+    one: NDArray[np.float64] | Kept
+    other: NDArray[np.float64] | Kept | None
+
+
+def test_an_array_or_what_stands_for_it_comes_back_as_it_was() -> None:
+    value, arrays = Either(np.ones(2), Kept(np.zeros(3))), dict[str, NDArray[Any]]()
+    again = decode(Either, json.loads(json.dumps(encode(value, arrays))), arrays)
+    assert again.one.tolist() == [1, 1]
+    assert isinstance(again.other, Kept)
+    assert again.other.numbers.tolist() == [0, 0, 0]

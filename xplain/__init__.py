@@ -1,6 +1,7 @@
 """Personalized explanations of sequential decisions (Soni, Sreedharan & Kambhampati, 2021).
 
-For programs: ``from xplain import Explainer, GivenTypes, LearnedTypes`` (see docs/explainer.md).
+For programs: ``from xplain import Explainer, GivenTypes, LearnedTypes`` (see docs/explainer.md),
+``from xplain import Hypotheses, Questionnaire`` (see docs/what-to-ask.md).
 """
 
 from __future__ import annotations
@@ -9,15 +10,26 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from xplain.learning.saved_types import LearnedTypes
+    from xplain.questions.hypotheses import Hypotheses
+    from xplain.questions.questionnaire import Questionnaire
     from xplain.sessions.explainer import Explainer, GivenTypes
 
-__all__ = ["Explainer", "GivenTypes", "LearnedTypes", "__version__"]
+__all__ = [
+    "Explainer",
+    "GivenTypes",
+    "Hypotheses",
+    "LearnedTypes",
+    "Questionnaire",
+    "__version__",
+]
 __version__ = "0.1.0"
 
 _WHERE = {
     "Explainer": "xplain.sessions.explainer",
     "GivenTypes": "xplain.sessions.explainer",
+    "Hypotheses": "xplain.questions.hypotheses",
     "LearnedTypes": "xplain.learning.saved_types",
+    "Questionnaire": "xplain.questions.questionnaire",
 }
 
 

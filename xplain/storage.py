@@ -96,8 +96,12 @@ def decode(kind: Any, value: Any, arrays: Mapping[str, NDArray[Any]] | None = No
     """
     origin, options = typing.get_origin(kind), typing.get_args(kind)
     if origin in (types.UnionType, typing.Union):
-        inner = next(option for option in options if option is not type(None))
-        return None if value is None else decode(inner, value, arrays)
+        if value is None:
+            return None
+        inner = [option for option in options if option is not type(None)]
+        # Of an array and a dataclass, the dataclass is the one that is written as a mapping.
+        of_mapping = [one for one in inner if is_dataclass(one) == isinstance(value, Mapping)]
+        return decode((of_mapping or inner)[0], value, arrays)
     if origin is np.ndarray:
         if arrays is not None:
             return arrays[value]

@@ -9,8 +9,9 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.tree import DecisionTreeClassifier
 
 from tests.learning.conftest import made
-from xplain.data.dataset import Dataset, query_index
-from xplain.errors import InputError
+from xplain.data.dataset import Dataset, inputs, query_index
+from xplain.errors import InputError, TooLargeError
+from xplain.explanation.by_type import ByType
 from xplain.learning.labelers import Labeler, LabelerTrainer, split
 
 
@@ -204,3 +205,27 @@ def test_leaves_of_a_fitted_tree_by_hand() -> None:
     assert labeler.table(np.zeros((1, 1)), 1) == pytest.approx(np.array([[1.6 / 6, 6.4 / 8]]))
     plain = Labeler(tree, 1, 0.7, 0.7, 10, 8)
     assert plain.table(np.zeros((1, 1)), 1) == pytest.approx(np.array([[0.3, 0.7]]))
+
+
+@given(seed=st.integers(0, 10_000), n=st.integers(1, 7))
+@settings(max_examples=25, deadline=None)
+def test_the_table_over_what_a_tree_looks_at_is_the_whole_table(seed: int, n: int) -> None:
+    dataset, _ = made(np.random.default_rng(seed), [[0]], size=60, n=n)
+    labeler = LabelerTrainer().fit(dataset, seed)
+    features = dataset.features[:3]
+    relevant, table = labeler.relevant_table(features)
+    by_type = ByType(relevant[None], table[None])
+    assert np.array_equal(by_type.over(range(n))[0], labeler.table(features, n))
+
+
+def test_a_labeler_that_looks_at_too_many_messages_is_refused(rng: np.random.Generator) -> None:
+    n = 30
+    features, masks = np.zeros((4000, 1)), rng.integers(0, 1 << n, 4000)
+    x = inputs(features, masks, n)
+    tree = DecisionTreeClassifier(random_state=0).fit(x, rng.integers(0, 2, 4000))
+    with pytest.raises(TooLargeError, match="labeler=pruned"):
+        Labeler(tree, n, 0.9, 0.9, 1, 1).relevant_table(features[:1])
+    with pytest.raises(TooLargeError, match="use a decision tree"):
+        Labeler(LogisticRegression().fit(x, x[:, 1]), n, 0.9, 0.9, 1, 1).relevant_table(
+            features[:1]
+        )

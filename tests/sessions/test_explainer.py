@@ -15,6 +15,7 @@ from xplain import Explainer, GivenTypes
 from xplain.errors import InputError
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.explanation.belief import Independent, Persistent
+from xplain.explanation.by_type import ByType, joined
 from xplain.message_sets import mask_of
 from xplain.solvers.known_type import Conformant, KnownType
 from xplain.solvers.qhr import QHR
@@ -256,3 +257,48 @@ def test_importing_the_package_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def many(steps=6, n=40):
+    """Two types of forty messages; each finds its own message wanting at every second step."""
+    table = np.full((2, steps, 2), 0.95)
+    table[:, ::2, 0] = 0.05
+    by_type = ByType(np.array([[7], [33]]), table)
+    names = tuple(f"m{j:02}" for j in range(n))
+    return GivenTypes(by_type, names, ("seven", "thirty-three"), (1.0, 0.0))
+
+
+def test_forty_messages_are_kept_by_type():
+    session = Explainer(many()).session([0, 1, 2])
+    assert session.messages() == ("m07",)
+    session.observe([1])
+    session.extend([3, 4])
+    assert session.messages() == ()
+    again = Explainer(many()).from_json(session.to_json())
+    assert again.said == ("m07",)
+    assert again.belief == session.belief
+
+
+def test_transitions_not_known_yet_puzzle_nobody_however_many_messages_there_are():
+    """As many steps of which nothing is known: the message pays all the same."""
+    sure = Explainer(many(), trade_off=3.0)
+    assert sure.session([0]).messages() == ()
+    assert sure.session([0], expected_steps=6).messages() == ("m07",)
+
+
+def test_a_trace_in_parts_is_the_trace_however_its_parts_are_kept():
+    rng = np.random.default_rng(0)
+    one = ByType(np.array([[3, 1], [0, -1]]), rng.random((2, 2, 4)))
+    other = ByType(np.array([[3], [2]]), rng.random((2, 3, 2)))
+    dense = rng.random((2, 1, 16))
+    one = ByType.checked(one.relevant, one.p, 4)
+    whole = joined([one, other, dense])
+    expected = np.concatenate([one.over(range(4)), other.over(range(4)), dense], axis=1)
+    assert np.array_equal(whole.over(range(4)), expected)
+    assert np.array_equal(joined([dense, dense]), np.concatenate([dense, dense], axis=1))
+
+
+def test_more_than_62_messages_are_refused():
+    names = tuple(f"m{j}" for j in range(63))
+    with pytest.raises(InputError, match=r"types\.messages"):
+        Explainer(GivenTypes(ByType(np.empty((1, 0), int), np.ones((1, 1, 1))), names, ("one",)))

@@ -108,3 +108,16 @@ def test_bad_types_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_MODELS", 3)
     with pytest.raises(TooLargeError, match="more than 3 task models"):
         Setting.build(domain, (UserType("A", {"fire": -1.0, "fence": -1.0}),))
+
+
+def test_labels_by_type_are_those_of_the_table() -> None:
+    setting = setting_of(RESCUE)
+    by_type = setting.labels_by_type(setting.reachable)
+    assert np.array_equal(by_type.over(range(6)), setting.label_table(setting.reachable))
+
+
+def test_types_that_label_alike_are_one_type() -> None:
+    setting = setting_of(RESCUE)
+    table = setting.label_table(setting.reachable)
+    alike = (table[:, None] == table[None]).all(axis=(2, 3))
+    assert np.array_equal(alike, setting.distinct[:, None] == setting.distinct[None])

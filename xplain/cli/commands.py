@@ -23,6 +23,7 @@ class Command:
 COMMANDS = {
     "discover": Command("discover", "find the user types in a table of labels", "discover"),
     "observe": Command("observe", "write labels of simulated observers", "observe"),
+    "questions": Command("questions", "what to ask people, as a list", "questions"),
     "plan": Command("plan", "plan for a saved explanation problem", "plan"),
     "export": Command("export", "write a saved problem for POMDP solvers", "export"),
     "report": Command("report", "tables, plots and a page of a sweep, anew"),

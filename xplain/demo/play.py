@@ -10,6 +10,7 @@ from hydra.utils import instantiate
 
 from xplain.config import composed
 from xplain.errors import InputError
+from xplain.evaluation.episode import SimulatedUser
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Case, Prepared, prepare
 from xplain.message_sets import mask_of
@@ -129,8 +130,11 @@ def stage(overrides: Sequence[str], trace: int) -> Stage:
     prepared = prepare(components)
     case = prepared.cases[trace]
     alone = solver.knows == "everyone"
+    table = case.everyone if alone else case.learned
+    if table is None:
+        raise InputError("solver", str(choices.solver), "one that plans for types: solver=qmdp")
     types = GivenTypes(
-        case.everyone if alone else case.learned,
+        table,
         prepared.messages,
         ("everyone",) if alone else prepared.learned_types,
         prepared.type_shares if costs.prior == "observers" and not alone else (),
@@ -187,10 +191,9 @@ class Simulated:
 
     def __call__(self, session: Session) -> Sequence[int]:
         prepared = self.scene.prepared
-        table = self.scene.case.labels[prepared.types.index(self.user)]
-        labels: list[int] = table[
-            : session.shown, mask_of(session.said, prepared.messages)
-        ].tolist()
+        user = SimulatedUser(self.scene.case.labels[prepared.types.index(self.user)])
+        said = mask_of(session.said, prepared.messages)
+        labels: list[int] = user.labels(session.shown, said).tolist()
         return labels
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.belief import BeliefUpdate
+from xplain.explanation.by_type import ByType
 from xplain.explanation.problem import Problem
 from xplain.message_sets import indices
 from xplain.sessions.interaction import Interaction
@@ -29,12 +30,14 @@ class User(Protocol):
 
 @dataclass(frozen=True)
 class SimulatedUser:
-    """Answers by a table of true labels [m, 2^n] of one user type."""
+    """Answers by the true labels of one user type: a table [m, 2^n], or one kept by type."""
 
-    table: NDArray[np.uint8]
+    table: NDArray[np.uint8] | ByType
 
     def labels(self, count: int, message_set: int) -> NDArray[np.uint8]:
         """The type's true labels of the prefix."""
+        if isinstance(self.table, ByType):
+            return np.asarray(self.table.label_probabilities(count, message_set)[0], np.uint8)
         return self.table[:count, message_set]
 
 

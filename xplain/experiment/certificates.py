@@ -3,11 +3,12 @@ one that ran is, and what knowing the type would be worth (all under the learned
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
-from xplain.errors import InputError, whole_number
+from xplain.errors import InputError, TooLargeError, whole_number
 from xplain.experiment.explanations import Costs, problem_for, problem_of_types, trace_seed
 from xplain.experiment.pipeline import Prepared
 from xplain.explanation.problem import Problem
@@ -60,7 +61,7 @@ class Certify:
         for index, case in enumerate(prepared.cases[: self.traces]):
             problem = problem_of_types(prepared, case, costs)
             own = problem_for(prepared, case, costs, solver, 0)
-            key = problem.p_explicable.tobytes(), own.p_explicable.tobytes()
+            key = _table_key(problem), _table_key(own)
             if key not in seen:
                 seen[key] = self._one(problem, own, solver, trace_seed(seed, index))
             rows.append(seen[key])
@@ -88,7 +89,8 @@ class Certify:
         # earns what it earns against their mixture.
         world = problem
         if own.n_types == 1:
-            world = problem.mixture(problem.prior, own.type_names[0])
+            with suppress(TooLargeError):  # it earns the same, only its value takes longer then
+                world = problem.mixture(problem.prior, own.type_names[0])
         worth = evaluate(world, solver.plan(own, seed), self.beliefs, self.episodes, seed)
         margin = 1.96 * worth.value_se
         low, _ = found.suboptimality(worth.value + margin)
@@ -101,3 +103,8 @@ class Certify:
             "price_of_approximation_low": low,
             "price_of_approximation_high": high,
         }
+
+
+def _table_key(problem: Problem) -> bytes:
+    tables = problem.p_explicable, problem.relevant, problem.p_relevant
+    return b"".join(table.tobytes() for table in tables)

@@ -17,6 +17,7 @@ from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.evaluation.metrics import Record
 from xplain.experiment.pipeline import Case, Prepared, Track, untracked
 from xplain.explanation.belief import BeliefUpdate
+from xplain.explanation.by_type import ByType, LabelTable
 from xplain.explanation.problem import DiscountPer, Problem
 from xplain.randomness import derived_seed
 from xplain.solvers.base import Solver
@@ -46,7 +47,7 @@ class Costs:
     def __post_init__(self) -> None:
         """Checks what :class:`Problem` would refuse, before any work is done."""
         names = tuple(self.message_cost) if isinstance(self.message_cost, Mapping) else ()
-        table = np.full((1, 1, 1 << len(names)), 0.5)
+        table = ByType(np.empty((1, 0), np.int64), np.full((1, 1, 1), 0.5))
         self.problem(table, names, ("type",), np.ones(1))
         if self.prior not in ("uniform", "observers"):
             raise InputError("prior", self.prior, "uniform or observers")
@@ -72,14 +73,14 @@ class Costs:
 
     def problem(
         self,
-        p_explicable: NDArray[np.float64],
+        p_explicable: LabelTable,
         message_names: tuple[str, ...],
         type_names: tuple[str, ...],
         shares: NDArray[np.float64],
     ) -> Problem:
         """The problem of one trace; ``shares`` [N] of the observers, for the prior."""
-        return Problem(
-            p_explicable=p_explicable,
+        return Problem.of_table(
+            p_explicable,
             message_cost=self.message_costs(message_names),
             inexplicability_cost=self.inexplicability_cost,
             trade_off=self.trade_off,
@@ -115,9 +116,15 @@ def problem_for(prepared: Prepared, case: Case, costs: Costs, solver: Solver, us
     if solver.knows == "types":
         return problem_of_types(prepared, case, costs)
     if solver.knows == "everyone":
+        if case.everyone is None:
+            raise InputError(
+                "solver",
+                "baseline",
+                "another solver: everybody's labeler looks at too many messages on one trace",
+            )
         return costs.problem(case.everyone, prepared.messages, ("everyone",), alone)
     if solver.knows == "labels":
-        truth = case.labels[user : user + 1].astype(np.float64)
+        truth = _as_probabilities(case.labels[user : user + 1])
         return costs.problem(truth, prepared.messages, (name,), alone)
     if case.perfect is None:
         raise InputError(
@@ -175,9 +182,13 @@ def with_true_labels(prepared: Prepared) -> Prepared:
         matched_true_type=prepared.distinct,
         type_shares=np.full(count, 1 / count),
         cases=tuple(
-            replace(case, learned=case.labels.astype(np.float64)) for case in prepared.cases
+            replace(case, learned=_as_probabilities(case.labels)) for case in prepared.cases
         ),
     )
+
+
+def _as_probabilities(labels: NDArray[np.uint8] | ByType) -> LabelTable:
+    return labels if isinstance(labels, ByType) else labels.astype(np.float64)
 
 
 def trace_seed(seed: int, index: int) -> int:

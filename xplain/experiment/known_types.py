@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
+from xplain.errors import InputError, TooLargeError
+from xplain.explanation.by_type import DENSE, LabelTable
 from xplain.users.setting import Setting
 
 
@@ -17,15 +18,23 @@ class Tables(NamedTuple):
     """P(label is 1) of a trace's m transitions under every message set.
 
     Attributes:
-        learned: [N, m, 2^n] by the types that solvers plan with.
-        everyone: [1, m, 2^n] by one labeler for everybody.
-        perfect: [M, m, 2^n] by what the oracle knows of each true type; None where there is no
-            oracle.
+        learned: of N types that solvers plan with.
+        everyone: of one labeler for everybody; None where it looks at too many messages.
+        perfect: of M true types, what the oracle knows of each; None where there is no oracle.
     """
 
-    learned: NDArray[np.float64]
-    everyone: NDArray[np.float64]
-    perfect: NDArray[np.float64] | None
+    learned: LabelTable
+    everyone: LabelTable | None
+    perfect: LabelTable | None
+
+
+def unless_too_large(make: Callable[[], LabelTable]) -> LabelTable | None:
+    """The table, or None where it would be too large: a labeler for everybody looks at what any
+    type looks at, and few runs ask for it."""
+    try:
+        return make()
+    except TooLargeError:
+        return None
 
 
 @dataclass(frozen=True)
@@ -69,9 +78,15 @@ def true_types(setting: Setting, truth: NDArray[np.int64] | None) -> Known:
     observers = np.bincount(truth, minlength=len(setting.types))
 
     def tables(transitions: NDArray[np.int64]) -> Tables:
+        def shares(table: NDArray[np.float64]) -> NDArray[np.float64]:
+            share: NDArray[np.float64] = np.tensordot(observers, table, 1)[None] / len(truth)
+            return share
+
+        if setting.n_messages > DENSE:
+            by_type = setting.labels_by_type(transitions)
+            return Tables(by_type, unless_too_large(lambda: by_type.combined(shares)), by_type)
         labels = setting.label_table(transitions).astype(np.float64)
-        everyone = np.tensordot(observers, labels, 1)[None] / len(truth)
-        return Tables(labels, everyone, labels)
+        return Tables(labels, shares(labels), labels)
 
     distinct = setting.distinct
     count = float(len(np.unique(distinct)))

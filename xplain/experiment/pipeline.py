@@ -28,7 +28,8 @@ from xplain.domains.base import (
     transition_features,
 )
 from xplain.errors import InputError, whole_number
-from xplain.experiment.known_types import Known, Tables, true_types
+from xplain.experiment.known_types import Known, Tables, true_types, unless_too_large
+from xplain.explanation.by_type import DENSE, ByType, LabelTable
 from xplain.learning.clustering import Clusterer, Perfect
 from xplain.learning.cross_validation import fresh_accuracy
 from xplain.learning.labelers import Labeler, LabelerTrainer
@@ -84,20 +85,22 @@ class Case:
         transitions: [m, 3].
         phrases: m short descriptions.
         positions: m + 1 cells (row, column) of the robot; empty where there is no map.
-        learned: [N, m, 2^n] P(label is 1) by the labelers of the types that were found.
-        everyone: [1, m, 2^n] by one labeler of all data (the baseline's).
-        perfect: [M, m, 2^n] by the labelers under perfect clustering; None where the true types
-            of the observers are unknown, or a type has no observer.
-        labels: [M, m, 2^n] the true labels of each true type.
+        learned: P(label is 1) by the labelers of the N types that were found: [N, m, 2^n], and
+            kept by type where messages are many; as the others are, too.
+        everyone: of one labeler of all data (the baseline's); None where it looks at too many
+            messages on this trace.
+        perfect: of M labelers under perfect clustering; None where the true types of the observers
+            are unknown, or a type has no observer.
+        labels: the true labels of each of M true types.
     """
 
     transitions: NDArray[np.int64]
     phrases: tuple[str, ...]
     positions: tuple[tuple[int, int], ...]
-    learned: NDArray[np.float64]
-    everyone: NDArray[np.float64]
-    perfect: NDArray[np.float64] | None
-    labels: NDArray[np.uint8]
+    learned: LabelTable
+    everyone: LabelTable | None
+    perfect: LabelTable | None
+    labels: NDArray[np.uint8] | ByType
 
 
 @dataclass(frozen=True)
@@ -222,9 +225,11 @@ def learned_types(observed: Observed, components: Components) -> Known:
     def tables(transitions: NDArray[np.int64]) -> Tables:
         features = transition_features(domain, transitions)
         return Tables(
-            learned=p_explicable(types.labelers, features, n),
-            everyone=p_explicable([references.everyone], features, n),
-            perfect=None if oracle is None else p_explicable(oracle, features, n),
+            learned=p_explicable(types.labelers, features, n, transitions),
+            everyone=unless_too_large(
+                lambda: p_explicable([references.everyone], features, n, transitions)
+            ),
+            perfect=None if oracle is None else p_explicable(oracle, features, n, transitions),
         )
 
     clustering = types.clustering
@@ -333,7 +338,9 @@ def build_case(
         phrases=tuple(domain.describe(transition) for transition in transitions),
         positions=tuple(cell for cell in cells if cell is not None),
         **tables(transitions)._asdict(),
-        labels=setting.label_table(transitions),
+        labels=setting.labels_by_type(transitions)
+        if setting.n_messages > DENSE
+        else setting.label_table(transitions),
     )
 
 

@@ -67,8 +67,8 @@ class LiteralPOMDP:
         mask = sum(1 << j for j in given)
         for labels in product((0, 1), repeat=state.step + 1):
             probability = 1.0
-            for i, label in enumerate(labels):
-                p = float(problem.p_explicable[state.user_type, i, mask])
+            every = problem.label_probabilities(len(labels), mask)[state.user_type].tolist()
+            for p, label in zip(every, labels, strict=True):
                 probability *= p if label == 1 else 1 - p
             if probability > 0:
                 after = State(state.step + 1, labels, given, frozenset(), state.user_type)
@@ -122,7 +122,7 @@ def reduced_optimal_value(
     if step == problem.n_steps:
         return 0.0
     expected_zeros, later = 0.0, 0.0
-    columns = problem.p_explicable[:, : step + 1, given].tolist()
+    columns = problem.label_probabilities(step + 1, given).tolist()
     for labels in product((0, 1), repeat=step + 1):
         joint = []
         for weight, column in zip(belief, columns, strict=True):

@@ -67,15 +67,12 @@ def lines(problem: Problem) -> Iterator[str]:
     types, steps, n = problem.n_types, problem.n_steps, problem.n_messages
     sets = 1 << n
     end = types * steps * sets
+    fewest = 3 * end * (n + 1)
+    _check_lines(fewest)
     answers = {
         (k, shown): _answers(problem, k, shown) for k in range(steps - 1) for shown in range(sets)
     }
-    expected = 3 * end * (n + 1) + types * sum(len(answer) for answer in answers.values())
-    if expected > MAX_LINES:
-        raise TooLargeError(
-            f"format=pomdp: about {expected:.1e} lines, more than {MAX_LINES:.0e}; "
-            "fewer messages or a shorter trace fit"
-        )
+    _check_lines(fewest + types * sum(len(answer) for answer in answers.values()))
 
     def state(k: int, shown: int, t: int) -> int:
         return (k * sets + shown) * types + t if k < steps else end
@@ -113,6 +110,14 @@ def lines(problem: Problem) -> Iterator[str]:
     for action in range(n + 1):
         yield f"T: {action} : {end} : {end} 1.0"
         yield f"O: {action} : {end} : {NOTHING} 1.0"
+
+
+def _check_lines(expected: int) -> None:
+    if expected > MAX_LINES:
+        raise TooLargeError(
+            f"format=pomdp: about {expected:.1e} lines, more than {MAX_LINES:.0e}; "
+            "fewer messages or a shorter trace fit"
+        )
 
 
 def _answers(problem: Problem, step: int, shown: int) -> list[list[float]]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +80,16 @@ class Clusterer(Protocol):
             InputError: the method needs what the data do not have.
             TooLargeError: the data, or the messages, are too many for the method.
         """
+        ...
+
+
+@runtime_checkable
+class KnowsFactSets(Protocol):
+    """A trainer with hypotheses of what people hold wrong (docs/what-to-ask.md)."""
+
+    def find_types(self, dataset: Dataset, concentration: float, seed: int) -> Clustering | None:
+        """The types by a Dirichlet process with this concentration, fact sets being those of the
+        hypotheses; None where they know nothing of the dataset."""
         ...
 
 

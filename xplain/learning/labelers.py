@@ -10,10 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset, inputs, query_index
-from xplain.errors import InputError
+from xplain.errors import InputError, TooLargeError
+from xplain.explanation.by_type import DENSE
 from xplain.learning.tree_leaves import cubes
+from xplain.message_sets import indices
 from xplain.randomness import derived_seed, stream
 
+MAX_LOOKED_AT = 16
+"""Messages that one type's labeler may look at on one trace: a table over their subsets is made."""
 CHUNK = 1 << 20
 """Rows of classifier input made at a time (a classifier that is no tree is asked for each)."""
 
@@ -80,6 +84,28 @@ class Labeler:
                 x = inputs(np.broadcast_to(row, (len(part), len(row))), part, n_messages)
                 result[t, at : at + CHUNK] = self._probability(x)
         return result
+
+    def relevant_table(
+        self, features: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The messages that the labeler looks at on these transitions [T, F], r of them ascending,
+        and P(label = 1) under every subset of them: [r] and [T, 2^r].
+
+        Raises:
+            TooLargeError: r is more than MAX_LOOKED_AT, or the classifier is no tree and might
+                look at any message.
+        """
+        if not hasattr(self.classifier, "tree_"):
+            raise TooLargeError(
+                f"labeler: a classifier that is no tree may look at any of {self.n_messages} "
+                f"messages, more than {DENSE}; use a decision tree"
+            )
+        found = cubes(self.classifier.tree_, features, self.n_messages)
+        relevant = indices(int(np.bitwise_or.reduce(found.ones | found.zeros, initial=0)))
+        check_looked_at(len(relevant), self.n_messages)
+        packed = found.over(relevant)
+        table = packed.table(self._of_leaves(), (len(features), 1 << len(relevant)))
+        return np.array(relevant, dtype=np.int64), table
 
     def _probability(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
         if hasattr(self.classifier, "tree_"):
@@ -196,6 +222,16 @@ class LabelerTrainer:
         names = [name for name in model.get_params() if name.split("__")[-1] == "random_state"]
         model.set_params(**dict.fromkeys(names, state))
         return model.fit(x, y) if weight is None else model.fit(x, y, sample_weight=weight)
+
+
+def check_looked_at(count: int, n_messages: int) -> None:
+    """Raises TooLargeError where a labeler looks at more than MAX_LOOKED_AT messages on a trace."""
+    if count > MAX_LOOKED_AT:
+        raise TooLargeError(
+            f"labeler: a type's labeler looks at {count} of {n_messages} messages on one trace, "
+            f"more than {MAX_LOOKED_AT}; shorter traces, or a pruned tree (labeler=pruned), look "
+            "at fewer"
+        )
 
 
 def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from xplain.data.dataset import Dataset
 from xplain.data.label_table import MAX_MASK
 from xplain.errors import InputError
+from xplain.explanation.by_type import LabelTable
 from xplain.learning.labelers import Labeler
 from xplain.learning.user_types import UserTypes, p_explicable
 
@@ -69,8 +70,8 @@ class LearnedTypes:
             dict(sentences or {}),
         )
 
-    def p_explicable(self, transitions: Sequence[Any]) -> NDArray[np.float64]:
-        """P(label is 1 | type, message set) of T rows of features: [N, T, 2^n].
+    def p_explicable(self, transitions: Sequence[Any]) -> LabelTable:
+        """P(label is 1 | type, message set) of T rows of features: [N, T, 2^n], or by type.
 
         Raises:
             InputError: the rows are not F finite numbers each.

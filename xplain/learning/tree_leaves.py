@@ -7,6 +7,7 @@ sets is read off these cubes, without a prediction for each of them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +35,15 @@ class Cubes:
     ones: NDArray[np.int64]
     zeros: NDArray[np.int64]
     leaf: NDArray[np.int64]
+
+    def over(self, messages: Sequence[int]) -> Cubes:
+        """The same leaves for message sets that are masks over some messages alone; no leaf asks
+        for others."""
+        ones, zeros = np.zeros_like(self.ones), np.zeros_like(self.zeros)
+        for i, j in enumerate(messages):
+            ones |= (self.ones >> j & 1) << i
+            zeros |= (self.zeros >> j & 1) << i
+        return Cubes(self.transition, ones, zeros, self.leaf)
 
     def table(self, value: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
         """``value`` [nodes] of the leaf that each (transition, message set) reaches: [T, 2^n]."""

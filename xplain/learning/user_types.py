@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset, inputs
 from xplain.errors import InputError
+from xplain.explanation.by_type import DENSE, ByType, LabelTable
 from xplain.learning.clustering import Clustering
 from xplain.learning.labelers import Labeler, LabelerTrainer
 
@@ -32,20 +33,58 @@ class UserTypes:
     prior: NDArray[np.float64]
 
 
+@runtime_checkable
+class KnowsTransitions(Protocol):
+    """A labeler that tells transitions apart that share their features."""
+
+    def table_of(
+        self, features: NDArray[np.float64], n_messages: int, transitions: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """As ``table``, of the transitions [T, 3] with these features [T, F]: [T, 2^n]."""
+        ...
+
+    def relevant_table_of(
+        self, features: NDArray[np.float64], transitions: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """As ``relevant_table``, of these transitions: [r] and [T, 2^r]."""
+        ...
+
+
 def p_explicable(
-    labelers: Iterable[Labeler], features: NDArray[np.float64], n_messages: int
-) -> NDArray[np.float64]:
-    """P(label = 1) of m transitions under every message set, one table a labeler: [N, m, 2^n].
+    labelers: Iterable[Labeler],
+    features: NDArray[np.float64],
+    n_messages: int,
+    transitions: NDArray[np.int64] | None = None,
+) -> LabelTable:
+    """P(label = 1) of m transitions under every message set, one table a labeler: [N, m, 2^n], and
+    kept by type where messages are more than DENSE.
 
     Args:
         labelers: N ≥ 1 of them.
         features: [m, F] of the transitions, as the labelers were trained on.
         n_messages: n; the last axis is indexed by the message set's bitmask.
+        transitions: [m, 3] with these features, where they are known.
 
     Raises:
         InputError: a labeler was trained with another number of messages.
+        TooLargeError: a labeler looks at too many of them on these transitions.
     """
-    return np.stack([labeler.table(features, n_messages) for labeler in labelers])
+    if n_messages > DENSE:
+        own = [
+            labeler.relevant_table_of(features, transitions)
+            if transitions is not None and isinstance(labeler, KnowsTransitions)
+            else labeler.relevant_table(features)
+            for labeler in labelers
+        ]
+        return ByType.padded([row for row, _ in own], [table for _, table in own])
+    return np.stack(
+        [
+            labeler.table_of(features, n_messages, transitions)
+            if transitions is not None and isinstance(labeler, KnowsTransitions)
+            else labeler.table(features, n_messages)
+            for labeler in labelers
+        ]
+    )
 
 
 def learn_types(

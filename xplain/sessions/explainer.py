@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, whole_number
+from xplain.explanation.by_type import ByType, LabelTable
 from xplain.sessions.planner import Planner
 from xplain.sessions.session import FORMAT, Session
 
@@ -26,30 +27,38 @@ class GivenTypes:
 
     Attributes:
         table: [N, T, 2^n], a transition being its index among T; or a function from a list of
-            transitions (whatever they are) to such a table of them.
+            transitions (whatever they are) to such a table of them. With many messages a
+            :class:`~xplain.explanation.by_type.ByType` takes the place of the array.
         messages: n names.
         names: N names.
         prior: [N]; empty for all alike.
     """
 
-    table: ArrayLike | Callable[[Sequence[Any]], ArrayLike]
+    table: ArrayLike | ByType | Callable[[Sequence[Any]], ArrayLike | ByType]
     messages: tuple[str, ...]
     names: tuple[str, ...]
     prior: ArrayLike = ()
 
-    def p_explicable(self, transitions: Sequence[Any]) -> NDArray[np.float64]:
+    def p_explicable(self, transitions: Sequence[Any]) -> LabelTable:
         """See :class:`~xplain.sessions.planner.Types`.
 
         Raises:
             InputError: an index outside the table.
         """
         if callable(self.table):
-            return np.asarray(self.table(transitions), dtype=np.float64)
-        table = np.asarray(self.table, dtype=np.float64)
+            return self._checked(self.table(transitions))
+        table = self._checked(self.table)
+        p = table.p if isinstance(table, ByType) else table
         for index in transitions:
-            if not isinstance(index, (int, np.integer)) or not 0 <= index < table.shape[1]:
-                raise InputError("trace", index, f"indices 0 … {table.shape[1] - 1} of the table")
-        return np.asarray(table[:, list(transitions)])
+            if not isinstance(index, (int, np.integer)) or not 0 <= index < p.shape[1]:
+                raise InputError("trace", index, f"indices 0 … {p.shape[1] - 1} of the table")
+        p = np.asarray(p[:, list(transitions)])
+        return ByType(table.relevant, p) if isinstance(table, ByType) else p
+
+    def _checked(self, table: ArrayLike | ByType) -> LabelTable:
+        if isinstance(table, ByType):
+            return ByType.checked(table.relevant, table.p, len(self.messages))
+        return np.asarray(table, dtype=np.float64)
 
 
 @dataclass(frozen=True)

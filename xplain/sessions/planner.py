@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError
 from xplain.explanation.belief import BeliefUpdate, Independent
+from xplain.explanation.by_type import DENSE, ByType, LabelTable
 from xplain.explanation.problem import MAX_MESSAGES, DiscountPer, Problem
 from xplain.solvers.base import Policy, Solver
 from xplain.solvers.qmdp import QMDP
@@ -42,8 +43,8 @@ class Types(Protocol):
         """[N] P(type) of a user not seen before; empty for all alike."""
         ...
 
-    def p_explicable(self, transitions: Sequence[Any]) -> NDArray[np.float64]:
-        """P(label is 1 | type, message set) of T ≥ 1 transitions: [N, T, 2^n]."""
+    def p_explicable(self, transitions: Sequence[Any]) -> LabelTable:
+        """P(label is 1 | type, message set) of T ≥ 1 transitions: [N, T, 2^n], or by type."""
         ...
 
 
@@ -88,14 +89,18 @@ class Planner:
             )
         self.problem(self.unknown(1))
 
-    def unknown(self, steps: int) -> NDArray[np.float64]:
-        """[N, steps, 2^n] of transitions that nobody finds inexplicable."""
-        return np.ones((len(self.types.names), steps, 1 << len(self.types.messages)))
+    def unknown(self, steps: int) -> LabelTable:
+        """[N, steps, 2^n] of transitions that nobody finds inexplicable; kept by type where
+        messages are many."""
+        types, n = len(self.types.names), len(self.types.messages)
+        if n > DENSE:
+            return ByType(np.empty((types, 0), np.int64), np.ones((types, steps, 1)))
+        return np.ones((types, steps, 1 << n))
 
-    def problem(self, table: NDArray[np.float64]) -> Problem:
-        """What the solver plans for, given the table [N, m, 2^n] of a trace."""
-        return Problem(
-            p_explicable=table,
+    def problem(self, table: LabelTable) -> Problem:
+        """What the solver plans for, given the table of a trace: [N, m, 2^n], or by type."""
+        return Problem.of_table(
+            table,
             message_cost=np.asarray(self.message_cost, dtype=np.float64),
             inexplicability_cost=self.inexplicability_cost,
             trade_off=self.trade_off,

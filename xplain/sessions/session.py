@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError
+from xplain.explanation.by_type import joined
 from xplain.message_sets import indices, mask_of, names_of
 from xplain.sessions.interaction import Interaction
 from xplain.sessions.planner import Planner
@@ -114,9 +115,10 @@ class Session:
         ]
         if not new:
             return
-        table = np.concatenate([self._table, self._planner.types.p_explicable(new)], axis=1)
-        ahead = self._planner.unknown(max(self._expected_steps - table.shape[1], 0))
-        problem = self._planner.problem(np.concatenate([table, ahead], axis=1))
+        table = joined([self._table, self._planner.types.p_explicable(new)])
+        known = len(self._trace) + len(new)
+        ahead = self._planner.unknown(max(self._expected_steps - known, 0))
+        problem = self._planner.problem(joined([table, ahead]))
         self._talk.problem, self._talk.policy = problem, self._planner.plan(problem)
         self._table = table
         self._trace += new

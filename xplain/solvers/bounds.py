@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from xplain.errors import TooLargeError
-from xplain.explanation.problem import Problem
+from xplain.explanation.problem import MAX_DENSE, Problem
 from xplain.solvers.hsvi.explore import Effort, explore
 from xplain.solvers.hsvi.search import Start
 from xplain.solvers.hsvi.solver import tables_within
-from xplain.solvers.lookahead import Lookahead
+from xplain.solvers.lookahead import Lookahead, best_plan_value
 from xplain.solvers.memory import check_memory
-from xplain.solvers.model import model_of, optimal_values, table_bytes
-from xplain.solvers.restriction import messages_worth_giving
+from xplain.solvers.model import model_of, optimal_values, table_bytes, take
+from xplain.solvers.restriction import restricted
 
 
 @dataclass(frozen=True)
@@ -47,15 +47,18 @@ DEFAULT = Effort(gap=1e-3, nodes=2_000, memory_gib=2.0)
 
 
 def bounds(problem: Problem, effort: Effort = DEFAULT) -> Bounds:
-    """Certified bounds of the optimal value: by HSVI, or where its tables would take more
-    than the effort's memory by one step of lookahead.
+    """Certified bounds of the optimal value: by HSVI; where its tables would take more than the
+    effort's memory by one step of lookahead; where messages are too many for that too, from
+    above by known types and from below by plans that heed no answer.
 
     Raises:
         TooLargeError: not even the tables of known types fit.
     """
-    small = problem.with_messages(messages_worth_giving(problem))
+    small, kept = restricted(problem)
+    if len(kept) > MAX_DENSE:
+        return _simple_bounds(small, effort.memory_gib)
     try:
-        tables = tables_within(small, effort.memory_gib)
+        small, tables = tables_within(small, effort.memory_gib)
     except TooLargeError:
         lookahead = Lookahead(memory_gib=effort.memory_gib).plan(small)
         known = float(small.prior @ lookahead.policy.tables.optimal[0, 0])
@@ -65,12 +68,21 @@ def bounds(problem: Problem, effort: Effort = DEFAULT) -> Bounds:
     return Bounds(found.lower, found.upper, known)
 
 
+def _simple_bounds(small: Problem, memory_gib: float) -> Bounds:
+    check_memory("knowing the type", table_bytes(small), memory_gib, "no other solver can")
+    model = model_of(small)
+    optimal = optimal_values(model)
+    known = float(small.prior @ take(model, optimal[0], 0))
+    return Bounds(min(best_plan_value(model, optimal, small.prior), known), known, known)
+
+
 def known_type_value(problem: Problem, memory_gib: float = 8.0) -> float:
     """Σ_t prior(t) V*_t: the value of whoever is told the type at the start.
 
     Raises:
         TooLargeError: the tables take more than ``memory_gib``.
     """
-    small = problem.with_messages(messages_worth_giving(problem))
+    small, _ = restricted(problem)
     check_memory("knowing the type", table_bytes(small), memory_gib, "no other solver can")
-    return float(np.dot(small.prior, optimal_values(model_of(small))[0, 0]))
+    model = model_of(small)
+    return float(np.dot(small.prior, take(model, optimal_values(model)[0], 0)))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
+from xplain.message_sets import indices
 from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.base import Knowledge
 from xplain.solvers.count_lattice import branch, make_answers
@@ -24,16 +25,16 @@ from xplain.solvers.model import (
     Model,
     SetPrices,
     best_set,
+    dense_table_bytes,
     expected,
     explain_cost,
     explain_cost_at,
     model_of,
     optimal_values,
     set_prices,
-    table_bytes,
 )
 from xplain.solvers.qmdp import Greedy
-from xplain.solvers.restriction import Restricted, messages_worth_giving
+from xplain.solvers.restriction import Restricted, coupled
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,11 @@ class Lookahead:
 
     def plan(self, problem: Problem, seed: int = 0) -> LookaheadPolicy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
-        kept = messages_worth_giving(problem)
-        small = problem.with_messages(kept)
-        check_memory("lookahead", table_bytes(small), self.memory_gib, "qhr plans without tables")
-        model = model_of(small)
+        small, kept = coupled(problem, "lookahead")
+        check_memory(
+            "lookahead", dense_table_bytes(small), self.memory_gib, "qhr plans without tables"
+        )
+        model = model_of(small.dense())
         tables = Tables(model, optimal_values(model), set_prices(model))
         return LookaheadPolicy(
             Expectimax(tables, self.candidates, self.answers), kept, problem.prior
@@ -142,11 +144,18 @@ class LookaheadPolicy(Restricted):
     def lower(self) -> float:
         """Lower bound on the root's optimal value: the exact value of the best plan that heeds
         no answer, a type's optimal one or silence."""
-        tables = self.policy.tables
-        greedy = Greedy(tables.model, tables.optimal)
-        plans = [_plan(greedy, sure) for sure in np.eye(tables.model.n_types)]
-        plans.append([0] * tables.model.n_steps)
-        return max(_plan_value(tables, self.prior, plan) for plan in plans)
+        return best_plan_value(self.policy.tables.model, self.policy.tables.optimal, self.prior)
+
+
+def best_plan_value(
+    model: Model, optimal: NDArray[np.float64], prior: NDArray[np.float64]
+) -> float:
+    """Expected discounted return of the best plan that heeds no answer, a type's optimal one or
+    silence."""
+    greedy = Greedy(model, optimal)
+    plans = [_plan(greedy, sure) for sure in np.eye(model.n_types)]
+    plans.append([0] * model.n_steps)
+    return max(_plan_value(model, prior, plan) for plan in plans)
 
 
 def _plan(greedy: Greedy, belief: NDArray[np.float64]) -> list[int]:
@@ -158,14 +167,15 @@ def _plan(greedy: Greedy, belief: NDArray[np.float64]) -> list[int]:
     return plan
 
 
-def _plan_value(tables: Tables, prior: NDArray[np.float64], plan: list[int]) -> float:
-    """Expected discounted return of giving these sets, whatever is answered."""
-    model, sets = tables.model, tables.sets
+def _plan_value(model: Model, prior: NDArray[np.float64], plan: list[int]) -> float:
+    """Expected discounted return of giving these sets, the cheapest message first, whatever is
+    answered."""
     given, value, discount = 0, 0.0, 1.0
     for step, new in enumerate(plan):
         given |= new
-        value -= discount * float(sets.price[new])
-        discount *= float(sets.discount[new])
+        for price in sorted(float(model.price[j]) for j in indices(new)):
+            value -= discount * price
+            discount *= model.message_discount
         value -= discount * float(prior @ explain_cost_at(model, step, given))
         discount *= model.discount
     return value

@@ -10,7 +10,8 @@ backwards in k (Bellman 1957). P[t, i, H] is the probability of label 1, transit
     V_t(k, H) = max( Q_t(k, H), max_{j ∉ H} −λ C_e(j) + γ' V_t(k, H ∪ {j}) ),   V_t(m, ·) = 0,
 
 with γ' = γ where every action discounts (the paper), 1 where only steps do. Every table here is
-indexed [k, H, t], the types side by side, as beliefs want them.
+indexed [k, row, t], the types side by side, as beliefs want them. Where the problem's table is
+dense, the row is H; where it is kept by type, see :mod:`xplain.solvers.rows`.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, lean_kernel, tell_when_compiling
+from xplain.solvers.rows import Rows, delaying, make_rows, relevant_rows, row, rows_at, spread
 
 TIE = 1e-9
 """Values closer than this, relative to 1 + their size, are equal."""
@@ -34,12 +36,13 @@ class Model(NamedTuple):
     """N types, m steps, n messages. Making one takes no time and no memory: tables are asked for.
 
     Attributes:
-        p: [m, 2^n, N] P(label 1), a view of the problem's table. Read by the functions of this
-            module alone.
+        p: [m, rows, N] P(label 1), where dense a view of the problem's table. Read by the
+            functions of this module alone.
         price: [n] λ C_e(j) of each message.
         inexplicability: C_inexp.
         discount: γ, of *explain*.
         message_discount: γ', of a message.
+        rows: where a type's row of H is; None where it is H.
     """
 
     p: NDArray[np.float64]
@@ -47,6 +50,7 @@ class Model(NamedTuple):
     inexplicability: float
     discount: float
     message_discount: float
+    rows: Rows | None = None
 
     @property
     def n_steps(self) -> int:
@@ -54,8 +58,8 @@ class Model(NamedTuple):
         return int(self.p.shape[0])
 
     @property
-    def n_sets(self) -> int:
-        """2^n, the number of message sets."""
+    def n_rows(self) -> int:
+        """Rows of a table; 2^n, the number of message sets, where dense."""
         return int(self.p.shape[1])
 
     @property
@@ -65,23 +69,39 @@ class Model(NamedTuple):
 
 
 def model_of(problem: Problem) -> Model:
-    """The reduced POMDP of a problem; shares the problem's table."""
-    return Model(
+    """The reduced POMDP of a problem; shares the problem's table where that is dense."""
+    by_type = problem.by_type
+    model = Model(
         problem.p_explicable.transpose(1, 2, 0),
         problem.trade_off * problem.message_cost,
         problem.inexplicability_cost,
         problem.discount,
         problem.discount if problem.discount_per == "action" else 1.0,
     )
+    if by_type is None:
+        return model
+    rows = relevant_rows(by_type, model.price)
+    alone = model._replace(p=spread(by_type, rows), rows=rows)
+    idle = delaying(by_type, model.price, 1 - model.message_discount, optimal_values(alone))
+    if not any(idle):
+        return alone
+    rows = make_rows(by_type, model.price, idle)
+    return model._replace(p=spread(by_type, rows), rows=rows)
 
 
 def table_bytes(problem: Problem) -> int:
+    """What one table [m + 1, rows, N] takes; kept by type, what it takes at least."""
+    rows = 1 << problem.n_messages if problem.by_type is None else problem.p_relevant.shape[2]
+    return (problem.n_steps + 1) * rows * problem.n_types * 8
+
+
+def dense_table_bytes(problem: Problem) -> int:
     """What one table [m + 1, 2^n, N] takes."""
     return (problem.n_steps + 1 << problem.n_messages) * problem.n_types * 8
 
 
 def explain_costs(model: Model) -> NDArray[np.float64]:
-    """C_t(k, H) for all: [m, 2^n, N]."""
+    """C_t(k, H) for all: [m, rows, N]."""
     costs = np.empty(model.p.shape)
     _accumulate(model.p, model.inexplicability, costs)
     return costs
@@ -89,30 +109,43 @@ def explain_costs(model: Model) -> NDArray[np.float64]:
 
 def explain_cost_at(model: Model, step: int, given: int | NDArray[np.int64]) -> NDArray[np.float64]:
     """C_t(k, H) at one k: [N], or [B, N] for B message sets."""
-    zeros: NDArray[np.float64] = np.add.reduce(1 - model.p[: step + 1, given], axis=0)
+    p = take(model, model.p[: step + 1], given)
+    zeros: NDArray[np.float64] = np.add.reduce(1 - p, axis=0)
     return model.inexplicability * zeros
 
 
+def take(
+    model: Model, table: NDArray[np.float64], given: int | NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Every type's entry for H of a table [.., rows, N]: [.., N], or [.., B, N] for B sets."""
+    if model.rows is None:
+        return table[..., given, :]
+    return table[..., rows_at(model.rows, given), np.arange(model.n_types)]
+
+
 def optimal_values(model: Model) -> NDArray[np.float64]:
-    """V*_t(k, H) for all: [m + 1, 2^n, N]."""
+    """V*_t(k, H) for all: [m + 1, rows, N]."""
     tell_when_compiling()
-    values = np.zeros((model.n_steps + 1, model.n_sets, model.n_types))
+    values = np.zeros((model.n_steps + 1, model.n_rows, model.n_types))
     _accumulate(model.p, model.inexplicability, values)
     for first, end in backwards(model):
-        _back_up(model.price, model.discount, model.message_discount, values, first, end)
+        if model.rows is None:
+            _back_up(model.price, model.discount, model.message_discount, values, first, end)
+        else:
+            _back_up_rows(model.rows, model.discount, model.message_discount, values, first, end)
     return values
 
 
 def backwards(model: Model) -> Iterator[tuple[int, int]]:
     """The steps from the last to the first, in ranges (first, end): one call of a kernel each, so
     that Ctrl-C is heard between them, and small tables take no more calls than they need."""
-    together = max(1, BATCH // (model.n_sets * model.n_types))
+    together = max(1, BATCH // (model.n_rows * model.n_types))
     for end in range(model.n_steps, 0, -together):
         yield max(0, end - together), end
 
 
 def explain_values(model: Model, optimal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Q_t(k, H) of *explain* for all: [m, 2^n, N], from :func:`optimal_values`."""
+    """Q_t(k, H) of *explain* for all: [m, rows, N], from :func:`optimal_values`."""
     return model.discount * optimal[1:] - explain_costs(model)
 
 
@@ -129,8 +162,8 @@ class SetPrices(NamedTuple):
 
 
 def set_prices(model: Model) -> SetPrices:
-    """Prices of all sets of messages."""
-    sets = np.arange(model.n_sets)
+    """Prices of all sets of messages of a dense problem."""
+    sets = np.arange(model.n_rows)
     price, discount = np.zeros(len(sets)), np.ones(len(sets))
     for j in np.argsort(model.price, kind="stable"):
         has = sets >> j & 1 == 1
@@ -173,15 +206,16 @@ def one_by_one(best_action: Callable[[int], int], given: int) -> int:
 @inlined
 def explicable(model, i, given, t):  # type: ignore[no-untyped-def]
     """P(label of transition i is 1 | H, t)."""
-    return model.p[i, given, t]
+    return model.p[i, row(model.rows, given, t), t]
 
 
 @inlined
 def explain_cost(model, k, given, t):  # type: ignore[no-untyped-def]
     """C_t(k, H), the expected cost of *explain* for type t."""
     cost = 0.0
+    at = row(model.rows, given, t)
     for i in range(k + 1):
-        cost += model.inexplicability * (1.0 - model.p[i, given, t])
+        cost += model.inexplicability * (1.0 - model.p[i, at, t])
     return cost
 
 
@@ -196,7 +230,7 @@ def expected(belief, row):  # type: ignore[no-untyped-def]
 
 @lean_kernel
 def _accumulate(p, inexplicability, costs):  # type: ignore[no-untyped-def]
-    """Fills ``costs`` [≥ m, 2^n, N] with C_t(k, H)."""
+    """Fills ``costs`` [≥ m, rows, N] with C_t(k, H)."""
     for k in range(p.shape[0]):
         for given in range(costs.shape[1]):
             for t in range(costs.shape[2]):
@@ -222,3 +256,18 @@ def _back_up(price, discount, message_discount, values, first, end):  # type: ig
                         value = message_discount * now[more, t] - price[j]
                         if value > now[given, t]:
                             now[given, t] = value
+
+
+@lean_kernel
+def _back_up_rows(rows, discount, message_discount, values, first, end):  # type: ignore[no-untyped-def]
+    """As :func:`_back_up`, type by type, for a model with rows. One more message of a class is
+    its stride further on."""
+    for k in range(end - 1, first - 1, -1):
+        for t in range(values.shape[2]):
+            for at in range(rows.number[t] - 1, -1, -1):
+                best = discount * values[k + 1, at, t] - values[k, at, t]
+                for c in range(rows.stride.shape[1]):
+                    if at // rows.stride[t, c] % (rows.size[t, c] + 1) < rows.size[t, c]:
+                        value = message_discount * values[k, at + rows.stride[t, c], t]
+                        best = max(best, value - rows.price[t, c])
+                values[k, at, t] = best

@@ -19,6 +19,7 @@ from xplain.message_sets import subsets
 from xplain.numba_kernels import kernel
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.model import Model, best_of, explicable, model_of
+from xplain.solvers.restriction import Restricted, coupled
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,15 @@ class QHR:
     knows: Knowledge = "types"
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
-        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
-        return QHRPolicy(model_of(problem))
+        """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says.
+
+        Raises:
+            TooLargeError: kept by type, and more than MAX_DENSE messages matter.
+        """
+        if problem.by_type is None:
+            return QHRPolicy(model_of(problem))
+        small, kept = coupled(problem, "qhr")
+        return Restricted(QHRPolicy(model_of(small.dense())), kept)
 
 
 @dataclass(frozen=True)

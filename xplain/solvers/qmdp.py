@@ -25,8 +25,9 @@ from xplain.solvers.model import (
     one_by_one,
     optimal_values,
     table_bytes,
+    take,
 )
-from xplain.solvers.restriction import Restricted, messages_worth_giving
+from xplain.solvers.restriction import Restricted, restricted
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Greedy:
 
     Attributes:
         model: of N types.
-        optimal: [m + 1, 2^n, N] V*_t(k, H).
+        optimal: [m + 1, rows, N] V*_t(k, H).
     """
 
     model: Model
@@ -82,9 +83,9 @@ class Greedy:
         """[n + 1] values of the actions; −inf of the messages already given."""
         model = self.model
         values = np.empty(len(self._actions))
-        explain = model.discount * self.optimal[step + 1, given]
+        explain = model.discount * take(model, self.optimal[step + 1], given)
         values[0] = belief @ (explain - explain_cost_at(model, step, given))
-        later = self.optimal[step, given | self._actions[1:]] @ belief
+        later = take(model, self.optimal[step], given | self._actions[1:]) @ belief
         values[1:] = model.message_discount * later - model.price
         values[self._actions & given != 0] = -np.inf
         return values
@@ -96,8 +97,7 @@ def greedy_policy(problem: Problem, what: str, memory_gib: float, instead: str) 
     Raises:
         TooLargeError: its tables would take more than ``memory_gib``.
     """
-    kept = messages_worth_giving(problem)
-    small = problem.with_messages(kept)
+    small, kept = restricted(problem)
     check_memory(what, table_bytes(small), memory_gib, instead)
     model = model_of(small)
     return Restricted(Greedy(model, optimal_values(model)), kept)

@@ -8,10 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.explanation.problem import Problem
+from xplain.errors import TooLargeError
+from xplain.explanation.by_type import DENSE
+from xplain.explanation.problem import MAX_DENSE, Problem
 from xplain.message_sets import compress, expand
 from xplain.solvers.base import Policy
-from xplain.solvers.model import model_of, optimal_values
+from xplain.solvers.model import explain_cost_at, model_of, optimal_values
+
+IMAGINED = 16
+"""With so many messages an imagined type is planned for: it needs a table over all their sets."""
 
 
 def messages_worth_giving(problem: Problem) -> tuple[int, ...]:
@@ -26,14 +31,50 @@ def messages_worth_giving(problem: Problem) -> tuple[int, ...]:
     idle = set(range(problem.n_messages)) - set(effective)
     if not idle:
         return effective
-    model = model_of(problem)
-    delay = 1 - model.message_discount
-    ahead = 0.0
-    if delay > 0:
-        worst = problem.with_messages(effective).pessimistic()
-        ahead = -float(optimal_values(model_of(worst)).min())
-    stalling = {j for j in idle if model.price[j] < delay * ahead}
+    price = problem.trade_off * problem.message_cost
+    delay = 1 - problem.discount if problem.discount_per == "action" else 0.0
+    ahead = _most_to_pay(problem, effective) if delay > 0 else 0.0
+    stalling = {j for j in idle if price[j] < delay * ahead}
     return tuple(sorted(stalling.union(effective)))
+
+
+def _most_to_pay(problem: Problem, effective: tuple[int, ...]) -> float:
+    """What may still be to pay under the optimum, at most: what the imagined type does; with too
+    many messages for that, what saying everything at once and then nothing costs whom it helps
+    least."""
+    small = problem.with_messages(effective)
+    if problem.by_type is None or len(effective) <= IMAGINED:
+        return -float(optimal_values(model_of(small.pessimistic())).min())
+    model = model_of(small)
+    left, most = np.zeros(problem.n_types), 0.0
+    for k in reversed(range(problem.n_steps)):
+        left = explain_cost_at(model, k, (1 << len(effective)) - 1) + model.discount * left
+        most = max(most, float(left.max()))
+    return float(model.price.sum()) + most
+
+
+def restricted(problem: Problem) -> tuple[Problem, tuple[int, ...]]:
+    """The problem with the messages worth giving, and their positions. With few of them it is
+    dense: tables of all types side by side are quicker than a type's own."""
+    kept = messages_worth_giving(problem)
+    small = problem.with_messages(kept)
+    return (small.dense() if len(kept) <= DENSE else small), kept
+
+
+def coupled(problem: Problem, what: str) -> tuple[Problem, tuple[int, ...]]:
+    """As :func:`restricted`, for who weighs sets of all types' messages together: the problem
+    with at most MAX_DENSE messages, to be made dense where there is memory for it.
+
+    Raises:
+        TooLargeError: more are worth giving.
+    """
+    small, kept = restricted(problem)
+    if len(kept) > MAX_DENSE:
+        raise TooLargeError(
+            f"{what} weighs sets of all types' messages together: {len(kept)} are worth giving on "
+            f"this trace, at most {MAX_DENSE}; solver=qmdp or pomcp plans type by type"
+        )
+    return small, kept
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from xplain.domains.base import Domain, Scene, transition_features
 from xplain.errors import InputError, whole_number
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import learn, observe
+from xplain.explanation.by_type import LabelTable
 from xplain.learning.user_types import p_explicable
 from xplain.randomness import stream
 from xplain.study.policies import with_probes
@@ -107,7 +108,7 @@ def choose_trace(
 def assemble(
     setting: Setting,
     transitions: NDArray[np.int64],
-    p_explicable: NDArray[np.float64],
+    p_explicable: LabelTable,
     config: Mapping[str, Any],
 ) -> StudyPlan:
     """A plan from its parts.

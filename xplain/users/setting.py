@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from xplain.domains import mdp
 from xplain.domains.base import Domain
 from xplain.errors import InputError, TooLargeError
+from xplain.explanation.by_type import ByType
 
 MAX_MODELS = 1 << 14
 
@@ -135,13 +136,21 @@ class Setting:
         """The true labels of all types for all message sets: [N, T, 2^n].
 
         Raises:
-            InputError: more than 2^20 message sets.
+            InputError: more than 2^20 message sets; :meth:`labels_by_type` needs no such table.
         """
         if self.n_messages > 20:
             raise InputError("domain", self.n_messages, "at most 20 messages (2^20 message sets)")
         by_model = self.label_by_model(transitions)
         every = np.arange(1 << self.n_messages)
         return np.stack([by_model[self.model_index(t, every)].T for t in range(len(self.types))])
+
+    def labels_by_type(self, transitions: NDArray[np.int64]) -> ByType:
+        """The true labels of all types, each over the messages that correct it."""
+        by_model = self.label_by_model(transitions)
+        return ByType.padded(
+            [np.array(own, dtype=np.int64) for own in self.bits],
+            [by_model[row].T.astype(np.float64) for row in self.table],
+        )
 
     @cached_property
     def reachable(self) -> NDArray[np.int64]:
@@ -164,6 +173,10 @@ class Setting:
     def distinct(self) -> NDArray[np.int64]:
         """[N] the same number for types that label every reachable (transition, message set)
         alike: behaviourally they are one type."""
-        table = self.label_table(self.reachable).reshape(len(self.types), -1)
-        first: dict[bytes, int] = {}
-        return np.array([first.setdefault(row.tobytes(), len(first)) for row in table])
+        labels = self.labels_by_type(self.reachable)
+        first: dict[tuple[tuple[int, ...], bytes], int] = {}
+        found = []
+        for t, own in enumerate(labels.effective()):
+            key = own, labels[t].over(own).tobytes()
+            found.append(first.setdefault(key, len(first)))
+        return np.array(found)

@@ -181,3 +181,53 @@ class RandomCover:
             f"no {kind} that use all of {domain.name}'s parameters in {self.attempts} draws; "
             "ask for fewer, or set users.distinct=false",
         )
+
+
+@dataclass(frozen=True)
+class FewFacts:
+    """Types drawn at random where facts are many: each holds a few of them wrong.
+
+    Attributes:
+        count: types to draw.
+        fewest, most: facts of a type; how many is drawn uniformly, then which.
+        attempts: draws before giving up.
+    """
+
+    count: int
+    fewest: int = 2
+    most: int = 6
+    attempts: int = 1000
+
+    def __post_init__(self) -> None:
+        """Raises InputError where a count is not a whole number ≥ 1, or ``most`` the smaller."""
+        for key in ("count", "fewest", "attempts"):
+            whole_number(f"users.{key}", getattr(self, key), 1)
+        whole_number("users.most", self.most, self.fewest)
+
+    def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
+        """Types that differ in some label of a reachable (transition, message set): whole draws
+        are repeated until one fits.
+
+        Raises:
+            InputError: fewer parameters than ``most``, or no draw fitted.
+        """
+        names = [parameter.name for parameter in domain.parameters]
+        if self.most > len(names):
+            raise InputError(
+                "users.most", self.most, f"at most {len(names)}, {domain.name}'s facts"
+            )
+        for _ in range(self.attempts):
+            sizes = rng.integers(self.fewest, self.most + 1, self.count)
+            chosen = [np.sort(rng.permutation(len(names))[:size]) for size in sizes]
+            drawn = tuple(
+                user_type(domain, f"T{i + 1}", [names[j] for j in own])
+                for i, own in enumerate(chosen)
+            )
+            if len(np.unique(Setting.build(domain, drawn).distinct)) == self.count:
+                return drawn
+        raise InputError(
+            "users.count",
+            self.count,
+            f"no {self.count} types of {domain.name} that behave differently in {self.attempts} "
+            "draws; ask for fewer",
+        )

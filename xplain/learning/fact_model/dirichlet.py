@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
 from xplain.errors import InputError, TooLargeError
-from xplain.learning.clustering import Clustering, by_first_appearance
+from xplain.learning.clustering import Clustering, KnowsFactSets, by_first_appearance
 from xplain.learning.fact_model.gibbs import Chain, sample
 from xplain.learning.fact_model.model import Answers, Prior, facts_that_matter
 from xplain.learning.fact_model.resample_transitions import WIDE
@@ -24,6 +24,8 @@ from xplain.randomness import stream
 log = logging.getLogger(__name__)
 
 FEWEST_SWEEPS = 20
+MANY = 38
+"""Messages of which there are too many sets of four."""
 MAX_SUBSETS = 1 << 15
 """Fact sets S that may matter at a transition; all are weighed in every sweep."""
 
@@ -36,7 +38,7 @@ class DirichletMixture:
         concentration: α > 0 of the Chinese restaurant process; more makes new types likelier.
         depth: facts that may matter together at one transition; None: 5, or 4 where there are
             more than 12 messages, or so many observers that chains stop early (``updates``):
-            among more sets of facts they have not settled by then.
+            among more sets of facts they have not settled by then; 3 beyond 38 messages.
         chains: independent runs; half start from one type, half from types at random.
         sweeps: of each chain, the first half of them heated. Large data need few:
         updates: a chain stops at this many updates of an observer (but makes 20 sweeps).
@@ -72,14 +74,22 @@ class DirichletMixture:
     ) -> Clustering:
         """Types, what each needs to be told, and the posterior over their number.
 
+        A trainer that knows what people might hold wrong finds the types itself: its hypotheses
+        take the place of the prior over which facts matter where.
+
         Raises:
             TooLargeError: ``depth`` is too large for so many messages.
         """
+        if isinstance(trainer, KnowsFactSets):
+            known = trainer.find_types(dataset, self.concentration, seed)
+            if known is not None:
+                return known
         from joblib import Parallel, delayed
 
         observers, n = len(dataset.observers), dataset.n_messages
         long = observers * self.sweeps <= self.updates
-        depth = min(self.depth or (5 if n <= WIDE and long else 4), n)
+        usual = 5 if n <= WIDE and long else 4 if n <= MANY else 3
+        depth = min(self.depth or usual, n)
         if n**depth > 64 * MAX_SUBSETS:
             raise TooLargeError(
                 f"clusterer.depth={depth}: too many sets of {n} messages; use a smaller depth"

@@ -19,12 +19,12 @@ from xplain.solvers.model import (
     Model,
     SetPrices,
     backwards,
+    dense_table_bytes,
     explain_costs,
     model_of,
     optimal_values,
     set_prices,
 )
-from xplain.solvers.model import table_bytes as one_table
 
 
 class Tables(NamedTuple):
@@ -49,16 +49,16 @@ class Tables(NamedTuple):
 
 def table_bytes(problem: Problem) -> int:
     """Memory that :func:`make_tables` takes, in bytes."""
-    return one_table(problem) * (problem.n_types + 4)
+    return dense_table_bytes(problem) * (problem.n_types + 4)
 
 
 def make_tables(problem: Problem) -> Tables:
-    """Known-type values and the plans' values, by dynamic programming."""
+    """Known-type values and the plans' values of a dense problem, by dynamic programming."""
     model = model_of(problem)
     optimal, costs = optimal_values(model), explain_costs(model)
     explain = model.discount * optimal[1:] - costs
     types = model.n_types
-    plans = np.zeros((model.n_steps + 1, model.n_sets, types + 1, types))
+    plans = np.zeros((model.n_steps + 1, model.n_rows, types + 1, types))
     for first, end in backwards(model):
         _plan(model, costs, optimal, explain, plans, first, end)
     return Tables(model, optimal, explain, plans, set_prices(model), no_pairs(model))

@@ -127,7 +127,7 @@ def _joined(
     optimal: list[NDArray[np.float64]],
     explain: list[NDArray[np.float64]],
 ) -> Pairs:
-    steps, sets, types = model.n_steps, model.n_sets, model.n_types
+    steps, sets, types = model.n_steps, model.n_rows, model.n_types
     pairs = len(rows)
     return Pairs(
         np.stack(rows, 1) if rows else np.empty((sets, 0), dtype=np.int64),
@@ -141,7 +141,7 @@ def _joined(
 
 def _pair_tables(two: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """``optimal`` and ``explain`` of one pair."""
-    steps, sets = two.n_steps, two.n_sets
+    steps, sets = two.n_steps, two.n_rows
     optimal, explain = np.zeros((steps + 1, sets, len(GRID))), np.empty((steps, sets, len(GRID)))
     costs, answers = explain_costs(two), make_answers(64, steps, 2)
     # One call a step, so that Ctrl-C is heard between them.

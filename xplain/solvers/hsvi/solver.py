@@ -25,7 +25,7 @@ from xplain.solvers.hsvi.search import Start
 from xplain.solvers.hsvi.tree import NODES
 from xplain.solvers.memory import check_memory
 from xplain.solvers.model import best_set
-from xplain.solvers.restriction import Restricted, messages_worth_giving
+from xplain.solvers.restriction import Restricted, coupled
 
 SAME = 1e-9
 """Beliefs that differ by less in every entry are the same belief."""
@@ -61,23 +61,23 @@ class Certified:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
-        kept = messages_worth_giving(problem)
-        small = problem.with_messages(kept)
-        tables = tables_within(small, self.memory_gib)
+        small, kept = coupled(problem, "certified")
+        small, tables = tables_within(small, self.memory_gib)
         found = explore(tables, Start(0, 0, small.prior), self._effort, small)
         brief = Effort(self.gap, self.decision_nodes, math.inf, self.memory_gib)
         return CertifiedPolicy(Searched(found, brief), kept)
 
 
-def tables_within(problem: Problem, memory_gib: float) -> Tables:
-    """The bounds' tables.
+def tables_within(problem: Problem, memory_gib: float) -> tuple[Problem, Tables]:
+    """The problem made dense, and the bounds' tables.
 
     Raises:
         TooLargeError: they take more.
     """
     instead = "solver=lookahead needs less, and solver=qhr no tables"
     check_memory("certified", table_bytes(problem), memory_gib, instead)
-    return make_tables(problem)
+    dense = problem.dense()
+    return dense, make_tables(dense)
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ import numpy as np
 from numba import uint64
 
 from xplain.numba_kernels import inlined, lean_kernel
+from xplain.solvers.bits import count_bits, nth_bit
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
-from xplain.solvers.pomcp.random_words import count_bits, next_below, next_uniform, nth_bit
+from xplain.solvers.pomcp.random_words import next_below, next_uniform
 from xplain.solvers.pomcp.rollout import (
     RANDOM,
     SILENT,
@@ -132,7 +133,7 @@ def evaluate(model, options, tree, node, is_new, user_type):  # type: ignore[no-
     step, given, belief = np.int64(record.step), np.int64(record.given), tree.beliefs[record.base]
     if not is_new:
         if np.isnan(record.leaf):
-            record.leaf = leaf_value(model, options.leaf, step, given, belief)
+            record.leaf = leaf_value(model, tree.gain, options.leaf, step, given, belief)
         return record.leaf
     if options.rollout == RANDOM:
         return roll_random(model, tree.counter, step, given, user_type)

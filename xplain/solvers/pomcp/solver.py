@@ -44,9 +44,14 @@ from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.memory import check_memory, check_memory_gib
 from xplain.solvers.model import best_set, one_by_one
 from xplain.solvers.pomcp.kernel import simulate
-from xplain.solvers.pomcp.search_model import SearchModel, model_bytes, model_of
+from xplain.solvers.pomcp.search_model import (
+    SearchModel,
+    model_bytes,
+    model_of,
+    with_own_room,
+)
 from xplain.solvers.pomcp.tree import Options, Tree, tree_bytes
-from xplain.solvers.restriction import Restricted, messages_worth_giving
+from xplain.solvers.restriction import Restricted, restricted
 
 CHUNK = 50_000
 """Simulations between two looks at Ctrl-C."""
@@ -112,8 +117,7 @@ class POMCP:
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         tell_when_compiling()
-        kept = messages_worth_giving(problem)
-        small = problem.with_messages(kept)
+        small, kept = restricted(problem)
         size = model_bytes(small) + self.trees * tree_bytes(
             small, -(-self.simulations // self.trees)
         )
@@ -183,8 +187,9 @@ class Search:
                 seed,
             )
             roots = _roots(1 << budget.bit_length())
+            model = self.model if self.solver.threads == 1 else with_own_room(self.model)
             while budget > 0 and not stop.is_set():
-                simulate(min(budget, CHUNK), self.model, self.options, tree, *roots)
+                simulate(min(budget, CHUNK), model, self.options, tree, *roots)
                 budget -= CHUNK
             return tree.root_edges()
 

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined
-from xplain.solvers.pomcp.random_words import GOLDEN, count_bits, splitmix64
+from xplain.solvers.bits import count_bits
+from xplain.solvers.pomcp.random_words import GOLDEN, splitmix64
+from xplain.solvers.rows import row
 
 NODE = np.dtype(
     [
@@ -33,6 +35,9 @@ NODE = np.dtype(
     ],
     align=True,
 )
+MASKS = {"given": np.int64, "untried": np.int64}
+WIDE_NODE = np.dtype([(str(k), MASKS.get(str(k), NODE[str(k)])) for k in NODE.names or ()])
+"""A node where messages are more than a mask of 32 bits holds."""
 EDGE = np.dtype(
     [
         ("value", np.float64),  # estimated return; −inf until tried
@@ -78,7 +83,7 @@ class Tree(NamedTuple):
     """Room for a search of S simulations: each adds at most one node.
 
     Attributes:
-        nodes: [S + 1] NODE.
+        nodes: [S + 1] NODE, or WIDE_NODE.
         edges: [(S + 2) · (n + 1)] EDGE; a node's are those of the messages not yet given, in
             order, then *explain*. The first n + 1 are unused, so that 0 means none.
         beliefs: [S + 1, N], filled for nodes that begin a step.
@@ -88,6 +93,7 @@ class Tree(NamedTuple):
         likelihoods: [.., N] what they are for each type.
         zero: [m] which of the labels drawn last are 0, where not all were the likelier.
         rollout_belief: [N] a rollout keeps its belief here.
+        gain: [n] what QMDP finds messages worth, in problems kept by type.
         path: [3, n + m + 1] nodes, edges and actions of a simulation.
         used: [3] how many nodes and edges are taken (NODES, EDGES), and the table's MASK.
         counter: [1] of the random stream.
@@ -101,6 +107,7 @@ class Tree(NamedTuple):
     likelihoods: NDArray[np.float64]
     zero: NDArray[np.bool_]
     rollout_belief: NDArray[np.float64]
+    gain: NDArray[np.float64]
     path: NDArray[np.int64]
     used: NDArray[np.int64]
     counter: NDArray[np.uint64]
@@ -120,7 +127,7 @@ class Tree(NamedTuple):
         size, actions = simulations + 1, n_messages + 1
         remembered = min(_table_size(simulations), REMEMBERED)
         tree = cls(
-            _in_lines(size, NODE),
+            _in_lines(size, NODE if actions < 32 else WIDE_NODE),
             np.empty((size + 1) * actions, EDGE),
             np.empty((size, len(belief))),
             np.zeros(_table_size(simulations), ENTRY),
@@ -128,6 +135,7 @@ class Tree(NamedTuple):
             np.empty((remembered, len(belief))),
             np.empty(n_steps, np.bool_),
             np.empty(len(belief)),
+            np.zeros(n_messages),
             np.empty((3, n_messages + n_steps + 1), np.int64),
             np.array([1, actions, FIRST_TABLE - 1]),
             np.array([seed], np.uint64),
@@ -205,7 +213,8 @@ def open_(model, tree, node):  # type: ignore[no-untyped-def]
     tree.used[EDGES] += actions
     record.reward = 0.0
     for t in range(tree.beliefs.shape[1]):
-        cost = model.explain_cost[record.given, record.step, t]
+        at = row(model.rows, np.int64(record.given), t)
+        cost = model.explain_cost[at, record.step, t]
         record.reward -= tree.beliefs[record.base, t] * cost
     for a in range(actions):
         edge = tree.edges[record.edges + a]
@@ -227,7 +236,7 @@ def _in_lines(size: int, kind: np.dtype[np.void]) -> NDArray[np.void]:
 
 def tree_bytes(problem: Problem, simulations: int) -> int:
     """The most that a tree takes."""
-    node = NODE.itemsize + 8 * problem.n_types + EDGE.itemsize * (problem.n_messages + 1)
+    node = WIDE_NODE.itemsize + 8 * problem.n_types + EDGE.itemsize * (problem.n_messages + 1)
     table = _table_size(simulations)
     remembered = min(table, REMEMBERED) * 8 * (problem.n_types + 1)
     return (simulations + 2) * node + ENTRY.itemsize * table + remembered

@@ -1,0 +1,192 @@
+"""Time and memory against messages, steps and types; tables by type beside dense ones.
+
+    python benchmarks/many_messages.py            some minutes
+    python benchmarks/many_messages.py --quick    some seconds
+
+Problems are drawn at random in the shape that the pipeline's have: each of n facts bears on one
+stretch of a few transitions or on none, every type lacks some of them, and its labeler has one
+confidence. Seconds are of CPU time, the least of some repeats in one process, kernels compiled
+before; memory is what Python and numpy allocate at most at a time (tracemalloc), the problem's own
+table not counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import tracemalloc
+from collections.abc import Callable
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from xplain.errors import TooLargeError
+from xplain.explanation.by_type import ByType
+from xplain.explanation.problem import Problem
+from xplain.solvers.base import Solver
+from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
+from xplain.solvers.lookahead import Lookahead
+from xplain.solvers.pomcp.solver import POMCP, Search
+from xplain.solvers.qmdp import QMDP
+from xplain.solvers.restriction import Restricted, messages_worth_giving
+
+
+def problem_of(
+    steps: int, messages: int, types: int, facts: int, seed: int = 0, bearing: int = 3
+) -> Problem:
+    """Each type lacks ``facts`` of the messages; up to ``bearing`` facts bear on a transition."""
+    rng = np.random.default_rng(seed)
+    sets = np.arange(1 << facts)
+    most = min(bearing, messages)
+    about = [
+        set(rng.choice(messages, rng.integers(0, most + 1), replace=False).tolist())
+        for _ in range(steps)
+    ]
+    rows = np.stack([rng.permutation(messages)[:facts] for _ in range(types)])
+    p = np.empty((types, steps, len(sets)))
+    for t, row in enumerate(rows.tolist()):
+        confidence = rng.uniform(0.9, 0.99)
+        for i, own in enumerate(about):
+            needed = sum(1 << b for b, j in enumerate(row) if j in own)
+            p[t, i] = np.where(sets & needed == needed, confidence, 1 - confidence)
+    return Problem.of_types(ByType(rows, p), np.ones(messages))
+
+
+def seconds(work: Callable[[], object], repeats: int) -> float:
+    """CPU seconds of the quickest of so many calls, after one that is not counted."""
+    work()
+    times = []
+    for _ in range(repeats):
+        began = time.process_time()
+        work()
+        times.append(time.process_time() - began)
+    return min(times)
+
+
+def mebibytes(work: Callable[[], object]) -> float:
+    """The most that a call has allocated at a time."""
+    tracemalloc.start()
+    work()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak / 2**20
+
+
+def cells(solver: Solver, problem: Problem, repeats: int) -> tuple[str, str]:
+    """Milliseconds to plan and take the first decision, and MiB; or that it is refused."""
+
+    def work() -> int:
+        return solver.plan(problem).messages(0, 0, problem.prior)
+
+    try:
+        return f"{1e3 * seconds(work, repeats):.2f}", f"{mebibytes(work):.2f}"
+    except TooLargeError:
+        return "refused", ""
+
+
+def growth(quick: bool, repeats: int) -> Table:
+    """QMDP, one size varied at a time; by type, and dense where a dense table fits."""
+    shown = Table(
+        "steps", "messages", "types", "facts", "worth giving", "by type (ms)", "MiB",
+        "dense (ms)", "MiB", title="QMDP: plan and first decision",
+    )  # fmt: skip
+    sizes = [(20, n, 8, 6) for n in ((10, 40, 60) if quick else (10, 14, 18, 20, 30, 40, 50, 60))]
+    if not quick:
+        sizes += [(m, 40, 8, 6) for m in (10, 50, 100, 200)]
+        sizes += [(20, 40, types, 6) for types in (2, 16, 50)]
+        sizes += [(20, 40, 8, facts) for facts in (2, 4, 8, 10)]
+    for m, n, types, facts in sizes:
+        problem = problem_of(m, n, types, facts)
+        row = cells(QMDP(), problem, repeats)
+        dense = ("", "")
+        if n <= (14 if quick else 18):
+            table = problem.dense()
+            dense = cells(QMDP(), table, 1)
+        worth = len(messages_worth_giving(problem))
+        shown.add_row(*map(str, (m, n, types, facts, worth)), *row, *dense)
+    return shown
+
+
+def solvers(quick: bool, repeats: int) -> Table:
+    """Every solver of types on the sizes that the project promises something for."""
+    shown = Table(
+        "solver", "steps", "messages", "types", "facts", "worth giving", "plan, decide (ms)", "MiB",
+        title="solvers",
+    )  # fmt: skip
+    for m, n, types, facts, bearing in ((20, 60, 8, 6, 3), (20, 60, 8, 6, 12), (12, 40, 5, 4, 3)):
+        problem = problem_of(m, n, types, facts, bearing=bearing)
+        worth = len(messages_worth_giving(problem))
+        for name, solver in (
+            ("qmdp", QMDP()),
+            ("pomcp", POMCP(simulations=3_000)),
+            ("lookahead", Lookahead()),
+        ):
+            row = cells(solver, problem, repeats)
+            shown.add_row(name, *map(str, (m, n, types, facts, worth)), *row)
+    return shown
+
+
+def pomcp_decisions(quick: bool) -> Table:
+    """POMCP, 3,000 simulations: a search, and a decision (a search for each message, and one)."""
+    shown = Table(
+        "facts on a transition", "worth giving", "messages a decision", "search (ms)",
+        "decision (ms)", title="POMCP: 60 messages, 20 steps, 8 types of 6 facts, medians",
+    )  # fmt: skip
+    for bearing in (3, 6, 12):
+        problem = problem_of(20, 60, 8, 6, bearing=bearing)
+        policy = POMCP(simulations=3_000).plan(problem)
+        assert isinstance(policy, Restricted)
+        assert isinstance(policy.policy, Search)
+        policy.messages(0, 0, problem.prior)
+        rng = np.random.default_rng(0)
+        said, searches, decisions = [], [], []
+        for k in range(3 if quick else 12):
+            belief = rng.dirichlet(np.ones(8))
+            began = time.process_time()
+            policy.policy.search(k, 0, belief)
+            searches.append(time.process_time() - began)
+            began = time.process_time()
+            said.append(policy.messages(k, 0, belief).bit_count())
+            decisions.append(time.process_time() - began)
+        shown.add_row(
+            f"up to {bearing}", str(len(policy.kept)), f"{np.median(said):g}",
+            f"{1e3 * np.median(searches):.2f}", f"{1e3 * np.median(decisions):.2f}",
+        )  # fmt: skip
+    return shown
+
+
+def certified(quick: bool) -> Table:
+    """Certified to 1e-2: 40 messages, 12 steps, 5 types of 4 facts."""
+    shown = Table(
+        "facts on a transition", "seed", "worth giving", "gap", "seconds", title="certified to 0.01"
+    )
+    for bearing in (3, 6, 12):
+        for seed in range(1 if quick else 3):
+            problem = problem_of(12, 40, 5, 4, seed, bearing)
+            began = time.process_time()
+            policy = Certified(gap=1e-2, seconds=2 if quick else 30).plan(problem)
+            spent = time.process_time() - began
+            assert isinstance(policy, CertifiedPolicy)
+            gap = policy.upper - policy.lower
+            shown.add_row(
+                f"up to {bearing}", str(seed), str(len(policy.kept)), f"{gap:.4f}", f"{spent:.2f}"
+            )
+    return shown
+
+
+def main() -> None:
+    """Prints the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    quick = parser.parse_args().quick
+    console = Console(width=120)
+    repeats = 1 if quick else 5
+    for table in (
+        growth(quick, repeats), solvers(quick, repeats), pomcp_decisions(quick), certified(quick)
+    ):  # fmt: skip
+        console.print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,440 @@
+"""What well-chosen questions save: labels, and what explanations cost with them.
+
+    python benchmarks/questions.py identify      questions until it is known what one holds wrong
+    python benchmarks/questions.py grid          labels × design × labeler × errors → types, costs
+    python benchmarks/questions.py wrong         people whom the hypotheses do not fit
+    python benchmarks/questions.py plot          the grid's picture, from its rows
+    python benchmarks/questions.py --quick       a little of each, nothing written
+
+Both shipped domains, and per seed two maps drawn at random (a rescue map whose cells all are
+starts, a four-rooms map with goals, penalties and what people hold wrong drawn at random), on
+which nothing was tuned. Types are drawn at random, two to five of them, by the seed; three
+observers each. Explanations: QMDP at λ = 1; costs are means over traces and types.
+
+Results go to benchmarks/results/. Rows of the grid are kept one by one in outputs/benchmarks/, and
+a run that was stopped goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from hydra.utils import instantiate
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from omegaconf import OmegaConf
+from sklearn.metrics import adjusted_rand_score
+
+from xplain import Hypotheses, Questionnaire
+from xplain.config import composed
+from xplain.data.observers import SimulatedObservers
+from xplain.data.queries import Answer, Independent, Queries
+from xplain.domains.base import Domain, transition_features
+from xplain.domains.four_rooms import FourRooms
+from xplain.domains.rescue import Rescue
+from xplain.errors import XplainError
+from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.experiment.pipeline import (
+    Observed,
+    References,
+    build_case,
+    draw_trace,
+    learn,
+    learn_references,
+)
+from xplain.explanation.belief import Independent as IndependentLabels
+from xplain.explanation.problem import Problem
+from xplain.learning.user_types import p_explicable
+from xplain.questions.designs import Adaptive, Battery, hypotheses_of
+from xplain.questions.labeler import HypothesisTrainer
+from xplain.randomness import stream
+from xplain.report.plots import COLOURS, MARKERS
+from xplain.solvers.qmdp import QMDP
+from xplain.users.setting import Setting, UserType
+from xplain.users.types import RandomCover
+
+RESULTS = Path(__file__).parent / "results"
+ROWS = Path("outputs/benchmarks/questions_grid.csv")
+FIRST_SEED = 7000
+MAPS = ("rescue", "four_rooms", "random rescue", "random rooms")
+WAYS = {
+    "random questions, trees": ("independent", "pruned"),
+    "random questions, hypotheses": ("independent", "hypotheses"),
+    "battery, hypotheses": ("battery", "hypotheses"),
+    "adaptive, hypotheses": ("adaptive", "hypotheses"),
+}
+POINTS = (5, 10, 20, 40, 80, 320)
+IDENTIFIED = ("map", "seed", "error", "questions", "right")
+KEY = ["map", "way", "points", "error", "people", "seed"]
+
+
+@cache
+def domain_of(name: str, seed: int) -> Domain:
+    """A shipped domain, or the random map of this seed."""
+    kind = "rescue" if "rescue" in name else "four_rooms"
+    cfg = composed("observe", [f"domain={kind}"]).domain
+    if not name.startswith("random"):
+        made: Domain = instantiate(cfg)
+        return made
+    rng = stream(seed, "benchmark", name)
+    values: Any = OmegaConf.to_container(cfg, resolve=True)
+    while True:
+        try:
+            drawn = _rescue(values, rng) if kind == "rescue" else _rooms(values, rng)
+            matters = np.bitwise_or.reduce(hypotheses_of(drawn, None).matters)
+        except XplainError:  # no way to the shelter, or ambiguous ties
+            continue
+        if int(matters) == (1 << len(drawn.parameters)) - 1:
+            return drawn
+
+
+def _rescue(values: Any, rng: np.random.Generator) -> Domain:
+    """6 × 6, a fifth of it walls, two cells of each obstacle; every free cell is a start."""
+    cells = np.full(36, ".", dtype="<U1")
+    cells[rng.random(36) < 0.2] = "#"
+    for symbol, cell in zip("SVAFUrrppff", rng.permutation(36), strict=False):
+        cells[cell] = symbol
+    text = "\n".join("".join(row) for row in cells.reshape(6, 6))
+    return Rescue(text, values["parameters"], values["rescue_reward"], values["discount"])
+
+
+def _rooms(values: Any, rng: np.random.Generator) -> Domain:
+    """The four rooms, two goals, four penalty cells, all drawn; every free cell is a start."""
+    text = values["map"].replace("s", ".")
+    free = [(r, c) for r, line in enumerate(text.split()) for c, x in enumerate(line) if x == "."]
+
+    def cell() -> list[int]:
+        return [int(x) for x in free[rng.integers(len(free))]]
+
+    goals = [{"cell": cell(), "reward": float(rng.integers(2, 8))} for _ in range(2)]
+    moved = [goals[0], {"cell": cell(), "reward": goals[1]["reward"]}]
+    drawn = {
+        "goals": (goals, moved),
+        "discount": (0.9, float(rng.choice([0.5, 0.7, 0.97]))),
+        "step_cost": (0.0, float(rng.choice([0.25, 0.5, 1.0]))),
+        "penalty_cells": ([cell() for _ in range(4)], [cell() for _ in range(4)]),
+        "penalty": (float(rng.choice([1.0, 2.0, 4.0])), 0.05),
+    }
+    parameters = {
+        name: fields | dict(zip(("accurate", "inaccurate"), drawn[name], strict=True))
+        for name, fields in values["parameters"].items()
+    }
+    return FourRooms(text, parameters)
+
+
+def setting_of(domain: Domain, people: str, seed: int) -> Setting:
+    """Two to five types drawn at random; ``people`` says in what their values differ."""
+    rng = stream(seed, "benchmark", "types")
+    count = 2 + seed % 4
+    types = RandomCover(count).types(domain, rng)
+    scales = {"half": (0.5,), "double": (2.0,), "tenth": (0.1,), "half or double": (0.5, 2.0)}
+    if people not in scales:
+        return Setting.build(domain, types)
+    accurate = {parameter.name: parameter.accurate for parameter in domain.parameters}
+
+    def scaled(name: str, value: Any) -> Any:
+        if not isinstance(value, (int, float)):
+            return value
+        other = value * float(rng.choice(scales[people]))
+        try:
+            domain.model(accurate | {name: other})
+        except XplainError:
+            return value
+        return other
+
+    own = [
+        UserType(one.name, {name: scaled(name, value) for name, value in one.inaccurate.items()})
+        for one in types
+    ]
+    return Setting.build(domain, tuple(own))
+
+
+def design_of(way: str, path: str | None, error: float) -> tuple[Queries, Any]:
+    """The query design and the trainer of a way."""
+    asked, labeler = WAYS[way]
+    designs: dict[str, Queries] = {
+        "independent": Independent(),
+        "battery": Battery(hypotheses=path),
+        "adaptive": Adaptive(error=max(error, 0.01), hypotheses=path),
+    }
+    if labeler == "hypotheses":
+        return designs[asked], None
+    return designs[asked], instantiate(composed("discover", ["labeler=pruned"]).labeler)
+
+
+def observed_by(
+    setting: Setting, queries: Queries, points: int, error: float, people: str, seed: int
+) -> Observed:
+    """Labels of three observers a type, with their errors."""
+    if people != "tire":
+        crowd = SimulatedObservers(3, points, error)
+        return Observed(setting, *crowd.collect(setting, queries, seed))
+    asked: dict[int, int] = {}
+
+    class Tired:
+        """Asks through a crowd whose error rises from 2 to 15 % over its labels."""
+
+        def ask(self, setting: Setting, sizes: Any, answer: Answer, seed: int) -> Any:
+            def worse(observer: int, transitions: Any, told: Any) -> NDArray[np.uint8]:
+                before = asked.get(observer, 0)
+                asked[observer] = before + len(told)
+                rate = 0.02 + 0.13 * (before + np.arange(len(told))) / max(points - 1, 1)
+                flip = stream(seed, "tire", observer, before).random(len(told)) < rate
+                return answer(observer, transitions, told) ^ flip.astype(np.uint8)
+
+            return queries.ask(setting, sizes, worse, seed)
+
+    crowd = SimulatedObservers(3, points, 0.0)
+    return Observed(setting, *crowd.collect(setting, Tired(), seed))
+
+
+def row_of(
+    name: str, way: str, points: int, error: float, people: str, seed: int, traces: int
+) -> dict[str, Any]:
+    """One data set: types found, labels learned, what explanations cost with them."""
+    domain = domain_of(name, seed)
+    setting = setting_of(domain, people, seed)
+    with tempfile.TemporaryDirectory() as folder:
+        path = _without_a_fact(domain, seed, Path(folder)) if people == "unwritten" else None
+        queries, trainer = design_of(way, path, error)
+        trainer = trainer or HypothesisTrainer(domain=domain, path=path)
+        observed = observed_by(setting, queries, points, error, people, seed)
+        clusterer = instantiate(composed("discover", ["clusterer=dirichlet"]).clusterer)
+        types = learn(observed.dataset, trainer, clusterer, seed)
+        none = _none(observed, hypotheses_of(domain, path), error)
+        references = learn_references(observed, trainer, seed)
+    assert observed.truth is not None
+    alike = setting.distinct[observed.truth]
+    row = dict(zip(KEY, (name, way, points, error, people, seed), strict=True))
+    row |= {
+        "types": len(np.unique(alike)),
+        "found": types.clustering.n_types,
+        "ari": float(adjusted_rand_score(alike, types.clustering.assignment)),
+        "none": none,
+        "accuracy": _accuracy(setting, references),
+    }
+    return row | _costs(setting, types, references, traces, seed)
+
+
+def _without_a_fact(domain: Domain, seed: int, folder: Path) -> str:
+    """Hypotheses of somebody who never thought of one of the facts."""
+    full = hypotheses_of(domain, None)
+    fact = int(stream(seed, "benchmark", "unwritten").integers(full.n_messages))
+    rows = np.flatnonzero(full.facts >> fact & 1 == 0)
+    path = folder / "hypotheses.npz"
+    Hypotheses.of(
+        full.labels[rows],
+        full.facts[rows],
+        full.messages,
+        features=full.features,
+        feature_names=full.feature_names,
+        states=full.states,
+        variants=full.variants[:, rows] if len(full.variants) else full.variants,
+    ).save(path)
+    return str(path)
+
+
+def _none(observed: Observed, hypotheses: Hypotheses, error: float) -> float:
+    """Share of the observers whom, by their questionnaires, rather no hypothesis fits."""
+    dataset = observed.dataset
+    assert hypotheses.features is not None
+    place = {row.tobytes(): t for t, row in enumerate(hypotheses.features)}
+    said = []
+    for o in range(len(dataset.observers)):
+        questions = Questionnaire(hypotheses, max(error, 0.01))
+        for p in np.flatnonzero(dataset.observer == o):
+            t = place[dataset.features[dataset.transition[p]].tobytes()]
+            questions.answer(int(dataset.label[p]), (t, int(dataset.message_set[p])))
+        said.append(questions.none > 0.5)
+    return float(np.mean(said))
+
+
+def _accuracy(setting: Setting, references: References) -> float:
+    """Labels predicted right, of all transitions and message sets, true types given."""
+    assert references.oracle is not None
+    features = transition_features(setting.domain, setting.reachable)
+    table = p_explicable(references.oracle, features, setting.n_messages, setting.reachable)
+    return float(((table >= 0.5) == setting.label_table(setting.reachable)).mean())
+
+
+def _costs(
+    setting: Setting, types: Any, references: References, traces: int, seed: int
+) -> dict[str, float]:
+    """Mean costs: QMDP with what was learned, with true types and labels (as they are, and with a
+    confidence of .975, as people err), the learned oracle, the clairvoyant."""
+    found: dict[str, list[float]] = {}
+    n = setting.n_messages
+    for index in range(traces):
+        case = build_case(setting, draw_trace(setting, 40, seed, index), types, references)
+        assert case.perfect is not None
+        truth = case.labels.astype(np.float64)
+        tables = {"qmdp": case.learned, "true": truth, "true_975": 0.95 * truth + 0.025}
+        problems = {key: Problem(table, np.ones(n)) for key, table in tables.items()}
+        plans = {key: QMDP().plan(problem) for key, problem in problems.items()}
+        for t in range(len(setting.types)):
+            user = SimulatedUser(case.labels[t])
+            runs = {key: (problems[key], plans[key]) for key in plans}
+            for key, table in (("oracle", case.perfect), ("clairvoyant", truth)):
+                alone = Problem(table[t : t + 1], np.ones(n))
+                runs[key] = alone, QMDP().plan(alone)
+            for key, (problem, plan) in runs.items():
+                cost = explain(problem, plan, user, IndependentLabels()).cost
+                found.setdefault(key, []).append(cost)
+    return {key: float(np.mean(costs)) for key, costs in found.items()}
+
+
+def identify(seeds: int) -> pd.DataFrame:
+    """Questions that one person is asked until the posterior of .95, and how often it is right:
+    every fact set that some question tells from the others, once a seed."""
+    rows = []
+    for name, seed, error in product(MAPS, range(FIRST_SEED, FIRST_SEED + seeds), (0.0, 0.05)):
+        hypotheses = hypotheses_of(domain_of(name, seed), None)
+        for held in np.unique(hypotheses.essential).tolist():
+            rng = stream(seed, "benchmark", "person", int(held))
+            questions = Questionnaire(hypotheses, max(error, 0.01), seed=seed * 64 + int(held))
+            row = int(hypotheses.row(np.array(held)))
+            while not questions.done and len(questions.asked) < 200:
+                t, told = questions.next()
+                label = int(hypotheses.label([t], told)[0, row, 0])  # type: ignore[list-item]
+                questions.answer(label ^ int(rng.random() < error))
+            count, right = len(questions.asked), questions.best == held
+            values = (name, seed, error, count, right)
+            rows.append(dict(zip(IDENTIFIED, values, strict=True)))
+    return pd.DataFrame(rows)
+
+
+def grid(cells: list[tuple[Any, ...]], traces: int, quick: bool) -> pd.DataFrame:
+    """The rows of these cells; one done before is not made again."""
+    known = pd.DataFrame(columns=KEY)
+    if ROWS.exists() and not quick:
+        known = pd.read_csv(ROWS)
+    done = set(known[KEY].itertuples(index=False, name=None))
+    made = []
+    for cell in cells:
+        if cell in done:
+            continue
+        try:
+            made.append(row_of(*cell, traces))
+        except XplainError as error:  # types at other values may tie ambiguously
+            print(*cell, error)
+            continue
+        if not quick:
+            ROWS.parent.mkdir(parents=True, exist_ok=True)
+            line = pd.DataFrame(made[-1:])
+            line.to_csv(ROWS, mode="a", header=not ROWS.exists(), index=False, float_format="%.5g")
+    return pd.concat([known, pd.DataFrame(made)]) if len(known) else pd.DataFrame(made)
+
+
+def summary(rows: pd.DataFrame, by: list[str]) -> pd.DataFrame:
+    """Means, and costs as ratios of means."""
+    cells = rows.groupby(by, sort=False)
+    table = cells[["ari", "accuracy", "none"]].mean()
+    mean = cells[["qmdp", "true", "true_975", "oracle", "clairvoyant"]].mean()
+    table["qmdp / true"] = mean["qmdp"] / mean["true"]
+    table["qmdp / true .975"] = mean["qmdp"] / mean["true_975"]
+    table["oracle / clairvoyant"] = mean["oracle"] / mean["clairvoyant"]
+    table["cost"] = mean["qmdp"]
+    table["floor"] = mean["clairvoyant"]
+    table.insert(0, "seeds", cells["seed"].nunique())
+    return table.reset_index()
+
+
+def picture(rows: pd.DataFrame) -> Figure:
+    """What an explanation costs against what was asked, by design."""
+    rows = rows[(rows["people"] == "as assumed") & (rows["error"] == 0.05)]
+    shown = [name for name in MAPS if name in set(rows["map"])]
+    figure, axes = plt.subplots(
+        1, len(shown), figsize=(3.4 * len(shown), 3.6), layout="constrained", squeeze=False
+    )
+    for axis, name in zip(axes[0], shown, strict=True):
+        part = rows[rows["map"] == name]
+        for i, way in enumerate(WAYS):
+            own = part[part["way"] == way].groupby("points")["qmdp"].agg(["mean", "sem"])
+            axis.errorbar(
+                own.index,
+                own["mean"],
+                1.96 * own["sem"],
+                label=way,
+                color=COLOURS[i],
+                marker=MARKERS[i],
+                markersize=4,
+                capsize=2,
+            )
+        axis.axhline(part["true"].mean(), color="black", linestyle=":", linewidth=1)
+        axis.text(POINTS[0], part["true"].mean(), "true labels known", fontsize=7, va="top")
+        axis.set(title=name.replace("_", " "), xscale="log", ylim=(0, None))
+        axis.set_xlabel("labels asked of each person")
+        axis.set_xticks(sorted(part["points"].unique()), sorted(part["points"].unique()))
+        axis.minorticks_off()
+    axes[0, 0].set_ylabel("cost of an explanation")
+    axes[0, -1].legend(fontsize=7)
+    figure.suptitle("What an explanation costs against what was asked (one answer in 20 wrong)")
+    return figure
+
+
+def written(table: pd.DataFrame, name: str, quick: bool) -> None:
+    """Prints a table, and keeps it."""
+    shown = table.round(3)
+    lines = [" | ".join(shown.columns), " | ".join("---" for _ in shown.columns)]
+    lines += [" | ".join(map(str, row)) for row in shown.itertuples(index=False)]
+    text = "\n".join(f"| {line} |" for line in lines) + "\n"
+    print(text)
+    if not quick:
+        (RESULTS / f"{name}.md").write_text(text, encoding="utf-8")
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("part", nargs="?", choices=["identify", "grid", "wrong", "plot"])
+    parser.add_argument("--quick", action="store_true", help="a little of each, nothing written")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--traces", type=int, default=10)
+    parser.add_argument("--points", type=int, nargs="+", default=list(POINTS))
+    parser.add_argument("--errors", type=float, nargs="+", default=[0.05, 0.0])
+    parser.add_argument("--maps", nargs="+", default=list(MAPS))
+    parser.add_argument("--ways", nargs="+", default=list(WAYS))
+    given = parser.parse_args()
+    seeds = 1 if given.quick else given.seeds
+    every = range(FIRST_SEED, FIRST_SEED + seeds)
+    traces = 2 if given.quick else given.traces
+    points = (10, 20) if given.quick else given.points
+    people = ("half", "double", "half or double", "tenth", "unwritten", "tire")
+    if given.part in ("identify", None):
+        rows = identify(seeds)
+        table = rows.groupby(["map", "error"], sort=False)[["questions", "right"]].mean()
+        written(table.reset_index(), "questions_identify", given.quick)
+    if given.part in ("grid", None):
+        cells = [
+            (name, way, count, error, "as assumed", seed)
+            for seed, error, count, name, way in product(
+                every, given.errors, points, given.maps, given.ways
+            )
+        ]
+        rows = grid(cells, traces, given.quick)
+        rows = rows[rows["people"] == "as assumed"]
+        written(summary(rows, ["error", "map", "way", "points"]), "questions_grid", given.quick)
+    if given.part in ("wrong", None):
+        way = "adaptive, hypotheses"
+        cells = [
+            (name, way, 40, 0.05, who, seed)
+            for seed, who, name in product(every, people, given.maps[2:] or given.maps)
+        ]
+        rows = grid(cells, traces, given.quick)
+        rows = rows[(rows["people"] != "as assumed") | (rows["points"] == 40)]
+        rows = rows[rows["way"] == way]
+        written(summary(rows, ["people", "map"]), "questions_wrong", given.quick)
+    if given.part in ("plot", "grid") and not given.quick and ROWS.exists():
+        picture(pd.read_csv(ROWS)).savefig(RESULTS / "questions_grid.png", dpi=150)
+
+
+if __name__ == "__main__":
+    main()

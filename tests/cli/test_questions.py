@@ -1,0 +1,79 @@
+"""The command that says what to ask."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from xplain import Hypotheses
+from xplain.cli.questions import questions
+from xplain.errors import InputError
+
+TABLE = """text,image,inexplicable_if
+Drives over the cable,cable.jpg,cable
+Takes the lift,,lift;queue
+Waits at the door,door.jpg,queue
+"""
+
+
+def rows_of(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_domains_list_is_written_in_words(command, tmp_path):
+    done = command("xplain questions", "domain=rescue", "save=h.npz", "queries.redundancy=1")
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout.splitlines()[-1])
+    rows = rows_of(tmp_path / "questions.csv")
+    assert said["questions"] == len(rows) <= 10
+    assert said["candidates"] == 64
+    known = Hypotheses.load(tmp_path / "h.npz")
+    for row in rows:
+        assert row["text"] == known.phrases[int(row["transition"])]
+        for name in filter(None, row["messages"].split(";")):
+            assert name in known.messages
+        assert bool(row["told"]) == bool(row["messages"])
+
+
+def test_a_table_of_ones_own_transitions_is_enough(tmp_path):
+    (tmp_path / "own.csv").write_text(TABLE)
+    output = tmp_path / "q.csv"
+    said = questions(
+        [f"transitions={tmp_path}/own.csv", f"output={output}", "queries.redundancy=1"]
+    )
+    assert said["candidates"] == 8
+    rows = rows_of(output)
+    assert {row["text"] for row in rows} == {line.split(",")[0] for line in TABLE.split("\n")[1:4]}
+    assert {row["image"] for row in rows} == {"cable.jpg", "", "door.jpg"}
+    # The lift alone is not to be told from the queue unless the queue is told before.
+    (lift,) = [row for row in rows if row["text"] == "Takes the lift"]
+    assert lift["messages"] == "queue"
+
+
+def test_a_file_of_hypotheses_takes_the_domains_place(tmp_path):
+    np.savez(tmp_path / "h.npz", labels=[[1, 1], [0, 1], [1, 0], [0, 0]])
+    said = questions([f"hypotheses={tmp_path}/h.npz", f"output={tmp_path}/q.csv"])
+    assert (said["transitions"], said["candidates"]) == (2, 4)
+    assert [row["text"][:-1] for row in rows_of(tmp_path / "q.csv")] == ["transition "] * 4
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("text\nhello\n", "inexplicable_if"),
+        ("text,inexplicable_if\n,cable\n", "row 2"),
+        ("text,inexplicable_if\nhello,\n", "a fact in some row"),
+    ],
+)
+def test_bad_tables_are_one_line(tmp_path, text, said):
+    (tmp_path / "own.csv").write_text(text)
+    with pytest.raises(InputError, match=said) as caught:
+        questions([f"transitions={tmp_path}/own.csv", f"output={tmp_path}/q.csv"])
+    assert "\n" not in str(caught.value)
+
+
+def test_questions_that_depend_on_answers_make_no_list(tmp_path):
+    with pytest.raises(InputError, match="Questionnaire"):
+        questions(["queries=adaptive", f"output={tmp_path}/q.csv"])

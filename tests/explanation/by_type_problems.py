@@ -1,0 +1,60 @@
+"""Problems kept by type, and the same problems with dense tables written out entry by entry."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+from hypothesis.strategies import composite
+
+from xplain.explanation.by_type import ByType
+from xplain.explanation.problem import Problem
+
+
+def pair_of_problems(rng: np.random.Generator, types: int, steps: int, n: int) -> Any:
+    """(by type, dense): types that look at up to three messages each, pads anywhere; costs of all
+    kinds, so that giving messages pays as a mere delay in some."""
+    width = int(rng.integers(0, min(n, 3) + 1))
+    relevant = np.full((types, width), -1)
+    for row in relevant:
+        used = int(rng.integers(0, width + 1))
+        row[rng.permutation(width)[:used]] = rng.permutation(n)[:used]
+    kind = rng.integers(3)
+    p = rng.random((types, steps, 1 << width))
+    if kind == 1:
+        p = np.round(p)
+    elif kind == 2:
+        confidence = 0.5 + 0.5 * rng.random((types, 1, 1))
+        p = np.where(p < 0.5, 1 - confidence, confidence)
+    dense = np.empty((types, steps, 1 << n))
+    for t in range(types):
+        used_bits = [i for i, j in enumerate(relevant[t]) if j >= 0]
+        for given in range(1 << n):
+            subset = sum(1 << i for i in used_bits if given >> relevant[t, i] & 1)
+            dense[t, :, given] = p[t, :, subset]
+    cost = np.where(rng.random(n) < 0.15, 0, rng.random(n) * 2)
+    rest: dict[str, Any] = {
+        "message_cost": cost if rng.random() < 0.5 else np.ones(n),
+        "inexplicability_cost": float(rng.choice([0.5, 1.0, 2.0])),
+        "trade_off": float(rng.choice([0.0, 0.1, 0.3, 1.0, 2.5])),
+        "discount": float(rng.choice([1.0, 0.95, rng.uniform(0.3, 1.0)])),
+        "prior": rng.dirichlet(np.ones(types)),
+        "discount_per": "action" if rng.random() < 0.7 else "step",
+    }
+    return Problem.of_types(ByType(relevant, p), **rest), Problem(dense, **rest)
+
+
+@composite
+def pairs(draw: st.DrawFn, types: int = 3, steps: int = 3, messages: int = 5) -> Any:
+    """(by type, dense) of up to so many types, steps and messages."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    size = (int(rng.integers(1, types + 1)), int(rng.integers(1, steps + 1)))
+    return pair_of_problems(rng, *size, int(rng.integers(1, messages + 1)))
+
+
+def plain(problem: Problem) -> dict[str, Any]:
+    """Every field, arrays as lists."""
+    values = {field.name: getattr(problem, field.name) for field in fields(problem)}
+    return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}

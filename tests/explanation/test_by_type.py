@@ -1,0 +1,144 @@
+"""A problem kept by type is the same problem as its dense table says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from tests.explanation.by_type_problems import pair_of_problems, pairs, plain
+from xplain.errors import InputError, TooLargeError
+from xplain.explanation.belief import update
+from xplain.explanation.by_type import ByType
+from xplain.explanation.pomdp_file import lines
+from xplain.explanation.problem import Problem
+
+
+@settings(deadline=None, max_examples=100)
+@given(pairs())
+def test_labels_and_beliefs_are_those_of_the_dense_table(both: tuple[Problem, Problem]) -> None:
+    by_type, dense = both
+    assert by_type.by_type is not None
+    assert np.array_equal(by_type.dense().p_explicable, dense.p_explicable)
+    assert by_type.messages_with_effect() == dense.messages_with_effect()
+    rng = np.random.default_rng(0)
+    for shown in range(1 << dense.n_messages):
+        count = int(rng.integers(1, dense.n_steps + 1))
+        labels = rng.integers(0, 2, count).astype(np.uint8)
+        assert np.array_equal(
+            by_type.label_probabilities(count, shown), dense.label_probabilities(count, shown)
+        )
+        assert update(by_type, by_type.prior, shown, labels) == pytest.approx(
+            update(dense, dense.prior, shown, labels), abs=1e-12
+        )
+
+
+@settings(deadline=None, max_examples=100)
+@given(pairs())
+def test_problems_made_of_it_are_those_made_of_the_dense_one(both: tuple[Problem, Problem]) -> None:
+    n, types = both[1].n_messages, both[1].n_types
+    made = [
+        (problem.with_messages(tuple(range(0, n, 2))), problem.only_types([types - 1]),
+         problem.mixture(problem.prior), problem.pessimistic())
+        for problem in both
+    ]  # fmt: skip
+    for mine, other in zip(*made, strict=True):
+        assert mine.dense().p_explicable == pytest.approx(other.p_explicable, abs=1e-12)
+        assert mine.message_names == other.message_names
+        assert mine.message_cost.tolist() == other.message_cost.tolist()
+        assert (mine.type_names, mine.prior.tolist()) == (other.type_names, other.prior.tolist())
+
+
+@settings(deadline=None, max_examples=100)
+@given(pairs())
+def test_what_is_relevant_is_found_in_a_dense_table(both: tuple[Problem, Problem]) -> None:
+    by_type, dense = both
+    assert by_type.by_type is not None
+    found = ByType.of_table(dense.p_explicable)
+    assert found.effective() == by_type.by_type.effective()
+    assert np.array_equal(found.over(range(dense.n_messages)), dense.p_explicable)
+
+
+def large(n: int = 60) -> Problem:
+    """Of 60 messages, each of three types looks at one or two."""
+    rng = np.random.default_rng(1)
+    relevant = np.array([[3, 59], [40, 2], [17, -1]])
+    return Problem.of_types(ByType(relevant, rng.random((3, 4, 4))), np.ones(n))
+
+
+def test_sixty_messages_come_back_from_a_file(tmp_path: Path) -> None:
+    problem = large()
+    assert problem.relevant.tolist() == [[3, 59], [2, 40], [17, -1]]
+    problem.save(tmp_path / "problem.npz")
+    assert plain(Problem.load(tmp_path / "problem.npz")) == plain(problem)
+    assert (tmp_path / "problem.npz").stat().st_size < 20_000
+
+
+def test_a_file_holds_the_smaller_form(tmp_path: Path) -> None:
+    """Fourteen messages, three of them relevant at most: by type a thousandth of the numbers."""
+    by_type, dense = pair_of_problems(np.random.default_rng(5), 2, 3, 14)
+    assert by_type.relevant.shape[1] > 0
+    for name, problem in (("by_type", by_type), ("dense", dense)):
+        problem.save(tmp_path / f"{name}.npz")
+        with np.load(tmp_path / f"{name}.npz") as file:
+            assert "p_explicable" not in file
+        again = Problem.load(tmp_path / f"{name}.npz")
+        assert np.array_equal(again.dense().p_explicable, dense.p_explicable)
+    small, _ = pair_of_problems(np.random.default_rng(5), 2, 3, 4)
+    small.save(tmp_path / "small.npz")
+    again = Problem.load(tmp_path / "small.npz")
+    assert np.array_equal(again.p_explicable, small.dense().p_explicable)
+
+
+def test_what_does_not_fit_a_dense_table_is_refused_at_once() -> None:
+    with pytest.raises(TooLargeError, match="60 messages"):
+        large().dense()
+    with pytest.raises(TooLargeError, match="format=pomdp"):
+        next(lines(large()))
+
+
+HALF = np.full((2, 3, 4), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [
+        ("relevant", {"relevant": [[0, 5], [1, 2]]}),
+        ("relevant", {"relevant": [[0, -2], [1, 2]]}),
+        ("relevant", {"relevant": [[0, 0], [1, 2]]}),
+        ("relevant", {"relevant": [[0.5, 1], [1, 2]]}),
+        ("relevant", {"relevant": [0, 1]}),
+        ("p_relevant", {"relevant": [[0], [1]]}),
+        ("p_relevant", {"relevant": [[0, 1]]}),
+        ("p_relevant", {"p_relevant": np.full((2, 3, 8), 0.5)}),
+        ("p_relevant", {"p_relevant": np.full((2, 12), 0.5)}),
+        ("p_relevant", {"p_relevant": np.where(np.arange(4) == 2, 1.5, HALF)}),
+        ("p_relevant", {"p_relevant": np.where(np.arange(4) == 2, np.nan, HALF)}),
+        ("p_explicable", {"p_explicable": HALF}),
+        ("message_cost", {"message_cost": np.ones(63)}),
+        ("message_cost", {"message_cost": 1.0}),
+        ("message_names", {"message_names": ("one",)}),
+    ],
+)
+def test_bad_tables_are_named(key: str, changes: dict[str, Any]) -> None:
+    given: dict[str, Any] = {
+        "p_explicable": np.empty((0, 0, 0)),
+        "message_cost": np.ones(5),
+        "relevant": [[0, 1], [1, 2]],
+        "p_relevant": HALF,
+    }
+    Problem(**given)
+    with pytest.raises(InputError) as caught:
+        Problem(**given | changes)
+    assert caught.value.key == key
+    assert "\n" not in str(caught.value)
+
+
+def test_a_pad_changes_nothing_whatever_stands_there() -> None:
+    table = np.array([[[0.1, 0.2, np.nan, 7.0]]])
+    problem = Problem.of_types(ByType(np.array([[2, -1]]), table), np.ones(3))
+    assert problem.label_probabilities(1, 0).tolist() == [[0.1]]
+    assert problem.label_probabilities(1, 0b111).tolist() == [[0.2]]

@@ -1,0 +1,10 @@
+"""A task of two facts, solved by hand elsewhere."""
+
+import pytest
+
+from tests.users.corridor import Corridor
+
+
+@pytest.fixture(scope="session")
+def corridor():
+    return Corridor()

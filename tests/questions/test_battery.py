@@ -1,0 +1,73 @@
+"""One list for everybody: that it separates all, by the definition, and is short."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.questions.tables import random_hypotheses
+from xplain.errors import InputError
+from xplain.questions.battery import battery
+from xplain.questions.hypotheses import Hypotheses
+
+
+def separated(hypotheses, transitions, told):
+    """How many of the questions separate each two classes of candidates, counted one by one."""
+    facts = hypotheses.facts.tolist()
+    found = {}
+    for one, other in combinations(range(len(facts)), 2):
+        if hypotheses.classes[one] != hypotheses.classes[other]:
+            found[one, other] = sum(
+                hypotheses.labels[facts.index(facts[one] & ~h), t]
+                != hypotheses.labels[facts.index(facts[other] & ~h), t]
+                for t, h in zip(transitions.tolist(), told.tolist(), strict=True)
+            )
+    return found
+
+
+@given(st.integers(0, 10_000), st.integers(1, 3))
+@settings(deadline=None, max_examples=30)
+def test_every_pair_is_separated_as_often_as_asked(seed, redundancy):
+    h = random_hypotheses(seed)
+    assert min(separated(h, *battery(h, redundancy, seed)).values()) >= redundancy
+
+
+@given(st.integers(0, 10_000))
+@settings(deadline=None, max_examples=20)
+def test_without_its_last_question_some_pair_is_not_separated(seed):
+    h = random_hypotheses(seed)
+    transitions, told = battery(h, 1, seed)
+    assert min(separated(h, transitions[:-1], told[:-1]).values()) == 0
+
+
+def test_six_facts_seen_one_by_one_need_six_questions():
+    h = Hypotheses.of(1 - (np.arange(64)[:, None] >> np.arange(6) & 1))
+    transitions, told = battery(h)
+    assert sorted(transitions.tolist()) == list(range(6))
+    assert not told.any()  # no message needs to be read
+
+
+def test_sixty_four_fact_sets_need_at_most_ten_questions():
+    """Labels as tasks have them: every transition depends on one to three facts."""
+    rng = np.random.default_rng(4)
+    held = np.arange(64)
+    masks = [int(sum(1 << int(j) for j in rng.permutation(6)[: 1 + t % 3])) for t in range(40)]
+    labels = np.stack([(held & mask) == 0 for mask in masks], axis=1)
+    h = Hypotheses.of(labels)
+    assert len(np.unique(h.classes)) == 64
+    assert len(battery(h)[0]) <= 10
+
+
+def test_a_longer_list_begins_with_the_shorter():
+    h = random_hypotheses(2)
+    short, long = battery(h, seed=3), battery(h, seed=3, at_least=40)
+    assert len(long[0]) >= 40
+    for one, other in zip(short, long, strict=True):
+        assert np.array_equal(one, other[: len(one)])
+
+
+def test_redundancy_is_a_whole_number():
+    with pytest.raises(InputError, match="redundancy"):
+        battery(random_hypotheses(0), 0)

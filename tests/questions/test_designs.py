@@ -1,0 +1,138 @@
+"""Designs that ask simulated observers: who they are is found with few labels."""
+
+import numpy as np
+import pytest
+
+from tests.users.corridor import Corridor
+from xplain.data.observers import SimulatedObservers
+from xplain.data.queries import Independent
+from xplain.errors import InputError
+from xplain.learning.fact_model.dirichlet import DirichletMixture
+from xplain.questions import designs
+from xplain.questions.designs import Adaptive, Battery, transitions_of
+from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.labeler import HypothesisTrainer
+from xplain.questions.questionnaire import Questionnaire
+from xplain.users.setting import Setting, UserType
+
+
+@pytest.fixture(scope="module")
+def setting():
+    domain = Corridor()
+    types = (
+        UserType("end", {"end": "left"}),
+        UserType("toll", {"toll": -5.0}),
+        UserType("both", {"end": "left", "toll": -5.0}),
+    )
+    return Setting.build(domain, types)
+
+
+@pytest.mark.parametrize("design", [Adaptive(), Adaptive(clip=3), Battery()])
+def test_few_labels_find_the_types(setting, design):
+    """Three types of two facts, one answer in twenty wrong."""
+    crowd = SimulatedObservers(per_type=3, points=14, label_noise=0.05)
+    trainer = HypothesisTrainer(domain=setting.domain)
+    for seed in range(3):
+        data, truth = crowd.collect(setting, design, seed)
+        assert len(data) == 14 * 9
+        found = DirichletMixture().cluster(data, trainer, seed, None)
+        assert found.rule == "hypotheses"
+        assert found.assignment.tolist() == truth.tolist()
+
+
+def test_every_question_is_the_questionnaires(setting):
+    """Adaptive questions follow the answers: after other answers come other questions."""
+
+    def asked(label):
+        def answer(observer, transitions, told):
+            return np.full(len(told), label, dtype=np.uint8)
+
+        return Adaptive(from_others=0.0).ask(setting, np.array([5]), answer, 0)[0]
+
+    one, other = asked(0), asked(1)
+    assert (one.transitions[0] == other.transitions[0]).all()
+    assert not np.array_equal(one.message_sets[1:], other.message_sets[1:]) or not np.array_equal(
+        one.transitions[1:], other.transitions[1:]
+    )
+
+
+def test_later_observers_start_from_those_before(setting, monkeypatch):
+    """Half of a prior is the mean of the posteriors before, the other half the hypotheses' own."""
+    made = []
+
+    class Kept(Questionnaire):
+        def __init__(self, *given, **named):
+            super().__init__(*given, **named)
+            made.append(self)
+
+    monkeypatch.setattr(designs, "Questionnaire", Kept)
+
+    def answer(observer, transitions, told):
+        return setting.labels(observer % 3, transitions, told)
+
+    Adaptive(from_others=0.5).ask(setting, np.full(4, 8), answer, 0)
+    own = made[0].hypotheses.prior
+    assert made[0].given_prior == pytest.approx(own)
+    for o in range(1, 4):
+        before = np.mean([q.posterior / q.posterior.sum() for q in made[:o]], axis=0)
+        assert made[o].given_prior == pytest.approx(0.5 * own + 0.5 * before)
+        assert np.abs(made[o].given_prior - own).max() > 0.1
+
+
+def test_a_file_without_features_must_have_the_robots_transitions(setting):
+    full = Hypotheses.of_domain(setting.domain)
+    names = full.messages
+    few = Hypotheses.of(full.labels[:, :3], messages=names)
+    assert np.array_equal(
+        transitions_of(Hypotheses.of(full.labels, messages=names), setting), setting.reachable
+    )
+    with pytest.raises(InputError, match="transitions that the robot can make"):
+        transitions_of(few, setting)
+    with pytest.raises(InputError, match="must be end, toll"):
+        transitions_of(Hypotheses.of(full.labels), setting)
+
+
+def test_a_file_may_hold_some_transitions_in_any_order(setting, tmp_path):
+    full = Hypotheses.of_domain(setting.domain)
+    order = np.array([2, 0])
+    part = Hypotheses.of(
+        full.labels[:, order], messages=full.messages, features=full.features[order]
+    )
+    assert np.array_equal(transitions_of(part, setting), setting.reachable[order])
+
+
+def test_random_questions_tell_hypotheses_less(setting):
+    """The same budget: adaptive questions find all types where random ones do not always."""
+    crowd = SimulatedObservers(per_type=3, points=6)
+    trainer = HypothesisTrainer(domain=setting.domain)
+    right = {}
+    for name, design in (("adaptive", Adaptive()), ("random", Independent())):
+        hits = []
+        for seed in range(6):
+            data, truth = crowd.collect(setting, design, seed)
+            found = DirichletMixture().cluster(data, trainer, seed, None)
+            hits.append(found.assignment.tolist() == truth.tolist())
+        right[name] = np.mean(hits)
+    assert right["adaptive"] == 1.0 >= right["random"]
+
+
+@pytest.mark.parametrize(
+    ("design", "keys"),
+    [
+        (Adaptive, {"error": 0.0}),
+        (Adaptive, {"error": 0.4}),
+        (Adaptive, {"clip": 0}),
+        (Adaptive, {"clip": 99}),
+        (Adaptive, {"from_others": 1.0}),
+        (Adaptive, {"misread": 1.0}),
+        (Battery, {"redundancy": 0}),
+    ],
+)
+def test_bad_values_name_the_key(design, keys):
+    with pytest.raises(InputError, match=f"queries.{next(iter(keys))}"):
+        design(**keys)
+
+
+def test_hypotheses_need_a_file_or_a_domain():
+    with pytest.raises(InputError, match="hypotheses"):
+        HypothesisTrainer()

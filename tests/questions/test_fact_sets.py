@@ -1,0 +1,212 @@
+"""The likelihood of answers where hypotheses err, against its definition; types found by it."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import logsumexp
+
+from tests.questions.tables import random_hypotheses
+from xplain.data.dataset import Dataset
+from xplain.questions import fact_sets
+from xplain.questions.fact_sets import (
+    DEVIATION,
+    ERROR,
+    Answers,
+    Cells,
+    KnownTransitions,
+    log_prior,
+    partition,
+)
+from xplain.questions.labeler import FactSetClassifier, HypothesisTrainer
+
+
+def known_of(hypotheses_seed=0, facts=3, transitions=5, variants=1):
+    rows = np.arange(transitions, dtype=np.float64)[:, None]
+    made = random_hypotheses(
+        hypotheses_seed, facts, transitions, variants, features=rows, feature_names=("row",)
+    )
+    return KnownTransitions.of(made)
+
+
+def answers_of(rng, known, count):
+    h = known.hypotheses
+    return Answers(
+        rng.integers(0, h.n_transitions, count),
+        rng.integers(0, 1 << h.n_messages, count),
+        rng.integers(0, 2, count),
+        np.ones(count),
+    )
+
+
+def plainly(known, answers, facts, variant, d, error):
+    """P(answers | R, variant, δ, ε): a sum over the true labels of every cell that was asked."""
+    h = known.hypotheses
+    cells = {}
+    for t, told, label in zip(
+        answers.transition.tolist(), answers.message_set.tolist(), answers.label.tolist(),
+        strict=True,
+    ):  # fmt: skip
+        cells.setdefault((t, facts & ~told), []).append(label)
+    total = 1.0
+    for (t, held), labels in cells.items():
+        said = [table[h.facts.tolist().index(held), t] for table in h.tables]
+        delta = DEVIATION[d]
+        if len(set(said)) > 1:
+            delta = min(fact_sets.DISPUTED * delta, DEVIATION[-1])
+        total *= sum(
+            (1 - delta if f == said[variant] else delta)
+            * np.prod([1 - error if label == f else error for label in labels])
+            for f in (0, 1)
+        )
+    return total
+
+
+@given(st.integers(0, 10_000))
+@settings(deadline=None, max_examples=20)
+def test_the_likelihood_is_a_sum_over_true_labels(seed):
+    rng = np.random.default_rng(seed)
+    known = known_of(seed)
+    answers = answers_of(rng, known, 8)
+    facts = np.array([0, 3, 5])
+    found = Cells.of(known, answers, facts).log_likelihood(ERROR[[0, 3]], 3)
+    for r, variant, d, e in product(range(3), range(2), range(len(DEVIATION)), range(2)):
+        error = float(ERROR[[0, 3]][e])
+        plain = plainly(known, answers, int(facts[r]), variant, d, error)
+        assert found[r, variant, d, e] == pytest.approx(np.log(plain))
+
+
+@given(st.integers(0, 10_000))
+@settings(deadline=None, max_examples=10)
+def test_predictions_are_what_one_more_answer_would_be(seed):
+    """P(f = 1) = Σ posterior · P(f = 1 | cell), from the likelihood with a cell known to be 1."""
+    rng = np.random.default_rng(seed)
+    known = known_of(seed, facts=2, transitions=3, variants=0)
+    answers = answers_of(rng, known, 5)
+    made = FactSetClassifier(known, answers, None)
+    h = known.hypotheses
+    reps = np.unique(h.essential)
+    chance = np.bincount(np.searchsorted(reps, h.essential), h.prior)
+    for t, told in product(range(3), range(4)):
+        over = np.zeros(2)
+        for facts, prior in zip(reps.tolist(), chance, strict=True):
+            for d, e in product(range(len(DEVIATION)), range(len(ERROR))):
+                weight = prior * np.exp(log_prior(h)[0, d])
+                for label in (0, 1):
+                    # An answer without error is the true label of its cell.
+                    error = float(ERROR[e])
+                    one = plainly(known, answers, facts, 0, d, error)
+                    given = _with_truth(known, answers, facts, d, error, t, told, label)
+                    over[label] += weight * given * one
+        expected = np.clip(over[1] / over.sum(), 0.005, 0.995)
+        found = made.known_rows(np.array([t]), np.array([told]))[0]
+        assert found == pytest.approx(expected, abs=2e-3)  # unlikely fact sets are left out
+
+
+def _with_truth(known, answers, facts, d, error, t, told, label):
+    """P(f = label in the cell | answers, …)."""
+    h = known.hypotheses
+    held = facts & ~told
+    same = (answers.transition == t) & ((facts & ~answers.message_set) == held)
+    prior = 1 - DEVIATION[d] if h.labels[h.facts.tolist().index(held), t] else DEVIATION[d]
+    ones, zeros = answers.label[same].sum(), (1 - answers.label[same]).sum()
+    one = prior * (1 - error) ** ones * error**zeros
+    zero = (1 - prior) * error**ones * (1 - error) ** zeros
+    return (one if label else zero) / (one + zero)
+
+
+def people(known, facts, count, rng, error=0.0, contrary=()):
+    """Observers who hold ``facts`` wrong and answer ``count`` random questions; at transitions in
+    ``contrary`` the other way."""
+    h = known.hypotheses
+    said = []
+    for held in facts:
+        t = rng.integers(0, h.n_transitions, count)
+        told = rng.integers(0, 1 << h.n_messages, count)
+        label = h.labels[h.row(held & ~told), t].astype(np.int64)
+        flip = (rng.random(count) < error) ^ np.isin(t, contrary)
+        said.append(Answers(t, told, label ^ flip, np.ones(count)))
+    return said
+
+
+def test_types_are_found_with_some_wrong_answers():
+    rng = np.random.default_rng(1)
+    known = known_of(1, facts=4, transitions=30, variants=0)
+    facts = [3, 3, 3, 12, 12, 12, 5, 5, 5]
+    found = partition(known, people(known, facts, 40, rng, 0.05), 1.0, rng)
+    assert found.facts.tolist() == known.hypotheses.essential[facts].tolist()
+    assert 0.01 <= found.error <= 0.1
+
+
+def test_where_answers_contradict_the_hypotheses_the_answers_win():
+    rng = np.random.default_rng(2)
+    known = known_of(1, facts=3, transitions=20, variants=0)
+    said = people(known, [5], 600, rng, 0.05, contrary=(0, 1))[0]
+    made = FactSetClassifier(known, said, None)
+    every = np.arange(8)
+    for t in range(20):
+        p = made.known_rows(np.full(8, t), every)
+        truth = known.hypotheses.labels[5 & ~every, t] ^ (t < 2)
+        asked = np.isin(5 & ~every, 5 & ~said.message_set[said.transition == t])
+        assert ((p > 0.5) == truth)[asked].all()
+
+
+def test_one_wrong_answer_does_not_win():
+    known = known_of(1, facts=3, transitions=20, variants=0)
+    t, told = np.repeat(np.arange(20), 3), np.tile([0, 1, 2], 20)
+    label = known.hypotheses.labels[5 & ~told, t].astype(np.int64)
+    label[7] ^= 1
+    made = FactSetClassifier(known, Answers(t, told, label, np.ones(60)), None)
+    p = made.known_rows(t[[7]], told[[7]])[0]
+    assert (p > 0.5) == known.hypotheses.labels[5 & ~told[7], t[7]]
+
+
+def dataset_of(known, said):
+    h = known.hypotheses
+    return Dataset(
+        features=h.features,
+        feature_names=h.feature_names,
+        messages=h.messages,
+        observers=tuple(f"o{o}" for o in range(len(said))),
+        observer=np.repeat(np.arange(len(said)), [len(one.label) for one in said]),
+        transition=np.concatenate([one.transition for one in said]),
+        message_set=np.concatenate([one.message_set for one in said]),
+        label=np.concatenate([one.label for one in said]).astype(np.uint8),
+    )
+
+
+def test_a_file_of_hypotheses_finds_types_and_labels(tmp_path):
+    """The whole way with a file: types right, fresh labels right, from 25 labels a person."""
+    rng = np.random.default_rng(3)
+    known = known_of(1, facts=4, transitions=30, variants=0)
+    known.hypotheses.save(tmp_path / "h.npz")
+    facts = [3, 3, 3, 12, 12, 12]
+    data = dataset_of(known, people(known, facts, 25, rng, 0.02))
+    trainer = HypothesisTrainer(path=str(tmp_path / "h.npz"))
+    found = trainer.find_types(data, 1.0, 0)
+    assert found.assignment.tolist() == [0, 0, 0, 1, 1, 1]
+    assert found.needs.tolist() == known.hypotheses.essential[[3, 12]].tolist()
+    for members, held in (([0, 1, 2], 3), ([3, 4, 5], 12)):
+        labeler = trainer.fit(data.of(np.array(members)), 0)
+        table = labeler.table(known.hypotheses.features, 4)
+        truth = known.hypotheses.labels[held & ~np.arange(16)].T
+        assert ((table > 0.5) == truth).mean() > 0.98
+
+
+def test_labels_of_another_task_are_left_to_trees(tmp_path):
+    known = known_of(1)
+    known.hypotheses.save(tmp_path / "h.npz")
+    trainer = HypothesisTrainer(path=str(tmp_path / "h.npz"))
+    rng = np.random.default_rng(0)
+    data = dataset_of(known, people(known, [3], 30, rng))
+    other = Dataset(**{**data.__dict__, "feature_names": ("other",)})
+    assert trainer.find_types(other, 1.0, 0) is None
+    assert hasattr(trainer.fit(other, 0).classifier, "tree_")
+
+
+def test_the_posterior_is_one_probability(rng):
+    known = known_of(4)
+    joint = Cells.of(known, answers_of(rng, known, 6), np.array([1])).log_joint(ERROR)
+    assert np.exp(logsumexp(joint, axis=0)).max() <= 1

@@ -1,0 +1,267 @@
+"""The questionnaire, against Bayes' rule and mutual information by their definitions."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.questions.tables import information, joint, random_hypotheses
+from xplain import Questionnaire
+from xplain.errors import InputError
+from xplain.message_sets import indices, subsets
+from xplain.questions.hypotheses import Hypotheses
+
+seeds = st.integers(0, 10_000)
+
+
+def answered(q, count, seed):
+    """Answers so many questions at random; what was asked and said."""
+    rng, said = np.random.default_rng(seed), []
+    for _ in range(count):
+        transitions, told = q.next()
+        clip = [transitions] if isinstance(transitions, int) else transitions
+        labels = rng.integers(0, 2, len(clip)).tolist()
+        q.answer(labels[0] if isinstance(transitions, int) else labels)
+        said.append((clip, told, labels))
+    return said
+
+
+@given(seeds, st.integers(0, 1), st.integers(1, 3), st.sampled_from([0.0, 0.1]))
+@settings(deadline=None, max_examples=40)
+def test_the_posterior_is_bayes_rule(seed, variants, clip, misread):
+    h = random_hypotheses(seed, variants=variants)
+    q = Questionnaire(h, error=0.1, clip=clip, none=0.05, misread=misread, seed=seed)
+    said = answered(q, 4, seed)
+    weight = joint(h, 0.1, 0.05, misread, said).reshape(2 + variants, -1)
+    assert q.posterior == pytest.approx(weight[:-1].sum(axis=0))
+    assert q.none == pytest.approx(weight[-1].sum())
+    assert q.posterior.sum() + q.none == pytest.approx(1)
+
+
+@given(seeds, st.integers(0, 1))
+@settings(deadline=None, max_examples=25)
+def test_no_question_tells_more_than_the_next_one(seed, variants):
+    h = random_hypotheses(seed, variants=variants)
+    q = Questionnaire(h, error=0.05, none=0.02, seed=seed)
+    said = answered(q, seed % 5, seed)
+    weight = joint(h, 0.05, 0.02, 0.0, said)
+    chosen = q.next()
+    values = {
+        (t, told): information(h, 0.05, 0.02, 0.0, weight, [t], told)
+        for t in range(h.n_transitions)
+        for told in range(8)
+    }
+    assert values[chosen] == pytest.approx(max(values.values()), abs=1e-9)
+    assert q.information(chosen) == pytest.approx(values[chosen], abs=1e-9)
+
+
+@given(seeds)
+@settings(deadline=None, max_examples=15)
+def test_a_clip_tells_what_its_labels_tell_together(seed):
+    h = random_hypotheses(seed, transitions=4)
+    q = Questionnaire(h, error=0.05, none=0.02, misread=0.1, clip=3, seed=seed)
+    clip, told = q.next()
+    weight = joint(h, 0.05, 0.02, 0.1, [])
+    assert len(set(clip)) == 3
+    value = information(h, 0.05, 0.02, 0.1, weight, clip, told)
+    assert q.information((clip, told)) == pytest.approx(value, abs=1e-9)
+    first = information(h, 0.05, 0.02, 0.1, weight, clip[:1], told)
+    assert value > first  # it is worth watching to the end
+
+
+def test_a_clip_is_a_walk_where_transitions_follow_each_other(corridor):
+    h = Hypotheses.of_domain(corridor)
+    q = Questionnaire(h, clip=3)
+    for _ in range(5):
+        clip, _ = q.next()
+        assert 1 <= len(clip) <= 3
+        assert (h.states[clip[1:], 0] == h.states[clip[:-1], 1]).all()
+        q.answer([1] * len(clip))
+
+
+@given(seeds)
+@settings(deadline=None, max_examples=25)
+def test_the_order_of_answers_is_no_evidence(seed):
+    h = random_hypotheses(seed)
+    one = Questionnaire(h, seed=seed)
+    said = answered(one, 5, seed)
+    other = Questionnaire(h, seed=seed)
+    for clip, told, labels in said[::-1]:
+        other.answer(labels, (clip, told))
+    assert other.posterior == pytest.approx(one.posterior)
+    assert other.none == pytest.approx(one.none)
+
+
+@given(seeds)
+@settings(deadline=None, max_examples=25)
+def test_the_names_of_facts_are_no_evidence(seed):
+    """Candidates whose facts are renumbered have the posterior of those they were."""
+    h = random_hypotheses(seed)
+    order = np.random.default_rng(seed).permutation(3)
+    renamed = [sum(1 << int(order[j]) for j in indices(f)) for f in range(8)]
+    labels = np.empty_like(h.labels)
+    labels[renamed] = h.labels
+    one, other = Questionnaire(h, seed=seed), Questionnaire(labels, seed=seed)
+    for clip, told, said in answered(one, 5, seed):
+        other.answer(said, (clip, renamed[told]))
+    assert other.posterior[renamed] == pytest.approx(one.posterior)
+    best = one.information(one.next())
+    assert other.information(other.next()) == pytest.approx(best, abs=1e-9)
+
+
+@given(seeds, st.integers(1, 2))
+@settings(deadline=None, max_examples=25)
+def test_json_takes_up_where_it_stood(seed, clip):
+    h = random_hypotheses(seed, variants=1)
+    q = Questionnaire(h, clip=clip, seed=seed, prior=np.arange(1, 9) / 36)
+    answered(q, 3, seed)
+    if seed % 2:
+        q.next()
+    text = q.to_json()
+    again = Questionnaire.from_json(text, h)
+    assert again.to_json() == text
+    for _ in range(4):
+        assert again.next() == q.next()
+        for one in (q, again):
+            one.answer([1] * clip if clip > 1 else 1)
+    assert again.posterior == pytest.approx(q.posterior)
+
+
+def test_json_of_other_hypotheses_is_refused():
+    one, other = random_hypotheses(0), random_hypotheses(1)
+    with pytest.raises(InputError, match="other hypotheses"):
+        Questionnaire.from_json(Questionnaire(one).to_json(), other)
+    for text in ("", "{}", "[1]", json.dumps({"format": 1, "asked": 3})):
+        with pytest.raises(InputError, match="to_json"):
+            Questionnaire.from_json(text, one)
+
+
+def test_it_finds_out_what_somebody_holds_wrong():
+    """Six facts, each seen at one transition: without errors six answers say it."""
+    labels = 1 - (np.arange(64)[:, None] >> np.arange(6) & 1)
+    for held in (0, 5, 63):
+        q = Questionnaire(labels, error=0.001, none=0.001)
+        while not q.done:
+            transition, told = q.next()
+            q.answer(int(labels[held & ~told, transition]))
+        assert len(q.asked) == 6
+        assert q.best == held
+        assert q.posterior[held] > 0.9
+
+
+def test_done_counts_candidates_that_behave_alike_as_one():
+    """Fact 1 matters nowhere."""
+    labels = np.array([[1], [0], [1], [0]])
+    q = Questionnaire(labels, error=0.01)
+    assert not q.done
+    q.answer(0, (0, 0))
+    assert q.posterior.max() < 0.6
+    assert q.done
+    assert q.best == 1
+
+
+def test_who_answers_at_random_is_none_of_these():
+    """Ninety answers of a coin; the same of the first candidate fit it."""
+    rng = np.random.default_rng(0)
+    h = random_hypotheses(3, facts=4, transitions=30)
+    random, fitting = Questionnaire(h, seed=1), Questionnaire(h, seed=1)
+    for _ in range(90):
+        random.next()
+        random.answer(int(rng.integers(2)))
+        t, told = fitting.next()
+        fitting.answer(int(h.labels[5 & ~told, t]))
+    assert random.none > 0.99
+    assert fitting.none < 0.01
+
+
+def test_equal_questions_are_asked_in_an_order_of_the_seed():
+    labels = 1 - (np.arange(64)[:, None] >> np.arange(6) & 1)
+    firsts = {Questionnaire(labels, seed=seed).next() for seed in range(60)}
+    assert {t for t, _ in firsts} == set(range(6))
+    assert Questionnaire(labels, seed=7).next() == Questionnaire(labels, seed=7).next()
+
+
+def test_a_transition_is_not_asked_again_while_another_tells_as_much():
+    labels = np.ones((2, 5), dtype=int)
+    labels[1] = 0
+    q = Questionnaire(labels, error=0.3)
+    asked = []
+    for label in (0, 1, 0, 1, 0):
+        asked.append(q.next()[0])
+        q.answer(label)
+    assert sorted(asked) == list(range(5))
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"error": 0.5}, "error"),
+        ({"error": "much"}, "error"),
+        ({"clip": 0}, "clip"),
+        ({"clip": 11}, "clip"),
+        ({"stop": 1.0}, "stop"),
+        ({"seed": -1}, "seed"),
+        ({"prior": [0.5, 0.4]}, "prior.*sum to 1"),
+        ({"prior": [1.0]}, "prior"),
+        ({"none": 1.0}, "none"),
+        ({"misread": -0.1}, "misread"),
+    ],
+)
+def test_bad_values_are_one_line(keys, said):
+    with pytest.raises(InputError, match=said) as caught:
+        Questionnaire([[1, 1], [0, 1]], **keys)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("label", "question", "said"),
+    [
+        (2, (0, 0), "0 or 1"),
+        (0.5, (0, 0), "0 or 1"),
+        ("1", (0, 0), "0 or 1"),
+        ([1, 0], (0, 0), "1 labels"),
+        (1, (2, 0), "transition 0 … 1"),
+        (1, (-1, 0), "transition 0 … 1"),
+        (1, (0, 2), "1 messages"),
+        (1, 3, "message set"),
+        (1, None, "call next"),
+    ],
+)
+def test_bad_answers_are_one_line(label, question, said):
+    q = Questionnaire([[1, 1], [0, 1]])
+    with pytest.raises(InputError, match=said) as caught:
+        q.answer(label, question)
+    assert "\n" not in str(caught.value)
+    assert not q.asked
+
+
+def test_an_answer_that_nobody_could_give_is_refused():
+    q = Questionnaire([[1], [0]], error=0.0, none=0.0)
+    q.answer(1, (0, 1))
+    with pytest.raises(InputError, match="error > 0"):
+        q.answer(0, (0, 1))
+
+
+def test_a_choice_is_quick():
+    """2^6 candidates × 150 transitions: the CPU time of a choice, at its median."""
+    q = Questionnaire(np.random.default_rng(0).integers(0, 2, (64, 150)))
+    q.next()
+    times = []
+    for _ in range(15):
+        q.answer(1)
+        began = time.thread_time()
+        q.next()
+        times.append(time.thread_time() - began)
+    assert np.median(times) < 0.005
+
+
+def test_questions_give_no_message_that_does_not_matter(corridor):
+    h = Hypotheses.of_domain(corridor)
+    q = Questionnaire(h)
+    for _ in range(6):
+        t, told = q.next()
+        assert told in subsets(indices(int(h.matters[t])))
+        q.answer(0)

@@ -1,0 +1,225 @@
+"""A warehouse: a robot drives along aisles between shelves to the dispatch; dozens of local facts.
+
+Aisles and cross-aisles meet at crossings; between two neighbours lies a stretch of two cells. What
+people may hold wrong is local, one fact a stretch: that its floor is wet, that it is one-way, or
+that it charges the battery. Every drive of one cell costs the robot 1 and nothing else, so it takes
+any of the shortest ways, and who holds nothing wrong about these finds all of them explicable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.domains.base import Item, Parameter, Scene
+from xplain.domains.grid import MOVES, WALL, Cell, Grid
+from xplain.domains.mdp import MDP
+from xplain.errors import InputError, discount_factor, number, whole_number
+
+BLOCK = 3
+"""Cells from a crossing to the next."""
+KINDS = ("wet", "lane", "charger")
+SYMBOLS = {"D": "dispatch", "w": "floor that some think wet",
+           "l": "lane that some think one-way", "c": "spot that some think charges"}  # fmt: skip
+BACK = {"right": "left", "down": "up"}
+"""Ways to the dispatch, and the opposite."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What lies between two crossings.
+
+    Attributes:
+        cells: its two cells, in the direction of the dispatch.
+        way: the move of that direction.
+        ends: names of its crossings.
+    """
+
+    cells: tuple[Cell, ...]
+    way: str
+    ends: tuple[str, str]
+
+    def __str__(self) -> str:
+        return f"between {self.ends[0]} and {self.ends[1]}"
+
+
+class Warehouse:
+    """The warehouse task. States are cells; the dispatch, the last crossing, ends the task.
+
+    The map is the smallest (square, or one wider than high) with a stretch for every fact. Which
+    stretches have one, and of which kind, is drawn at random by ``layout``.
+
+    Args:
+        facts: how many facts might be held wrong, 2 … 62.
+        layout: seed of the draw.
+        wet, against: what people think each cell of wet floor costs, and of a lane in the wrong
+            direction.
+        charge: what they think a cell of a charging spot gives back; less than 1, a drive's cost.
+        discount: γ of the task.
+        slip: probability that a move slides to a side.
+        name: of the domain.
+
+    Raises:
+        InputError: a value is not allowed.
+    """
+
+    feature_names = ("row", "column")
+    actions = tuple(MOVES)
+
+    def __init__(
+        self,
+        facts: int,
+        layout: int = 0,
+        wet: float = 2.0,
+        against: float = 2.0,
+        charge: float = 0.6,
+        discount: float = 0.95,
+        slip: float = 0.0,
+        name: str = "warehouse",
+    ) -> None:
+        """Lays out the map, and draws the facts."""
+        self.name = name
+        if not 2 <= whole_number("domain.facts", facts, 2) <= 62:
+            raise InputError("domain.facts", facts, "a whole number in 2 … 62")
+        whole_number("domain.layout", layout, 0)
+        for key, value in (("wet", wet), ("against", against)):
+            if number(f"domain.{key}", value) <= 0:
+                raise InputError(f"domain.{key}", value, "a number > 0")
+        if not 0 < number("domain.charge", charge) < 1:
+            raise InputError("domain.charge", charge, "a number in (0, 1)")
+        self.discount = discount_factor("domain.discount", discount)
+        high, wide = size_for(facts)
+        self.grid = Grid.parse(_map(high, wide), {"D": "dispatch"})
+        rng = np.random.default_rng(layout)
+        stretches = _stretches(high, wide)
+        chosen = sorted(rng.permutation(len(stretches))[:facts].tolist())
+        kinds = rng.permutation(np.arange(facts) % len(KINDS)).tolist()
+        worth = {"wet": -wet, "lane": -against, "charger": charge}
+        self.stretches: dict[str, Stretch] = {}
+        parameters = []
+        for s, kind in zip(chosen, (KINDS[k] for k in kinds), strict=True):
+            count = sum(known.startswith(kind) for known in self.stretches)
+            name_of = f"{kind}_{count + 1}"
+            self.stretches[name_of] = stretches[s]
+            parameters.append(_parameter(name_of, kind, stretches[s], worth[kind]))
+        self.parameters = tuple(parameters)
+        self._successor, self._probability = self.grid.outcomes(slip)
+        self.dispatch = self.grid.only("D", "dispatch")
+        self.state_features = self.grid.cells.astype(np.float64)
+        crossings = product(range(0, BLOCK * high, BLOCK), range(0, BLOCK * wide, BLOCK))
+        cells = np.array([self.grid.number[cell] for cell in crossings], dtype=np.int64)
+        self.starts: NDArray[np.int64] = cells[cells != self.dispatch]
+        self._entered = {name: self._entering(name) for name in self.stretches}
+
+    def _entering(self, name: str) -> NDArray[np.bool_]:
+        """Which outcomes [S, 4, K] a fact is about: entering a cell of its stretch, and for a lane
+        only by the move towards the dispatch."""
+        stretch = self.stretches[name]
+        numbers = [int(self.grid.number[cell]) for cell in stretch.cells]
+        stays = self._successor == np.arange(len(self.grid.cells))[:, None, None]
+        entered: NDArray[np.bool_] = np.isin(self._successor, numbers) & ~stays
+        if name.startswith("lane"):
+            entered &= (np.arange(4) == self.actions.index(stretch.way))[None, :, None]
+        return entered
+
+    def model(self, values: Mapping[str, Any]) -> MDP:
+        """The task of someone who holds these values."""
+        reward = np.full(self._successor.shape, -1.0)
+        for name, entered in self._entered.items():
+            if values[name]:
+                reward[entered] += float(values[name])
+        terminal = np.arange(len(self.grid.cells)) == self.dispatch
+        return MDP(self._successor, self._probability, reward, self.discount, terminal)
+
+    def position(self, state: int) -> Cell:
+        """The robot's cell (row, column), from 0."""
+        return self.grid.position(state)
+
+    def describe(self, transition: NDArray[np.int64]) -> str:
+        """A phrase for the transition [3], such as "drives right into lane_2 at (2, 3)"."""
+        state, action, after = (int(x) for x in transition)
+        move, cell = self.actions[action], self.position(after)
+        if after == state:
+            return f"tries to drive {move} and stays at {cell}"
+        if after == self.dispatch:
+            return f"drives {move} into the dispatch"
+        for name, stretch in self.stretches.items():
+            if cell in stretch.cells:
+                return f"drives {move} on {name} at {cell}"
+        return f"drives {move} to {cell}"
+
+    @property
+    def scene(self) -> Scene:
+        """The map with the dispatch, and the stretches that facts are about."""
+        items = []
+        for (symbol, meaning), kind in zip(SYMBOLS.items(), ("", *KINDS), strict=True):
+            cells = [
+                cell
+                for name, stretch in self.stretches.items()
+                if kind and name.startswith(kind)
+                for cell in stretch.cells
+            ]
+            where = tuple(cells) if kind else (self.position(self.dispatch),)
+            if where:
+                items.append(Item(meaning, symbol, where))
+        return self.grid.scene(items)
+
+
+def size_for(facts: int) -> tuple[int, int]:
+    """Crossings (high, wide) of the smallest map with so many stretches."""
+    high = wide = 2
+    while high * (wide - 1) + (high - 1) * wide < facts:
+        high, wide = (high, wide + 1) if wide == high else (high + 1, wide)
+    return high, wide
+
+
+def _map(high: int, wide: int) -> str:
+    rows, columns = BLOCK * (high - 1) + 1, BLOCK * (wide - 1) + 1
+    lines = [
+        "".join("." if r % BLOCK == 0 or c % BLOCK == 0 else WALL for c in range(columns))
+        for r in range(rows)
+    ]
+    lines[-1] = lines[-1][:-1] + "D"
+    return "\n".join(lines)
+
+
+def _stretches(high: int, wide: int) -> Sequence[Stretch]:
+    """Row by row; from a crossing first the one to the right, then the one down."""
+    found = []
+    for r, c in product(range(high), range(wide)):
+        for way, dr, dc in (("right", 0, 1), ("down", 1, 0)):
+            if r + dr < high and c + dc < wide:
+                cells = tuple((BLOCK * r + i * dr, BLOCK * c + i * dc) for i in range(1, BLOCK))
+                ends = f"{_letter(c)}{r + 1}", f"{_letter(c + dc)}{r + dr + 1}"
+                found.append(Stretch(cells, way, ends))
+    return found
+
+
+def _letter(column: int) -> str:
+    return chr(ord("A") + column)
+
+
+def _parameter(name: str, kind: str, stretch: Stretch, worth: float) -> Parameter:
+    """The robot's value is 0: none of this is so."""
+    cost = f"{abs(worth):g}"
+    message, belief = {
+        "wet": (
+            f"The floor {stretch} is dry; it costs the robot nothing extra.",
+            f"The floor {stretch} is wet; each cell of it costs the robot {cost} more.",
+        ),
+        "lane": (
+            f"The robot may drive {stretch} in both directions.",
+            f"The lane {stretch} is one-way, {BACK[stretch.way]}; driving against it costs the "
+            f"robot {cost} a cell.",
+        ),
+        "charger": (
+            f"The charging spots {stretch} are switched off.",
+            f"The floor {stretch} charges the robot; each cell gives {cost} back.",
+        ),
+    }[kind]
+    return Parameter(name, 0.0, worth, message, belief)

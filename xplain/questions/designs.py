@@ -1,0 +1,167 @@
+"""Query designs that know what people might hold wrong: one list for everybody, or a questionnaire
+for each person (docs/what-to-ask.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.data.queries import Answer, Answered
+from xplain.domains.base import Domain, transition_features
+from xplain.errors import InputError, number, whole_number
+from xplain.questions.battery import battery
+from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
+from xplain.randomness import derived_seed
+from xplain.users.setting import Setting
+
+_OF_DOMAIN: WeakKeyDictionary[Domain, Hypotheses] = WeakKeyDictionary()
+
+
+def hypotheses_of(domain: Domain | None, path: str | None) -> Hypotheses:
+    """Those of a file, or else the domain's, which are worked out once.
+
+    Raises:
+        InputError: neither; or they cannot be used.
+    """
+    if path is not None:
+        return Hypotheses.load(path)
+    if domain is None:
+        raise InputError("hypotheses", None, "an .npz file of hypotheses")
+    if domain not in _OF_DOMAIN:
+        _OF_DOMAIN[domain] = Hypotheses.of_domain(domain)
+    return _OF_DOMAIN[domain]
+
+
+def transitions_of(hypotheses: Hypotheses, setting: Setting) -> NDArray[np.int64]:
+    """[T, 3] what the robot does, of each transition of the hypotheses.
+
+    Raises:
+        InputError: the hypotheses are of another task.
+    """
+    reachable = setting.reachable
+    if hypotheses.messages != setting.message_names:
+        known = ", ".join(setting.message_names)
+        raise InputError("hypotheses.messages", ", ".join(hypotheses.messages), f"must be {known}")
+    if hypotheses.features is None:
+        if hypotheses.n_transitions != len(reachable):
+            allowed = f"features, or the {len(reachable)} transitions that the robot can make"
+            raise InputError("hypotheses.labels", hypotheses.labels.shape, allowed)
+        return reachable
+    features = transition_features(setting.domain, reachable)
+    if features.shape == hypotheses.features.shape and (features == hypotheses.features).all():
+        return reachable
+    place = {row.tobytes(): i for i, row in enumerate(features)}
+    rows = [place.get(row.tobytes(), -1) for row in hypotheses.features.astype(np.float64)]
+    if -1 in rows:
+        allowed = f"transitions that the robot can make in {setting.domain.name}"
+        raise InputError("hypotheses.features", hypotheses.features[rows.index(-1)], allowed)
+    return reachable[rows]
+
+
+@dataclass(frozen=True)
+class Battery:
+    """One list of questions for everybody; see :func:`xplain.questions.battery.battery`.
+
+    Attributes:
+        redundancy: questions that separate each pair of candidates, at least.
+        hypotheses: an ``.npz`` file; None: those of the domain.
+    """
+
+    redundancy: int = 2
+    hypotheses: str | None = None
+
+    def __post_init__(self) -> None:
+        whole_number("queries.redundancy", self.redundancy, 1)
+
+    def ask(
+        self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
+    ) -> list[Answered]:
+        """The first ``sizes`` questions of one list, which is as long as the longest of them."""
+        known = hypotheses_of(setting.domain, self.hypotheses)
+        chosen, told = battery(
+            known, self.redundancy, derived_seed(seed, "queries"), int(sizes.max())
+        )
+        transitions = transitions_of(known, setting)[chosen]
+        asked = []
+        for o, size in enumerate(sizes):
+            questions = transitions[:size], told[:size]
+            asked.append(Answered(*questions, answer(o, *questions)))
+        return asked
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """A questionnaire for each observer; what is thought of a person at first comes half from
+    those asked before.
+
+    A person is asked as many labels as agreed: once it is known what they hold wrong, further
+    questions go on telling the most they can, which confirms it, and finds where hypotheses err.
+
+    Attributes:
+        error: share of wrong answers to be expected; not 0, as people err.
+        clip: transitions a question.
+        misread: share of clips that are misunderstood as a whole.
+        none: probability that no hypothesis fits a person.
+        from_others: weight of the observers before in the prior of the next.
+        hypotheses: an ``.npz`` file; None: those of the domain.
+    """
+
+    error: float = 0.05
+    clip: int = 1
+    misread: float = 0.0
+    none: float = 0.01
+    from_others: float = 0.5
+    hypotheses: str | None = None
+
+    def __post_init__(self) -> None:
+        for key, low, high in (("error", 1e-3, NONE_ERROR), ("misread", 0, 1), ("none", 0, 1)):
+            if not low <= number(f"queries.{key}", getattr(self, key)) < high:
+                allowed = f"a number in [{low:g}, {high:.3g})"
+                raise InputError(f"queries.{key}", getattr(self, key), allowed)
+        if not 0 <= number("queries.from_others", self.from_others) < 1:
+            raise InputError("queries.from_others", self.from_others, "a number in [0, 1)")
+        if whole_number("queries.clip", self.clip, 1) > MAX_CLIP:
+            raise InputError("queries.clip", self.clip, f"at most {MAX_CLIP}")
+
+    def ask(
+        self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
+    ) -> list[Answered]:
+        """Exactly ``sizes`` labels an observer, one observer after the other; the last clip is
+        cut."""
+        known = hypotheses_of(setting.domain, self.hypotheses)
+        transitions = transitions_of(known, setting)
+        others = np.zeros(len(known.facts))
+        asked = []
+        for o, size in enumerate(sizes.tolist()):
+            share = self.from_others if o else 0.0
+            questions = Questionnaire(
+                known,
+                self.error,
+                (1 - share) * known.prior + share * others / max(o, 1),
+                self.clip,
+                derived_seed(seed, "queries", o),
+                none=self.none,
+                misread=self.misread,
+            )
+            left = size
+            while left:
+                which, told = questions.next()
+                clip = np.atleast_1d(which)[:left]
+                labels = answer(o, transitions[clip], np.full(len(clip), told))
+                questions.answer(labels, (clip.tolist(), told))
+                left -= len(clip)
+            others += questions.posterior / questions.posterior.sum()
+            asked.append(_answered(questions, transitions))
+        return asked
+
+
+def _answered(questions: Questionnaire, transitions: NDArray[np.int64]) -> Answered:
+    """All that a questionnaire asked, label by label."""
+    which = [t for one in questions.asked for t in one.transitions]
+    told = [one.message_set for one in questions.asked for _ in one.transitions]
+    labels = [label for one in questions.asked for label in one.labels]
+    return Answered(transitions[which], np.array(told), np.array(labels, dtype=np.uint8))

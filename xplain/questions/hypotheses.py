@@ -1,0 +1,370 @@
+"""Hypotheses: what people might hold wrong, and how each such person would label.
+
+A candidate is a set R of facts held wrong. Somebody of candidate R who was told the messages H
+still holds R \\ H wrong and labels transition τ by ``labels[R \\ H, τ]``, but for errors
+(docs/what-to-ask.md).
+"""
+
+from __future__ import annotations
+
+import logging
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from itertools import combinations
+from math import comb
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xplain.domains.base import Domain, Parameter, transition_feature_names, transition_features
+from xplain.errors import DomainError, InputError, TooLargeError, XplainError, whole_number
+from xplain.message_sets import names_of, subsets
+from xplain.storage import written_whole
+from xplain.users.setting import MAX_MODELS, Setting, UserType
+
+log = logging.getLogger(__name__)
+
+SUM = 1e-6
+"""A prior sums to 1 within this."""
+AS_ASSUMED = 0.6
+"""Prior of the assumed values, where there are variants."""
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """C candidates for what somebody may hold wrong, and their labels of T transitions.
+
+    Attributes:
+        labels: [C, T] uint8, the label of somebody who holds exactly ``facts[c]`` wrong.
+        facts: [C] int64 bitmasks, ascending; with each set all of its subsets are candidates.
+        messages: n names; bit j of a set is fact j, which message j sets right.
+        prior: [C] probabilities of the candidates; sums to 1.
+        features: [T, F] float64 of the transitions; None where unknown.
+        feature_names: F names.
+        phrases: T descriptions for people; empty where there are none.
+        states: [T, 2] int64 where a transition starts and ends, for clips of transitions in a
+            row; None where unknown.
+        variants: [V, C, T] uint8 the labels were the wrong values others (half, double, …), which
+            somebody may hold as well; V may be 0.
+    """
+
+    labels: NDArray[np.uint8]
+    facts: NDArray[np.int64]
+    messages: tuple[str, ...]
+    prior: NDArray[np.float64]
+    features: NDArray[np.float64] | None = None
+    feature_names: tuple[str, ...] = ()
+    phrases: tuple[str, ...] = ()
+    states: NDArray[np.int64] | None = None
+    variants: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 1, 1), np.uint8))
+
+    @classmethod
+    def of(
+        cls,
+        labels: ArrayLike,
+        facts: ArrayLike | None = None,
+        messages: Sequence[str] | None = None,
+        prior: ArrayLike | None = None,
+        **about: Any,
+    ) -> Hypotheses:
+        """Checks and completes a table.
+
+        Args:
+            labels: [2^n, T] of 0 and 1, or [C, T] with ``facts``.
+            facts: [C] bitmasks of the rows, in any order; None: all 2^n in order.
+            messages: n names; None: fact_0, fact_1, …
+            prior: [C] of the rows; None is uniform.
+            about: the other attributes.
+
+        Raises:
+            InputError: one of them is not as described, or no question separates any candidates.
+        """
+        table = _table(labels)
+        if facts is None and len(table) & (len(table) - 1):
+            raise InputError("hypotheses.labels", table.shape, "2^n rows, one a set of facts")
+        masks = np.arange(len(table)) if facts is None else np.asarray(facts)
+        if masks.shape != table.shape[:1] or masks.dtype.kind not in "iu" or (masks < 0).any():
+            raise InputError("hypotheses.facts", masks.shape, "one bitmask a row of labels")
+        masks = masks.astype(np.int64)
+        n = int(masks.max()).bit_length()
+        names = tuple(f"fact_{j}" for j in range(n)) if messages is None else tuple(messages)
+        if len(names) < n or len(set(names)) < len(names):
+            raise InputError("hypotheses.messages", ", ".join(names), f"{n} names, all different")
+        weight = prior_over(prior, len(table), "hypotheses.prior")
+        order = np.argsort(masks)
+        if len(about.get("variants", ())):
+            about["variants"] = np.stack([_table(one) for one in about["variants"]])
+            if about["variants"].shape[1:] != table.shape:
+                shape = about["variants"].shape
+                raise InputError("hypotheses.variants", shape, f"tables like labels, {table.shape}")
+            about["variants"] = about["variants"][:, order]
+        made = cls(table[order], masks[order], names, weight[order], **about)
+        made._check()
+        return made
+
+    @classmethod
+    def of_domain(
+        cls, domain: Domain, most: int | None = None, scales: Sequence[float] = (0.5, 2.0)
+    ) -> Hypotheses:
+        """All sets of at most ``most`` of a domain's parameters, at their inaccurate values.
+
+        The transitions are those that the robot can make, from any start along an optimal policy.
+
+        Args:
+            domain: the robot's task.
+            most: parameters held wrong together; None: as many as MAX_MODELS models allow.
+            scales: one variant each: all inaccurate values that are numbers times this. A value
+                that the domain refuses stays as it is, and a variant with ambiguous ties is left
+                out.
+
+        Raises:
+            DomainError: some model's ties are ambiguous.
+            InputError: the parameters change no label of these transitions.
+            TooLargeError: more than MAX_MODELS models.
+        """
+        n = len(domain.parameters)
+        if most is None:
+            most = max(k for k in range(n + 1) if comb(n, k) << k <= MAX_MODELS)
+            most = n if 1 << n <= MAX_MODELS else max(most, 1)
+        most = min(whole_number("hypotheses.most", most, 1), n)
+        setting, facts, labels = _labels_of(domain, most, 1.0)
+        transitions = setting.reachable
+        variants = []
+        for scale in scales:
+            try:
+                variants.append(_labels_of(domain, most, scale)[2])
+            except DomainError as error:
+                log.info("no variant of the hypotheses with values times %g: %s", scale, error)
+        return cls.of(
+            labels,
+            facts,
+            setting.message_names,
+            features=transition_features(domain, transitions),
+            feature_names=transition_feature_names(domain),
+            phrases=tuple(domain.describe(transition) for transition in transitions),
+            states=transitions[:, [0, 2]],
+            variants=np.array(variants, dtype=np.uint8),
+        )
+
+    @classmethod
+    def load(cls, path: str | Path) -> Hypotheses:
+        """Reads a ``.npz`` file: ``labels`` [2^n, T], and optionally ``features`` [T, F],
+        ``feature_names``, ``messages``, ``phrases`` [T], ``states`` [T, 2], ``prior`` [2^n],
+        ``variants`` [V, 2^n, T], and ``facts`` [C] where not all 2^n sets are candidates. Nothing
+        in it is run.
+
+        Raises:
+            InputError: no such file, or its arrays are not as :meth:`of` wants them.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {key: file[key] for key in file.files}
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+            reason = (str(error).splitlines() or [""])[0] or type(error).__name__
+            raise InputError("hypotheses", str(path), f"an .npz file ({reason})") from None
+        if "labels" not in arrays:
+            raise InputError("hypotheses", str(path), "an .npz file with the array labels")
+        known = [one.name for one in fields(cls)]
+        if unknown := arrays.keys() - set(known):
+            raise InputError("hypotheses", min(unknown), f"arrays {', '.join(known)}")
+        text = ("messages", "feature_names", "phrases")
+        about = {
+            key: tuple(str(item) for item in array.ravel().tolist()) if key in text else array
+            for key, array in arrays.items()
+            if key != "labels"
+        }
+        return cls.of(arrays["labels"], **about)
+
+    def save(self, path: str | Path) -> None:
+        """Writes the file that :meth:`load` reads, whole or not at all."""
+        arrays: dict[str, Any] = {
+            "labels": self.labels,
+            "facts": self.facts,
+            "messages": np.array(self.messages, dtype=np.str_),
+            "prior": self.prior,
+        }
+        if len(self.variants):
+            arrays["variants"] = self.variants
+        for key in ("features", "states"):
+            if getattr(self, key) is not None:
+                arrays[key] = getattr(self, key)
+        for key in ("feature_names", "phrases"):
+            if getattr(self, key):
+                arrays[key] = np.array(getattr(self, key), dtype=np.str_)
+        with written_whole(Path(path), "wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    @property
+    def n_messages(self) -> int:
+        """n: facts, and messages that set them right."""
+        return len(self.messages)
+
+    @property
+    def n_transitions(self) -> int:
+        """T: transitions that can be asked about."""
+        return int(self.labels.shape[1])
+
+    def row(self, held: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The rows of :attr:`labels` of sets that are candidates, of any shape."""
+        return np.searchsorted(self.facts, held)
+
+    def label(self, transitions: ArrayLike, message_sets: ArrayLike) -> NDArray[np.uint8]:
+        """f_τ(R \\ H) of Q questions by variant and candidate: transitions [Q], message sets [Q]
+        or one → [1 + V, C, Q]."""
+        held = self.facts[:, None] & ~np.asarray(message_sets, dtype=np.int64)
+        return np.asarray(self.tables[:, self.row(held), np.asarray(transitions)])
+
+    @cached_property
+    def tables(self) -> NDArray[np.uint8]:
+        """[1 + V, C, T] the labels, and those of the variants."""
+        variants = self.variants if len(self.variants) else self.labels[None][:0]
+        return np.concatenate([self.labels[None], variants])
+
+    @cached_property
+    def variant_prior(self) -> NDArray[np.float64]:
+        """[1 + V] of the values as assumed, and of the variants."""
+        count = len(self.variants)
+        return np.array([AS_ASSUMED] + [(1 - AS_ASSUMED) / count] * count if count else [1.0])
+
+    @cached_property
+    def matters(self) -> NDArray[np.int64]:
+        """[T] the facts on which a transition's label depends, as a bitmask."""
+        found = np.zeros(self.n_transitions, dtype=np.int64)
+        for j in range(self.n_messages):
+            more = self.facts[self.facts >> j & 1 == 1]
+            without = self.row(more & ~(1 << j))
+            differ = self.tables[:, self.row(more)] != self.tables[:, without]
+            found[differ.any(axis=(0, 1))] |= 1 << j
+        return found
+
+    @cached_property
+    def essential(self) -> NDArray[np.int64]:
+        """[C] of each candidate the facts that some question reveals, values being as assumed:
+        candidates behave alike if and only if these agree.
+
+        Candidates that behave alike have an intersection that does, too (give the messages
+        outside it), so that each class has one smallest member. A fact j is in it unless for every
+        K ⊆ R \\ j holding K ∪ j wrong labels everything as holding K does.
+        """
+        found = np.zeros_like(self.facts)
+        for j in range(self.n_messages):
+            has = self.facts >> j & 1 == 1
+            more, less = self.facts[has], self.row(self.facts[has] & ~(1 << j))
+            reveals = np.zeros(len(self.facts), dtype=bool)
+            reveals[has] = (self.labels[has] != self.labels[less]).any(axis=1)
+            for i in range(self.n_messages):  # … of any K: over all subsets, fact by fact
+                both = more[more >> i & 1 == 1] if i != j else more[:0]
+                reveals[self.row(both)] |= reveals[self.row(both & ~(1 << i))]
+            found[reveals] |= 1 << j
+        return found
+
+    @cached_property
+    def classes(self) -> NDArray[np.int64]:
+        """[C] the same number for candidates that no question tells apart."""
+        return np.unique(self.essential, return_inverse=True)[1].ravel()
+
+    def _check(self) -> None:
+        """Raises InputError where attributes contradict each other."""
+        if self.facts[0] != 0 or len(np.unique(self.facts)) < len(self.facts):
+            raise InputError("hypotheses.facts", self.facts[0], "different sets, the empty one too")
+        for j in range(int(self.facts[-1]).bit_length()):
+            less = self.facts & ~(1 << j)
+            if not np.isin(less, self.facts).all():
+                lone = int(self.facts[~np.isin(less, self.facts)][0])
+                names = ";".join(names_of(lone, self.messages))
+                raise InputError("hypotheses.facts", names, "with each set all of its subsets")
+        wanted = {"features": self.features, "states": self.states}
+        for key, array in wanted.items():
+            if array is not None and (array.ndim != 2 or len(array) != self.n_transitions):
+                raise InputError(f"hypotheses.{key}", array.shape, f"{self.n_transitions} rows")
+        if self.features is not None and not np.isfinite(self.features).all():
+            raise InputError("hypotheses.features", "NaN or infinite", "finite numbers")
+        if self.phrases and len(self.phrases) != self.n_transitions:
+            raise InputError("hypotheses.phrases", len(self.phrases), f"{self.n_transitions} texts")
+        if not self.essential.any():
+            raise InputError(
+                "hypotheses",
+                ", ".join(self.messages),
+                "facts that cannot be told apart: no question separates any of them, as every "
+                "transition has one label whatever is held wrong",
+            )
+
+
+def prior_over(prior: ArrayLike | None, count: int, key: str) -> NDArray[np.float64]:
+    """[count] probabilities; None is uniform.
+
+    Raises:
+        InputError: of another shape, negative, or not summing to 1.
+    """
+    if prior is None:
+        return np.full(count, 1 / count)
+    try:
+        weight = np.asarray(prior, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(key, prior, f"{count} probabilities") from None
+    if weight.shape != (count,):
+        raise InputError(key, weight.shape, f"{count} probabilities, one a candidate")
+    if not (weight >= 0).all() or not abs(weight.sum() - 1) < SUM:
+        raise InputError(key, float(weight.sum()), "probabilities that sum to 1")
+    return np.asarray(weight / weight.sum())
+
+
+def _table(labels: ArrayLike) -> NDArray[np.uint8]:
+    try:
+        table = np.asarray(labels)
+    except ValueError:
+        table = np.zeros(0)
+    if table.ndim != 2 or 0 in table.shape or table.dtype.kind not in "biuf":
+        raise InputError("hypotheses.labels", table.shape, "a table [2^n, transitions]")
+    if not np.isin(table, (0, 1)).all():
+        other = table[~np.isin(table, (0, 1))][0]
+        raise InputError("hypotheses.labels", other.item(), "labels 0 and 1")
+    if len(table) > MAX_MODELS:
+        raise TooLargeError(
+            f"hypotheses: {len(table)} candidates are more than {MAX_MODELS}; leave out sets of "
+            "many facts"
+        )
+    return table.astype(np.uint8)
+
+
+def _labels_of(
+    domain: Domain, most: int, scale: float
+) -> tuple[Setting, NDArray[np.int64], NDArray[np.uint8]]:
+    """The sets of at most ``most`` facts [C], and who holds them, at the scaled values, labels
+    what the robot can do [C, T]."""
+    n = len(domain.parameters)
+    value = {p.name: _scaled(domain, p, scale) for p in domain.parameters}
+    names = [parameter.name for parameter in domain.parameters]
+    largest = list(combinations(range(n), most))
+    setting = Setting.build(
+        domain,
+        tuple(
+            UserType(str(i), {names[j]: value[names[j]] for j in chosen})
+            for i, chosen in enumerate(largest)
+        ),
+    )
+    model: dict[int, int] = {}
+    for i, chosen in enumerate(largest):
+        own = subsets(chosen)
+        models = setting.model_index(i, int(own[-1]) & ~own)
+        model.update(zip(own.tolist(), models.tolist(), strict=True))
+    facts = np.array(sorted(model))
+    by_model = setting.label_by_model(setting.reachable)
+    return setting, facts, by_model[[model[held] for held in facts.tolist()]]
+
+
+def _scaled(domain: Domain, parameter: Parameter, scale: float) -> Any:
+    """The inaccurate value times ``scale``, where it is a number and the domain takes it."""
+    wrong = parameter.inaccurate
+    if scale == 1 or isinstance(wrong, bool) or not isinstance(wrong, (int, float)):
+        return wrong
+    values = {one.name: one.accurate for one in domain.parameters}
+    try:
+        domain.model(values | {parameter.name: scale * wrong})
+    except XplainError:
+        return wrong
+    return scale * wrong

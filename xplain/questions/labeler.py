@@ -1,0 +1,302 @@
+"""A labeler of hypotheses: P(label = 1) of people of one type, by what they may hold wrong.
+
+What it knows of a type is a posterior over fact sets; where the answers contradict the hypotheses,
+the answers win (:mod:`xplain.questions.fact_sets`). docs/what-to-ask.md
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from xplain.data.dataset import Dataset, inputs
+from xplain.domains.base import Domain
+from xplain.errors import InputError
+from xplain.learning.clustering import Clustering
+from xplain.learning.labelers import (
+    Labeler,
+    LabelerTrainer,
+    check_looked_at,
+    paper_tree,
+    split,
+)
+from xplain.message_sets import indices, subsets
+from xplain.questions.designs import hypotheses_of
+from xplain.questions.fact_sets import (
+    ERROR,
+    Answers,
+    Cells,
+    KnownTransitions,
+    log_prior,
+    partition,
+    truth,
+)
+from xplain.questions.hypotheses import Hypotheses
+from xplain.randomness import derived_seed, stream
+
+KEPT = 1e-4
+"""Fact sets with a smaller share of the posterior are left out of predictions."""
+EDGE = 0.005
+"""Probabilities stay so far from 0 and 1."""
+
+
+class FactSetClassifier:
+    """The posterior over the fact sets of one type, with what labelers ask of a classifier.
+
+    It predicts what people find explicable, f, not what they answer: errors in answers are left
+    out. Rows of features that the hypotheses do not know are left to ``fallback``.
+
+    Attributes:
+        known: the hypotheses.
+        fallback: a fitted classifier.
+        facts: [R] fact sets that are likely.
+        weight: [R, 1 + V, D] their posterior with variant and deviation.
+        cells: the answers by cell, for each fact set.
+        learned: [N] P(f = 1) of each cell, times the weight of its fact set.
+    """
+
+    classes_ = np.array([0, 1])
+
+    def __init__(self, known: KnownTransitions, answers: Answers, fallback: Any) -> None:
+        """Works out the posterior over fact sets, variants, deviations and errors."""
+        self.known, self.fallback = known, fallback
+        facts, first = np.unique(known.hypotheses.essential, return_inverse=True)
+        prior = np.log(np.bincount(first.ravel(), known.hypotheses.prior) + 1e-300)
+        joint = Cells.of(known, answers, facts).log_likelihood(ERROR, len(facts))
+        joint += prior[:, None, None, None] + log_prior(known.hypotheses)[:, :, None]
+        posterior = np.exp(joint - logsumexp(joint))
+        kept = posterior.sum(axis=(1, 2, 3)) > KEPT
+        posterior = posterior[kept] / posterior[kept].sum()
+        self.facts, self.weight = facts[kept], posterior.sum(axis=3)
+        self.cells = Cells.of(known, answers, self.facts)
+        zero, one = self.cells.log_joint(ERROR)
+        of_cell = np.exp(one - np.logaddexp(zero, one)) * posterior[self.cells.which]
+        self.learned = of_cell.sum(axis=(1, 2, 3))
+
+    def known_rows(
+        self, transition: NDArray[np.int64], told: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(f = 1) of known transitions [P] under message sets [P]: [P]."""
+        known, result = self.known, np.zeros(len(transition))
+        for r, facts in enumerate(self.facts.tolist()):
+            key = known.hypotheses.row(facts & ~told) * known.share.shape[2] + transition
+            cells, place = np.unique(key, return_inverse=True)
+            one = (truth(known.by_cell[cells]) * self.weight[r]).sum(axis=(1, 2))
+            own = np.flatnonzero(self.cells.which == r)
+            _, here, there = np.intersect1d(
+                cells, self.cells.key[own], assume_unique=True, return_indices=True
+            )
+            one[here] = self.learned[own][there]
+            result += one[place.ravel()]
+        return np.clip(result, EDGE, 1 - EDGE)
+
+    def exactly(
+        self, transitions: NDArray[np.int64], told: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(f = 1) by the hypotheses alone, of their transitions [P]: [P]. Where transitions
+        share their features, nobody knows which of them an answer was about."""
+        known, result = self.known.hypotheses, np.zeros(len(transitions))
+        for r, facts in enumerate(self.facts.tolist()):
+            labels = known.tables[:, known.row(facts & ~told), transitions].T.astype(np.float64)
+            result += (truth(labels) * self.weight[r]).sum(axis=(1, 2))
+        return np.clip(result, EDGE, 1 - EDGE)
+
+    def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
+        """P(label = 0) and P(label = 1) of rows [P, F + n]: [P, 2]."""
+        n = self.known.hypotheses.n_messages
+        told = x[:, -n:].astype(np.int64) @ (1 << np.arange(n, dtype=np.int64))
+        transition = self.known.find(x[:, :-n])
+        rows, one = transition >= 0, np.empty(len(x))
+        one[rows] = self.known_rows(transition[rows], told[rows])
+        if not rows.all():
+            shares = self.fallback.predict_proba(x[~rows])
+            ones = self.fallback.classes_ == 1
+            one[~rows] = np.clip(shares[:, ones].sum(axis=1), EDGE, 1 - EDGE)
+        return np.stack([1 - one, one], axis=1)
+
+    def predict(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
+        """The likelier label of rows [P, F + n]: [P]."""
+        return (self.predict_proba(x)[:, 1] >= 0.5).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class HypothesisLabeler(Labeler):
+    """A labeler whose classifier gives its own probabilities, as they are."""
+
+    def _probability(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
+        if not isinstance(self.classifier, FactSetClassifier):
+            return super()._probability(x)
+        return np.asarray(self.classifier.predict_proba(x)[:, 1])
+
+    def table_of(
+        self, features: NDArray[np.float64], n_messages: int, transitions: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(label = 1) of transitions [T, 3] with features [T, F]: [T, 2^n]. Those that share
+        their features are told apart."""
+        result = self.table(features, n_messages)
+        known = self.classifier.known
+        place = known.find(features)
+        rows = np.flatnonzero((place >= 0) & known.ambiguous[place])
+        found = known.find_exactly(features[rows], transitions[rows][:, [0, 2]])
+        every = np.arange(1 << n_messages)
+        for row, t in zip(rows[found >= 0].tolist(), found[found >= 0].tolist(), strict=True):
+            result[row] = self.classifier.exactly(np.full(len(every), t), every)
+        return result
+
+    def relevant_table(
+        self, features: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """See :meth:`Labeler.relevant_table`; looked at are the facts that people of the type
+        likely hold wrong, where they matter."""
+        return self._over_relevant(features, None)
+
+    def relevant_table_of(
+        self, features: NDArray[np.float64], transitions: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """As :meth:`relevant_table`, told apart as in :meth:`table_of`."""
+        return self._over_relevant(features, transitions)
+
+    def _over_relevant(
+        self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        if not isinstance(self.classifier, FactSetClassifier):
+            return super().relevant_table(features)
+        known = self.classifier.known
+        place = known.find(features)
+        matters = np.bitwise_or.reduce(known.hypotheses.matters[place[place >= 0]], initial=0)
+        looked_at = int(np.bitwise_or.reduce(self.classifier.facts, initial=0) & matters)
+        if (place < 0).any():
+            tree = replace(self, classifier=self.classifier.fallback)
+            for j in Labeler.relevant_table(tree, features[place < 0])[0].tolist():
+                looked_at |= 1 << j
+        relevant = indices(looked_at)
+        check_looked_at(len(relevant), self.n_messages)
+        every = subsets(relevant)
+        table = np.empty((len(features), len(every)))
+        for t, row in enumerate(features):
+            rows = np.broadcast_to(row, (len(every), len(row)))
+            table[t] = self._probability(inputs(rows, every, self.n_messages))
+        if transitions is not None:
+            rows = np.flatnonzero((place >= 0) & known.ambiguous[place])
+            found = known.find_exactly(features[rows], transitions[rows][:, [0, 2]])
+            for row, t in zip(rows[found >= 0].tolist(), found[found >= 0].tolist(), strict=True):
+                table[row] = self.classifier.exactly(np.full(len(every), t), every)
+        return np.array(relevant, dtype=np.int64), table
+
+
+@dataclass(frozen=True)
+class HypothesisTrainer(LabelerTrainer):
+    """Fits labelers that know what people might hold wrong.
+
+    Labels of another task (with other features or messages) say nothing about the hypotheses, and
+    are learned by the fallback alone; so are transitions that the hypotheses do not know.
+
+    Attributes:
+        classifier: the fallback, any scikit-learn classifier that gives probabilities.
+        holdout: share of the distinct points held out to measure the accuracy.
+        domain: whose inaccurate values make the hypotheses.
+        path: an ``.npz`` file of hypotheses with features, which comes before the domain.
+    """
+
+    classifier: Any = field(default_factory=paper_tree)
+    domain: Domain | None = None
+    path: str | None = None
+
+    def __post_init__(self) -> None:
+        """Raises InputError where there are neither hypotheses nor a domain."""
+        super().__post_init__()
+        if self.domain is None and self.path is None:
+            raise InputError("hypotheses", None, "an .npz file of hypotheses, or a domain")
+
+    @cached_property
+    def known(self) -> KnownTransitions:
+        """The hypotheses by rows of features."""
+        hypotheses = hypotheses_of(self.domain, self.path)
+        if hypotheses.features is None:
+            raise InputError("hypotheses.features", None, "needed to match labels with hypotheses")
+        return KnownTransitions.of(hypotheses)
+
+    def fit(self, dataset: Dataset, seed: int) -> Labeler:
+        """Fits one labeler to all labels of a dataset; see :meth:`LabelerTrainer.fit`.
+
+        Raises:
+            InputError: no labels.
+        """
+        if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
+            return LabelerTrainer(self.classifier, self.holdout).fit(dataset, seed)
+        if len(dataset) == 0:
+            raise InputError("data", 0, "a labeler needs at least one label")
+        x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
+        test = split(dataset, self.holdout, seed)
+        tested = int(test.sum())
+        trained = self.fitted(x[~test], dataset.label[~test], seed)
+        right = int((trained.predict(x[test]) == dataset.label[test]).sum())
+        return HypothesisLabeler(
+            classifier=self.fitted(x, dataset.label, seed),
+            n_messages=dataset.n_messages,
+            confidence=(right + 1) / (tested + 2),
+            accuracy=right / tested if tested else float("nan"),
+            n_train=len(dataset) - tested,
+            n_test=tested,
+            calibrated=True,
+        )
+
+    def fitted(
+        self,
+        x: NDArray[np.float32],
+        y: NDArray[np.uint8],
+        seed: int,
+        weight: NDArray[np.float64] | None = None,
+    ) -> Any:
+        """A classifier fitted to rows [P, F + n] of labels [P]."""
+        fallback = super().fitted(x, y, seed, weight)
+        hypotheses = self.known.hypotheses
+        n = hypotheses.n_messages
+        if x.shape[1] != self.known.features.shape[1] + n:
+            return fallback
+        transition = self.known.find(x[:, :-n])
+        rows = np.flatnonzero(transition >= 0)
+        told = x[:, -n:].astype(np.int64) @ (1 << np.arange(n, dtype=np.int64))
+        each = np.ones(len(y)) if weight is None else weight
+        answers = Answers(transition[rows], told[rows], y[rows].astype(np.int64), each[rows])
+        return FactSetClassifier(self.known, answers, fallback)
+
+    def find_types(self, dataset: Dataset, concentration: float, seed: int) -> Clustering | None:
+        """The types by a Dirichlet process over fact sets; None where the hypotheses know nothing
+        of the dataset.
+
+        Args:
+            dataset: labels of O observers.
+            concentration: α of the process.
+            seed: of the sampler.
+        """
+        known = self.known
+        if not _same_task(known.hypotheses, dataset.feature_names, dataset.messages):
+            return None
+        place = known.find(dataset.features)
+        if (place < 0).all():
+            return None
+        rows = [np.flatnonzero(dataset.observer == o) for o in range(len(dataset.observers))]
+        every = Answers(
+            place[dataset.transition],
+            dataset.message_set,
+            dataset.label.astype(np.int64),
+            np.ones(len(dataset)),
+        )
+        observers = [every.take(own[every.transition[own] >= 0]) for own in rows]
+        found = partition(known, observers, concentration, stream(derived_seed(seed, "types")))
+        _, first = np.unique(found.facts, return_index=True)
+        needs = found.facts[np.sort(first)]
+        return Clustering(found.facts, "dirichlet", "hypotheses", needs=needs)
+
+
+def _same_task(
+    hypotheses: Hypotheses, feature_names: tuple[str, ...], messages: tuple[str, ...]
+) -> bool:
+    names = hypotheses.feature_names or feature_names
+    return names == feature_names and hypotheses.messages == messages

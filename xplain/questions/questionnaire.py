@@ -1,0 +1,417 @@
+"""Which question to ask a person next, and what the answers say of them.
+
+    Hypotheses ── Questionnaire ── next() / answer(label) ── … ── done, posterior
+
+Each question is the one whose answer tells most, in expectation, about what the person holds
+wrong: the largest mutual information under the present posterior (Lindley 1956; adaptive design
+optimisation; computerised adaptive tests). docs/what-to-ask.md.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import entr
+
+from xplain.errors import InputError, number, whole_number
+from xplain.questions.expectation import Group, groups
+from xplain.questions.hypotheses import Hypotheses, prior_over
+from xplain.randomness import stream
+
+NONE_ERROR = 1 / 3
+"""Whom no hypothesis fits answers as the best of them says in two of three cases: anybody who
+disagrees with all hypotheses more often than errors explain."""
+MAX_CLIP = 10
+TIE = 1e-9
+"""Clips tie when their mutual informations (bits) differ by less."""
+EQUAL = 1e-11
+"""Questions tie when their P(label 1) lie as far from ½, but for this."""
+STARTS = 16
+"""Questions that clips are grown from: those that tell most by themselves."""
+FORMAT = 1
+
+Question = tuple[int, int] | tuple[list[int], int]
+"""Transition (clips: transitions in a row) and message set (bitmask)."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A question with its answer: ``transitions`` under one message set, a label each."""
+
+    transitions: tuple[int, ...]
+    message_set: int
+    labels: tuple[int, ...]
+
+
+class Questionnaire:
+    """Finds out what one person holds wrong.
+
+    A person of candidate R gives the label f_τ(R \\ H), flipped with probability ``error``,
+    independently; with probability ``misread`` a whole clip is misunderstood, and its labels are
+    tosses of a coin. Whom no hypothesis fits is somebody else: see :data:`NONE_ERROR`.
+
+    Args:
+        hypotheses: the candidates; or a table [2^n, T] of 0 and 1, their labels.
+        error: probability of a wrong label, in [0, ⅓).
+        prior: [C] over the candidates; None is that of the hypotheses, uniform for a table.
+        clip: transitions a question. Where the hypotheses know where transitions start and end,
+            a clip is a walk; else any transitions make one.
+        seed: decides between questions that tell as much.
+        stop: posterior of one class of candidates that behave alike, above which it is done.
+        none: prior probability that no hypothesis fits.
+        misread: probability that a clip is misread.
+
+    Raises:
+        InputError: a value is not allowed, or no question separates any candidates.
+        TooLargeError: too many candidates, or facts that matter at one transition.
+    """
+
+    def __init__(
+        self,
+        hypotheses: Hypotheses | ArrayLike,
+        error: float = 0.05,
+        prior: ArrayLike | None = None,
+        clip: int = 1,
+        seed: int = 0,
+        stop: float = 0.95,
+        *,
+        none: float = 0.01,
+        misread: float = 0.0,
+    ) -> None:
+        known = hypotheses if isinstance(hypotheses, Hypotheses) else Hypotheses.of(hypotheses)
+        self.hypotheses = known
+        self.error = _share("error", error, NONE_ERROR)
+        self.none_prior = _share("none", none, 1.0)
+        self.misread = _share("misread", misread, 1.0)
+        self.stop = _share("stop", stop, 1.0)
+        self.seed = whole_number("seed", seed, 0)
+        self.clip = whole_number("clip", clip, 1)
+        if self.clip > MAX_CLIP:
+            raise InputError("clip", clip, f"at most {MAX_CLIP} transitions")
+        self.given_prior = prior
+        start = known.prior if prior is None else prior_over(prior, len(known.facts), "prior")
+        self.asked: list[Asked] = []
+        self._pending: Question | None = None
+        # log P(answers, layer, R): [2 + V, C]; the layers are the variants, and "none fits".
+        share = np.append((1 - self.none_prior) * known.variant_prior, self.none_prior)
+        self._error = np.append(np.full(len(share) - 1, self.error), NONE_ERROR)
+        with np.errstate(divide="ignore"):
+            self._log_joint = np.log(share)[:, None] + np.log(start)
+        self._refresh()
+
+    def next(self) -> Question:
+        """The question that tells most, as (transition, message set); with ``clip`` > 1 (a list
+        of transitions, message set). The same until it is answered."""
+        if self._pending is None:
+            starts = self._singles(STARTS if self.clip > 1 else 1)
+            self._pending = starts[0] if self.clip == 1 else self._grown(starts)
+        return self._pending
+
+    def answer(self, label: ArrayLike, question: Question | None = None) -> None:
+        """Takes the answer to the last question, or to a question of one's own.
+
+        Args:
+            label: 0 or 1; of a clip a list, one a transition.
+            question: (transition or transitions, message set); None: the last of :meth:`next`.
+
+        Raises:
+            InputError: no question was asked, another number of labels, a label other than 0 and
+                1, an unknown transition or message set.
+        """
+        about = question if question is not None else self._pending
+        if about is None:
+            raise InputError("answer", label, "an answer to a question: call next() before")
+        transitions, told = self._checked(about)
+        labels = np.atleast_1d(np.asarray(label, dtype=object))
+        if labels.shape != transitions.shape:
+            raise InputError("answer", label, f"{len(transitions)} labels, one a transition")
+        for one in labels.tolist():
+            if isinstance(one, float) or one not in (0, 1):
+                raise InputError("answer", one, "a label, 0 or 1")
+        self._take(Asked(tuple(transitions.tolist()), told, tuple(int(one) for one in labels)))
+        self._pending = None
+
+    @property
+    def posterior(self) -> NDArray[np.float64]:
+        """[C] P(candidate | answers); with :attr:`none` it sums to 1."""
+        return np.asarray(self._weight[:-1].sum(axis=0))
+
+    @property
+    def none(self) -> float:
+        """P(no hypothesis fits | answers)."""
+        return float(self._weight[-1].sum())
+
+    @property
+    def classes(self) -> NDArray[np.float64]:
+        """[classes] posterior of each class of candidates that behave alike, in the order of
+        ``hypotheses.classes``."""
+        return np.asarray(np.bincount(self.hypotheses.classes, self.posterior), np.float64)
+
+    @property
+    def best(self) -> int:
+        """The facts (bitmask) of the likeliest class, those that some question reveals."""
+        return int(self.hypotheses.essential[self.hypotheses.classes == self.classes.argmax()][0])
+
+    @property
+    def done(self) -> bool:
+        """Whether one class of candidates has more than ``stop``."""
+        return bool(self.classes.max() > self.stop)
+
+    def to_json(self) -> str:
+        """All but the table of the hypotheses, as text."""
+        prior = None if self.given_prior is None else np.asarray(self.given_prior).tolist()
+        return json.dumps(
+            {
+                "format": FORMAT,
+                "hypotheses": _digest(self.hypotheses),
+                "error": self.error,
+                "prior": prior,
+                "clip": self.clip,
+                "seed": self.seed,
+                "stop": self.stop,
+                "none": self.none_prior,
+                "misread": self.misread,
+                "asked": [[one.transitions, one.message_set, one.labels] for one in self.asked],
+                "pending": self._pending,
+            }
+        )
+
+    @classmethod
+    def from_json(cls, text: str, hypotheses: Hypotheses | ArrayLike) -> Questionnaire:
+        """Takes up a questionnaire of :meth:`to_json` where it stood; its next questions are those
+        that it would have asked.
+
+        Raises:
+            InputError: no such text, other hypotheses, or answers that are none.
+        """
+        try:
+            state = json.loads(text)
+            written, digest = state["format"], state["hypotheses"]
+            chosen = {key: state[key] for key in ("error", "prior", "clip", "seed", "stop")}
+            chosen |= {key: state[key] for key in ("none", "misread")}
+            asked = [(list(t), int(told), list(labels)) for t, told, labels in state["asked"]]
+            pending = state["pending"]
+            waiting = None if pending is None else (pending[0], int(pending[1]))
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            raise InputError(
+                "questionnaire", text, f"JSON of Questionnaire.to_json ({error!r})"
+            ) from None
+        if written != FORMAT:
+            raise InputError("questionnaire.format", written, f"{FORMAT}")
+        made = cls(hypotheses, **chosen)
+        if digest != _digest(made.hypotheses):
+            raise InputError("questionnaire.hypotheses", digest, "asked with other hypotheses")
+        for transitions, told, labels in asked:
+            made.answer(labels, (transitions, told))
+        if waiting is not None:
+            made._checked(waiting)
+            made._pending = waiting
+        return made
+
+    def information(self, question: Question) -> float:
+        """Mutual information, in bits, of the answer and (the candidate, whether any fits)."""
+        transitions, told = self._checked(question)
+        pattern = self._labels(transitions, told) @ (1 << np.arange(len(transitions)))
+        shares = np.stack(
+            [
+                np.bincount(one, row, minlength=1 << len(transitions)).astype(np.float64)
+                for one, row in zip(pattern, self._weight, strict=True)
+            ]
+        )
+        return float(self._information(shares[:, :, None])[0])
+
+    def _take(self, one: Asked) -> None:
+        right = self._labels(one.transitions, one.message_set) == np.array(one.labels)
+        agree, of = right.sum(axis=2), len(one.labels)
+        error = self._error[:, None]
+        likelihood = (1 - error) ** agree * error ** (of - agree)
+        with np.errstate(divide="ignore"):
+            self._log_joint += np.log((1 - self.misread) * likelihood + self.misread / 2**of)
+        self.asked.append(one)
+        self._refresh()
+
+    def _labels(self, transitions: ArrayLike, told: int) -> NDArray[np.int64]:
+        """[2 + V, C, Q] labels by layer and candidate; whom none fits goes by those assumed."""
+        labels = self.hypotheses.label(transitions, told).astype(np.int64)
+        return np.concatenate([labels, labels[:1]])
+
+    def _refresh(self) -> None:
+        top = self._log_joint.max()
+        if top == -np.inf:
+            raise InputError(
+                "answer", self.asked[-1].labels, "possible under some hypothesis: set error > 0"
+            )
+        weight = np.exp(self._log_joint - top)
+        self._weight = weight / weight.sum()
+
+    def _checked(self, question: Any) -> tuple[NDArray[np.int64], int]:
+        known = self.hypotheses
+        try:
+            asked, told = question
+            transitions = np.atleast_1d(np.asarray(asked))
+            if transitions.ndim != 1 or transitions.dtype.kind not in "iu" or not len(transitions):
+                raise TypeError
+            told = int(told)
+        except (TypeError, ValueError):
+            raise InputError("question", question, "(transition or list, message set)") from None
+        unknown = transitions[(transitions < 0) | (transitions >= known.n_transitions)]
+        if len(unknown):
+            allowed = f"a transition 0 … {known.n_transitions - 1} of the hypotheses"
+            raise InputError("question", int(unknown[0]), allowed)
+        if len(transitions) > MAX_CLIP:
+            raise InputError("question", len(transitions), f"at most {MAX_CLIP} transitions")
+        if not 0 <= told < 1 << known.n_messages:
+            raise InputError("question", told, f"a set of {known.n_messages} messages")
+        return transitions.astype(np.int64), told
+
+    @cached_property
+    def _groups(self) -> tuple[Group, ...]:
+        return groups(self.hypotheses)
+
+    def _singles(self, count: int) -> list[tuple[int, int]]:
+        """The ``count`` best questions about one transition, the best first; of equal ones those
+        about transitions not asked about before, else at random.
+
+        All errors are those of a symmetric channel, so that a question tells more the nearer its
+        P(label 1) is to ½.
+        """
+        weight = (1 - 2 * self._error)[:, None] * self._weight
+        weight[0] += weight[-1]
+        weight = weight[:-1]
+        middle = weight.sum() / 2
+        off = [group.expected(weight) for group in self._groups]
+        for values in off:
+            np.abs(np.subtract(values, middle, out=values), out=values)
+        within = _smallest([values.ravel() for values in off], count) + EQUAL
+        places = [np.flatnonzero(values <= within) for values in off]
+        value = np.concatenate([v.ravel()[at] for v, at in zip(off, places, strict=True)])
+        fresh = np.concatenate(
+            [new[at % len(new)] for new, at in zip(self._fresh(), places, strict=True)]
+        )
+        rng = stream(self.seed, "questionnaire", len(self.asked))
+        level = np.round(value / EQUAL)  # equal but for rounding
+        order = np.lexsort((rng.random(len(value)), ~fresh, level))[:count]
+        ends = np.cumsum([len(at) for at in places])
+        chosen = []
+        for entry in order.tolist():
+            which = int(np.searchsorted(ends, entry, side="right"))
+            group, at = self._groups[which], places[which][entry - ends[which]]
+            kept, function = divmod(int(at), len(group.transitions))
+            own = group.transitions[function]
+            new = own[~np.isin(own, self._seen)]
+            transition = int(rng.choice(new if len(new) else own))
+            chosen.append((transition, int(group.facts[-1] & ~group.facts[kept])))
+        return chosen
+
+    def _fresh(self) -> list[NDArray[np.bool_]]:
+        """By group, [G] whether some transition with the function was never asked about."""
+        seen = np.zeros(self.hypotheses.n_transitions, dtype=bool)
+        seen[self._seen] = True
+        return [
+            np.array([not seen[own].all() for own in group.transitions]) for group in self._groups
+        ]
+
+    @property
+    def _seen(self) -> list[int]:
+        return [transition for one in self.asked for transition in one.transitions]
+
+    def _grown(self, starts: list[tuple[int, int]]) -> tuple[list[int], int]:
+        """The best clip of those grown transition by transition, each time by the one that makes
+        the whole clip tell most (greedy, as mutual information is submodular)."""
+        known = self.hypotheses
+        best, most = ([starts[0][0]], starts[0][1]), -1.0
+        every = np.arange(known.n_transitions)
+        rng = stream(self.seed, "questionnaire", "clip", len(self.asked))
+        for start, told in starts:
+            labels = self._labels(every, told)
+            clip, pattern = [start], labels[:, :, start]
+            value = self.information((clip, told))
+            while len(clip) < self.clip and len(after := self._beside(clip)):
+                size = 1 << len(clip)
+                layers = list(zip(pattern, self._weight, labels[:, :, after], strict=True))
+                of_one = np.stack(  # [2 + V, patterns, further]: share of label 1 after a pattern
+                    [_sum_rows(own, row[:, None] * label, size) for own, row, label in layers]
+                )
+                of_any = np.stack([np.bincount(own, row, size) for own, row, _ in layers])
+                shares = np.concatenate([of_any[:, :, None] - of_one, of_one], axis=1)
+                values = self._information(shares)
+                ties = np.flatnonzero(values > values.max() - TIE)
+                i = int(rng.choice(ties))
+                pattern = pattern + size * labels[:, :, after[i]]
+                value = float(values[i])
+                clip.append(int(after[i]))
+            if value > most + TIE:
+                best, most = (clip, told), value
+        return best
+
+    def _beside(self, clip: list[int]) -> NDArray[np.int64]:
+        """The transitions by which a clip can grow: those that follow its last one."""
+        states = self.hypotheses.states
+        others = np.setdiff1d(np.arange(self.hypotheses.n_transitions), clip)
+        return others if states is None else others[states[others, 0] == states[clip[-1], 1]]
+
+    def _information(self, shares: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Bits that answers tell: shares [2 + V, 2^c, Q] of each pattern of labels, by layer, of Q
+        questions about c transitions → [Q].
+
+        The noise has the same entropy whatever the pattern.
+        """
+        patterns = shares.shape[1]
+        layers = [
+            _channel(patterns.bit_length() - 1, error, self.misread)
+            for error in self._error.tolist()
+        ]
+        answers = sum(layer @ share for layer, share in zip(layers, shares, strict=True))
+        noise = sum(
+            share.sum() * _entropy(layer[:, 0])
+            for layer, share in zip(layers, self._weight, strict=True)
+        )
+        return np.asarray(_entropy(np.asarray(answers)) - noise)
+
+
+def _smallest(parts: list[NDArray[np.float64]], count: int) -> float:
+    """The ``count``-th smallest of all numbers, or the largest where they are fewer."""
+    if count == 1:
+        return min(float(part.min()) for part in parts)
+    merged = np.concatenate(parts)
+    last = min(count, len(merged)) - 1
+    return float(np.partition(merged, last)[last])
+
+
+def _sum_rows(
+    group: NDArray[np.int64], rows: NDArray[np.float64], count: int
+) -> NDArray[np.float64]:
+    """Sums of the rows [C, Q] of each group [C]: [count, Q]."""
+    return np.asarray((group == np.arange(count)[:, None]).astype(np.float64) @ rows)
+
+
+def _channel(length: int, error: float, misread: float) -> NDArray[np.float64]:
+    """P(answered pattern | true pattern) of clips of ``length`` labels: [2^length, 2^length]."""
+    one = np.array([[1 - error, error], [error, 1 - error]])
+    result = np.ones((1, 1))
+    for _ in range(length):
+        result = np.kron(one, result)
+    return (1 - misread) * result + misread / len(result)
+
+
+def _entropy(probability: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bits, over the first axis."""
+    return np.asarray(entr(probability).sum(axis=0) / np.log(2))
+
+
+def _share(key: str, value: object, below: float) -> float:
+    share = number(key, value)
+    if not 0 <= share < below:
+        raise InputError(key, value, f"a number in [0, {below:.3g})")
+    return share
+
+
+def _digest(hypotheses: Hypotheses) -> int:
+    """Tells tables of labels apart."""
+    return zlib.crc32(hypotheses.tables.tobytes() + hypotheses.facts.tobytes())
