@@ -244,15 +244,16 @@ def _without_a_fact(domain: Domain, seed: int, folder: Path) -> str:
 
 def _none(observed: Observed, hypotheses: Hypotheses, error: float) -> float:
     """Share of the observers whom, by their questionnaires, rather no hypothesis fits."""
-    dataset = observed.dataset
+    dataset, hypotheses = observed.dataset, hypotheses.told_apart_by_features()
     assert hypotheses.features is not None
     place = {row.tobytes(): t for t, row in enumerate(hypotheses.features)}
     said = []
     for o in range(len(dataset.observers)):
         questions = Questionnaire(hypotheses, max(error, 0.01))
         for p in np.flatnonzero(dataset.observer == o):
-            t = place[dataset.features[dataset.transition[p]].tobytes()]
-            questions.answer(int(dataset.label[p]), (t, int(dataset.message_set[p])))
+            t = place.get(dataset.features[dataset.transition[p]].tobytes())
+            if t is not None:
+                questions.answer(int(dataset.label[p]), (t, int(dataset.message_set[p])))
         said.append(questions.none > 0.5)
     return float(np.mean(said))
 

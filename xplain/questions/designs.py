@@ -81,7 +81,7 @@ class Battery:
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
         """The first ``sizes`` questions of one list, which is as long as the longest of them."""
-        known = hypotheses_of(setting.domain, self.hypotheses)
+        known = hypotheses_of(setting.domain, self.hypotheses).told_apart_by_features()
         chosen, told = battery(
             known, self.redundancy, derived_seed(seed, "queries"), int(sizes.max())
         )
@@ -132,7 +132,7 @@ class Adaptive:
     ) -> list[Answered]:
         """Exactly ``sizes`` labels an observer, one observer after the other; the last clip is
         cut."""
-        known = hypotheses_of(setting.domain, self.hypotheses)
+        known = hypotheses_of(setting.domain, self.hypotheses).told_apart_by_features()
         transitions = transitions_of(known, setting)
         others = np.zeros(len(known.facts))
         asked = []

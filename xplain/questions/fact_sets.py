@@ -22,9 +22,9 @@ from scipy.special import gammaln, logsumexp
 
 from xplain.questions.hypotheses import Hypotheses
 
-DEVIATION = np.array([0.001, 0.01, 0.05, 1 / 3])
+DEVIATION = np.array([0.0005, 0.005, 0.05, 1 / 3])
 """δ is one of these; the last is that of people whom no hypothesis fits."""
-DEVIATION_PRIOR = np.array([0.7, 0.15, 0.1, 0.05])
+DEVIATION_PRIOR = np.array([0.9, 0.06, 0.03, 0.01])
 DISPUTED = 20.0
 """δ is so much larger, up to ⅓, where variants of the hypotheses disagree."""
 ERROR = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])

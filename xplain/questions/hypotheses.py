@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import combinations
 from math import comb
@@ -229,6 +229,28 @@ class Hypotheses:
         """[1 + V] of the values as assumed, and of the variants."""
         count = len(self.variants)
         return np.array([AS_ASSUMED] + [(1 - AS_ASSUMED) / count] * count if count else [1.0])
+
+    def told_apart_by_features(self) -> Hypotheses:
+        """Without transitions that share their features with others of other labels: an answer
+        about one of them says nothing to who sees features alone. All of them, where the rest
+        tells fewer candidates apart."""
+        if self.features is None:
+            return self
+        _, which = np.unique(self.features, axis=0, return_inverse=True)
+        which = which.ravel()
+        every = self.tables.reshape(-1, self.n_transitions)
+        _, column = np.unique(np.packbits(every, axis=0), axis=1, return_inverse=True)
+        pairs = np.unique(np.stack([which, column.ravel()]), axis=1)
+        keep = np.flatnonzero(np.bincount(pairs[0])[which] == 1)
+        rest = replace(
+            self,
+            labels=self.labels[:, keep],
+            features=self.features[keep],
+            phrases=tuple(self.phrases[t] for t in keep) if self.phrases else (),
+            states=None if self.states is None else self.states[keep],
+            variants=self.variants[:, :, keep] if len(self.variants) else self.variants,
+        )
+        return rest if np.array_equal(rest.essential, self.essential) else self
 
     @cached_property
     def matters(self) -> NDArray[np.int64]:
