@@ -114,8 +114,8 @@ def transition_features(domain: Domain, transitions: NDArray[np.int64]) -> NDArr
     return np.hstack([domain.state_features[s], action, domain.state_features[after]])
 
 
-def changes(domain: Domain, transition: NDArray[np.int64]) -> tuple[str, ...]:
-    """What a transition (s, a, s') changes, as short phrases; pictures list them where there is no
-    map. Empty where the domain has no method ``changes(transition)``."""
+def changes_of(domain: Domain, transitions: NDArray[np.int64]) -> tuple[tuple[str, ...], ...]:
+    """What each transition (s, a, s') of [m, 3] changes, as short phrases that pictures list where
+    there is no map. Empty where the domain has no method ``changes(transition)``."""
     told = getattr(domain, "changes", None)
-    return () if told is None else tuple(told(transition))
+    return () if told is None else tuple(tuple(told(transition)) for transition in transitions)

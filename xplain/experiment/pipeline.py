@@ -23,6 +23,7 @@ from xplain.data.rollouts import sample_trace
 from xplain.domains.base import (
     Domain,
     Scene,
+    changes_of,
     transition_feature_names,
     transition_features,
 )
@@ -79,6 +80,7 @@ class Case:
         transitions: [m, 3].
         phrases: m short descriptions.
         positions: m + 1 cells (row, column) of the robot; empty where there is no map.
+        changes: what each transition changes, as short phrases; empty where the domain tells none.
         learned: [N, m, 2^n] P(label is 1) by the labelers of the types that were found.
         everyone: [1, m, 2^n] by one labeler of all data (the baseline's).
         perfect: [M, m, 2^n] by the labelers under perfect clustering; None where the true types
@@ -93,6 +95,7 @@ class Case:
     everyone: NDArray[np.float64]
     perfect: NDArray[np.float64] | None
     labels: NDArray[np.uint8]
+    changes: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -292,6 +295,7 @@ def build_case(
         everyone=p_explicable([everyone], features, n),
         perfect=None if oracle is None else p_explicable(oracle, features, n),
         labels=setting.label_table(transitions),
+        changes=changes_of(domain, transitions),
     )
 
 
