@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
-from itertools import islice
+from itertools import chain, combinations, islice
 from typing import Any
 
 import numpy as np
@@ -44,8 +44,9 @@ class PDDL:
         believed: what people believe, as the path of another domain file, or ``{file, problem}``
             (either may be missing): every difference becomes a parameter.
         facts: ``{name: {change, message, belief}}``. ``change`` is one change or a list of them
-            (:mod:`xplain.domains.pddl.changes`); without it, the words are those of a difference
-            found. Words not given are made from the change.
+            (:mod:`xplain.domains.pddl.changes`); without it, the words are those of the difference
+            of this name, or of those that ``join`` lists, which are one fact then. Words not given
+            are made from the change.
         words: see :class:`~xplain.domains.pddl.words.Words`.
         features: counts for a labeler, besides the atoms: ``{name: pattern, or a list of them}``,
             for how many ways of replacing ``?x`` all patterns hold, such as (at ?package airport).
@@ -119,15 +120,22 @@ class PDDL:
         if not isinstance(given, Mapping):
             raise InputError("domain.facts", given, "{name: {change, message, belief}}")
         result = []
-        for fact in dict.fromkeys([*found, *given]):
+        joined = {name for fields in given.values() for name in _joined(fields)}
+        for fact in dict.fromkeys([*(name for name in found if name not in joined), *given]):
             key, fields = f"domain.facts.{fact}", given.get(fact, {})
             if not isinstance(fields, Mapping):
                 raise InputError(key, fields, "the fields change, message, belief")
-            if unknown := fields.keys() - {"change", "message", "belief"}:
-                raise InputError(key, min(unknown), "unknown; known: change, message, belief")
-            if "change" not in fields and fact not in found:
+            if unknown := fields.keys() - {"change", "join", "message", "belief"}:
+                raise InputError(key, min(unknown), "unknown; known: change, join, message, belief")
+            own = found.get(fact)
+            if "join" in fields:
+                if absent := [name for name in _joined(fields) if name not in found]:
+                    known = ", ".join(found) or "none"
+                    raise InputError(f"{key}.join", absent[0], f"differences found: {known}")
+                own = [change for name in _joined(fields) for change in found[name]]
+            if "change" not in fields and own is None:
                 raise InputError(key, dict(fields), "lacks change")
-            changes = checked(f"{key}.change", fields.get("change", found.get(fact)))
+            changes = checked(f"{key}.change", fields.get("change", own))
             applied(self.task, changes, more, f"{key}.change")
             so, believed = told(self.task, changes, self.words)
             texts = fields.get("message", so), fields.get("belief", believed)
@@ -204,22 +212,19 @@ class PDDL:
                 changes = parameter.inaccurate
                 raise InputError(f"domain.facts.{parameter.name}", changes, str(error)) from None
         transitions = robot.on_policy(self.starts)
-        silent = set(range(n))
 
-        def tried(wrong: Wrong, facts: set[int]) -> None:
-            labels = GoalTask.explicable(self._beliefs.model(wrong), transitions)
-            for j in sorted(facts):
-                other = GoalTask.explicable(self._beliefs.model(wrong ^ {j}), transitions)
-                if not np.array_equal(labels, other):
-                    silent.discard(j)
+        @cache
+        def labels(wrong: Wrong) -> bytes:
+            found = self._beliefs.model(wrong).explicable(transitions)
+            return np.packbits(found).tobytes()
 
-        tried(frozenset(), set(silent))
-        tried(frozenset(range(n)), set(silent))
-        masks = range(1 << n) if n < 63 else range(1 << 62)
-        for mask in islice(masks, COMBINATIONS):
+        everything = frozenset(range(n))
+        sets = islice(_subsets(n), COMBINATIONS)
+        silent = everything
+        for wrong in chain([frozenset(), everything], sets):
+            silent -= {j for j in silent if labels(wrong) != labels(wrong ^ {j})}
             if not silent:
                 break
-            tried(frozenset(j for j in range(n) if mask >> j & 1), set(silent))
         for j in sorted(silent):
             log.warning(
                 "domain.facts.%s has no effect: no best plan of the robot's is more or less "
@@ -252,3 +257,15 @@ class PDDL:
     def scene(self) -> None:
         """None: there is no map."""
         return None
+
+
+def _subsets(n: int) -> Iterator[Wrong]:
+    """The sets of n facts, small ones first."""
+    for size in range(n + 1):
+        yield from map(frozenset, combinations(range(n), size))
+
+
+def _joined(fields: Any) -> list[str]:
+    """The names of the differences that a fact joins."""
+    given = fields.get("join", []) if isinstance(fields, Mapping) else []
+    return list(given) if isinstance(given, list) else [given]

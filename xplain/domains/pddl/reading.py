@@ -78,8 +78,11 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
         ) from None
     texts = (read_text(keys[0], file), read_text(keys[1], problem))
     _require_supported(keys[0], file, texts[0])
-    _parsed(keys[0], file, lambda: PDDLReader().parse_problem_string(texts[0], None))
-    found = _parsed(keys[1], problem, lambda: PDDLReader().parse_problem_string(*texts))
+    try:
+        found = _parsed(keys[1], problem, lambda: PDDLReader().parse_problem_string(*texts))
+    except InputError:  # whose error is it? The domain's, where it cannot be read alone.
+        _parsed(keys[0], file, lambda: PDDLReader().parse_problem_string(texts[0], None))
+        raise
     unsupported = sorted(set(found.kind.features) - KNOWN)
     if unsupported:
         raise InputError(
