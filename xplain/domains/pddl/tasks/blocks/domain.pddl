@@ -1,6 +1,6 @@
 ; Blocks world with four operators and a hand, after Winograd (1971) and Nilsson (1980), Principles
-; of Artificial Intelligence. Here some blocks are fragile: unstacking costs more where the block
-; must be held with care.
+; of Artificial Intelligence: pick a block up, put it down, stack it on another, take it off again.
+; Every action costs 1.
 (define (domain blocks)
   (:requirements :strips :typing :action-costs)
   (:types block)
