@@ -31,7 +31,8 @@ COMMANDS = ("discover", "observe", "questions", "plan", "export")
 UNTOLD = ("defaults", "hydra", "_convert_")
 """Sections that are no settings of an experiment."""
 SENTENCES = ("message", "belief")
-"""Fields of a domain's parameter that are words for people, not settings to explain."""
+"""Fields of a domain's parameter that are words for people, as all below ``words`` are, not
+settings to explain."""
 
 LINE = re.compile(r"^(?P<indent> *)(?P<key>[\w.]+):(?: (?P<rest>.*))?$")
 COMMENT = re.compile(r"^(?P<value>(?:\"[^\"]*\"|'[^']*'|[^#])*?)(?:(?:^|\s+)# (?P<comment>.*))?$")
@@ -125,7 +126,8 @@ def keys(lines: list[str], prefix: str) -> Iterator[Key]:
         path = [(at, name) for at, name in path if at < depth] + [(depth, found["key"])]
         told = " ".join([*above, *([comment] if comment else [])])
         above = []
-        if found["key"] in UNTOLD or (len(path) > 2 and found["key"] in SENTENCES):
+        sentence = found["key"] in SENTENCES or "words" in [name for _, name in path[:-1]]
+        if found["key"] in UNTOLD or (len(path) > 2 and sentence):
             hidden = depth
             continue
         if value == "|":

@@ -20,6 +20,9 @@ from xplain.testing import (
     TypeSourceConformance,
 )
 
+PDDL = pytest.mark.skipif(
+    find_spec("unified_planning") is None, reason="pip install 'xplain-hri[pddl]'"
+)
 GYM = pytest.mark.skipif(find_spec("gymnasium") is None, reason="pip install 'xplain-hri[gym]'")
 
 
@@ -30,7 +33,11 @@ def shipped(group: str, *others: str, **keys: str) -> list[Any]:
         pytest.param(
             Chosen(group, path.stem, *([keys[path.stem]] if path.stem in keys else [])),
             id=path.stem,
-            marks=[GYM] if "gym" in path.read_text(encoding="utf-8") else [],
+            marks=[
+                mark
+                for word, mark in (("xplain-hri[gym]", GYM), ("xplain-hri[pddl]", PDDL))
+                if word in path.read_text(encoding="utf-8")
+            ],
         )
         for path in sorted((CONF / group).glob("*.yaml"))
         if path.stem not in others
@@ -38,7 +45,7 @@ def shipped(group: str, *others: str, **keys: str) -> list[Any]:
 
 
 class TestDomains(DomainConformance):
-    @pytest.fixture(params=shipped("domain"))
+    @pytest.fixture(params=shipped("domain", "pddl"))  # which has no task of its own
     def component(self, request: pytest.FixtureRequest) -> Any:
         return request.param.component
 

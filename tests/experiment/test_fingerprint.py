@@ -148,6 +148,19 @@ def test_the_content_of_files_counts(tmp_path):
     assert fingerprint(config) == before
 
 
+def test_the_content_of_files_inside_packages_counts(tmp_path, monkeypatch):
+    (tmp_path / "some_tasks" / "inner").mkdir(parents=True)
+    (tmp_path / "some_tasks" / "__init__.py").touch()
+    task = tmp_path / "some_tasks" / "inner" / "task.pddl"
+    task.write_text("1")
+    monkeypatch.syspath_prepend(tmp_path)
+    config = {"domain": {"file": "pkg://some_tasks/inner/task.pddl"}}
+    before = fingerprint(config)
+    task.write_text("2")
+    assert fingerprint(config) != before
+    assert fingerprint({"domain": {"file": "pkg://nowhere/task.pddl"}})
+
+
 def test_the_versions_are_those_that_run():
     versions = fingerprints.library_versions()
     for name, module in (("numpy", np), ("scipy", scipy), ("numba", numba), ("pandas", pd)):

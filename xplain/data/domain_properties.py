@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.data.rollouts import sample_trace
-from xplain.domains import mdp
 from xplain.domains.base import Domain
 from xplain.users.setting import Setting
 
@@ -89,7 +88,8 @@ def inexplicable_alone(domain: Domain, traces: Sequence[Trace]) -> dict[str, flo
         domain.model(accurate | {parameter.name: parameter.inaccurate})
         for parameter in domain.parameters
     ]
-    labels = mdp.labels(models, mdp.optimal_actions(models), np.concatenate(traces))
+    names = [f"who holds {parameter.name} inaccurately" for parameter in domain.parameters]
+    labels = models[0].solve(models, names).labels(np.concatenate(traces))
     shares = 1 - labels.mean(axis=1)
     return {p.name: float(share) for p, share in zip(domain.parameters, shares, strict=True)}
 

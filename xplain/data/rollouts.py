@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.mdp import MDP
+from xplain.domains.mdp import Model
 
 
 def sample_trace(
-    model: MDP,
+    model: Model,
     optimal: NDArray[np.bool_],
     starts: NDArray[np.int64],
     rng: np.random.Generator,

@@ -44,6 +44,7 @@ def content(stage: Stage, played: Played) -> dict[str, Any]:
         },
         "positions": case.positions if len(case.positions) == len(case.transitions) + 1 else [],
         "phrases": case.phrases,
+        "changes": case.changes,
         "prior": played.prior,
         "steps": [
             {

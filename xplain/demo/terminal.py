@@ -125,10 +125,23 @@ class Terminal:
             table.add_row(Text(name.replace("_", " "), style), bar, f"{p:4.0%} {arrow}")
         return table
 
+    def _changes(self, k: int) -> RenderableType | None:
+        """What each transition shown so far has changed; None where the domain does not tell."""
+        case = self.stage.case
+        if not case.changes:
+            return None
+        lines = zip(case.phrases[:k], case.changes[:k], strict=True)
+        return Group(
+            *(
+                Text.assemble(f"{i}. {phrase}", (f"  {'; '.join(changes)}", "dim"))
+                for i, (phrase, changes) in enumerate(lines, 1)
+            )
+        )
+
     def _map(self, k: int) -> RenderableType | None:
         scene, positions = self.stage.prepared.scene, self.stage.case.positions
         if scene is None or len(positions) <= k:
-            return None
+            return self._changes(k)
         grid = [[Text(".", "dim") for _ in range(scene.columns)] for _ in range(scene.rows)]
         for row, column in scene.walls:
             grid[row][column] = Text("█", "grey50")

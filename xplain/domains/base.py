@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.mdp import MDP
+from xplain.domains.mdp import Model
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Domain(Protocol):
     feature_names: tuple[str, ...]
     starts: NDArray[np.int64]
 
-    def model(self, values: Mapping[str, Any]) -> MDP:
+    def model(self, values: Mapping[str, Any]) -> Model:
         """The task of someone who holds these values: ``{parameter name: value}``, all of them."""
         ...
 
@@ -112,3 +112,10 @@ def transition_features(domain: Domain, transitions: NDArray[np.int64]) -> NDArr
     s, a, after = transitions.T
     action = np.eye(len(domain.actions))[a]
     return np.hstack([domain.state_features[s], action, domain.state_features[after]])
+
+
+def changes_of(domain: Domain, transitions: NDArray[np.int64]) -> tuple[tuple[str, ...], ...]:
+    """What each transition (s, a, s') of [m, 3] changes, as short phrases that pictures list where
+    there is no map. Empty where the domain has no method ``changes(transition)``."""
+    told = getattr(domain, "changes", None)
+    return () if told is None else tuple(tuple(told(transition)) for transition in transitions)

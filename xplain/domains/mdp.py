@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,58 @@ CLEAR = 1e-8
 """They differ when the gap is at least this; a gap between TIE and CLEAR is ambiguous."""
 SOLVED = 1e-11
 """Values are solved to within this of the optimum, relative to the model's scale."""
+
+
+class Model(Protocol):
+    """Somebody's idea of the task: an :class:`MDP`, or a
+    :class:`~xplain.domains.goal_task.GoalTask`. Arrays are as in :class:`MDP`."""
+
+    @property
+    def n_states(self) -> int:
+        """S, the number of states, terminal ones included."""
+        ...
+
+    @property
+    def n_actions(self) -> int:
+        """A, the number of actions, whether available in a state or not."""
+        ...
+
+    @property
+    def successor(self) -> NDArray[Any]:
+        """[S, A, K] integers."""
+        ...
+
+    @property
+    def probability(self) -> NDArray[Any]:
+        """[S, A, K] floats."""
+        ...
+
+    @property
+    def terminal(self) -> NDArray[np.bool_]:
+        """[S]."""
+        ...
+
+    @staticmethod
+    def solve(models: Any, names: Sequence[str]) -> Solution:
+        """What is optimal in models of this kind.
+
+        Raises:
+            DomainError: it cannot be told safely; ``names`` says in whose model.
+        """
+        ...
+
+
+class Solution(Protocol):
+    """What is optimal in each of B models over the same states and actions."""
+
+    def __getitem__(self, index: int) -> NDArray[np.bool_]:
+        """[S, A] the optimal actions of one model."""
+        ...
+
+    def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """[B, T] explicable (1) or not (0), of transitions [T, 3]: an optimal action, and an
+        outcome that can happen."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -81,6 +133,32 @@ class MDP:
         s, a, after = transitions.T
         reached = (self.successor[s, a] == after[:, None]) & (self.probability[s, a] > 0)
         return np.asarray(reached.any(axis=1))
+
+    @staticmethod
+    def solve(models: Sequence[MDP], names: Sequence[str]) -> MDPSolution:
+        """All of them solved (:func:`optimal_actions`)."""
+        return MDPSolution(tuple(models), optimal_actions(models, names))
+
+
+@dataclass(frozen=True)
+class MDPSolution:
+    """What is optimal in each of B MDPs (:class:`Solution`).
+
+    Attributes:
+        models: as given.
+        optimal: [B, S, A].
+    """
+
+    models: tuple[MDP, ...]
+    optimal: NDArray[np.bool_]
+
+    def __getitem__(self, index: int) -> NDArray[np.bool_]:
+        """[S, A] the optimal actions of one model."""
+        return np.asarray(self.optimal[index])
+
+    def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """[B, T] explicable or not (:func:`labels`)."""
+        return labels(self.models, self.optimal, transitions)
 
 
 class Fields(NamedTuple):

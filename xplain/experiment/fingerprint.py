@@ -50,7 +50,9 @@ def fingerprint(config: dict[str, Any]) -> str:
         "code": code_version(),
         "libraries": library_versions(),
         "components": component_code(config),
-        "files": {path: _digest(Path(path).read_bytes()) for path in sorted(_files(config))},
+        "files": {
+            name: _digest(path.read_bytes()) for name, path in sorted(_files(config).items())
+        },
     }
     return _digest(json.dumps(content, sort_keys=True).encode())
 
@@ -128,15 +130,20 @@ def _targets(node: Any) -> Iterator[str]:
             yield from _targets(value)
 
 
-def _files(node: Any) -> set[str]:
-    """Texts of the configuration that name a file."""
-    if isinstance(node, dict):
-        return set().union(*map(_files, node.values()))
-    if isinstance(node, list):
-        return set().union(*map(_files, node))
+def _files(node: Any) -> dict[str, Path]:
+    """The files that texts of the configuration name, by these texts: paths, and
+    ``pkg://package/path`` inside an installed package."""
+    if isinstance(node, dict | list):
+        items = node.values() if isinstance(node, dict) else node
+        return {name: path for item in items for name, path in _files(item).items()}
     if not isinstance(node, str) or "\n" in node or not 0 < len(node) < 1000:
-        return set()
-    return {node} if Path(node).is_file() else set()
+        return {}
+    path = Path(node)
+    if node.startswith("pkg://"):
+        package, _, inside = node.removeprefix("pkg://").partition("/")
+        found = importlib.util.find_spec(package) if package.isidentifier() else None
+        path = Path(found.origin).parent / inside if found and found.origin else path
+    return {node: path} if path.is_file() else {}
 
 
 @cache

@@ -24,6 +24,7 @@ from xplain.data.rollouts import sample_trace
 from xplain.domains.base import (
     Domain,
     Scene,
+    changes_of,
     transition_feature_names,
     transition_features,
 )
@@ -92,6 +93,7 @@ class Case:
         perfect: of M labelers under perfect clustering; None where the true types of the observers
             are unknown, or a type has no observer.
         labels: the true labels of each of M true types.
+        changes: what each transition changes, as short phrases; empty where the domain tells none.
     """
 
     transitions: NDArray[np.int64]
@@ -101,6 +103,7 @@ class Case:
     everyone: LabelTable | None
     perfect: LabelTable | None
     labels: NDArray[np.uint8] | ByType
+    changes: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -341,6 +344,7 @@ def build_case(
         labels=setting.labels_by_type(transitions)
         if setting.n_messages > DENSE
         else setting.label_table(transitions),
+        changes=changes_of(domain, transitions),
     )
 
 

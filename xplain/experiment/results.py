@@ -223,6 +223,7 @@ def episode_lines(prepared: Prepared, records: list[Record]) -> str:
             "cost": episode.cost,
             "transitions": list(case.phrases),
             "positions": [list(cell) for cell in case.positions],
+            **({"changes": case.changes} if case.changes else {}),
             "prior": episode.beliefs[0].tolist(),
             "steps": steps,
         }

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,7 @@ class Story:
         positions: m + 1 cells, or none.
         messages: names of the new messages before each step.
         labels: row k the k + 1 labels given at step k.
+        changes: what each transition changes, or none.
     """
 
     solver: str
@@ -41,6 +43,7 @@ class Story:
     positions: tuple[tuple[int, int], ...]
     messages: tuple[tuple[str, ...], ...]
     labels: tuple[tuple[int, ...], ...]
+    changes: tuple[tuple[str, ...], ...] = ()
 
     @property
     def n_messages(self) -> int:
@@ -69,6 +72,7 @@ def stories(folder: Path, solver: str) -> Iterator[Story]:
                 positions=tuple((row, column) for row, column in content["positions"]),
                 messages=tuple(tuple(step["messages"]) for step in content["steps"]),
                 labels=tuple(tuple(step["labels"]) for step in content["steps"]),
+                changes=tuple(map(tuple, content.get("changes", ()))),
             )
 
 
@@ -91,11 +95,16 @@ def telling(found: list[Story]) -> list[Story]:
 
 
 def draw_trace(scene: Scene | None, story: Story) -> Figure:
-    """Map and path at the left; at the right one row a transition, one column a step."""
+    """Map and path at the left; at the right one row a transition, one column a step. Without a
+    map, what each transition changes is told below it."""
     m = len(story.phrases)
     if scene is None or len(story.positions) != m + 1:
-        figure = Figure(figsize=(4.6 + 0.34 * m, max(3.4, 0.34 * m + 2.6)))
-        _draw_steps(figure.subplots(), story)
+        told = [textwrap.fill("; ".join(changes), 64) for changes in story.changes]
+        row = 0.34 + 0.13 * max((text.count("\n") + 1 for text in told), default=0)
+        figure = Figure(figsize=(4.6 + 0.34 * m, max(3.4, row * m + 2.6)))
+        axes = figure.subplots()
+        _draw_steps(axes, story)
+        _draw_changes(axes, told)
         return figure
     # Long phrases at the right must not make the map small: each half is laid out by itself.
     widths = [5.2, max(6.6, 3.6 + 0.34 * m)]
@@ -212,6 +221,25 @@ def _draw_steps(axes: Axes, story: Story) -> None:
         pad=14 + (18 + 3.2 * longest if story.n_messages else 0),
         weight="bold",
     )
+
+
+def _draw_changes(axes: Axes, told: list[str]) -> None:
+    """Below each transition's phrase."""
+    if not told:
+        return
+    for label in axes.get_yticklabels():
+        label.set_verticalalignment("bottom")
+    for i, text in enumerate(told, 1):
+        axes.text(
+            -0.012,
+            i + 0.06,
+            text,
+            transform=axes.get_yaxis_transform(),
+            ha="right",
+            va="top",
+            fontsize=7.5,
+            color="#666666",
+        )
 
 
 def _count(number: int, what: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.data.rollouts import sample_trace
-from xplain.domains.base import Domain, Scene, transition_features
+from xplain.domains.base import Domain, Scene, changes_of, transition_features
 from xplain.errors import InputError, whole_number
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import learn, observe
@@ -146,6 +146,7 @@ def assemble(
         probes={},
         icons=wording["icons"],
         config=config,
+        changes=changes_of(domain, transitions) if domain.scene is None else (),
     )
     # What is stored is what runs, from the first participant on.
     return StudyPlan.from_text(with_probes(plan).text)

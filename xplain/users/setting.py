@@ -37,15 +37,15 @@ class Setting:
     Attributes:
         domain, types: as given.
         models: the distinct models; the first is the robot's.
-        optimal: [B, S, A] optimal actions of each.
+        optimal: the optimal actions [S, A] of each, by index.
         bits: for each type, the positions of the messages that correct it.
         table: for each type, [2^len(bits)] index of its model, by which of these were given.
     """
 
     domain: Domain
     types: tuple[UserType, ...]
-    models: tuple[mdp.MDP, ...]
-    optimal: NDArray[np.bool_]
+    models: tuple[mdp.Model, ...]
+    optimal: mdp.Solution
     bits: tuple[tuple[int, ...], ...]
     table: tuple[NDArray[np.int64], ...]
 
@@ -55,7 +55,7 @@ class Setting:
 
         Raises:
             InputError: no types, two of one name, or a type that names an unknown parameter.
-            DomainError: some model's ties are ambiguous.
+            DomainError: some model's ties are ambiguous, or it has no way to its goal.
             TooLargeError: more than MAX_MODELS distinct models.
         """
         names = [parameter.name for parameter in domain.parameters]
@@ -79,7 +79,7 @@ class Setting:
             )
         accurate = {parameter.name: parameter.accurate for parameter in domain.parameters}
         index: dict[str, int] = {}
-        models: list[mdp.MDP] = []
+        models: list[mdp.Model] = []
         whose: list[str] = []
 
         def model_of(values: dict[str, Any], who: str) -> int:
@@ -101,7 +101,7 @@ class Setting:
                 row[given] = model_of(values, f"type {user_type.name} wrong on {wrong}")
             bits.append(own)
             table.append(row)
-        optimal = mdp.optimal_actions(models, whose)
+        optimal = models[0].solve(models, whose)
         return cls(domain, types, tuple(models), optimal, tuple(bits), tuple(table))
 
     @property
@@ -123,7 +123,7 @@ class Setting:
 
     def label_by_model(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
         """[B, T] labels of transitions [T, 3] under every distinct model."""
-        return mdp.labels(self.models, self.optimal, transitions)
+        return self.optimal.labels(transitions)
 
     def labels(
         self, user_type: int, transitions: NDArray[np.int64], message_sets: NDArray[np.int64]

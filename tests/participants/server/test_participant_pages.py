@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,8 @@ from xplain.participants.server.app import create_app
 from xplain.participants.server.http import Server
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import Page, visit
+from xplain.study.policies import study_of
+from xplain.study.protocol.plan import StudyPlan
 from xplain.study.simulation.participant import Person
 
 
@@ -172,3 +175,24 @@ def test_a_domain_without_a_map_gets_its_study(tmp_path: Path) -> None:
     person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
     assert visit(visitor, person, store.invite(1, "bot")[0]) == "done"
     store.close()
+
+
+def test_without_a_map_the_page_lists_what_each_step_changed(
+    tmp_path: Path, person: Callable[[], Person]
+) -> None:
+    """Up to the step that is shown, and no further; a plan with a map is stored as ever."""
+    plan = street_plan(map_shown=False)
+    assert '"changes"' not in plan.text
+    told = tuple((f"now past place {k}", f"no longer at <{k}>") for k in range(plan.n_steps))
+    plan = StudyPlan.from_text(replace(plan, changes=told).text)
+    assert plan.changes == told
+    opened = Store(tmp_path / "listed.sqlite", study_of(plan))
+    (token,) = opened.invite(1, "person")
+    visitor = Visitor(create_app(opened, GENEROUS).test_client())
+    shown = [
+        re.findall(r"now past place (\d+); no longer at &lt;\d+&gt;</li>", html)
+        for html, page in pages(visitor, person(), token)
+        if page.stage == "evaluation"
+    ]
+    assert shown == [[str(i) for i in range(k + 1)] for k in range(plan.n_steps)]
+    opened.close()

@@ -51,6 +51,7 @@ def create_app(store: Store, server: Server) -> Flask:
     app.jinja_env.trim_blocks = app.jinja_env.lstrip_blocks = True
     app.jinja_env.globals.update(
         map=functools.cache(lambda steps: Markup(map_svg.picture(store.study.plan, steps))),
+        changes=store.study.plan.changes,
         legend=[(name, Markup(svg)) for name, svg in map_svg.legend(store.study.plan)],
         texts=store.study.plan.texts,
         titles=TITLES,

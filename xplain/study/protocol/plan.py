@@ -178,6 +178,7 @@ class StudyPlan:
         probes: {condition: decisions for random labels}, to notice changed code.
         icons: {name of an item on the map: path of its icon in a box of 24}; may lack some.
         config: the configuration that it was made from, for the record.
+        changes: [m] what each transition changes, for domains without a map; or none.
     """
 
     seed: int
@@ -198,6 +199,7 @@ class StudyPlan:
     probes: Mapping[str, tuple[str, ...]]
     icons: Mapping[str, str]
     config: Mapping[str, Any]
+    changes: tuple[tuple[str, ...], ...] = ()
 
     @property
     def n_steps(self) -> int:
@@ -213,6 +215,8 @@ class StudyPlan:
     def text(self) -> str:
         """The plan as canonical JSON; floats survive to the last bit."""
         value = encode(self) | {"version": VERSION}
+        if not self.changes:
+            del value["changes"]  # plans with a map are stored as they always were
         return json.dumps(value, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
 
     @property

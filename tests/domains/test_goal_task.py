@@ -1,0 +1,165 @@
+"""Shortest plans against scipy's, and against every path that there is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from xplain.domains import mdp
+from xplain.domains.goal_task import GoalTask, StateSpace
+from xplain.domains.mdp import MDP
+from xplain.errors import DomainError
+
+
+def space_of(edges: Mapping[tuple[int, int], int], states: int, actions: int) -> StateSpace:
+    """Of ``{(state, action): successor}``, every action with one variant."""
+    keys = sorted(edges)
+    count = np.bincount([s for s, _ in keys], minlength=states)
+    return StateSpace(
+        n_states=states,
+        n_actions=actions,
+        action=np.arange(actions, dtype=np.int32),
+        first=np.concatenate([[0], np.cumsum(count)]),
+        variant=np.array([a for _, a in keys], dtype=np.int32),
+        successor=np.array([edges[key] for key in keys], dtype=np.int32),
+    )
+
+
+@st.composite
+def tasks(draw: Any) -> tuple[GoalTask, dict[tuple[int, int], int]]:
+    """A random task with whole costs, and its edges; any state may be a goal or a dead end."""
+    states, actions = draw(st.integers(2, 9)), draw(st.integers(1, 4))
+    node = st.integers(0, states - 1)
+    keys = st.tuples(node, st.integers(0, actions - 1))
+    edges = draw(st.dictionaries(keys, node, min_size=1, max_size=20))
+    cost = draw(st.lists(st.integers(1, 5), min_size=actions, max_size=actions))
+    chosen = draw(st.lists(st.booleans(), min_size=actions, max_size=actions))
+    goals = draw(st.lists(st.booleans(), min_size=states, max_size=states))
+    task = GoalTask(
+        space=space_of(edges, states, actions),
+        chosen=np.where(chosen, np.arange(actions), -1),
+        cost=np.array(cost, dtype=float),
+        terminal=np.array(goals),
+        dead_end_cost=float(draw(st.sampled_from([6, 1000]))),
+        start=0,
+    )
+    return task, edges
+
+
+@settings(max_examples=300, deadline=None)
+@given(tasks())
+def test_the_cost_to_go_is_scipys_distance_to_the_goals(made: Any) -> None:
+    """A goal is left by nobody; what costs as much as a dead end is one."""
+    task, edges = made
+    n = task.n_states
+    weight: dict[tuple[int, int], float] = {}
+    for (s, a), after in edges.items():
+        if task.chosen[a] >= 0 and not task.terminal[s]:
+            weight[after, s] = min(task.cost[a], weight.get((after, s), np.inf))
+    weight.update({(n, int(goal)): 1.0 for goal in np.flatnonzero(task.terminal)})
+    rows, columns = np.array(list(weight) or [(n, n)]).T
+    graph = coo_matrix((list(weight.values()) or [0], (rows, columns)), shape=(n + 1, n + 1))
+    distance = dijkstra(graph.tocsr(), indices=n)[:n] - 1
+    distance[distance >= task.dead_end_cost] = np.inf
+    assert task.to_go.tolist() == distance.tolist()
+
+
+@settings(max_examples=300, deadline=None)
+@given(tasks())
+def test_explicable_is_on_a_cheapest_plan_and_as_it_comes_out(made: Any) -> None:
+    """By the definition, transition by transition; and dense tables say the same."""
+    task, edges = made
+    n, actions = task.n_states, task.n_actions
+    every = np.array([(s, a, t) for s in range(n) for a in range(actions) for t in range(n)])
+    expected = [
+        bool(
+            task.chosen[a] >= 0
+            and edges.get((s, a)) == t
+            and not task.terminal[s]
+            and np.isfinite(task.to_go[s])
+            and task.cost[a] + task.to_go[t] == task.to_go[s]
+        )
+        for s, a, t in every.tolist()
+    ]
+    assert task.explicable(every).tolist() == expected
+    table = np.zeros((n, actions), dtype=bool)
+    for (s, a, _), good in zip(every.tolist(), expected, strict=True):
+        table[s, a] |= good
+    assert np.array_equal(task.optimal, table)
+    solution = GoalTask.solve((), ())
+    assert len(solution.models) == 0
+    reached = {tuple(x) for x in task.on_policy(np.arange(n)).tolist()}
+    assert reached == {tuple(x) for x, good in zip(every.tolist(), expected, strict=True) if good}
+
+
+@settings(max_examples=100, deadline=None)
+@given(tasks())
+def test_a_discount_near_one_finds_no_other_plans_where_costs_are_one(made: Any) -> None:
+    """With equal costs a discount does not reorder plans: the solver of MDPs must agree wherever
+    all states have a plan."""
+    task, _ = made
+    cost = np.ones(task.n_actions)
+    unit = GoalTask(task.space, task.chosen, cost, task.terminal, 1000.0, 0)
+    alive = np.isfinite(unit.to_go)
+    if not alive.all():
+        return
+    model = MDP(
+        unit.successor.astype(np.int64),
+        unit.probability.astype(np.float64),
+        unit.reward,
+        0.9,
+        unit.terminal,
+    )
+    assert np.array_equal(mdp.optimal_actions([model])[0], unit.optimal)
+
+
+def choice(extra: float) -> GoalTask:
+    """Two ways from state 0 to the goal 2: at once for 2, or by state 1 for 1 and 1 + extra."""
+    edges = {(0, 0): 2, (0, 1): 1, (1, 2): 2}
+    cost = np.array([2.0, 1.0, 1.0 + extra])
+    goal = np.array([False, False, True])
+    return GoalTask(space_of(edges, 3, 3), np.arange(3), cost, goal, 100.0, 0)
+
+
+@pytest.mark.parametrize(("extra", "tie"), [(0.0, True), (1e-13, True), (1e-6, False)])
+def test_ties_are_those_within_rounding(extra: float, tie: bool) -> None:
+    solution = GoalTask.solve([choice(extra)], ["mine"])
+    assert solution[0][0].tolist() == [True, tie, False]
+
+
+def test_an_unclear_tie_is_an_error_that_names_the_model() -> None:
+    with pytest.raises(DomainError, match="ambiguous tie in the second"):
+        GoalTask.solve([choice(0), choice(1e-9)], ["the first", "the second"])
+
+
+def test_a_task_without_a_plan_is_an_error_that_names_the_model() -> None:
+    task = choice(0)
+    lost = GoalTask(task.space, np.array([-1, -1, 2]), task.cost, task.terminal, 100.0, 0)
+    with pytest.raises(DomainError, match=r"unsolvable: the pessimist has no plan"):
+        GoalTask.solve([task, lost], ["mine", "the pessimist"])
+    dear = GoalTask(task.space, task.chosen, task.cost, task.terminal, 2.0, 0)
+    with pytest.raises(DomainError, match="dead_end_cost=2"):
+        GoalTask.solve([dear], ["mine"])
+
+
+def test_an_imagined_state_is_judged_in_place_of_the_real_one() -> None:
+    """Who takes state 0 for state 1 sees no sense in the way through 1, nor in the jump."""
+    task = choice(0)
+    imagined = np.array([1, 1, 2])
+    dreamer = GoalTask(
+        task.space, task.chosen, task.cost, task.terminal, 100.0, 0, imagined=imagined
+    )
+    transitions = np.array([[0, 0, 2], [0, 1, 1], [0, 2, 2], [1, 2, 2]])
+    assert task.explicable(transitions).tolist() == [True, True, False, True]
+    assert dreamer.explicable(transitions).tolist() == [False, False, True, True]
+    nowhere = GoalTask(
+        task.space, task.chosen, task.cost, task.terminal, 100.0, 0, imagined=np.array([-1, 1, 2])
+    )
+    assert nowhere.explicable(transitions).tolist() == [False, False, False, True]

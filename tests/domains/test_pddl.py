@@ -1,0 +1,229 @@
+"""PDDL tasks against unified-planning's simulator and Fast Downward, and their words."""
+
+from __future__ import annotations
+
+import warnings
+from fractions import Fraction
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+from tests.domains.configs import configured, domain_of, setting_of
+from xplain.domains.pddl.domain import PDDL
+from xplain.domains.pddl.reading import read_text
+
+up = pytest.importorskip("unified_planning", reason="pip install 'xplain-hri[pddl]'")
+
+NAMES = ["blocks", "logistics", "rover", "search_and_rescue"]
+
+
+def given(name: str) -> dict[str, Any]:
+    """The arguments in the configuration."""
+    node: Any = OmegaConf.to_container(configured(f"domain={name}").domain, resolve=True)
+    return {k: v for k, v in node.items() if not k.startswith("_")}
+
+
+def domain(name: str) -> PDDL:
+    made = domain_of(f"domain={name}")
+    assert isinstance(made, PDDL)
+    return made
+
+
+@pytest.fixture
+def problem(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The task of this name as unified-planning has it."""
+    from unified_planning.environment import get_environment
+    from unified_planning.io import PDDLReader
+
+    environment = get_environment()
+    monkeypatch.setattr(environment, "error_used_name", False)
+    monkeypatch.setattr(environment, "credits_stream", None)
+    texts = [read_text("", given(request.param)[key]) for key in ("file", "problem")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # an object may share its name with a type
+        return PDDLReader().parse_problem_string(*texts)
+
+
+def cost_of(problem: Any, action: Any) -> Fraction:
+    """Of an action with its arguments, by the problem's metric and initial values."""
+    (metric,) = problem.quality_metrics
+    cost = metric.costs[action.action]
+    if cost.is_fluent_exp():
+        binding = dict(zip(action.action.parameters, action.actual_parameters, strict=True))
+        arguments = [binding[argument.parameter()] for argument in cost.args]
+        cost = problem.initial_value(cost.fluent()(*arguments))
+    return Fraction(cost.constant_value())
+
+
+@pytest.mark.parametrize(("problem", "name"), [(n, n) for n in NAMES], indirect=["problem"])
+def test_the_best_plan_costs_what_fast_downwards_costs(problem: Any, name: str) -> None:
+    pytest.importorskip("up_fast_downward")
+    from unified_planning.engines import PlanGenerationResultStatus
+    from unified_planning.shortcuts import OneshotPlanner
+
+    # A* without a heuristic is optimal, and knows conditional effects.
+    search = {"fast_downward_search_config": "astar(blind())"}
+    with OneshotPlanner(name="fast-downward", params=search) as planner:
+        planner.skip_checks = True  # lengths are given for roads alone
+        found = planner.solve(problem)
+    assert found.status == PlanGenerationResultStatus.SOLVED_SATISFICING  # as always with options
+    cost = sum(cost_of(problem, action) for action in found.plan.actions)
+    made = domain(name)
+    robot = made.model({p.name: p.accurate for p in made.parameters})
+    assert robot.to_go[0] == cost
+    # Its plan is one of ours: every step of it is explicable to the robot.
+    state, names = 0, [action.split() for action in made.actions]
+    for action in found.plan.actions:
+        words = [action.action.name, *(str(x) for x in action.actual_parameters)]
+        a = names.index([word.lower() for word in words])
+        after = int(robot.successor[state, a, 0])
+        assert robot.explicable(np.array([[state, a, after]]))[0], words
+        state = after
+    assert robot.terminal[state]
+
+
+@pytest.mark.parametrize(("problem", "name"), [(n, n) for n in NAMES], indirect=["problem"])
+def test_the_robots_model_is_what_the_simulator_does(problem: Any, name: str) -> None:
+    """Walked at random: the same actions are applicable, and lead to the same atoms."""
+    from unified_planning.engines import UPSequentialSimulator
+
+    made = domain(name)
+    robot = made.model({p.name: p.accurate for p in made.parameters})
+    rng = np.random.default_rng(0)
+    fluents = {
+        " ".join([f.name, *(str(o) for o in objects)]).lower(): f(*objects)
+        for f in problem.fluents
+        if f.type.is_bool_type()
+        for objects in product(*(list(problem.objects(p.type)) for p in f.signature))
+    }
+    atoms = {" ".join(atom) for atom in made._beliefs.bits.atoms}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # lengths are given for roads alone
+        simulator = UPSequentialSimulator(problem, error_on_failed_checks=False)
+    with simulator:
+        for _ in range(8):
+            real, state = simulator.get_initial_state(), 0
+            for _ in range(12):
+                holds = {
+                    text for text, node in fluents.items()
+                    if text in atoms and real.get_value(node).is_true()
+                }  # fmt: skip
+                assert holds == {atom.strip("()") for atom in made.state(state)}
+                assert simulator.is_goal(real) == robot.terminal[state]
+                if robot.terminal[state]:
+                    break
+                possible = {
+                    " ".join([a.name, *(str(x) for x in objects)]).lower(): (a, objects)
+                    for a, objects in simulator.get_applicable_actions(real)
+                }
+                own = np.flatnonzero(robot.probability[state, :, 0])
+                assert set(possible) == {made.actions[a] for a in own}
+                a = int(rng.choice(own))
+                real = simulator.apply(real, *possible[made.actions[a]])
+                state = int(robot.successor[state, a, 0])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_fact_held_wrong_alone_matters(name: str) -> None:
+    made = domain(name)
+    assert len(made.parameters) >= 4
+    accurate = {p.name: p.accurate for p in made.parameters}
+    transitions = made.model(accurate).on_policy(made.starts)
+    for p in made.parameters:
+        wrong = made.model(accurate | {p.name: p.inaccurate})
+        assert not wrong.explicable(transitions).all(), p.name
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_labels_are_those_of_models_read_from_files_that_say_so(name: str) -> None:
+    """A fact given as a change is the fact that a changed file would give: the same labels."""
+    setting = setting_of(f"domain={name}")
+    transitions = setting.reachable
+    by_model = setting.label_by_model(transitions)
+    for model, labels in zip(setting.models, by_model, strict=True):
+        assert np.array_equal(model.explicable(transitions), labels.astype(bool))
+    assert by_model[0].all()
+
+
+def test_features_are_the_atoms_and_the_counts_asked_for() -> None:
+    made = domain("blocks")
+    column = dict(zip(made.feature_names, made.state_features.T, strict=True))
+    on = sum(column[name] for name in made.feature_names if name.startswith("on "))
+    assert np.array_equal(column["stacked"], on)
+    assert set(np.unique(column["free"])) <= set(range(5))
+    holding = sum(column[name] for name in made.feature_names if name.startswith("holding "))
+    robots = slice(0, made._beliefs._robot_states)  # others may believe in two hands
+    assert np.array_equal(column["handempty"][robots], 1 - holding[robots])
+
+
+def test_a_pattern_counts_the_ways_in_which_it_holds() -> None:
+    arguments = given("blocks") | {
+        "features": {"towers": ["(on ?x ?y)", "(ontable ?y)"], "under a": "(on a ?y)"}
+    }
+    made = PDDL(**arguments)
+    names = list(made.feature_names)
+    for s in range(len(made.state_features)):
+        atoms = [atom.strip("()").split() for atom in made.state(s)]
+        on = {(x[1], x[2]) for x in atoms if x[0] == "on"}
+        table = {x[1] for x in atoms if x[0] == "ontable"}
+        row = made.state_features[s]
+        assert row[names.index("towers")] == sum(y in table for _, y in on)
+        assert row[names.index("under a")] == sum(x == "a" for x, _ in on)
+
+
+def test_starts_are_where_they_are_said_to_be() -> None:
+    arguments = given("search_and_rescue")
+    assert PDDL(**arguments | {"starts": "initial"}).starts.tolist() == [0]
+    made = PDDL(**arguments | {"starts": 2})
+    robot = made.model({p.name: p.accurate for p in made.parameters})
+    within = {0}
+    for _ in range(2):
+        within |= {
+            int(robot.successor[s, a, 0])
+            for s in within
+            for a in np.flatnonzero(robot.probability[s, :, 0])
+        }
+    alive = {s for s in within if np.isfinite(robot.to_go[s]) and not robot.terminal[s]}
+    assert set(made.starts.tolist()) == alive
+    assert len(PDDL(**arguments | {"starts": "reachable"}).starts) > len(alive)
+
+
+def test_who_believes_in_another_start_holds_on_to_it_until_the_robot_touches_it() -> None:
+    """Going for the medkit in the store makes no sense to somebody who believes that it is in the
+    office; what comes after it was taken does."""
+    made = domain("search_and_rescue")
+    accurate = {p.name: p.accurate for p in made.parameters}
+    fact = next(p for p in made.parameters if p.name == "medkit")
+    robot, wrong = made.model(accurate), made.model(accurate | {"medkit": fact.inaccurate})
+    before = []
+    for transition in robot.on_policy(made.starts):
+        if "(medkit store)" not in made.state(transition[0]):
+            assert wrong.explicable(transition[None])[0], made.describe(transition)
+        else:
+            before.append(bool(wrong.explicable(transition[None])[0]))
+    assert not all(before)
+
+
+def test_phrases_come_from_names_and_templates(tmp_path: Path) -> None:
+    arguments = given("blocks")
+    plain = PDDL(**{k: v for k, v in arguments.items() if k != "words"})
+    robot = plain.model({p.name: p.accurate for p in plain.parameters})
+    a = plain.actions.index("unstack c b")
+    transition = np.array([0, a, int(robot.successor[0, a, 0])])
+    assert plain.describe(transition) == "unstack block c block b"
+    told = {"now clear b", "now holding c", "no longer clear c", "no longer handempty"}
+    assert set(plain.changes(transition)) == told | {"no longer c on b"}
+    assert domain("blocks").describe(transition) == "takes c off b"
+    told = {p.name: (p.message, p.belief) for p in plain.parameters}
+    assert told["top"] == ("The goal needs: d on a.", "The goal does not need: d on a.")
+
+
+def test_a_pkg_path_is_a_file_inside_a_package() -> None:
+    from importlib.resources import files
+
+    inside = files("xplain").joinpath("domains/pddl/tasks/blocks/domain.pddl")
+    assert read_text("", "pkg://xplain/domains/pddl/tasks/blocks/domain.pddl") == inside.read_text()

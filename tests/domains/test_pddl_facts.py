@@ -1,0 +1,337 @@
+"""What two tasks differ in, and what facts say; changes in YAML; facts without effect."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.domains.test_pddl import given
+from xplain.domains.pddl.changes import applied
+from xplain.domains.pddl.differences import differences
+from xplain.domains.pddl.domain import PDDL
+from xplain.domains.pddl.reading import read_task, read_text
+from xplain.domains.pddl.words import gerund
+
+pytest.importorskip("unified_planning", reason="pip install 'xplain-hri[pddl]'")
+
+KEYS = ("domain.file", "domain.problem")
+Edit = tuple[str, str]
+
+
+def pair(tmp_path: Path, name: str, domain: list[Edit], problem: list[Edit]) -> tuple[Any, Any]:
+    """The task of this name, and the task of its files with texts replaced."""
+    own = given(name)
+    paths = []
+    for key, edits in (("file", domain), ("problem", problem)):
+        text = read_text(key, own[key])
+        for old, new in edits:
+            assert text.count(old) == 1, f"{old} occurs {text.count(old)} times"
+            text = text.replace(old, new)
+        paths.append(tmp_path / f"{key}.pddl")
+        paths[-1].write_text(text, encoding="utf-8")
+    return (
+        read_task(own["file"], own["problem"], KEYS),
+        read_task(str(paths[0]), str(paths[1]), KEYS),
+    )
+
+
+PAIRS: list[tuple[str, list[Edit], list[Edit], dict[str, Any]]] = [
+    ("blocks", [], [], {}),
+    (
+        "blocks",
+        [("(clear ?x) (ontable ?x) (handempty))", "(ontable ?x) (clear ?x))")],
+        [],
+        {"pick_up_needs_handempty": {"action": "pick-up", "drop_precondition": "(handempty)"}},
+    ),
+    (  # only names and order differ
+        "blocks",
+        [
+            (
+                ":parameters (?x - block ?y - block)\n"
+                "    :precondition (and (holding ?x) (clear ?y))",
+                ":parameters (?top - block ?y - block)\n"
+                "    :precondition (and (clear ?y) (holding ?top))",
+            ),
+            (
+                "(and (on ?x ?y) (clear ?x) (handempty) (not (holding ?x)) (not (clear ?y))",
+                "(and (not (clear ?y)) (on ?top ?y) (clear ?top) (handempty) (not (holding ?top))",
+            ),
+        ],
+        [],
+        {},
+    ),
+    (
+        "blocks",
+        [("(ontable ?x) (clear ?x) (handempty) (not (holding ?x))", "(ontable ?x) (handempty)")],
+        [],
+        {
+            "put_down_makes_clear_x": {"action": "put-down", "drop_effect": "(clear ?x)"},
+            "put_down_makes_not_holding_x": {
+                "action": "put-down",
+                "drop_effect": "(not (holding ?x))",
+            },
+        },
+    ),
+    (
+        "blocks",
+        [],
+        [("(on c b) (clear c)", "(ontable c) (clear b) (clear c)"), (" (on d a)", "")],
+        {
+            "goal_on_d_a": {"drop_goal": "(on d a)"},
+            "start_on_c_b": {"drop_initial": "(on c b)"},
+            "start_ontable_c": {"add_initial": "(ontable c)"},
+            "start_clear_b": {"add_initial": "(clear b)"},
+        },
+    ),
+    (
+        "logistics",
+        [],
+        [("(length office market) 2", "(length office market) 7")],
+        {"value_length_office_market": {"function": "(length office market)", "value": 7.0}},
+    ),
+    (
+        "logistics",
+        [
+            (
+                "(increase (total-cost) (length ?from ?to))))\n\n  (:action fly",
+                "(increase (total-cost) 3)))\n\n  (:action fly",
+            )
+        ],
+        [],
+        {"drive_cost": {"action": "drive", "cost": 3.0}},
+    ),
+    (
+        "rover",
+        [
+            (
+                "(when (have-picture) (sent-picture))",
+                "(when (and (charged) (have-picture)) (sent-picture))",
+            )
+        ],
+        [],
+        {
+            "send_makes_have_picture_sent_picture": {
+                "action": "send",
+                "drop_effect": "(when (have-picture) (sent-picture))",
+            },
+            "send_makes_and_charged_have_picture_sent_picture": {
+                "action": "send",
+                "add_effect": "(when (and (charged) (have-picture)) (sent-picture))",
+            },
+        },
+    ),
+    (
+        "rover",
+        [
+            (
+                "\n  (:action clean\n    :parameters ()\n    :precondition (and (dusty))\n"
+                "    :effect (and (not (dusty)) (increase (total-cost) 1)))\n",
+                "\n  (:action wipe\n    :parameters (?w - waypoint)\n"
+                "    :precondition (and (at ?w))\n"
+                "    :effect (and (not (dusty)) (increase (total-cost) 1)))\n",
+            )
+        ],
+        [],
+        {"can_clean": {"drop_action": "clean"}, "can_wipe": {"add_action": "wipe"}},
+    ),
+    (
+        "search_and_rescue",
+        [
+            ("(rubble ?from ?to) (not (carrying)))", "(rubble ?from ?to))"),
+            ("(victim ?r) (treated))", "(victim ?r) (treated) (not (smoke ?r)))"),
+        ],
+        [("(medkit store)", "(medkit office)"), ("(safe))))", "(safe))))")][:1],
+        {
+            "climb_over_needs_not_carrying": {
+                "action": "climb-over",
+                "drop_precondition": "(not (carrying))",
+            },
+            "lift_needs_not_smoke_r": {"action": "lift", "add_precondition": "(not (smoke ?r))"},
+            "start_medkit_office": {"add_initial": "(medkit office)"},
+            "start_medkit_store": {"drop_initial": "(medkit store)"},
+        },
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "domain", "problem", "expected"), PAIRS)
+def test_two_tasks_differ_in_what_was_edited_no_more_and_no_less(
+    name: str, domain: list[Edit], problem: list[Edit], expected: dict[str, Any], tmp_path: Path
+) -> None:
+    robot, believed = pair(tmp_path, name, domain, problem)
+    found = differences(robot, believed, "domain.believed")
+    assert {one.name: dict(one.change) for one in found} == expected
+    # Made one after the other, they lead from one task to the other, and back.
+    changes = [one.change for one in found]
+    made = applied(robot, changes, believed.actions, "")
+    back = differences(believed, robot, "domain.believed")
+    again = applied(believed, [one.change for one in back], robot.actions, "")
+    for attribute in ("initial", "goal", "values"):
+        assert getattr(made, attribute) == getattr(believed, attribute)
+        assert getattr(again, attribute) == getattr(robot, attribute)
+    assert not differences(made, believed, "")
+    assert not differences(again, robot, "")
+
+
+def test_believed_files_make_a_domain_with_their_differences_as_facts(tmp_path: Path) -> None:
+    """Somebody who holds all of them wrong labels as one whose own task this is."""
+    pair(
+        tmp_path,
+        "search_and_rescue",
+        [("(victim ?r) (treated))", "(victim ?r))")],
+        [("(medkit store)", "(medkit office)")],
+    )
+    paths = {key: str(tmp_path / f"{key}.pddl") for key in ("file", "problem")}
+    own = given("search_and_rescue")
+    facts: dict[str, Any] = {"lift_needs_treated": {"message": "First treat, then lift."}}
+    with pytest.raises(ValueError, match=r"start_medkit_store=.*unsolvable: whoever believes"):
+        PDDL(**own | {"believed": paths, "facts": facts})
+    facts["medkit"] = {"join": ["start_medkit_office", "start_medkit_store"]}
+    made = PDDL(**own | {"believed": paths, "facts": facts})
+    assert [(p.name, p.message) for p in made.parameters] == [
+        ("lift_needs_treated", "First treat, then lift."),
+        ("medkit", "At the start: not a medkit in office. At the start: a medkit in store."),
+    ]
+    assert made.parameters[0].belief == "Lifting does not need: the victim treated."
+    wrong = made.model({p.name: p.inaccurate for p in made.parameters})
+    other = {"top": {"change": {"action": "treat", "cost": 2}}}
+    theirs = PDDL(**own | paths | {"facts": other})
+    task = theirs.model({p.name: p.accurate for p in theirs.parameters})
+    assert wrong.imagined is not None
+    assert wrong.to_go[wrong.imagined[0]] == task.to_go[0]
+    number = {theirs.state(s): s for s in range(len(theirs.state_features))}
+    action = {name: a for a, name in enumerate(theirs.actions)}
+    robot = made.model({p.name: p.accurate for p in made.parameters})
+    seen = 0
+    for s, a, after in robot.on_policy(made.starts).tolist():
+        before, then = (made.state(int(wrong.imagined[x])) for x in (s, after))
+        if before in number and then in number and made.actions[a] in action:
+            same = np.array([[number[before], action[made.actions[a]], number[then]]])
+            mine = wrong.explicable(np.array([[s, a, after]]))
+            assert mine.tolist() == task.explicable(same).tolist(), made.actions[a]
+            seen += 1
+    assert seen > 20
+
+
+def test_a_domain_file_alone_may_be_believed(tmp_path: Path) -> None:
+    pair(tmp_path, "blocks", [("(ontable ?x) (handempty))", "(ontable ?x))")], [])
+    made = PDDL(**given("blocks") | {"believed": str(tmp_path / "file.pddl"), "facts": {}})
+    assert [p.name for p in made.parameters] == ["pick_up_needs_handempty"]
+    assert made.parameters[0].message == "Picking up needs: the hand empty."
+
+
+def test_objects_must_be_the_same(tmp_path: Path) -> None:
+    robot, believed = pair(tmp_path, "blocks", [], [("a b c d - block", "a b c d e - block")])
+    with pytest.raises(ValueError, match=r"e - block.*objects and types must be the same"):
+        differences(robot, believed, "domain.believed")
+
+
+def test_a_fact_without_effect_is_named(caplog: pytest.LogCaptureFixture) -> None:
+    """Nobody ever drives from the crater to the ridge: what lies there is no matter."""
+    own = given("rover")
+    silent = {"change": {"action": "photograph", "drop_precondition": "(view ?w)"}}
+    facts = {
+        "battery": own["facts"]["battery"],
+        "silent": {"change": {"action": "charge", "cost": 900}},
+    }
+    with caplog.at_level(logging.WARNING):
+        PDDL(**own | {"facts": {"battery": own["facts"]["battery"], "view": silent}})
+    assert not caplog.messages
+    with caplog.at_level(logging.WARNING):
+        PDDL(**own | {"facts": facts, "starts": "initial"})
+    (message,) = caplog.messages
+    assert message.startswith("domain.facts.silent has no effect")
+
+
+def test_a_fact_that_matters_only_with_another_is_not_said_to_have_no_effect(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Two roads of which each is too long: a wrong length of one makes no difference while nobody
+    thinks that the other is short."""
+    own = given("logistics")
+    long = {"function": "(length office north)"}
+    facts = {
+        "longer": {"change": [long | {"value": 30}]},
+        "jam": own["facts"]["jam"],
+        "letter": own["facts"]["letter"],
+    }
+    with caplog.at_level(logging.WARNING):
+        made = PDDL(**own | {"facts": facts})
+    accurate = {p.name: p.accurate for p in made.parameters}
+    transitions = made.model(accurate).on_policy(made.starts)
+    values = {p.name: p.inaccurate for p in made.parameters}
+    alone = made.model(accurate | {"longer": values["longer"]}).explicable(transitions)
+    assert alone.all()
+    jam = made.model(accurate | {"jam": values["jam"]}).explicable(transitions)
+    both = made.model(values | {"letter": []}).explicable(transitions)
+    assert not np.array_equal(jam, both)
+    assert not caplog.messages
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("pick-up", "Picking up"),
+        ("put-down", "Putting down"),
+        ("drive", "Driving"),
+        ("stack", "Stacking"),
+        ("unload", "Unloading"),
+        ("sample_rock", "Sampling rock"),
+        ("free", "Freeing"),
+        ("fly", "Flying"),
+    ],
+)
+def test_gerunds(name: str, expected: str) -> None:
+    assert gerund(name) == expected
+
+
+CHANGES: list[tuple[str, Any, Callable[[Any, Any], bool], str]] = [
+    (
+        "blocks",
+        {"action": "Pick-Up", "add_precondition": "(not (on ?x a))"},
+        lambda a, b: len(b.actions["pick-up"].preconditions) == 4,
+        "Picking up does not need: not the block on a.",
+    ),
+    (
+        "blocks",
+        {"action": "stack", "add_effect": "(when (clear a) (not (ontable ?y)))"},
+        lambda a, b: len(b.actions["stack"].effects) == 6,
+        "Stacking does not lead to: not block y on the table (if nothing on a).",
+    ),
+    (
+        "logistics",
+        {"action": "load", "cost": "(length ?l north)"},
+        lambda a, b: b.actions["load"].cost == ("length", "?l", "north"),
+        "Loading costs 1.",
+    ),
+    (
+        "blocks",
+        {"add_goal": "(not (holding a))"},
+        lambda a, b: len(b.goal) == len(a.goal) + 1,
+        "The goal does not need: not holding a.",
+    ),
+    (
+        "rover",
+        {"drop_action": "clean"},
+        lambda a, b: set(a.actions) - set(b.actions) == {"clean"},
+        "The robot can clean.",
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "change", "holds", "message"), CHANGES)
+def test_changes_do_and_say_what_they_say(name: str, change: Any, holds: Any, message: str) -> None:
+    from xplain.domains.pddl.changes import checked
+    from xplain.domains.pddl.differences import told
+    from xplain.domains.pddl.words import Words
+
+    own = given(name)
+    task = read_task(own["file"], own["problem"], KEYS)
+    changes = checked("", change)
+    assert holds(task, applied(task, changes, {}, ""))
+    assert told(task, changes, Words(task, own["words"]))[0] == message

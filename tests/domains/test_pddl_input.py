@@ -1,0 +1,160 @@
+"""Bad input: one line that says what to mend."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.domains.test_pddl import given
+from xplain.domains.pddl.domain import PDDL
+from xplain.domains.pddl.reading import read_text
+from xplain.errors import XplainError
+from xplain.users.setting import Setting, UserType
+
+pytest.importorskip("unified_planning", reason="pip install 'xplain-hri[pddl]'")
+
+
+def edited(tmp_path: Path, key: str, old: str, new: str) -> dict[str, Any]:
+    """The blocks world with one text replaced in one of its files."""
+    own = given("blocks")
+    text = read_text(key, own[key])
+    assert old in text
+    del own["facts"]["top"]  # goals are edited here
+    path = tmp_path / f"{key}.pddl"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    return own | {key: str(path)}
+
+
+REQUIRES = ":requirements :strips"
+PRECONDITION = "(clear ?x) (ontable ?x) (handempty))"
+
+
+@pytest.mark.parametrize(
+    ("key", "old", "new", "text"),
+    [
+        (
+            "file",
+            PRECONDITION,
+            "(clear ?x (ontable ?x) (handempty))",
+            "domain.file=.* line 21, column",
+        ),
+        ("file", "(ontable ?x) (handempty))\n", "(ontabel ?x) (handempty))\n", "line 17, column"),
+        ("file", "(?x - block)\n", "(?x - blok)\n", "line 16, column .*blok"),
+        ("file", "(define", "define", "line 4, column"),
+        ("problem", "(handempty)\n", "(handempty\n", "domain.problem=.* line 1"),
+        ("problem", "(ontable d)", "(ontable z)", "line 7, column .*z"),
+        ("problem", "(:goal (and (on a b) (on b c) (on d a)))", "", "goal"),
+        ("file", REQUIRES, f"{REQUIRES} :durative-actions", "line 5: unsupported requirement :dur"),
+        ("file", REQUIRES, f"{REQUIRES} :adl", "unsupported requirement :adl; supported: :strips"),
+        ("file", REQUIRES, f"{REQUIRES} :derived-predicates", "requirement :derived-predicates"),
+        ("file", PRECONDITION, "(or (clear ?x) (ontable ?x)))", "unsupported: disjunctive cond"),
+        (
+            "file",
+            PRECONDITION,
+            "(forall (?y - block) (clear ?y)))",
+            "unsupported: universal conditions",
+        ),
+        (
+            "file",
+            "(not (handempty))\n                 (increase (total-cost) 1)",
+            "(forall (?y - block) (not (clear ?y))) (increase (total-cost) 1)",
+            "unsupported: forall effects",
+        ),
+        ("problem", "(:metric minimize (total-cost))", "", "unsupported: .*metric minimize"),
+        ("file", "(increase (total-cost) 1)", "(increase (total-cost) 0)", "must be > 0"),
+        ("file", "(increase (total-cost) 1)", "", "costs (nothing|0)"),
+        ("problem", "(on a b) (on b c) (on d a)", "(on a b) (on b a)", "unsolvable: the robot's"),
+        ("problem", "(and (on a b) (on b c) (on d a))", "(clear c)", "does not hold yet"),
+    ],
+)
+def test_a_bad_file_is_one_line(key: str, old: str, new: str, text: str, tmp_path: Path) -> None:
+    with pytest.raises(XplainError, match=text) as caught:
+        PDDL(**edited(tmp_path, key, old, new))
+    assert "\n" not in str(caught.value)
+
+
+def change(**fields: Any) -> dict[str, Any]:
+    return {"facts": {"x": {"change": fields}}}
+
+
+HANDS = {"action": "pick-up", "drop_precondition": "(handempty)"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"file": "nowhere.pddl"}, "domain.file='nowhere.pddl': cannot be read: No such file"),
+        ({"file": None}, "the path of a PDDL file"),
+        ({"problem": "pkg://nowhere/x.pddl"}, "domain.problem=.*cannot be read"),
+        ({"facts": {}}, "at least one fact"),
+        ({"facts": {"x": {}}}, "lacks change"),
+        ({"facts": {"x": {"change": HANDS, "why": "so"}}}, "unknown; known: change, join, message"),
+        ({"facts": {"x": {"change": HANDS, "message": ""}}}, "facts.x.message='': a sentence"),
+        ({"facts": {"x": {"change": []}}}, "a change or a list of changes"),
+        ({"facts": {"x": {"join": ["y"]}}}, "join='y': differences found: none"),
+        (change(action="pick-up"), "action with one of drop_precondition"),
+        (change(action="jump", cost=3), "unknown action; known: pick-up"),
+        (change(action="pick-up", cost=0), "a number > 0"),
+        (change(action="pick-up", cost="(weight ?x)"), "unknown function"),
+        (change(action="pick-up", drop_precondition="(holding ?x)"), "is not there; there are"),
+        (change(action="pick-up", add_precondition="(clear ?x)"), "is there already"),
+        (change(action="pick-up", add_precondition="(clear ?y)"), "unknown argument .y; known: .x"),
+        (change(action="pick-up", add_precondition="(clean ?x)"), "unknown predicate; known: on"),
+        (change(action="pick-up", add_precondition="(on ?x)"), "on has 2 arguments"),
+        (change(action="pick-up", add_precondition="clear ?x"), "an expression"),
+        (change(action="pick-up", add_precondition="(clear ?x"), "an expression"),
+        (change(action="pick-up", add_precondition="(not (clear ?x) (on ?x a))"), "a literal"),
+        (change(action="pick-up", add_effect="(when (clear a))"), "when condition literal"),
+        (change(add_initial="(not (clear a))"), "an atom such as"),
+        (change(function="(weight a)", value=3), "unknown function"),
+        (change(drop_goal="(on c d)"), "is not there"),
+        (change(drop_action="jump"), "unknown action"),
+        (
+            change(action="pick-up", drop_effect="(holding ?x)"),
+            "facts.x=.*unsolvable: whoever believes x",
+        ),
+        (change(add_goal="(on b a)"), "facts.x=.*unsolvable: whoever believes x"),
+        ({"believed": 3}, "a domain file, or"),
+        ({"words": {"jump": "jumps"}}, "unknown; known: pick-up"),
+        ({"words": {"pick-up": "picks up {y}"}}, "y is none of x"),
+        ({"words": {"pick-up": ""}}, "a line of text"),
+        ({"features": {"n": "(on ?x)"}}, "on has 2 arguments"),
+        ({"features": {"n": "(off ?x)"}}, "an atom of one of the predicates"),
+        ({"features": {"n": []}}, "an atom such as"),
+        ({"features": {"n": "(on ?x z)"}}, "unknown object z"),
+        ({"features": {"clear a": "(clear a)"}}, "names that no atom has"),
+        ({"starts": "somewhere"}, "initial, reachable, or a number"),
+        ({"starts": -1}, "initial, reachable, or a number"),
+        ({"dead_end_cost": 0}, "a number > 0"),
+        ({"dead_end_cost": 8}, "unsolvable: the robot's model has no plan .*dead_end_cost=8"),
+        ({"max_states": 50}, r"domain.max_states=50: .* reach more states"),
+        ({"max_states": 0}, "a whole number"),
+    ],
+)
+def test_a_bad_value_is_one_line(changes: dict[str, Any], text: str) -> None:
+    with pytest.raises(XplainError, match=text) as caught:
+        PDDL(**given("blocks") | changes)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_type_whose_beliefs_leave_no_plan_is_named() -> None:
+    """Each of two facts alone leaves a plan below the cost of a dead end, 1000."""
+    facts = {
+        "dear": {"change": {"action": "unstack", "cost": 300}},
+        "far": {"change": {"action": "stack", "cost": 250}},
+    }
+    made = PDDL(**given("blocks") | {"facts": facts})
+    wrong = {p.name: p.inaccurate for p in made.parameters}
+    with pytest.raises(XplainError, match=r"type A wrong on \['dear', 'far'\] has no plan"):
+        Setting.build(made, (UserType("A", wrong),))
+    with pytest.raises(XplainError, match="the change in the configuration, or none"):
+        made.model({"dear": [], "far": [{"action": "stack", "cost": 3}]})
+
+
+def test_without_unified_planning_the_error_names_the_fix(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "unified_planning.io", None)
+    with pytest.raises(XplainError, match=r"pip install 'xplain-hri\[pddl\]'"):
+        PDDL(**given("blocks"))

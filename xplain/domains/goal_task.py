@@ -1,0 +1,264 @@
+"""Deterministic tasks that end at a goal, undiscounted: every action costs, the cheapest plan is
+best, and a state without a plan costs a given number (docs/method.md, section 1).
+
+A discount would reorder plans by when their costs fall due. Many beliefs about one task share its
+states and edges (:class:`StateSpace`); a belief says which edges there are, what they cost, and
+where the goal is (:class:`GoalTask`). Shortest ways to the goal solve it exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.domains.mdp import CLEAR, TIE
+from xplain.domains.shortest_ways import shortest_ways
+from xplain.errors import DomainError
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """S states and all E edges between them that anybody believes in.
+
+    An action may do different things in different beliefs: each is a variant of it.
+
+    Attributes:
+        n_states, n_actions: S and A.
+        action: [V] int32, the action that each variant is one of.
+        first: [S + 1] int64, the edges of state s are first[s] to first[s + 1].
+        variant: [E] int32, rising within a state.
+        successor: [E] int32.
+    """
+
+    n_states: int
+    n_actions: int
+    action: NDArray[np.int32]
+    first: NDArray[np.int64]
+    variant: NDArray[np.int32]
+    successor: NDArray[np.int32]
+
+    @cached_property
+    def source(self) -> NDArray[np.int32]:
+        """[E] the state that each edge leaves."""
+        return np.repeat(np.arange(self.n_states, dtype=np.int32), np.diff(self.first))
+
+    @cached_property
+    def backwards(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The edges by the state they reach: [S + 1] first of each state, [E] their numbers."""
+        order = np.argsort(self.successor, kind="stable")
+        count = np.bincount(self.successor, minlength=self.n_states)
+        return np.concatenate([[0], np.cumsum(count)]).astype(np.int64), order
+
+    def edges(self, states: NDArray[np.int64], variants: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The edge of each (state [T], variant [T]); −1 where there is none."""
+        keys = self._keys
+        wanted = states.astype(np.int64) * len(self.action) + variants
+        at = np.minimum(np.searchsorted(keys, wanted), max(len(keys) - 1, 0))
+        found = (keys[at] == wanted) if len(keys) else np.zeros(len(wanted), dtype=bool)
+        return np.where(found & (variants >= 0) & (states >= 0), at, -1)
+
+    @cached_property
+    def _keys(self) -> NDArray[np.int64]:
+        return self.source.astype(np.int64) * len(self.action) + self.variant
+
+
+@dataclass(frozen=True, eq=False)
+class GoalTask:
+    """Somebody's idea of the task.
+
+    Attributes:
+        space: shared by all ideas of it.
+        chosen: [A] the variant of each action; −1 where the action is never available.
+        cost: [A] > 0, of each action.
+        terminal: [S] bool, where the goal holds; nothing happens there.
+        dead_end_cost: of having no plan. A plan that costs as much is none.
+        start: where the task starts; it must have a plan.
+        imagined: [S] the state that somebody takes each state for, who believes that the task
+            started in another one; −1 for none of ours. None: they see it as it is.
+    """
+
+    space: StateSpace
+    chosen: NDArray[np.int64]
+    cost: NDArray[np.float64]
+    terminal: NDArray[np.bool_]
+    dead_end_cost: float
+    start: int
+    imagined: NDArray[np.int64] | None = None
+
+    discount = 1.0
+
+    @property
+    def n_states(self) -> int:
+        """S, the number of states, terminal ones included."""
+        return self.space.n_states
+
+    @property
+    def n_actions(self) -> int:
+        """A, the number of actions, whether available in a state or not."""
+        return self.space.n_actions
+
+    @cached_property
+    def _variant_cost(self) -> NDArray[np.float64]:
+        """[V] ∞ where a variant is not believed in."""
+        result = np.full(len(self.space.action), np.inf)
+        own = self.chosen >= 0
+        result[self.chosen[own]] = self.cost[own]
+        return result
+
+    @cached_property
+    def to_go(self) -> NDArray[np.float64]:
+        """[S] the cost of the cheapest plan, exact up to rounding; ∞ in dead ends."""
+        first, order = self.space.backwards
+        result = np.full(self.n_states, np.inf)
+        shortest_ways(
+            first, order, self.space.source, self.space.variant, self._variant_cost,
+            self.terminal, result,
+        )  # fmt: skip
+        result[result >= self.dead_end_cost] = np.inf
+        return result
+
+    def gap(self, edges: NDArray[np.int64]) -> NDArray[np.float64]:
+        """How much more it costs to take an edge and go on best than to go on best, for edges [T]:
+        relative to the dearest best plan. ∞ where the edge is not believed in, leads to a dead end,
+        or leaves a terminal state."""
+        before, variant = self.space.source[edges], self.space.variant[edges]
+        behind = self._variant_cost[variant] + self.to_go[self.space.successor[edges]]
+        none = ~np.isfinite(behind) | ~np.isfinite(self.to_go[before]) | self.terminal[before]
+        more = np.where(none, np.inf, behind) - np.where(none, 0.0, self.to_go[before])
+        dearest = self.to_go[np.isfinite(self.to_go)].max(initial=0.0)
+        return np.asarray(more / max(dearest, 1e-12))
+
+    def explicable(self, transitions: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which transitions [T, 3] are on a cheapest plan, and come out as believed: [T]."""
+        edge = self._edges(transitions)
+        result = edge >= 0
+        result[result] = self.gap(edge[result]) <= TIE
+        return result
+
+    def possible(self, transitions: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which transitions [T, 3] of (s, a, s') come out as believed: [T]."""
+        return self._edges(transitions) >= 0
+
+    def _edges(self, transitions: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The edge of each transition as it is imagined; −1 where there is none."""
+        s, a, after = transitions.T
+        if self.imagined is not None:
+            s, after = self.imagined[s], self.imagined[after]
+        edge = self.space.edges(s, self.chosen[a])
+        there = edge >= 0
+        there[there] = self.space.successor[edge[there]] == after[there]
+        return np.where(there, edge, -1)
+
+    def steps_from(self, state: int) -> NDArray[np.float64]:
+        """[S] the number of actions on the shortest way from a state; ∞ where there is none."""
+        own = np.isfinite(self._variant_cost)[self.space.variant]
+        return self._steps(np.array([state]), own & ~self.terminal[self.space.source])
+
+    def on_policy(self, starts: NDArray[np.int64]) -> NDArray[np.int64]:
+        """[T, 3] every transition on a cheapest plan from one of the states."""
+        best = self.gap(np.arange(len(self.space.variant))) <= TIE
+        best &= np.isfinite(self._steps(starts, best))[self.space.source]
+        source, after = self.space.source[best], self.space.successor[best]
+        action = self.space.action[self.space.variant[best]]
+        return np.stack([source, action, after], axis=1).astype(np.int64)
+
+    def _steps(self, starts: NDArray[np.int64], edges: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """[S] the number of these edges on the shortest way from any of the starts."""
+        source, after = self.space.source[edges], self.space.successor[edges]
+        result = np.full(self.n_states, np.inf)
+        result[starts] = 0
+        for step in range(1, self.n_states + 1):
+            new = after[(result[source] == step - 1) & np.isinf(result[after])]
+            if not len(new):
+                break
+            result[new] = step
+        return result
+
+    @cached_property
+    def optimal(self) -> NDArray[np.bool_]:
+        """[S, A] the actions on a cheapest plan from each state as it is."""
+        result = np.zeros((self.n_states, self.n_actions), dtype=bool)
+        best = self.gap(np.arange(len(self.space.variant))) <= TIE
+        result[self.space.source[best], self.space.action[self.space.variant[best]]] = True
+        return result
+
+    @cached_property
+    def successor(self) -> NDArray[np.int32]:
+        """[S, A, 1] as in :class:`~xplain.domains.mdp.MDP`; made when asked for."""
+        return self._table(self.space.successor, np.int32)
+
+    @cached_property
+    def probability(self) -> NDArray[np.float32]:
+        """[S, A, 1] of 0 and 1, as in :class:`~xplain.domains.mdp.MDP`."""
+        return self._table(np.ones(len(self.space.variant)), np.float32)
+
+    @property
+    def reward(self) -> NDArray[np.float64]:
+        """[S, A, 1] the costs, negative; as in :class:`~xplain.domains.mdp.MDP`."""
+        return -self._table(self._variant_cost[self.space.variant], np.float64)
+
+    def _table(self, of_edges: NDArray[Any], kind: type) -> NDArray[Any]:
+        """[S, A, 1] what the edges that are believed in have, 0 elsewhere."""
+        result: NDArray[Any] = np.zeros((self.n_states, self.n_actions, 1), dtype=kind)
+        own = np.isfinite(self._variant_cost)[self.space.variant]
+        own &= ~self.terminal[self.space.source]
+        action = self.space.action[self.space.variant[own]]
+        result[self.space.source[own], action, 0] = of_edges[own]
+        return result
+
+    def solved(self, who: str) -> None:
+        """Makes sure that the task has a plan, and that its ties are clear.
+
+        Args:
+            who: believes in it, for errors.
+
+        Raises:
+            DomainError: it has none, or two actions are neither clearly as good nor clearly not.
+        """
+        start = self.start if self.imagined is None else int(self.imagined[self.start])
+        if start < 0 or not np.isfinite(self.to_go[start]):
+            raise DomainError(
+                f"domain: unsolvable: {who} has no plan that reaches the goal for less than "
+                f"domain.dead_end_cost={self.dead_end_cost:g}"
+            )
+        gap = self.gap(np.arange(len(self.space.variant)))
+        unclear = np.flatnonzero((gap > TIE) & (gap < CLEAR))
+        if len(unclear):
+            edge = unclear[0]
+            raise DomainError(
+                f"domain: ambiguous tie in {who}, state {self.space.source[edge]}, action "
+                f"{self.space.action[self.space.variant[edge]]}: it costs {gap[edge]:.1e} of "
+                f"the dearest plan more; change a cost so that gaps are 0 or above {CLEAR:g}"
+            )
+
+    @staticmethod
+    def solve(models: Sequence[GoalTask], names: Sequence[str]) -> GoalSolution:
+        """All of them solved.
+
+        Raises:
+            DomainError: see :meth:`solved`.
+        """
+        for model, name in zip(models, names, strict=True):
+            model.solved(name)
+        return GoalSolution(tuple(models))
+
+
+@dataclass(frozen=True)
+class GoalSolution:
+    """What is optimal in each of B goal tasks (:class:`xplain.domains.mdp.Solution`)."""
+
+    models: tuple[GoalTask, ...]
+
+    def __getitem__(self, index: int) -> NDArray[np.bool_]:
+        """[S, A] the optimal actions of one; a table is made when asked for."""
+        return self.models[index].optimal
+
+    def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """[B, T] explicable or not."""
+        found = [model.explicable(transitions) for model in self.models]
+        return np.array(found, dtype=np.uint8)

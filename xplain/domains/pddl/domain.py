@@ -1,0 +1,271 @@
+"""A planning task in PDDL as a domain: ``domain=pddl``."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from itertools import chain, combinations, islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.domains.base import Parameter
+from xplain.domains.goal_task import GoalTask
+from xplain.domains.pddl.beliefs import Beliefs, Wrong
+from xplain.domains.pddl.changes import Change, applied, checked
+from xplain.domains.pddl.differences import differences, told
+from xplain.domains.pddl.features import counts
+from xplain.domains.pddl.reading import read_task
+from xplain.domains.pddl.task import Action, pddl
+from xplain.domains.pddl.words import Words
+from xplain.errors import DomainError, InputError, number, whole_number
+
+log = logging.getLogger(__name__)
+
+COMBINATIONS = 1024
+"""Sets of facts held wrong that are tried before a fact is said to have no effect."""
+
+
+class PDDL:
+    """A task in PDDL: STRIPS with types, equality, negative preconditions, conditional effects and
+    action costs. States are those that the robot's task or a believed one reaches, from the states
+    that the robot can reach; actions are the ground ones that occur between them.
+
+    Undiscounted: plans are compared by what they cost, each action 1 where the files have no
+    metric. Somebody who believes that the start was another sees the robot's states so, for as long
+    as the robot has changed nothing of what this belief is about. In a state without a plan no
+    action makes sense to them.
+
+    Args:
+        file, problem: the robot's domain and problem; ``pkg://package/path`` is a file inside an
+            installed package.
+        believed: what people believe, as the path of another domain file, or ``{file, problem}``
+            (either may be missing): every difference becomes a parameter.
+        facts: ``{name: {change, message, belief}}``. ``change`` is one change or a list of them
+            (:mod:`xplain.domains.pddl.changes`); without it, the words are those of the difference
+            of this name, or of those that ``join`` lists, which are one fact then. Words not given
+            are made from the change.
+        words: see :class:`~xplain.domains.pddl.words.Words`.
+        features: counts for a labeler, besides the atoms: ``{name: pattern, or a list of them}``,
+            for how many ways of replacing ``?x`` all patterns hold, such as (at ?package airport).
+        starts: where traces start, equally likely: ``initial``; ``reachable``, every state that the
+            robot can reach and finish from; a number, those within so many actions of the initial
+            one.
+        dead_end_cost: of having no plan; nobody believes in a plan that costs as much.
+        max_states: a task with more is refused.
+        name: of the domain.
+
+    Raises:
+        XplainError: unified-planning is not installed.
+        InputError: a file or a value is not allowed; whoever believes a fact alone has no plan.
+        DomainError: the robot has no plan, or its ties are ambiguous.
+        TooLargeError: more than ``max_states`` states.
+    """
+
+    def __init__(
+        self,
+        file: str,
+        problem: str,
+        believed: str | Mapping[str, str] | None = None,
+        facts: Mapping[str, Mapping[str, Any]] | None = None,
+        words: Mapping[str, str] | None = None,
+        features: Mapping[str, str | Sequence[str]] | None = None,
+        starts: str | int = "initial",
+        dead_end_cost: float = 1000.0,
+        max_states: int = 100_000,
+        name: str = "pddl",
+    ) -> None:
+        """Reads the files, explores the states and tries every fact."""
+        self.name = name
+        self.dead_end_cost = number("domain.dead_end_cost", dead_end_cost)
+        if self.dead_end_cost <= 0:
+            raise InputError("domain.dead_end_cost", dead_end_cost, "a number > 0")
+        whole_number("domain.max_states", max_states, 1)
+        self.task = read_task(file, problem, ("domain.file", "domain.problem"))
+        self.words = Words(self.task, words or {})
+        found, more = self._differences(file, problem, believed)
+        self.parameters = self._parameters(facts or {}, found, more)
+        facts_held = [parameter.inaccurate for parameter in self.parameters]
+        self._beliefs = Beliefs(self.task, facts_held, more, self.dead_end_cost, max_states)
+        self._model = cache(self._beliefs.model)
+        self._name_states(features or {})
+        robot = self._model(frozenset())
+        robot.solved("the robot's model")
+        self.starts = self._starts(starts, robot)
+        self._try_facts(robot)
+
+    def _differences(
+        self, file: str, problem: str, believed: Any
+    ) -> tuple[dict[str, list[Change]], Mapping[str, Action]]:
+        """The facts in which two tasks differ, by name; the actions of the believed task."""
+        if believed is None:
+            return {}, {}
+        both = {"file": believed} if isinstance(believed, str) else believed
+        if not isinstance(both, Mapping) or not both or set(both) - {"file", "problem"}:
+            raise InputError("domain.believed", believed, "a domain file, or {file, problem}")
+        keys = ("domain.believed.file", "domain.believed.problem")
+        other = read_task(both.get("file", file), both.get("problem", problem), keys)
+        found = differences(self.task, other, "domain.believed")
+        return {one.name: [dict(one.change)] for one in found}, other.actions
+
+    def _parameters(
+        self,
+        given: Mapping[str, Any],
+        found: Mapping[str, list[Change]],
+        more: Mapping[str, Action],
+    ) -> tuple[Parameter, ...]:
+        """The facts found, then those given; the robot's value is no change."""
+        if not isinstance(given, Mapping):
+            raise InputError("domain.facts", given, "{name: {change, message, belief}}")
+        result = []
+        joined = {name for fields in given.values() for name in _joined(fields)}
+        for fact in dict.fromkeys([*(name for name in found if name not in joined), *given]):
+            key, fields = f"domain.facts.{fact}", given.get(fact, {})
+            if not isinstance(fields, Mapping):
+                raise InputError(key, fields, "the fields change, message, belief")
+            if unknown := fields.keys() - {"change", "join", "message", "belief"}:
+                raise InputError(key, min(unknown), "unknown; known: change, join, message, belief")
+            own = found.get(fact)
+            if "join" in fields:
+                if absent := [name for name in _joined(fields) if name not in found]:
+                    known = ", ".join(found) or "none"
+                    raise InputError(f"{key}.join", absent[0], f"differences found: {known}")
+                own = [change for name in _joined(fields) for change in found[name]]
+            if "change" not in fields and own is None:
+                raise InputError(key, dict(fields), "lacks change")
+            changes = checked(f"{key}.change", fields.get("change", own))
+            applied(self.task, changes, more, f"{key}.change")
+            so, believed = told(self.task, changes, self.words)
+            texts = fields.get("message", so), fields.get("belief", believed)
+            for field, text in zip(("message", "belief"), texts, strict=True):
+                if not isinstance(text, str) or not text.strip():
+                    raise InputError(f"{key}.{field}", text, "a sentence")
+            # Plain values: a type's models are told apart by them.
+            plain = [dict(change) for change in changes]
+            result.append(Parameter(str(fact), [], plain, *texts))
+        if not result:
+            raise InputError("domain.facts", dict(given), "at least one fact, here or by believed")
+        return tuple(result)
+
+    def model(self, values: Mapping[str, Any]) -> GoalTask:
+        """The task of someone who holds these values.
+
+        Raises:
+            InputError: a value is neither the robot's nor the inaccurate one.
+        """
+        wrong = set()
+        for j, parameter in enumerate(self.parameters):
+            value = values[parameter.name]
+            if value == parameter.inaccurate:
+                wrong.add(j)
+            elif value != parameter.accurate:
+                key = f"domain.facts.{parameter.name}"
+                raise InputError(key, value, "the change in the configuration, or none")
+        return self._model(frozenset(wrong))
+
+    def _name_states(self, given: Mapping[str, str | Sequence[str]]) -> None:
+        """Names of actions and features; features are the atoms that differ between states."""
+        self.actions = tuple(" ".join(action) for action in self._beliefs.actions)
+        table = self._beliefs.bits.table(self._beliefs.states)
+        varying = np.flatnonzero(table.any(axis=0) & ~table.all(axis=0))
+        names = [" ".join(self._beliefs.bits.atoms[i]) for i in varying]
+        counted = [
+            counts(f"domain.features.{name}", patterns, self.task, self._beliefs.bits.number, table)
+            for name, patterns in given.items()
+        ]
+        self.feature_names = (*names, *map(str, given))
+        if len(set(self.feature_names)) < len(self.feature_names):
+            raise InputError("domain.features", list(given), "names that no atom has")
+        self.state_features = np.column_stack([table[:, varying], *counted]).astype(np.float64)
+
+    def _starts(self, starts: object, robot: GoalTask) -> NDArray[np.int64]:
+        """See the class."""
+        solvable = np.isfinite(robot.to_go) & ~robot.terminal
+        if starts == "initial":
+            steps: float = 0
+        elif starts == "reachable":
+            steps = np.inf
+        else:
+            allowed = "initial, reachable, or a number of actions"
+            if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
+                raise InputError("domain.starts", starts, allowed)
+            steps = starts
+        away = robot.steps_from(0)
+        found = np.flatnonzero(np.isfinite(away) & (away <= steps) & solvable)
+        if not len(found):
+            raise InputError("domain.starts", starts, "a state where the goal does not hold yet")
+        return found
+
+    def _try_facts(self, robot: GoalTask) -> None:
+        """Warns of facts that change no label of what the robot may do, whatever else is believed.
+
+        Raises:
+            InputError: whoever believes one of the facts alone has no plan.
+        """
+        n = len(self.parameters)
+        for j, parameter in enumerate(self.parameters):
+            try:
+                self._model(frozenset({j})).solved(f"whoever believes {parameter.name}")
+            except DomainError as error:
+                changes = parameter.inaccurate
+                raise InputError(f"domain.facts.{parameter.name}", changes, str(error)) from None
+        transitions = robot.on_policy(self.starts)
+
+        @cache
+        def labels(wrong: Wrong) -> bytes:
+            found = self._beliefs.model(wrong).explicable(transitions)
+            return np.packbits(found).tobytes()
+
+        everything = frozenset(range(n))
+        sets = islice(_subsets(n), COMBINATIONS)
+        silent = everything
+        for wrong in chain([frozenset(), everything], sets):
+            silent -= {j for j in silent if labels(wrong) != labels(wrong ^ {j})}
+            if not silent:
+                break
+        for j in sorted(silent):
+            log.warning(
+                "domain.facts.%s has no effect: no best plan of the robot's is more or less "
+                "explicable to somebody who believes it",
+                self.parameters[j].name,
+            )
+
+    def describe(self, transition: NDArray[np.int64]) -> str:
+        """The action and its arguments: "pick up block a"."""
+        name, *arguments = self._beliefs.actions[int(transition[1])]
+        return self.words.act(name, arguments)
+
+    def changes(self, transition: NDArray[np.int64]) -> tuple[str, ...]:
+        """What a transition makes true and false: "now holding a", "no longer clear a"."""
+        before, after = self._beliefs.bits.table(self._beliefs.states[transition[[0, 2]]])
+        atoms = self._beliefs.bits.atoms
+        return self.words.changes(
+            *([atoms[i] for i in np.flatnonzero(row)] for row in (before, after))
+        )
+
+    def state(self, number: int) -> tuple[str, ...]:
+        """The atoms that hold in a state, of those that can change, as PDDL writes them."""
+        row = self._beliefs.bits.table(self._beliefs.states[[number]])[0]
+        return tuple(pddl(self._beliefs.bits.atoms[i]) for i in np.flatnonzero(row))
+
+    def position(self, state: int) -> None:
+        """None: there is no map."""
+
+    @property
+    def scene(self) -> None:
+        """None: there is no map."""
+        return None
+
+
+def _subsets(n: int) -> Iterator[Wrong]:
+    """The sets of n facts, small ones first."""
+    for size in range(n + 1):
+        yield from map(frozenset, combinations(range(n), size))
+
+
+def _joined(fields: Any) -> list[str]:
+    """The names of the differences that a fact joins."""
+    given = fields.get("join", []) if isinstance(fields, Mapping) else []
+    return list(given) if isinstance(given, list) else [given]

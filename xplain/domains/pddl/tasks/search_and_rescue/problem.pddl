@@ -1,0 +1,23 @@
+; The victim lies in the ward. The short way leads through a corridor that debris blocks; the long
+; one through a laboratory full of smoke; rubble can be climbed over from the store.
+(define (problem ward)
+  (:domain search-and-rescue)
+  (:objects hall corridor office laboratory store ward - room)
+  (:init
+    (at entrance)
+    (door entrance hall) (door hall entrance)
+    (door hall corridor) (door corridor hall)
+    (door hall office) (door office hall)
+    (door hall store) (door store hall)
+    (door office laboratory) (door laboratory office)
+    (door laboratory ward) (door ward laboratory)
+    (door corridor ward) (door ward corridor)
+    (rubble store ward) (rubble ward store)
+    (rubble entrance office) (rubble office entrance)
+    (blocked hall corridor) (blocked corridor hall)
+    (smoke laboratory)
+    (medkit store)
+    (victim ward)
+    (= (total-cost) 0))
+  (:goal (and (safe)))
+  (:metric minimize (total-cost)))
