@@ -109,7 +109,10 @@ def explain_costs(model: Model) -> NDArray[np.float64]:
 
 def explain_cost_at(model: Model, step: int, given: int | NDArray[np.int64]) -> NDArray[np.float64]:
     """C_t(k, H) at one k: [N], or [B, N] for B message sets."""
-    p = take(model, model.p[: step + 1], given)
+    if model.rows is None:
+        p = model.p[: step + 1, given]
+    else:
+        p = model.p[: step + 1, rows_at(model.rows, given), np.arange(model.n_types)]
     zeros: NDArray[np.float64] = np.add.reduce(1 - p, axis=0)
     return model.inexplicability * zeros
 
@@ -117,10 +120,10 @@ def explain_cost_at(model: Model, step: int, given: int | NDArray[np.int64]) -> 
 def take(
     model: Model, table: NDArray[np.float64], given: int | NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Every type's entry for H of a table [.., rows, N]: [.., N], or [.., B, N] for B sets."""
+    """Every type's entry for H of a table [rows, N]: [N], or [B, N] for B sets."""
     if model.rows is None:
-        return table[..., given, :]
-    return table[..., rows_at(model.rows, given), np.arange(model.n_types)]
+        return table[given]
+    return table[rows_at(model.rows, given), np.arange(model.n_types)]
 
 
 def optimal_values(model: Model) -> NDArray[np.float64]:
