@@ -144,7 +144,7 @@ def main() -> None:
     quick = parser.parse_args().quick
     sizes = [(6, 4, "reachable")]
     if not quick:
-        sizes += [(6, 5, "8"), (7, 5, "8"), (8, 6, "8")]
+        sizes += [(6, 5, "8"), (7, 5, "8")]
     table = Table(
         "states", "actions", "starts", "domain (s)", "first result (s)", "of CPU",
         "peak (GiB)",

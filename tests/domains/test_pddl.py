@@ -227,3 +227,48 @@ def test_a_pkg_path_is_a_file_inside_a_package() -> None:
 
     inside = files("xplain").joinpath("domains/pddl/tasks/blocks/domain.pddl")
     assert read_text("", "pkg://xplain/domains/pddl/tasks/blocks/domain.pddl") == inside.read_text()
+
+
+SWAPS = """(define (domain swaps)
+  (:requirements :strips :typing :conditional-effects)
+  (:types place)
+  (:constants a b - place)
+  (:predicates (at ?x - place) (done))
+  (:action move :parameters (?x ?y - place) :precondition (at ?x)
+    :effect (and (not (at ?x)) (at ?y)))
+  (:action swap :parameters ()
+    :effect (and (when (at a) (at b)) (when (at a) (not (at a)))
+                 (when (at b) (at a)) (when (at b) (not (at b)))))
+  (:action finish :parameters () :precondition (at b) :effect (done)))
+"""
+
+
+def test_effects_happen_at_once_and_what_is_added_stays(tmp_path: Path) -> None:
+    """By PDDL's definition: moving from a to a leaves the robot there; a swap swaps once."""
+    (tmp_path / "d.pddl").write_text(SWAPS)
+    (tmp_path / "p.pddl").write_text(
+        "(define (problem p) (:domain swaps) (:init (at a)) (:goal (done)))"
+    )
+    facts = {"swap": {"change": {"action": "finish", "add_precondition": "(not (at a))"}}}
+    facts["dear"] = {"change": {"action": "swap", "cost": 3}}
+    made = PDDL(str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), facts=facts)
+    robot = made.model({p.name: p.accurate for p in made.parameters})
+    number = {made.state(s): s for s in range(len(made.state_features))}
+    assert set(number) == {("(at a)",), ("(at b)",), ("(at b)", "(done)")}
+    at = {name: number[f"(at {name})",] for name in "ab"}
+    leads = {
+        (name, action): made.state(int(robot.successor[at[name], a, 0]))
+        for name in "ab"
+        for a, action in enumerate(made.actions)
+        if robot.probability[at[name], a, 0]
+    }
+    assert leads == {
+        ("a", "move a a"): ("(at a)",),
+        ("a", "move a b"): ("(at b)",),
+        ("a", "swap"): ("(at b)",),
+        ("b", "move b a"): ("(at a)",),
+        ("b", "move b b"): ("(at b)",),
+        ("b", "swap"): ("(at a)",),
+        ("b", "finish"): ("(at b)", "(done)"),
+    }
+    assert robot.to_go[0] == 2  # actions cost 1 where there is no metric
