@@ -24,6 +24,10 @@ VARIANTS = {
     "domain/cliff_walking",
     "domain/frozen_lake",
     "domain/taxi",
+    "domain/blocks",
+    "domain/logistics",
+    "domain/rover",
+    "domain/search_and_rescue",
 }
 """Files that choose other values for a class whose base is another file, or describe one of many
 tasks."""

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from itertools import chain, combinations, islice
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from xplain.domains.pddl.words import Words
 from xplain.errors import DomainError, InputError, number, whole_number
 
 log = logging.getLogger(__name__)
+
+NONE: Mapping[str, Any] = MappingProxyType({})
 
 COMBINATIONS = 1024
 """Sets of facts held wrong that are tried before a fact is said to have no effect."""
@@ -69,9 +72,9 @@ class PDDL:
         file: str,
         problem: str,
         believed: str | Mapping[str, str] | None = None,
-        facts: Mapping[str, Mapping[str, Any]] | None = None,
-        words: Mapping[str, str] | None = None,
-        features: Mapping[str, str | Sequence[str]] | None = None,
+        facts: Mapping[str, Mapping[str, Any]] = NONE,
+        words: Mapping[str, str] = NONE,
+        features: Mapping[str, str | Sequence[str]] = NONE,
         starts: str | int = "initial",
         dead_end_cost: float = 1000.0,
         max_states: int = 100_000,
@@ -84,13 +87,13 @@ class PDDL:
             raise InputError("domain.dead_end_cost", dead_end_cost, "a number > 0")
         whole_number("domain.max_states", max_states, 1)
         self.task = read_task(file, problem, ("domain.file", "domain.problem"))
-        self.words = Words(self.task, words or {})
+        self.words = Words(self.task, words)
         found, more = self._differences(file, problem, believed)
-        self.parameters = self._parameters(facts or {}, found, more)
+        self.parameters = self._parameters(facts, found, more)
         facts_held = [parameter.inaccurate for parameter in self.parameters]
         self._beliefs = Beliefs(self.task, facts_held, more, self.dead_end_cost, max_states)
         self._model = cache(self._beliefs.model)
-        self._name_states(features or {})
+        self._name_states(features)
         robot = self._model(frozenset())
         robot.solved("the robot's model")
         self.starts = self._starts(starts, robot)
