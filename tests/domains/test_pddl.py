@@ -201,7 +201,13 @@ def test_who_believes_in_another_start_holds_on_to_it_until_the_robot_touches_it
     robot, wrong = made.model(accurate), made.model(accurate | {"medkit": fact.inaccurate})
     before = []
     for transition in robot.on_policy(made.starts):
-        if "(medkit store)" not in made.state(transition[0]):
+        state = int(transition[0])
+        own = set(made.state(state))
+        elsewhere = own - {"(medkit store)"} | {"(medkit office)"}
+        assert wrong.imagined is not None
+        seen = set(made.state(int(wrong.imagined[state])))
+        assert seen == (elsewhere if "(medkit store)" in own else own)
+        if "(medkit store)" not in own:
             assert wrong.explicable(transition[None])[0], made.describe(transition)
         else:
             before.append(bool(wrong.explicable(transition[None])[0]))
