@@ -10,7 +10,7 @@ import sys
 
 class Refused:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in ("pandas", "sklearn", "hydra", "omegaconf", "matplotlib", "mlflow"):
+        if name.split(".")[0] in ("pandas", "sklearn", "hydra", "omegaconf", "mlflow"):
             raise ImportError(name)
 
 sys.meta_path.insert(0, Refused())
