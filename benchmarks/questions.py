@@ -45,7 +45,6 @@ from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.experiment.pipeline import (
     Observed,
     References,
-    build_case,
     draw_trace,
     learn,
     learn_references,
@@ -274,16 +273,21 @@ def _costs(
     found: dict[str, list[float]] = {}
     n = setting.n_messages
     for index in range(traces):
-        case = build_case(setting, draw_trace(setting, 40, seed, index), types, references)
-        assert case.perfect is not None
-        truth = case.labels.astype(np.float64)
-        tables = {"qmdp": case.learned, "true": truth, "true_975": 0.95 * truth + 0.025}
+        trace = draw_trace(setting, 40, seed, index)
+        features, labels = transition_features(setting.domain, trace), setting.label_table(trace)
+        assert references.oracle is not None
+        learned, perfect = (
+            p_explicable(labelers, features, n, trace)
+            for labelers in (types.labelers, references.oracle)
+        )
+        truth = labels.astype(np.float64)
+        tables = {"qmdp": learned, "true": truth, "true_975": 0.95 * truth + 0.025}
         problems = {key: Problem(table, np.ones(n)) for key, table in tables.items()}
         plans = {key: QMDP().plan(problem) for key, problem in problems.items()}
         for t in range(len(setting.types)):
-            user = SimulatedUser(case.labels[t])
+            user = SimulatedUser(labels[t])
             runs = {key: (problems[key], plans[key]) for key in plans}
-            for key, table in (("oracle", case.perfect), ("clairvoyant", truth)):
+            for key, table in (("oracle", perfect), ("clairvoyant", truth)):
                 alone = Problem(table[t : t + 1], np.ones(n))
                 runs[key] = alone, QMDP().plan(alone)
             for key, (problem, plan) in runs.items():

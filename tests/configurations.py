@@ -9,7 +9,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.config import CONF, register
+from xplain.config import CONF, named, register
 
 Path = tuple[str | int, ...]
 
@@ -46,7 +46,7 @@ def composed(*overrides: str) -> DictConfig:
     register()
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("config", list(overrides))
+        return compose("config", named(overrides))
 
 
 def dotted(path: Path) -> str:

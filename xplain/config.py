@@ -121,7 +121,18 @@ def composed(name: str, overrides: Sequence[str], with_hydra: bool = False) -> D
                 near = difflib.get_close_matches(key, known, 1)
                 hint = f"did you mean {near[0]}? " if near else ""
                 raise InputError(key, override, f"no such key; {hint}keys: {', '.join(known)}")
-        return compose(name, list(overrides), return_hydra_config=with_hydra)
+        return compose(name, named(overrides), return_hydra_config=with_hydra)
+
+
+def named(overrides: Sequence[str]) -> list[str]:
+    """Overrides whose choice of a group is a name to Hydra too: it reads ``labeler=true`` as a
+    truth value, where only text can name a file."""
+
+    def quoted(override: str) -> str:
+        key, _, value = override.partition("=")
+        return f"{key}='{value}'" if key in GROUPS and value in ("true", "false") else override
+
+    return [quoted(override) for override in overrides]
 
 
 def require_seed(cfg: DictConfig) -> int:

@@ -94,10 +94,11 @@ BAD = [
     (["domain.map='SV?'"], ["domain.map", "?"]),
     (["domain.map='SVAFUrpf#s'"], ["domain.map", "path"]),
     (["domain.discount=1"], ["domain.discount", "1"]),
-    (["observers.points=1"], ["points", "1"]),
+    (["observers.points=1", "queries=shared"], ["points", "1"]),
     (["observers.queries=shared"], ["observers.queries", "queries=shared"]),
     (["observers.trace_length=4"], ["queries.trace_length"]),
     (["observers.message_probability=0.3"], ["queries.message_probability"]),
+    (["solver=true"], ["solver", "true", "qmdp"]),
     (["observers=file", "observers.path=absent.csv"], ["absent.csv"]),
 ]
 

@@ -149,3 +149,11 @@ def test_help_needs_no_library(command: Command) -> None:
         done = command(module, "--help")
         assert done.returncode == 0
         assert "JSON" in done.stdout
+
+
+def test_true_labels_are_nothing_that_a_file_of_labels_can_be_learned_with(run) -> None:
+    assert run("observe", "domain=rescue", "output=labels.csv")[0] == 0
+    for clusterer in ("kmeans", "dirichlet"):
+        code, _, err = run("discover", "data=labels.csv", "labeler=true", f"clusterer={clusterer}")
+        assert code == 2
+        assert err.strip().splitlines()[-1].startswith("xplain: labeler='true': ")

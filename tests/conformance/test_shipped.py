@@ -58,7 +58,7 @@ class TestQueries(QueriesConformance):
 
 
 class TestLabelers(LabelerConformance):
-    @pytest.fixture(params=shipped("labeler"))
+    @pytest.fixture(params=shipped("labeler", "true"))
     def component(self, request: pytest.FixtureRequest) -> Any:
         return request.param.component
 
@@ -86,6 +86,14 @@ class TestPartitions(PartitionConformance):
 
 
 class TestSolvers(SolverConformance):
-    @pytest.fixture(params=shipped("solver"))
+    @pytest.fixture(params=shipped("solver", "silent", "say_all"))
     def component(self, request: pytest.FixtureRequest) -> Any:
         return request.param.component
+
+
+class TestOpenLoop(SolverConformance):
+    weighs_costs = False
+
+    @pytest.fixture(params=["silent", "say_all"])
+    def component(self, request: pytest.FixtureRequest) -> Any:
+        return Chosen("solver", request.param).component

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
+import subprocess
+import sys
 
-from tests.domains.configs import domain_of, setting_of
+import numpy as np
+import pytest
+
+from tests.conftest import ROOT
+from tests.domains.configs import configured, domain_of, setting_of
 from xplain.data.domain_properties import (
     count_traces,
     inexplicable_alone,
@@ -13,6 +18,7 @@ from xplain.data.domain_properties import (
     share_through,
 )
 from xplain.domains.four_rooms import DOORS
+from xplain.domains.rescue_maps import random_map
 from xplain.randomness import stream
 
 FOUR_ROOMS, RESCUE = "domain=four_rooms", "domain=rescue"
@@ -72,3 +78,18 @@ def test_rescue_has_many_different_problems() -> None:
 def test_each_fact_of_rescue_held_wrong_alone_matters() -> None:
     alone = inexplicable_alone(domain_of(RESCUE), traces_of(RESCUE))
     assert all(share >= 0.02 for share in alone.values()), alone
+
+
+def test_rescues_map_is_the_one_that_was_drawn() -> None:
+    """docs/choices.md: the 794th of seed 0."""
+    rng = stream(0, "rescue maps")
+    drawn = [random_map(rng) for _ in range(794)]
+    assert drawn[-1] == configured(RESCUE).domain.map
+
+
+@pytest.mark.slow
+def test_no_map_before_it_has_all_properties() -> None:
+    script = [sys.executable, str(ROOT / "benchmarks" / "domains.py"), "--draw"]
+    done = subprocess.run(script, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("map 794 of seed 0")
+    assert done.stdout.endswith(configured(RESCUE).domain.map)

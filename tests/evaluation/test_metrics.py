@@ -148,6 +148,11 @@ def test_every_figure_is_the_mean_over_traces_and_users(data):
             for name, value in figures.items():
                 columns.setdefault(name, []).append((trace, value))
     summary = summarise(records)
+    dear, cheap = (sum(v for _, v in columns[name]) for name in ("oracle_cost", "clairvoyant_cost"))
+    ratio = summary.pop("oracle_over_clairvoyant", None)
+    assert (ratio is None) == (cheap == 0)
+    if ratio is not None:
+        assert ratio.mean == pytest.approx(dear / cheap)
     assert summary.keys() == columns.keys()
     for name, column in columns.items():
         assert summary[name].mean == pytest.approx(np.mean([value for _, value in column]))
@@ -184,7 +189,22 @@ def test_every_step_is_the_mean_of_those_that_come_so_far(data):
 def test_a_regret_is_left_out_where_its_reference_did_not_run(reference):
     figures = summarise([record for record in RECORDS if record.solver != reference])
     name = {"oracle": "regret", "clairvoyant": "regret_to_clairvoyant"}[reference]
-    assert summarise(RECORDS).keys() - figures.keys() == {name, f"{reference}_cost"}
+    left_out = {name, f"{reference}_cost", "oracle_over_clairvoyant"}
+    assert summarise(RECORDS).keys() - figures.keys() == left_out
+
+
+def test_what_learned_labels_cost_is_against_the_same_solver_with_true_ones():
+    known = [
+        by_hand("true_labels", 0, 0, 3.0, [0.5, 0.9], [1]),
+        by_hand("true_labels", 1, 0, 4.5, [0.5, 0.9, 1], [1, 0]),
+        by_hand("true_labels", 2, 0, 1.5, [0.5, 0.9, 1, 1], [1, 0, 0]),
+    ]
+    assert "cost_over_true_labels" not in summarise(RECORDS)
+    figures = summarise(RECORDS + known)
+    assert figures["cost_over_true_labels"].mean == pytest.approx((5 + 9 + 4) / (3 + 4.5 + 1.5))
+    # Nothing else is of these records.
+    del figures["cost_over_true_labels"]
+    assert figures == summarise(RECORDS)
 
 
 def test_no_recognition_where_nobody_knows_which_type_is_the_true_one():

@@ -1,8 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
+from xplain.data.dataset import Dataset, query_index
 from xplain.errors import InputError
 from xplain.learning.clustering import Clusterer, Clustering, Perfect, Single
 from xplain.learning.disagreements import disagreements
@@ -127,7 +131,9 @@ def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> No
     truth = np.array([0, 0, 0, 0, 1, 1])
     types = learn_types(dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0)
     assert types.prior == pytest.approx([2 / 3, 1 / 3])
-    assert [labeler.n_train + labeler.n_test for labeler in types.labelers] == [1600, 800]
+    for t, labeler in enumerate(types.labelers):
+        own = dataset.of(np.flatnonzero(truth == t))
+        assert labeler.n_train + labeler.n_test == len(np.unique(query_index(own)))
     table = p_explicable(types.labelers, dataset.features, dataset.n_messages)
     assert table.shape == (2, len(dataset.features), 16)
     # The last type needs message 2 at transition 2, whatever else is said.
@@ -136,3 +142,49 @@ def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> No
         dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0, prior="uniform"
     )
     assert uniform.prior == pytest.approx([0.5, 0.5])
+
+
+def test_a_labeler_is_that_of_its_labels_however_clusters_are_numbered(
+    rng: np.random.Generator,
+) -> None:
+    """The same data give the same labeler: among other clusters, in another order, alone."""
+    dataset, truth = made(rng, [[0, 1], [2], [1, 3]], noise=0.1)
+    trainer = LabelerTrainer(holdout=0.4, refit=False)
+
+    def tables(data: Dataset, assignment: NDArray[np.int64]) -> list[NDArray[np.float64]]:
+        types = learn_types(data, Clustering(assignment, "test", "given"), trainer, 7)
+        return list(p_explicable(types.labelers, data.features, data.n_messages))
+
+    # Those of the last type come first, so that clusters are numbered the other way round.
+    order = np.argsort(-truth, kind="stable")
+    place = np.argsort(order)
+    rows = np.argsort(place[dataset.observer], kind="stable")
+    turned = replace(dataset.take(rows), observer=place[dataset.observer[rows]])
+    found = tables(dataset, truth)
+    for one, other in zip(found, reversed(tables(turned, truth[order])), strict=True):
+        assert np.array_equal(one, other)
+    assert np.array_equal(tables(dataset, np.minimum(truth, 1))[0], found[0])
+    everyone = trainer.fit(dataset, 7).table(dataset.features, dataset.n_messages)
+    assert np.array_equal(tables(dataset, truth * 0)[0], everyone)
+
+
+def test_more_clusters_than_distinct_vectors_keep_the_last_partition(
+    rng: np.random.Generator,
+) -> None:
+    """There is nothing left to part: the curve goes on level to the number of observers."""
+    dataset, _ = made(rng, [[0], [1]], per_type=4, shared=True, noise=0.1)
+    asked: list[int] = []
+
+    class Counted(Agglomerative):
+        def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
+            asked.append(k)
+            return super().partition(vectors, k, seed)
+
+    found = Elbow(Counted()).cluster(dataset, LabelerTrainer(), 0, None)
+    assert found.vectors is not None
+    assert found.curve is not None
+    distinct = len(np.unique(found.vectors))
+    assert asked == list(range(1, distinct + 1))
+    assert len(found.curve) == 8
+    assert (found.curve[distinct - 1 :] == found.curve[distinct - 1]).all()
+    assert found.n_types <= distinct

@@ -41,17 +41,33 @@ def test_points_number_distinct_pairs(rng: np.random.Generator) -> None:
     assert {min(numbers) for numbers in seen.values()} == set(range(len(seen)))
 
 
-def test_confidence_is_the_smoothed_share_of_held_out_labels_got_right(
-    rng: np.random.Generator,
+@pytest.mark.parametrize("repeats", [1, 2, 5])
+def test_confidence_is_the_smoothed_share_of_held_out_questions_got_right(
+    rng: np.random.Generator, repeats: int
 ) -> None:
-    dataset, _ = made(rng, [[0, 1]], noise=0.15)
+    """Each question once, however often it was answered; of a split vote the share that agrees."""
+    once, _ = made(rng, [[0, 1]], noise=0.15)
+    dataset = once.take(np.repeat(np.arange(len(once)), repeats))
     labeler = LabelerTrainer(refit=False).fit(dataset, 7)
     test = dataset.take(np.flatnonzero(split(dataset, 0.25, 7)))
-    right = (labeler.predict(test.features[test.transition], test.message_set) == test.label).sum()
-    assert labeler.n_test == len(test)
-    assert labeler.n_train == len(dataset) - len(test)
-    assert labeler.accuracy == pytest.approx(right / len(test))
-    assert labeler.confidence == pytest.approx((right + 1) / (len(test) + 2))
+    said = labeler.predict(test.features[test.transition], test.message_set)
+    votes: dict[tuple[int, int], list[bool]] = {}
+    for tau, told, hit in zip(test.transition, test.message_set, said == test.label, strict=True):
+        votes.setdefault((tau, told), []).append(hit)
+    right = sum(np.mean(vote) for vote in votes.values())
+    assert len(votes) < len(test) / repeats, "no question comes twice: nothing is tested here"
+    assert labeler.n_test == len(votes)
+    assert labeler.n_train + labeler.n_test == len(np.unique(query_index(dataset)))
+    assert labeler.accuracy == pytest.approx(right / len(votes))
+    assert labeler.confidence == pytest.approx((right + 1) / (len(votes) + 2))
+
+
+def test_observers_who_repeat_each_other_are_no_further_evidence(rng: np.random.Generator) -> None:
+    one, _ = made(rng, [[0, 1]], per_type=1)
+    five = one.take(np.tile(np.arange(len(one)), 5))
+    alone, repeated = (LabelerTrainer().fit(data, 3) for data in (one, five))
+    assert repeated.confidence == alone.confidence
+    assert repeated.n_test == alone.n_test
 
 
 def test_a_rule_that_a_tree_can_hold_is_learned(rng: np.random.Generator) -> None:
@@ -124,7 +140,7 @@ def test_nobody_foretells_labels_drawn_by_lot(
 ) -> None:
     dataset = coin_flips(rng, 200, repeats)
     labeler = LabelerTrainer(refit=refit).fit(dataset, 3)
-    error = (0.25 / (labeler.n_test / repeats)) ** 0.5
+    error = (0.25 / labeler.n_test) ** 0.5
     assert labeler.accuracy == pytest.approx(0.5, abs=4 * error)
     assert labeler.confidence == pytest.approx(0.5, abs=4 * error)
 

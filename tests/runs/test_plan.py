@@ -130,3 +130,11 @@ def test_names_sort_by_setting_then_solver_trade_off_and_seed():
             f"λ={job.values['lambda']}",
             f"seed={job.values['seed']}",
         }
+
+
+@pytest.mark.parametrize("written", ["true,tree", [True, "tree"]])
+def test_a_choice_that_reads_as_a_truth_value_is_still_a_name(written):
+    """``labeler=true``: Hydra takes it for a bool, and a group's choice must be text."""
+    one, other = plan([{"labeler": written}]).jobs
+    assert (one.overrides, other.overrides) == (("labeler='true'",), ("labeler=tree",))
+    assert plan([{"domain.sparse": "true"}]).jobs[0].overrides == ("domain.sparse=true",)

@@ -22,7 +22,7 @@ def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
     from xplain.study.policies import study_of
     from xplain.study.prepare import study_plan
 
-    cfg = composed("study", ["observers.points=150", "trace.candidates=40"])
+    cfg = composed("study", ["trace.candidates=40"])
     plan = study_plan(cfg)
     assert study_plan(cfg).hash == plan.hash  # same configuration, same study
     study_of(plan)

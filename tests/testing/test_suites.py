@@ -191,7 +191,15 @@ class Hopeful:
         return Wrapped(labeler, probability=lambda whole, x, h: np.full(len(x), 0.7))
 
 
+class Hasty:
+    """Learns from the first two hundred labels alone."""
+
+    def fit(self, dataset, seed):
+        return LabelerTrainer().fit(dataset.take(np.arange(200)), seed)
+
+
 LABELERS = [
+    ("order_of_the_labels", Hasty()),
     ("never_certain", Sure()),
     ("table_says", Sure()),
     ("plain_rule", Ignorant()),

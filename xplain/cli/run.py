@@ -12,7 +12,7 @@ import hydra
 from omegaconf import DictConfig
 
 from xplain.cli import hydra_plugins
-from xplain.config import CONF, register
+from xplain.config import CONF, named, register
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")
@@ -30,7 +30,7 @@ def main(arguments: list[str]) -> None:
     """
     register()
     hydra_plugins.register()
-    flags = ["--help" if word == "--keys" else word for word in arguments]
+    flags = ["--help" if word == "--keys" else word for word in named(arguments)]
     before, sys.argv = sys.argv, ["xplain", *flags]  # Hydra reads nothing else
     try:
         _job()

@@ -11,10 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.evaluation.episode import Episode
-from xplain.evaluation.statistics import Estimate, clustered_mean
+from xplain.evaluation.statistics import Estimate, clustered_mean, clustered_ratio
 
 SURE = 0.9
 """A type counts as recognised once the belief in it exceeds this."""
+RATIOS = (
+    ("oracle_over_clairvoyant", "oracle", "clairvoyant"),
+    ("cost_over_true_labels", "solver", "true_labels"),
+)
+"""Figures that compare what two of the records' solvers cost."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +27,8 @@ class Record:
     """An episode, and whose it was.
 
     Attributes:
-        solver: who explained: "solver", "oracle" or "clairvoyant".
+        solver: who explained: "solver", "oracle", "clairvoyant", or "true_labels", the solver where
+            it knows the true types' labels.
         trace: index of the trace.
         user_type: index of the user's true type.
         right: [N] bool, which of the problem's types stand for the true one.
@@ -54,6 +60,10 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
 
     Regret is paired: each episode's cost less the oracle's (or the clairvoyant's) on the same
     trace and user. A regret is left out where its reference did not run.
+
+    Two ratios of mean costs say what learned labels cost: ``oracle_over_clairvoyant`` where the
+    type is known, ``cost_over_true_labels`` where it is not (below the line: the same solver with
+    true types and labels). They are left out where a reference did not run, or costs nothing.
     """
     by_solver: dict[str, dict[tuple[int, int], Record]] = {}
     for record in records:
@@ -76,7 +86,15 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
             other = [by_solver[reference][key].episode.cost for key in own]
             columns[f"{reference}_cost"] = other
             columns[name] = [c - o for c, o in zip(columns["cost"], other, strict=True)]
-    return {name: clustered_mean(column, traces) for name, column in columns.items()}
+    found = {name: clustered_mean(column, traces) for name, column in columns.items()}
+    for name, above, below in RATIOS:
+        if above in by_solver and below in by_solver:
+            dear, cheap = (
+                [by_solver[who][key].episode.cost for key in own] for who in (above, below)
+            )
+            if sum(cheap) > 0:
+                found[name] = clustered_ratio(dear, cheap, traces)
+    return found
 
 
 def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:

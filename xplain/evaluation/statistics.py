@@ -21,6 +21,24 @@ class Estimate:
         return Estimate(-self.mean, -self.high, -self.low)
 
 
+def clustered_ratio(
+    above: ArrayLike, below: ArrayLike, clusters: ArrayLike, level: float = 0.95
+) -> Estimate:
+    """Ratio of two means of numbers ≥ 0, measured on the same episodes.
+
+    The interval is the linearised one: R + (a − R b) / mean(b) has the mean R and, in large
+    samples, the ratio's variance. It ends at 0.
+
+    Args:
+        above, below: [E], the mean of ``below`` above 0.
+        clusters, level: as :func:`clustered_mean`.
+    """
+    above, below = np.asarray(above, dtype=float), np.asarray(below, dtype=float)
+    ratio = above.mean() / below.mean()
+    found = clustered_mean(ratio + (above - ratio * below) / below.mean(), clusters, level)
+    return Estimate(float(ratio), float(np.maximum(found.low, 0)), found.high)
+
+
 def clustered_mean(values: ArrayLike, clusters: ArrayLike, level: float = 0.95) -> Estimate:
     """Mean of values with a t interval over cluster means' spread.
 

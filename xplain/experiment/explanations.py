@@ -5,7 +5,7 @@ Case ── Problem ── Policy ── Episode ── Record
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -130,6 +130,21 @@ def evaluate(
                     right = prepared.matched_true_type == prepared.distinct[user]
                 records.append(Record(name, index, user, right, episode))
     return records
+
+
+def with_true_labels(prepared: Prepared) -> Prepared:
+    """The same traces and users, to a solver that knows the true types and their labels: what
+    better labelers and clusters could win. Types are equally likely, as the users are."""
+    count = len(prepared.types)
+    return replace(
+        prepared,
+        learned_types=prepared.types,
+        matched_true_type=prepared.distinct,
+        type_shares=np.full(count, 1 / count),
+        cases=tuple(
+            replace(case, learned=case.labels.astype(np.float64)) for case in prepared.cases
+        ),
+    )
 
 
 def trace_seed(seed: int, index: int) -> int:

@@ -28,8 +28,11 @@ from xplain.domains.base import (
     transition_features,
 )
 from xplain.errors import InputError, whole_number
+from xplain.experiment.known_types import Known, Tables, true_types
 from xplain.learning.clustering import Clusterer, Perfect
+from xplain.learning.cross_validation import fresh_accuracy
 from xplain.learning.labelers import Labeler, LabelerTrainer
+from xplain.learning.true_labels import TrueLabels
 from xplain.learning.user_types import UserTypes, learn_types, p_explicable
 from xplain.randomness import derived_seed, stream
 from xplain.users.setting import Setting
@@ -143,6 +146,12 @@ class Observed:
     dataset: Dataset
     truth: NDArray[np.int64] | None
 
+    @property
+    def behaviour(self) -> NDArray[np.int64] | None:
+        """[O] the ``distinct`` number of each observer's type: types that label everything alike
+        are one, for whoever clusters and whoever scores. None where the truth is unknown."""
+        return None if self.truth is None else self.setting.distinct[self.truth]
+
 
 @dataclass(frozen=True)
 class References:
@@ -152,8 +161,8 @@ class References:
         everyone: one labeler of all data (the baseline's).
         perfect: types under perfect clustering, L_pc; None where the true types of the observers
             are unknown.
-        oracle: [M] the labeler of each true type under perfect clustering; None where a type has
-            no observer, or the true types are unknown.
+        oracle: [M] the labeler of each true type under perfect clustering; None where no observer
+            behaves like a type, or the true types are unknown.
     """
 
     everyone: Labeler
@@ -167,37 +176,67 @@ def prepare(components: Components, track: Track[Any] = untracked) -> Prepared:
     Raises:
         XplainError: the configuration or the data cannot be used; the text says what to change.
     """
-    domain, trainer, seed = components.domain, components.labeler, components.seed
+    domain, seed = components.domain, components.seed
     observed = observe(domain, components.users, components.observers, components.queries, seed)
-    _require_same_features(observed.dataset, domain)
-    references = learn_references(observed, trainer, seed)
-    types = learn(observed.dataset, trainer, components.clusterer, seed, observed.truth)
-    _require_tested(types.labelers)
     setting = observed.setting
+    if isinstance(components.labeler, TrueLabels):
+        known = true_types(setting, observed.truth)
+    else:
+        known = learned_types(observed, components)
     traces = track(range(components.traces), "labelling traces", components.traces)
-    cases = tuple(
-        build_case(
-            setting, draw_trace(setting, components.max_steps, seed, index), types, references
-        )
-        for index in traces
-    )
-    assignment = types.clustering.assignment
     return Prepared(
         domain=domain.name,
         messages=setting.message_names,
         sentences=tuple(parameter.message for parameter in domain.parameters),
         types=tuple(user_type.name for user_type in setting.types),
         distinct=setting.distinct,
-        learned_types=types.names,
-        matched_true_type=match_true_types(observed, types),
-        type_shares=np.bincount(assignment) / len(assignment),
-        learning=learning_figures(observed, types, references),
-        curve=np.asarray(
-            [] if types.clustering.curve is None else types.clustering.curve, dtype=float
-        ),
-        rule=types.clustering.rule,
+        learned_types=known.names,
+        matched_true_type=known.matched_true_type,
+        type_shares=known.shares,
+        learning=known.figures,
+        curve=known.curve,
+        rule=known.rule,
         scene=domain.scene,
-        cases=cases,
+        cases=tuple(
+            build_case(
+                setting, draw_trace(setting, components.max_steps, seed, index), known.tables
+            )
+            for index in traces
+        ),
+    )
+
+
+def learned_types(observed: Observed, components: Components) -> Known:
+    """What labels tell: the types that a clusterer finds, with a labeler each.
+
+    Raises:
+        InputError: the labels are too few, or not of this domain's features and messages.
+    """
+    domain, trainer, seed = components.domain, components.labeler, components.seed
+    _require_same_features(observed.dataset, domain)
+    references = learn_references(observed, trainer, seed)
+    types = learn(observed.dataset, trainer, components.clusterer, seed, observed.behaviour)
+    _require_tested(types.labelers)
+    n, oracle = observed.setting.n_messages, references.oracle
+
+    def tables(transitions: NDArray[np.int64]) -> Tables:
+        features = transition_features(domain, transitions)
+        return Tables(
+            learned=p_explicable(types.labelers, features, n, transitions),
+            everyone=p_explicable([references.everyone], features, n, transitions),
+            perfect=None if oracle is None else p_explicable(oracle, features, n, transitions),
+        )
+
+    clustering = types.clustering
+    curve = np.zeros(0) if clustering.curve is None else clustering.curve
+    return Known(
+        names=types.names,
+        matched_true_type=match_true_types(observed, types),
+        shares=np.bincount(clustering.assignment) / len(clustering.assignment),
+        figures=learning_figures(observed, types, references, trainer, seed),
+        curve=np.asarray(curve, dtype=float),
+        rule=clustering.rule,
+        tables=tables,
     )
 
 
@@ -237,7 +276,7 @@ def learn(
         dataset,
         clustering,
         trainer,
-        derived_seed(seed, "labelers"),
+        labeler_seed(seed),
         none_of_these=none_of_these,
     )
 
@@ -248,22 +287,26 @@ def learn_references(observed: Observed, trainer: LabelerTrainer, seed: int) -> 
     Raises:
         InputError: too few labels to hold some out.
     """
-    dataset, truth = observed.dataset, observed.truth
-    everyone = trainer.fit(dataset, derived_seed(seed, "everyone"))
+    dataset, behaviour = observed.dataset, observed.behaviour
+    everyone = trainer.fit(dataset, labeler_seed(seed))
     _require_tested([everyone])
-    if truth is None:
+    if behaviour is None:
         return References(everyone)
-    best = Perfect().cluster(dataset, trainer, 0, truth)
-    perfect = learn_types(dataset, best, trainer, derived_seed(seed, "perfect"))
-    return References(everyone, perfect, _of_each_type(perfect, truth, len(observed.setting.types)))
+    best = Perfect().cluster(dataset, trainer, 0, behaviour)
+    perfect = learn_types(dataset, best, trainer, labeler_seed(seed))
+    return References(everyone, perfect, _of_each_type(perfect, observed))
 
 
-def _of_each_type(
-    perfect: UserTypes, truth: NDArray[np.int64], count: int
-) -> tuple[Labeler, ...] | None:
-    """The labeler of each true type; None where a type has no observer. Clusters are numbered as
-    their observers come, which may be in any order."""
-    first = [np.flatnonzero(truth == user_type)[:1] for user_type in range(count)]
+def labeler_seed(seed: int) -> int:
+    """The seed of every labeler of a run: the same labels give the same labeler, so that types
+    found right have the labelers of the true ones."""
+    return derived_seed(seed, "labelers")
+
+
+def _of_each_type(perfect: UserTypes, observed: Observed) -> tuple[Labeler, ...] | None:
+    """The labeler of each true type; None where no observer behaves like it. Clusters are numbered
+    as their observers come, which may be in any order."""
+    first = [np.flatnonzero(observed.behaviour == alike)[:1] for alike in observed.setting.distinct]
     if not all(map(len, first)):
         return None
     return tuple(perfect.labelers[perfect.clustering.assignment[int(o[0])]] for o in first)
@@ -279,22 +322,17 @@ def draw_trace(setting: Setting, max_steps: int, seed: int, index: int) -> NDArr
 def build_case(
     setting: Setting,
     transitions: NDArray[np.int64],
-    types: UserTypes,
-    references: References,
+    tables: Callable[[NDArray[np.int64]], Tables],
 ) -> Case:
     """Lays out what every agent and every user thinks of a trace [m, 3]."""
-    domain, n = setting.domain, setting.n_messages
-    features = transition_features(domain, transitions)
+    domain = setting.domain
     states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]
     cells = [domain.position(state) for state in states]
-    everyone, oracle = references.everyone, references.oracle
     return Case(
         transitions=transitions,
         phrases=tuple(domain.describe(transition) for transition in transitions),
         positions=tuple(cell for cell in cells if cell is not None),
-        learned=p_explicable(types.labelers, features, n, transitions),
-        everyone=p_explicable([everyone], features, n, transitions),
-        perfect=None if oracle is None else p_explicable(oracle, features, n, transitions),
+        **tables(transitions)._asdict(),
         labels=setting.label_table(transitions),
     )
 
@@ -303,27 +341,42 @@ def match_true_types(observed: Observed, types: UserTypes) -> NDArray[np.int64]:
     """[N] for each learned type the ``distinct`` number of most of its observers; −1 where the
     observers' true types are unknown."""
     matched = np.full(len(types.labelers), -1)
-    if observed.truth is not None:
-        alike = observed.setting.distinct[observed.truth]
+    alike = observed.behaviour
+    if alike is not None:
         for learned in range(types.clustering.n_types):
             matched[learned] = np.bincount(alike[types.clustering.members(learned)]).argmax()
     return matched
 
 
 def learning_figures(
-    observed: Observed, types: UserTypes, references: References
+    observed: Observed,
+    types: UserTypes,
+    references: References,
+    trainer: LabelerTrainer,
+    seed: int,
 ) -> dict[str, float]:
-    """How well the types were found and the labels learned, by name."""
+    """How well the types were found and the labels learned, by name.
+
+    ``labeler_accuracy`` is the paper's, on held-out (transition, message set), ``fresh_accuracy``
+    what fresh questions would show (:func:`~xplain.learning.cross_validation.fresh_accuracy`).
+    Both are means over types.
+    """
+    clustering = types.clustering
+    fresh = [
+        fresh_accuracy(observed.dataset.of(clustering.members(t)), trainer, labeler_seed(seed))
+        for t in range(clustering.n_types)
+    ]
     figures = {
         "types_found": float(len(types.labelers)),
         "labeler_accuracy": _mean_accuracy(types.labelers),
+        "fresh_accuracy": float(np.mean(fresh)),
         "everyone_accuracy": references.everyone.accuracy,
     }
-    if observed.truth is not None and references.perfect is not None:
+    alike = observed.behaviour
+    if alike is not None and references.perfect is not None:
         from sklearn.metrics import adjusted_rand_score
 
-        alike = observed.setting.distinct[observed.truth]
-        index = adjusted_rand_score(alike, types.clustering.assignment)
+        index = adjusted_rand_score(alike, clustering.assignment)
         figures["adjusted_rand_index"] = float(index)
         figures["perfect_labeler_accuracy"] = _mean_accuracy(references.perfect.labelers)
         figures["true_types"] = float(len(np.unique(alike)))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset, query_index
 from xplain.learning.clustering import Clusterer
-from xplain.learning.labelers import Labeler, LabelerTrainer, split
+from xplain.learning.labelers import Labeler, LabelerTrainer, by_question, split
 from xplain.randomness import derived_seed, stream
 
 
@@ -40,7 +40,7 @@ def log_likelihoods(
     for cluster in np.unique(assignment):
         members = np.flatnonzero(assignment == cluster)
         own = train.of(members)
-        labeler = trainer.fit(own if len(own) else train, derived_seed(seed, "type", int(cluster)))
+        labeler = trainer.fit(own if len(own) else train, seed)
         rows = np.flatnonzero(np.isin(test.observer, members))
         result[rows] = log_likelihood(labeler, test.take(rows))
     return result
@@ -52,6 +52,28 @@ def log_likelihood(labeler: Labeler, dataset: Dataset) -> NDArray[np.float64]:
         return np.zeros(0)
     one = labeler.probability(dataset.features[dataset.transition], dataset.message_set)
     return np.asarray(np.log(np.where(dataset.label == 1, one, 1 - one)))
+
+
+def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> float:
+    """What a labeler fitted to these labels gets right of fresh questions: cross-validated over
+    message sets, each distinct (transition, message set) once. NaN where there is one message set.
+
+    Where labels are few, :attr:`Labeler.accuracy` says more than fresh questions would show: a
+    held-out (transition, message set) comes from a trace whose other transitions, under the same
+    messages, are trained with. Fresh questions come with messages of their own.
+    """
+    told, group = np.unique(dataset.message_set, return_inverse=True)
+    if len(told) < 2:
+        return float("nan")
+    count = min(max(round(1 / trainer.holdout), 2), len(told))
+    fold = (stream(seed, "fresh").permutation(len(told)) % count)[group]
+    right = np.zeros(len(dataset), dtype=bool)
+    for number in range(count):
+        test = dataset.take(np.flatnonzero(fold == number))
+        labeler = trainer.fit(dataset.take(np.flatnonzero(fold != number)), seed)
+        said = labeler.predict(test.features[test.transition], test.message_set)
+        right[fold == number] = said == test.label
+    return float(by_question(right, query_index(dataset)).mean())
 
 
 def folds(dataset: Dataset, count: int, seed: int) -> Iterator[NDArray[np.bool_]]:

@@ -16,36 +16,33 @@ def elbow(curve: NDArray[np.int64], few: float) -> tuple[int, str]:
     """The number of clusters at the elbow, and the rule that gave it (also logged).
 
     Kneedle (Satopää et al. 2011, the paper's choice) looks for the bend of a convex, decreasing
-    curve. The first drop of the curve is the largest (it parts most pairs of types at once), so
-    its knee may come too early; what tells is that almost all disagreements go away later. The
-    first rule that applies:
+    curve. Its knee stands, also where it is wrong: the first drop of the curve is the largest (it
+    parts most pairs of types at once), so that the knee often comes too early. The first rule that
+    applies:
 
     1. ``flat zero``: nobody ever disagrees, k = 1.
-    2. ``kneedle``: its knee, if it leaves at most ``few`` of the disagreements at k = 1, or no k
-       does. Only for curves of three points or more that are convex on the whole (lie below their
-       chord): of others kneedle reports an end, or nothing.
-    3. ``few``: the smallest k that leaves at most that share.
-    4. ``lowest``: no k does; the smallest k of the fewest disagreements.
+    2. ``kneedle``: its knee. Where it reports an end of the curve, as of concave ones, it found
+       none: a curve cannot bend at its end.
+    3. ``no knee, few``: the smallest k that leaves at most ``few`` of the disagreements at k = 1.
+    4. ``no knee, lowest``: no k does; the smallest k of the fewest disagreements.
 
     Args:
         curve: [K] disagreements for k = 1 … K.
-        few: a share in [0, 1).
+        few: a share in [0, 1), for where there is no knee.
     """
     # A partition into more clusters may be worse by chance; what counts is the best so far.
     lowest = np.minimum.accumulate(curve)
     if curve[0] == 0:
         return _chosen(1, "flat zero", "nobody disagrees")
-    reached = np.flatnonzero(lowest <= few * lowest[0])
-    knee = None
-    if len(curve) >= 3 and lowest.sum() < len(lowest) * (lowest[0] + lowest[-1]) / 2:
-        knee = _kneedle(lowest)
-    if knee is not None and (not len(reached) or knee > reached[0]):
+    knee = _kneedle(lowest)
+    if knee is not None:
         return _chosen(knee, "kneedle", f"disagreements {curve[0]} → {lowest[knee - 1]}")
-    why = "no knee" if knee is None else f"the knee {knee} leaves {lowest[knee - 1]} disagreements"
+    reached = np.flatnonzero(lowest <= few * lowest[0])
     if len(reached):
         k = int(reached[0]) + 1
-        return _chosen(k, "few", f"{why}; first k with at most {few:g} of {curve[0]}")
-    return _chosen(int(lowest.argmin()) + 1, "lowest", f"{why}; no k leaves {few:g} of {curve[0]}")
+        return _chosen(k, "no knee, few", f"the first k that leaves at most {few:g} of {curve[0]}")
+    k = int(lowest.argmin()) + 1
+    return _chosen(k, "no knee, lowest", f"no k leaves at most {few:g} of {curve[0]}")
 
 
 def _chosen(k: int, rule: str, why: str) -> tuple[int, str]:
@@ -54,10 +51,11 @@ def _chosen(k: int, rule: str, why: str) -> tuple[int, str]:
 
 
 def _kneedle(curve: NDArray[np.int64]) -> int | None:
+    """The knee of a curve that never rises, strictly between its ends; None where it has none."""
     from kneed import KneeLocator  # heavy: it imports pyplot
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # "no knee" is an answer here, not a warning
         k = range(1, len(curve) + 1)
         found = KneeLocator(k, curve.tolist(), curve="convex", direction="decreasing").knee
-    return None if found is None else int(found)
+    return int(found) if found is not None and 1 < found < len(curve) else None

@@ -33,9 +33,9 @@ class Labeler:
         classifier: fitted, scikit-learn's shape, classes among 0 and 1. Where it has ``is_sound``,
             its own probabilities are taken as they are.
         n_messages: n of the message bits it was fitted with.
-        confidence: (right + 1) / (tested + 2) on points held out of training, in (0, 1).
+        confidence: (right + 1) / (tested + 2) on questions held out of training, in (0, 1).
         accuracy: right / tested; NaN where nothing was tested.
-        n_train, n_test: labels in either part.
+        n_train, n_test: distinct questions (transition, message set) in either part.
         calibrated: P(label = 1) comes from the classifier's own probabilities (see
             :class:`LabelerTrainer`), not from the one confidence.
     """
@@ -119,8 +119,10 @@ class LabelerTrainer:
 
     The labels are split by distinct (transition, message set): duplicates on both sides would
     leak. The confidence is measured on the held-out part by a classifier that saw only the
-    training part. With ``refit`` the labeler returned is then fitted on all labels: it has seen
-    more than the one measured, so the confidence errs, if at all, on the modest side.
+    training part, and counts each question once: observers who repeat each other are no further
+    evidence. Of a question answered both ways the share that agrees counts as right. With ``refit``
+    the labeler returned is then fitted on all labels: it has seen more than the one measured, so
+    the confidence errs, if at all, on the modest side.
 
     Attributes:
         classifier: any scikit-learn classifier, unfitted; it is cloned for every fit.
@@ -147,7 +149,8 @@ class LabelerTrainer:
             raise InputError("labeler.classifier", self.classifier, "leaf needs predict_proba")
 
     def fit(self, dataset: Dataset, seed: int) -> Labeler:
-        """Fits one labeler to all labels of a dataset.
+        """Fits one labeler to all labels of a dataset. The same labels, in whatever order, and the
+        same seed give the same labeler.
 
         A single distinct point cannot be split: nothing is tested, the confidence is ½.
 
@@ -156,18 +159,25 @@ class LabelerTrainer:
         """
         if len(dataset) == 0:
             raise InputError("data", 0, "a labeler needs at least one label")
+        # Sorted: who answered first must not matter to a classifier that looks at the order.
+        dataset = dataset.take(np.lexsort((dataset.label, dataset.message_set, dataset.transition)))
         x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
         y = dataset.label
         test = split(dataset, self.holdout, seed)
+        query = query_index(dataset)
         trained = self.fitted(x[~test], y[~test], seed)
-        tested = int(test.sum())
-        right = int((trained.predict(x[test]) == y[test]).sum()) if tested else 0
+        tested = len(np.unique(query[test]))
+        right = (
+            float(by_question(trained.predict(x[test]) == y[test], query[test]).sum())
+            if tested
+            else 0.0
+        )
         return Labeler(
             classifier=self.fitted(x, y, seed) if self.refit and tested else trained,
             n_messages=dataset.n_messages,
             confidence=(right + 1) / (tested + 2),
             accuracy=right / tested if tested else float("nan"),
-            n_train=len(y) - tested,
+            n_train=len(np.unique(query)) - tested,
             n_test=tested,
             calibrated=self.confidence == "leaf",
         )
@@ -203,6 +213,13 @@ def split(dataset: Dataset, holdout: float, seed: int) -> NDArray[np.bool_]:
     out = np.zeros(count, dtype=bool)
     out[order[: held if count > 1 else 0]] = True
     return np.asarray(out[query])
+
+
+def by_question(right: NDArray[np.bool_], query: NDArray[np.int64]) -> NDArray[np.float64]:
+    """The share of right labels [P] of each distinct question: [distinct]."""
+    _, number = np.unique(query, return_inverse=True)
+    share: NDArray[np.float64] = np.bincount(number, right) / np.bincount(number)
+    return share
 
 
 def share_of_ones(classifier: Any, shares: NDArray[np.float64]) -> NDArray[np.float64]:

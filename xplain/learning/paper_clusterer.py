@@ -39,7 +39,7 @@ class Elbow:
 
     Attributes:
         partition: how the vectors are grouped.
-        few: see :func:`xplain.learning.elbow.elbow`.
+        few: what may be left where there is no elbow (:func:`xplain.learning.elbow.elbow`).
         max_types: largest k tried; None is the number of observers (the paper).
     """
 

@@ -13,7 +13,6 @@ from xplain.data.dataset import Dataset, inputs
 from xplain.errors import InputError
 from xplain.learning.clustering import Clustering
 from xplain.learning.labelers import Labeler, LabelerTrainer
-from xplain.randomness import derived_seed
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,8 @@ def learn_types(
         dataset: the labels.
         clustering: of its observers.
         trainer: fits the labelers.
-        seed: of the run.
+        seed: of every fit. It is one for all types, so that a labeler depends on its labels alone,
+            not on how clusters are numbered.
         prior: ``share`` of the observers, or ``uniform``.
         none_of_these: where positive, one more type for users unlike all others, with the prior
             weight of so many observers (of one type where the prior is uniform, α in a Dirichlet
@@ -102,10 +102,7 @@ def learn_types(
     weight = np.bincount(clustering.assignment, minlength=n).astype(np.float64)
     if prior == "uniform":
         weight[:] = 1
-    labelers = [
-        trainer.fit(dataset.of(clustering.members(t)), derived_seed(seed, "type", t))
-        for t in range(n)
-    ]
+    labelers = [trainer.fit(dataset.of(clustering.members(t)), seed) for t in range(n)]
     names = [f"type_{t}" for t in range(n)]
     if none_of_these > 0:
         labelers.append(base_rate(dataset))

@@ -6,7 +6,7 @@ the answers win (:mod:`xplain.questions.fact_sets`). docs/what-to-ask.md
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from xplain.data.dataset import Dataset, inputs
+from xplain.data.dataset import Dataset
 from xplain.domains.base import Domain
 from xplain.errors import InputError, TooLargeError
 from xplain.learning.clustering import Clustering
-from xplain.learning.labelers import Labeler, LabelerTrainer, paper_tree, split
+from xplain.learning.labelers import Labeler, LabelerTrainer, paper_tree
 from xplain.questions.designs import hypotheses_of
 from xplain.questions.fact_sets import (
     ERROR,
@@ -194,22 +194,8 @@ class HypothesisTrainer(LabelerTrainer):
         """
         if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
             return LabelerTrainer(self.classifier, self.holdout).fit(dataset, seed)
-        if len(dataset) == 0:
-            raise InputError("data", 0, "a labeler needs at least one label")
-        x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
-        test = split(dataset, self.holdout, seed)
-        tested = int(test.sum())
-        trained = self.fitted(x[~test], dataset.label[~test], seed)
-        right = int((trained.predict(x[test]) == dataset.label[test]).sum())
-        return HypothesisLabeler(
-            classifier=self.fitted(x, dataset.label, seed),
-            n_messages=dataset.n_messages,
-            confidence=(right + 1) / (tested + 2),
-            accuracy=right / tested if tested else float("nan"),
-            n_train=len(dataset) - tested,
-            n_test=tested,
-            calibrated=True,
-        )
+        made = super().fit(dataset, seed)
+        return HypothesisLabeler(**{one.name: getattr(made, one.name) for one in fields(made)})
 
     def fitted(
         self,

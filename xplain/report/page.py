@@ -31,6 +31,7 @@ LEARNING = {
     "types_found": "found",
     "adjusted_rand_index": "adjusted Rand index",
     "labeler_accuracy": "labelers right",
+    "fresh_accuracy": "on fresh questions",
     "everyone_accuracy": "one labeler for all right",
 }
 

@@ -103,6 +103,11 @@ def _headline(results: Results) -> str:
             f"; labelers {learning['labeler_accuracy']:.1%} right on held-out labels"
             if "labeler_accuracy" in learning
             else ""
+        )
+        + (
+            f", {learning['fresh_accuracy']:.1%} on fresh questions"
+            if "fresh_accuracy" in learning
+            else ""
         ),
     ]
     return "\n".join(lines)

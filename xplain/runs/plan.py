@@ -13,7 +13,7 @@ from typing import Any
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 
-from xplain.config import GROUPS
+from xplain.config import GROUPS, named
 from xplain.errors import InputError
 
 Compose = Callable[[list[str]], dict[str, Any]]
@@ -89,7 +89,8 @@ def make_plan(
         for combination in itertools.product(*merged.values()):
             values = dict(zip(merged, combination, strict=True))
             if all(values.get(key) in given[key] for key in apart):
-                chosen[tuple(f"{key}={value}" for key, value in values.items())] = values
+                texts = [f"{key}={value}" for key, value in values.items()]
+                chosen[tuple(named(texts))] = values
     if not chosen:
         has = "; ".join(
             " ".join(f"{key}={_text(setting[key])}" for key in apart if key in setting) or "none"
@@ -129,12 +130,17 @@ def _parse(overrides: list[str]) -> dict[str, list[str]]:
     for override in OverridesParser.create().parse_overrides(overrides):
         key = override.get_key_element()
         if not override.is_sweep_override():
-            parsed[key] = [override.get_value_element_as_str()]
+            parsed[key] = [_spelt(override.get_value_element_as_str())]
         elif override.is_discrete_sweep():
-            parsed[key] = [str(value) for value in override.sweep_string_iterator()]
+            parsed[key] = [_spelt(str(value)) for value in override.sweep_string_iterator()]
         else:
             raise InputError(key, _value(override), "a list, choice(...) or range(...)")
     return parsed
+
+
+def _spelt(value: str) -> str:
+    """Truth values as YAML has them: Hydra gives them in Python's spelling."""
+    return {"True": "true", "False": "false"}.get(value, value)
 
 
 def _value(override: Override) -> str:

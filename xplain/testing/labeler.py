@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
+from xplain.data.dataset import Dataset, query_index
 from xplain.testing.data import rule_data
 from xplain.testing.suite import Conformance
 
@@ -66,11 +66,23 @@ class LabelerConformance(Conformance):
             assert ((p > 0.5) == bool(only)).all(), f"all labels were {only}"
 
     def test_figures_of_the_fit_are_told(self, component: Any) -> None:
-        """Confidence inside (0, 1), accuracy on the labels held out."""
-        labeler = component.fit(self._data(0), 0)
+        """Confidence inside (0, 1), accuracy on the questions held out, each distinct one once."""
+        data = self._data(0)
+        labeler = component.fit(data, 0)
         assert 0 < labeler.confidence < 1, labeler.confidence
         assert 0 <= labeler.accuracy <= 1, labeler.accuracy
-        assert labeler.n_train + labeler.n_test == len(self._data(0)), "some labels are lost"
+        distinct = len(np.unique(query_index(data)))
+        assert labeler.n_train + labeler.n_test == distinct, "some questions are lost or repeated"
+
+    def test_the_order_of_the_labels_does_not_matter(self, component: Any) -> None:
+        """The same data give the same labeler, whoever answered first."""
+        data = self._data(0)
+        shuffled = data.take(np.random.default_rng(5).permutation(len(data)))
+        one, other = (
+            component.fit(labels, 3).table(data.features, data.n_messages)
+            for labels in (data, shuffled)
+        )
+        assert np.array_equal(one, other), "labels in another order give another labeler"
 
     @staticmethod
     def _data(seed: int) -> Dataset:

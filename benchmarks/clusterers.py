@@ -1,0 +1,94 @@
+"""Which clusterer finds the types? Both domains, questions shared or each observer's own, errors.
+
+    python benchmarks/clusterers.py              20 seeds a setting, an hour or two
+    python benchmarks/clusterers.py --quick      1 seed, few labels
+    python benchmarks/clusterers.py --methods kmeans --noise 0 --seeds 40 --first 100
+
+The domains' own numbers of labels and types (four rooms: 2, 3 and 4), three observers a type.
+``right`` counts the data sets whose adjusted Rand index (ARI) to the behaviourally distinct true
+types is 1, ``k`` those with the right number of types; ``rules`` says what chose that number.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from itertools import product
+from typing import Any
+
+import numpy as np
+from hydra.utils import instantiate
+from joblib import Parallel, delayed
+from rich.console import Console
+from rich.table import Table
+from sklearn.metrics import adjusted_rand_score
+
+from xplain.config import composed
+from xplain.experiment.pipeline import observe
+from xplain.learning.labelers import LabelerTrainer
+from xplain.randomness import derived_seed
+
+SETTINGS = {
+    "rescue, 5 types": ("domain=rescue",),
+    **{
+        f"four rooms, {count} types": ("domain=four_rooms", f"users.count={count}")
+        for count in (2, 3, 4)
+    },
+}
+Row = dict[str, Any]
+
+
+def found(
+    setting: str, queries: str, noise: float, method: str, seed: int, points: int | None
+) -> Row:
+    """What a clusterer makes of one data set."""
+    few = () if points is None else (f"points={points}",)
+    choices = (*SETTINGS[setting], f"queries={queries}", f"observers.label_noise={noise}", *few)
+    cfg = composed("observe", choices)
+    parts = (instantiate(cfg[name]) for name in ("domain", "users", "observers", "queries"))
+    observed = observe(*parts, seed)
+    clusterer = instantiate(composed("discover", [f"clusterer={method}"]).clusterer)
+    clustering = clusterer.cluster(
+        observed.dataset, LabelerTrainer(), derived_seed(seed, "clusterer"), None
+    )
+    true = observed.behaviour
+    assert true is not None  # of simulated observers it is known
+    return {
+        "ari": adjusted_rand_score(true, clustering.assignment),
+        "k": clustering.n_types == len(np.unique(true)),
+        "rule": clustering.rule,
+    }
+
+
+def main() -> None:
+    """Prints a row for each setting, kind of questions, noise and method."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--quick", action="store_true", help="1 seed, 40 labels an observer")
+    arguments.add_argument("--first", type=int, default=0, help="first seed")
+    arguments.add_argument("--seeds", type=int, default=20, help="data sets a setting")
+    arguments.add_argument("--jobs", type=int, default=2, help="processes")
+    arguments.add_argument("--methods", nargs="+", default=["dirichlet", "em", "kmeans"])
+    arguments.add_argument("--settings", nargs="+", default=list(SETTINGS), choices=SETTINGS)
+    arguments.add_argument("--noise", nargs="+", type=float, default=[0.0, 0.05])
+    chosen = arguments.parse_args()
+    seeds = range(chosen.first, chosen.first + (1 if chosen.quick else chosen.seeds))
+    points = 40 if chosen.quick else None
+    table = Table("setting", "questions", "errors", "clusterer", "right", "k", "mean ARI", "rules")
+    axes = (chosen.settings, ("independent", "shared"), chosen.noise, chosen.methods)
+    for setting, queries, noise, method in product(*axes):
+        rows = Parallel(chosen.jobs)(
+            delayed(found)(setting, queries, noise, method, seed, points) for seed in seeds
+        )
+        rules = Counter(row["rule"] for row in rows)
+        table.add_row(
+            *(setting, queries, f"{noise:g}", method),
+            f"{sum(row['ari'] == 1 for row in rows)} of {len(rows)}",
+            str(sum(row["k"] for row in rows)),
+            f"{np.mean([row['ari'] for row in rows]):.3f}",
+            ", ".join(f"{rule} {count}" for rule, count in rules.most_common()),
+        )
+    Console(width=120).print(table)
+
+
+if __name__ == "__main__":
+    main()

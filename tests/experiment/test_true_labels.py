@@ -1,0 +1,141 @@
+"""``labeler=true``: what is left when labels are known and the type is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from tests.configurations import composed
+from xplain.data.observers import FileObservers
+from xplain.errors import InputError
+from xplain.evaluation.metrics import Record
+from xplain.experiment.explanations import Costs, evaluate, problem_of_types, trace_seed
+from xplain.experiment.from_config import components_of, costs_of
+from xplain.experiment.known_types import true_types
+from xplain.experiment.pipeline import Prepared, prepare
+from xplain.explanation.belief import Independent
+from xplain.solvers.base import Solver
+from xplain.solvers.bounds import bounds
+from xplain.solvers.hsvi.explore import Effort
+from xplain.solvers.hsvi.solver import Certified
+from xplain.solvers.known_type import Baseline, KnownType
+from xplain.solvers.open_loop import SayAll, Silent
+from xplain.solvers.policy_evaluation import evaluate as policy_value
+from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.qhr import QHR
+from xplain.solvers.qmdp import QMDP
+from xplain.users.setting import Setting
+
+SOLVERS: dict[str, Solver] = {
+    "qmdp": QMDP(),
+    "qhr": QHR(),
+    "pomcp": POMCP(simulations=300),
+    "certified": Certified(gap=1e-6),
+    "baseline": Baseline(),
+    "silent": Silent(),
+    "say_all": SayAll(),
+}
+GAMMA_1 = ("labeler=true", "discount=1", "traces=6", "lambda=1.3")
+
+
+@cache
+def prepared(domain: str) -> tuple[Prepared, Costs]:
+    cfg = composed(f"domain={domain}", *GAMMA_1)
+    return prepare(components_of(cfg)), costs_of(cfg)
+
+
+@cache
+def episodes(domain: str) -> dict[tuple[str, int, int], Record]:
+    """Undiscounted plans, so that the costs reported are those that plans are made for."""
+    known = {"oracle": KnownType("type"), "clairvoyant": KnownType("labels")}
+    records = evaluate(*prepared(domain), SOLVERS | known, Independent(), 0)
+    return {(record.solver, record.trace, record.user_type): record for record in records}
+
+
+both = pytest.mark.parametrize("domain", ["rescue", "four_rooms"])
+
+
+@both
+def test_the_oracle_is_the_clairvoyant(domain: str) -> None:
+    found = episodes(domain)
+    keys = [key[1:] for key in found if key[0] == "oracle"]
+    assert len(keys) >= 18
+    for key in keys:
+        oracle, clairvoyant = found["oracle", *key], found["clairvoyant", *key]
+        assert oracle.episode.cost == clairvoyant.episode.cost
+        assert np.array_equal(oracle.episode.messages, clairvoyant.episode.messages)
+
+
+@both
+def test_nobody_costs_less_than_who_knows_the_type(domain: str) -> None:
+    for (_, *key), record in episodes(domain).items():
+        assert record.episode.cost >= episodes(domain)["oracle", *key].episode.cost - 1e-9
+
+
+@both
+def test_what_happens_is_what_the_model_expects(domain: str) -> None:
+    """Users of every type in turn are the uniform prior, and their labels the model's own: the
+    mean cost is the policy's exact expectation, and none is below the certified optimum."""
+    known, costs = prepared(domain)
+    users = range(len(known.types))
+    for index, case in enumerate(known.cases):
+        problem = problem_of_types(known, case, costs)
+        optimum = -bounds(problem, Effort(gap=1e-6)).upper
+        for name, solver in SOLVERS.items():
+            if name == "baseline":  # it plans for the mixture, which is none of these users
+                continue
+            worth = policy_value(problem, solver.plan(problem, trace_seed(0, index)), 50_000)
+            assert worth.value_is == "exact"
+            costs_met = [episodes(domain)[name, index, user].episode.cost for user in users]
+            assert worth.cost == pytest.approx(np.mean(costs_met)), name
+            assert np.mean(costs_met) >= optimum - 1e-6
+            if name == "certified":
+                assert np.mean(costs_met) <= optimum + 1e-5
+
+
+@both
+def test_a_true_type_is_never_ruled_out_and_the_figures_say_what_is_known(domain: str) -> None:
+    known, _ = prepared(domain)
+    for record in episodes(domain).values():
+        assert (record.right_belief > 0).all()
+    assert known.learned_types == known.types
+    assert known.matched_true_type.tolist() == known.distinct.tolist()
+    for case in known.cases:
+        assert set(np.unique(case.learned)) <= {0.0, 1.0}
+        assert case.perfect is not None
+        assert np.array_equal(case.learned, case.perfect)
+        # As many observers a type: everybody's labeler is the types' mean.
+        np.testing.assert_allclose(case.everyone[0], case.labels.mean(axis=0))
+
+
+def test_shares_are_the_observers() -> None:
+    """They are the prior where that is asked for, and weigh the labeler for everybody."""
+    cfg = composed("labeler=true", "observers.per_type=[5,1,1,2,1]", "traces=1")
+    known = prepare(components_of(cfg))
+    assert known.type_shares.tolist() == [0.5, 0.1, 0.1, 0.2, 0.1]
+    case = known.cases[0]
+    weighed = np.tensordot(known.type_shares, case.labels, 1)
+    np.testing.assert_allclose(case.everyone[0], weighed)
+
+
+def test_traces_are_those_of_any_other_labeler() -> None:
+    """Common random numbers: what another labeler costs can be paired with it."""
+    learned = prepare(components_of(composed("labeler=tree", "traces=3")))
+    true = prepare(components_of(composed("labeler=true", "traces=3")))
+    for one, other in zip(learned.cases, true.cases, strict=True):
+        assert np.array_equal(one.transitions, other.transitions)
+        assert np.array_equal(one.labels, other.labels)
+
+
+def test_types_of_real_people_are_not_known(tmp_path) -> None:
+    components = components_of(composed("labeler=true", "traces=1"))
+    setting = Setting.build(
+        components.domain, components.users.types(components.domain, np.random.default_rng(0))
+    )
+    with pytest.raises(InputError, match=r"labeler='true'.*simulated"):
+        true_types(setting, None)
+    with pytest.raises(InputError, match="absent"):
+        prepare(replace(components, observers=FileObservers(str(tmp_path / "absent.csv"))))

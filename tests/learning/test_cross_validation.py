@@ -1,0 +1,65 @@
+"""What labelers get right of questions that nobody asked yet."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from tests.domains.configs import domain_of
+from tests.learning.conftest import made
+from xplain.data.observers import SimulatedObservers
+from xplain.data.queries import Independent, Shared
+from xplain.learning.cross_validation import fresh_accuracy
+from xplain.learning.labelers import LabelerTrainer
+from xplain.users.setting import Setting
+from xplain.users.types import RandomCover
+
+
+def test_siblings_under_one_message_set_do_not_help(rng: np.random.Generator) -> None:
+    """Labels drawn by lot for each message set: whoever has seen others under the same set knows
+    them all, and fresh questions are anybody's guess."""
+    dataset, _ = made(rng, [[0]], per_type=1, size=6000, n=7)
+    lot = rng.integers(2, size=1 << 7).astype(np.uint8)
+    dataset = replace(dataset, label=lot[dataset.message_set])
+    assert LabelerTrainer().fit(dataset, 0).accuracy > 0.75
+    assert abs(fresh_accuracy(dataset, LabelerTrainer(), 0) - 0.5) < 4 * (0.25 / 128) ** 0.5
+
+
+def test_each_question_counts_once(rng: np.random.Generator) -> None:
+    dataset, _ = made(rng, [[0, 1]], noise=0.2, per_type=1)
+    repeated = dataset.take(np.tile(np.arange(len(dataset)), 3))
+    once, thrice = (fresh_accuracy(data, LabelerTrainer(), 4) for data in (dataset, repeated))
+    assert once == thrice
+
+
+def test_one_message_set_alone_tells_nothing(rng: np.random.Generator) -> None:
+    dataset, _ = made(rng, [[0]])
+    silent = replace(dataset, message_set=np.zeros_like(dataset.message_set))
+    assert math.isnan(fresh_accuracy(silent, LabelerTrainer(), 0))
+
+
+def test_it_is_what_fresh_questions_show() -> None:
+    """Sixty labels an observer, the same questions for all: within two standard errors this figure
+    is right, and the one on held-out (transition, message set) too high."""
+    domain = domain_of("domain=four_rooms")
+    gaps = []
+    for seed in range(8):
+        types = RandomCover(3).types(domain, np.random.default_rng(seed))
+        setting = Setting.build(domain, types)
+        dataset, truth = SimulatedObservers(points=60).collect(setting, Shared(), seed)
+        people = SimulatedObservers(1, 1000)
+        later, theirs = people.collect(setting, Independent(), seed + 10**6)
+        for user_type in range(len(types)):
+            own = dataset.of(np.flatnonzero(truth == user_type))
+            new = later.of(np.flatnonzero(theirs == user_type))
+            labeler = LabelerTrainer().fit(own, seed)
+            said = labeler.predict(new.features[new.transition], new.message_set)
+            actual = (said == new.label).mean()
+            fresh = fresh_accuracy(own, LabelerTrainer(), seed)
+            gaps.append((labeler.accuracy - actual, fresh - actual))
+    held_out, fresh_gap = np.mean(gaps, axis=0)
+    error = np.std(gaps, axis=0, ddof=1) / len(gaps) ** 0.5
+    assert held_out > 2 * error[0]
+    assert abs(fresh_gap) < 2 * error[1]
