@@ -377,8 +377,8 @@ def picture(rows: pd.DataFrame) -> Figure:
                 capsize=2,
             )
         axis.axhline(part["true"].mean(), color="black", linestyle=":", linewidth=1)
-        axis.text(POINTS[0], part["true"].mean(), "true labels known", fontsize=7, va="top")
-        axis.set(title=name.replace("_", " "), xscale="log", ylim=(0, None))
+        axis.text(POINTS[0], part["true"].mean(), "true labels known", fontsize=7, va="bottom")
+        axis.set(title=name.replace("_", " "), xscale="log", yscale="log")
         axis.set_xlabel("labels asked of each person")
         axis.set_xticks(sorted(part["points"].unique()), sorted(part["points"].unique()))
         axis.minorticks_off()

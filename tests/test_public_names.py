@@ -18,7 +18,7 @@ print(*(name for name in package.__all__ if name in globals()))
 NAMES = {
     "xplain": "Explainer GivenTypes Hypotheses LearnedTypes Questionnaire __version__",
     "xplain.testing": "Chosen ClustererConformance DomainConformance LabelerConformance "
-    "PartitionConformance SolverConformance TypeSourceConformance",
+    "PartitionConformance QueriesConformance SolverConformance TypeSourceConformance",
 }
 
 
