@@ -16,9 +16,9 @@ from {package} import *
 print(*(name for name in package.__all__ if name in globals()))
 """
 NAMES = {
-    "xplain": "Explainer GivenTypes LearnedTypes __version__",
+    "xplain": "Explainer GivenTypes Hypotheses LearnedTypes Questionnaire __version__",
     "xplain.testing": "Chosen ClustererConformance DomainConformance LabelerConformance "
-    "PartitionConformance SolverConformance TypeSourceConformance",
+    "PartitionConformance QueriesConformance SolverConformance TypeSourceConformance",
 }
 
 

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from xplain import Hypotheses
+from xplain import Hypotheses, LearnedTypes
 from xplain.cli.questions import questions
 from xplain.errors import InputError
 
@@ -77,3 +77,30 @@ def test_bad_tables_are_one_line(tmp_path, text, said):
 def test_questions_that_depend_on_answers_make_no_list(tmp_path):
     with pytest.raises(InputError, match="Questionnaire"):
         questions(["queries=adaptive", f"output={tmp_path}/q.csv"])
+
+
+def test_answers_to_chosen_questions_find_types_that_a_file_keeps(tmp_path, command):
+    """observe → discover with hypotheses → types.npz, which loads without the hypotheses."""
+    made = command("xplain questions", "domain=rescue", "save=h.npz")
+    assert made.returncode == 0, made.stderr
+    asked = ("points=20", "queries=adaptive", "observers.label_noise=0.05", "output=labels.csv")
+    assert command("xplain observe", "domain=rescue", *asked).returncode == 0
+    done = command(
+        "xplain discover",
+        "data=labels.csv",
+        "labeler=hypotheses",
+        "hypotheses=h.npz",
+        "held_out=false",
+    )
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout.splitlines()[-1])
+    assert said["rule"] == "hypotheses"
+    assert said["n_types"] == 5
+    types = LearnedTypes.load(tmp_path / "outputs/discover/types.npz")
+    known = Hypotheses.load(tmp_path / "h.npz").told_apart_by_features()
+    table = types.p_explicable(known.features)
+    held = [["fire", "rubble"], ["first_aid", "fence"]]  # of the shipped types, two
+    for facts in held:
+        mask = sum(1 << known.messages.index(name) for name in facts)
+        truth = known.labels[known.row(mask & ~np.arange(64))].T
+        assert ((table > 0.5) == truth).mean(axis=(1, 2)).max() > 0.98

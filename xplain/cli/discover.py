@@ -37,9 +37,10 @@ Row = dict[str, Any]
 def discover(arguments: list[str]) -> Row:
     """Finds the types and writes the files; returns what the command prints. ``arguments``
     override conf/discover.yaml."""
-    from xplain.data.label_table import read_table
+    from xplain.data.label_table import align, read_table
     from xplain.experiment.pipeline import learn
     from xplain.learning.cross_validation import held_out_log_likelihood
+    from xplain.questions.hypotheses import Hypotheses
 
     began = time.perf_counter()
     cfg = composed("discover", arguments)
@@ -47,7 +48,12 @@ def discover(arguments: list[str]) -> Row:
     folder = Path(cfg.output)
     require_writable(folder)
     trainer, clusterer = instantiate(cfg.labeler), instantiate(cfg.clusterer)
-    dataset = read_table(cfg.data, cfg.messages, cfg.features, cfg.ignore)
+    if cfg.hypotheses is None:
+        dataset = read_table(cfg.data, cfg.messages, cfg.features, cfg.ignore)
+    else:
+        known = Hypotheses.load(cfg.hypotheses)
+        dataset = read_table(cfg.data, known.messages, cfg.features, cfg.ignore)
+        dataset = align(dataset, known.feature_names or dataset.feature_names)
     types = learn(dataset, trainer, clusterer, cfg.seed, none_of_these=cfg.none_of_these)
     clustering = types.clustering
     likelihood = None

@@ -34,7 +34,8 @@ class Labeler:
     """A fitted labeling model L(τ, H) with its confidence P(label = prediction).
 
     Attributes:
-        classifier: fitted, scikit-learn's shape, classes among 0 and 1.
+        classifier: fitted, scikit-learn's shape, classes among 0 and 1. Where it has ``is_sound``,
+            its own probabilities are taken as they are.
         n_messages: n of the message bits it was fitted with.
         confidence: (right + 1) / (tested + 2) on questions held out of training, in (0, 1).
         accuracy: right / tested; NaN where nothing was tested.
@@ -110,6 +111,8 @@ class Labeler:
     def _probability(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
         if hasattr(self.classifier, "tree_"):
             return np.asarray(self._of_leaves()[self.classifier.apply(x)])
+        if getattr(self.classifier, "is_sound", False):
+            return share_of_ones(self.classifier, self.classifier.predict_proba(x))
         if not self.calibrated:
             return self._of_labels(self.classifier.predict(x))
         return self._shrunk(share_of_ones(self.classifier, self.classifier.predict_proba(x)))

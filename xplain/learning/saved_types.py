@@ -109,6 +109,8 @@ class LearnedTypes:
                 tree = classifier.tree_
                 arrays |= {f"{t}/{key}": getattr(tree, key) for key in NODES}
                 arrays |= {f"{t}/value": tree.value[:, 0, :], f"{t}/classes": classifier.classes_}
+            elif hasattr(classifier, "tabulated"):
+                arrays[f"{t}/rows"], arrays[f"{t}/table"] = classifier.tabulated()
             else:
                 arrays[f"{t}/skops"] = np.frombuffer(_skops_bytes(classifier), dtype=np.uint8)
         with Path(path).open("wb") as file:  # an open file keeps its name as it is
@@ -202,9 +204,49 @@ class SavedTree:
         return labels
 
 
+class SavedTable:
+    """Probabilities of known transitions as a table, in scikit-learn's shape.
+
+    Args:
+        rows: [U, F] float32 features.
+        table: [U, 2^n] P(label = 1); of other transitions nothing is known, ½.
+    """
+
+    classes_ = np.array([0, 1])
+    is_sound = True
+
+    def __init__(self, rows: NDArray[np.float32], table: NDArray[np.float64]) -> None:
+        self.rows, self.table = rows, table
+        self._place = {row.tobytes(): u for u, row in enumerate(rows + np.float32(0))}
+
+    def tabulated(self) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        """What it was made of."""
+        return self.rows, self.table
+
+    def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
+        """P(label = 0) and P(label = 1) of rows [P, F + n]: [P, 2]."""
+        width = self.rows.shape[1]
+        told = x[:, width:].astype(np.int64) @ (1 << np.arange(x.shape[1] - width))
+        features = np.ascontiguousarray(x[:, :width]) + np.float32(0)  # −0 is 0
+        place = np.array([self._place.get(row.tobytes(), -1) for row in features], dtype=np.int64)
+        one = np.where(place >= 0, self.table[place, told], 0.5)
+        return np.stack([1 - one, one], axis=1)
+
+    def predict(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
+        """The likelier label of each row [P, F + n]: [P]."""
+        return (self.predict_proba(x)[:, 1] >= 0.5).astype(np.int64)
+
+
 def _classifier(
     arrays: Mapping[str, NDArray[Any]], t: int, features: int, messages: int, trusted: Sequence[str]
 ) -> Any:
+    if f"{t}/table" in arrays:
+        rows, table = arrays[f"{t}/rows"], arrays[f"{t}/table"]
+        if rows.shape != (len(rows), features) or table.shape != (len(rows), 1 << messages):
+            raise InputError("types", f"table of type {t}", "arrays of a table, as saved")
+        if not ((table > 0) & (table < 1)).all():
+            raise InputError("types", f"table of type {t}", "probabilities inside (0, 1)")
+        return SavedTable(rows.astype(np.float32), table.astype(np.float64))
     if f"{t}/skops" in arrays:
         return _from_skops(arrays[f"{t}/skops"].tobytes(), trusted)
     feature, left, right = (

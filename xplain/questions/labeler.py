@@ -6,7 +6,7 @@ the answers win (:mod:`xplain.questions.fact_sets`). docs/what-to-ask.md
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,14 +16,13 @@ from scipy.special import logsumexp
 
 from xplain.data.dataset import Dataset, inputs
 from xplain.domains.base import Domain
-from xplain.errors import InputError
+from xplain.errors import InputError, TooLargeError
 from xplain.learning.clustering import Clustering
 from xplain.learning.labelers import (
     Labeler,
     LabelerTrainer,
     check_looked_at,
     paper_tree,
-    split,
 )
 from xplain.message_sets import indices, subsets
 from xplain.questions.designs import hypotheses_of
@@ -41,6 +40,7 @@ from xplain.randomness import derived_seed, stream
 
 KEPT = 1e-4
 """Fact sets with a smaller share of the posterior are left out of predictions."""
+MAX_TABLE = 1 << 24
 EDGE = 0.002
 """Probabilities stay so far from 0 and 1. A label is shown again with every later step, so that
 larger doubts about what nothing speaks against would add up to messages that nobody needs."""
@@ -62,6 +62,7 @@ class FactSetClassifier:
     """
 
     classes_ = np.array([0, 1])
+    is_sound = True
 
     def __init__(self, known: KnownTransitions, answers: Answers, fallback: Any) -> None:
         """Works out the posterior over fact sets, variants, deviations and errors."""
@@ -120,6 +121,20 @@ class FactSetClassifier:
             one[~rows] = np.clip(shares[:, ones].sum(axis=1), EDGE, 1 - EDGE)
         return np.stack([1 - one, one], axis=1)
 
+    def tabulated(self) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        """All it knows: rows of features [U, F], and P(label = 1) of each by message set
+        [U, 2^n].
+
+        Raises:
+            TooLargeError: more than MAX_TABLE numbers.
+        """
+        count, n = len(self.known.features), self.known.hypotheses.n_messages
+        if count << n > MAX_TABLE:
+            raise TooLargeError(f"types: a table of {count} × 2^{n} labels is too large for a file")
+        told = np.tile(np.arange(1 << n), count)
+        table = self.known_rows(np.repeat(np.arange(count), 1 << n), told)
+        return self.known.features, table.reshape(count, 1 << n)
+
     def predict(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
         """The likelier label of rows [P, F + n]: [P]."""
         return (self.predict_proba(x)[:, 1] >= 0.5).astype(np.int64)
@@ -127,12 +142,7 @@ class FactSetClassifier:
 
 @dataclass(frozen=True)
 class HypothesisLabeler(Labeler):
-    """A labeler whose classifier gives its own probabilities, as they are."""
-
-    def _probability(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
-        if not isinstance(self.classifier, FactSetClassifier):
-            return super()._probability(x)
-        return np.asarray(self.classifier.predict_proba(x)[:, 1])
+    """A labeler that tells transitions apart that share their features."""
 
     def table_of(
         self, features: NDArray[np.float64], n_messages: int, transitions: NDArray[np.int64]
@@ -230,22 +240,8 @@ class HypothesisTrainer(LabelerTrainer):
         """
         if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
             return LabelerTrainer(self.classifier, self.holdout).fit(dataset, seed)
-        if len(dataset) == 0:
-            raise InputError("data", 0, "a labeler needs at least one label")
-        x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
-        test = split(dataset, self.holdout, seed)
-        tested = int(test.sum())
-        trained = self.fitted(x[~test], dataset.label[~test], seed)
-        right = int((trained.predict(x[test]) == dataset.label[test]).sum())
-        return HypothesisLabeler(
-            classifier=self.fitted(x, dataset.label, seed),
-            n_messages=dataset.n_messages,
-            confidence=(right + 1) / (tested + 2),
-            accuracy=right / tested if tested else float("nan"),
-            n_train=len(dataset) - tested,
-            n_test=tested,
-            calibrated=True,
-        )
+        made = super().fit(dataset, seed)
+        return HypothesisLabeler(**{one.name: getattr(made, one.name) for one in fields(made)})
 
     def fitted(
         self,
