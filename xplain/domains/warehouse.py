@@ -25,7 +25,7 @@ BLOCK = 3
 """Cells from a crossing to the next."""
 KINDS = ("wet", "lane", "charger")
 PATTERN = ("wet", "lane", "wet", "lane", "charger")
-"""How often each kind occurs. Charging spots attract from afar, the others matter where they are."""
+"""How often each kind occurs: charging spots attract from afar, the others matter nearby."""
 SYMBOLS = {"D": "dispatch", "w": "floor that some think wet",
            "l": "lane that some think one-way", "c": "spot that some think charges"}  # fmt: skip
 BACK = {"right": "left", "down": "up"}
