@@ -24,6 +24,8 @@ from xplain.errors import InputError, discount_factor, number, whole_number
 BLOCK = 3
 """Cells from a crossing to the next."""
 KINDS = ("wet", "lane", "charger")
+PATTERN = ("wet", "lane", "wet", "lane", "charger")
+"""How often each kind occurs: charging spots attract from afar, the others matter nearby."""
 SYMBOLS = {"D": "dispatch", "w": "floor that some think wet",
            "l": "lane that some think one-way", "c": "spot that some think charges"}  # fmt: skip
 BACK = {"right": "left", "down": "up"}
@@ -98,11 +100,11 @@ class Warehouse:
         rng = np.random.default_rng(layout)
         stretches = _stretches(high, wide)
         chosen = sorted(rng.permutation(len(stretches))[:facts].tolist())
-        kinds = rng.permutation(np.arange(facts) % len(KINDS)).tolist()
+        kinds = rng.permutation(np.arange(facts) % len(PATTERN)).tolist()
         worth = {"wet": -wet, "lane": -against, "charger": charge}
         self.stretches: dict[str, Stretch] = {}
         parameters = []
-        for s, kind in zip(chosen, (KINDS[k] for k in kinds), strict=True):
+        for s, kind in zip(chosen, (PATTERN[k] for k in kinds), strict=True):
             count = sum(known.startswith(kind) for known in self.stretches)
             name_of = f"{kind}_{count + 1}"
             self.stretches[name_of] = stretches[s]

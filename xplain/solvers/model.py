@@ -24,7 +24,16 @@ from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, lean_kernel, tell_when_compiling
-from xplain.solvers.rows import Rows, delaying, make_rows, relevant_rows, row, rows_at, spread
+from xplain.solvers.rows import (
+    Rows,
+    delaying,
+    is_left,
+    make_rows,
+    relevant_rows,
+    row,
+    rows_at,
+    spread,
+)
 
 TIE = 1e-9
 """Values closer than this, relative to 1 + their size, are equal."""
@@ -270,7 +279,7 @@ def _back_up_rows(rows, discount, message_discount, values, first, end):  # type
             for at in range(rows.number[t] - 1, -1, -1):
                 best = discount * values[k + 1, at, t] - values[k, at, t]
                 for c in range(rows.stride.shape[1]):
-                    if at // rows.stride[t, c] % (rows.size[t, c] + 1) < rows.size[t, c]:
+                    if is_left(rows, at, t, c):
                         value = message_discount * values[k, at + rows.stride[t, c], t]
                         best = max(best, value - rows.price[t, c])
                 values[k, at, t] = best

@@ -27,7 +27,7 @@ from xplain.solvers.model import (
     table_bytes,
     take,
 )
-from xplain.solvers.restriction import Restricted, restricted
+from xplain.solvers.restriction import Restricted, messages_worth_giving
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,10 @@ def greedy_policy(problem: Problem, what: str, memory_gib: float, instead: str) 
     Raises:
         TooLargeError: its tables would take more than ``memory_gib``.
     """
-    small, kept = restricted(problem)
+    kept = messages_worth_giving(problem)
+    small = problem.with_messages(kept)
+    if len(kept) <= small.relevant.shape[1]:
+        small = small.dense()  # no larger than a type's own table
     check_memory(what, table_bytes(small), memory_gib, instead)
     model = model_of(small)
     return Restricted(Greedy(model, optimal_values(model)), kept)

@@ -13,7 +13,7 @@ from xplain.explanation.by_type import DENSE
 from xplain.explanation.problem import MAX_DENSE, Problem
 from xplain.message_sets import compress, expand
 from xplain.solvers.base import Policy
-from xplain.solvers.model import explain_cost_at, model_of, optimal_values
+from xplain.solvers.model import model_of, optimal_values
 
 IMAGINED = 16
 """With so many messages an imagined type is planned for: it needs a table over all their sets."""
@@ -33,29 +33,33 @@ def messages_worth_giving(problem: Problem) -> tuple[int, ...]:
         return effective
     price = problem.trade_off * problem.message_cost
     delay = 1 - problem.discount if problem.discount_per == "action" else 0.0
-    ahead = _most_to_pay(problem, effective) if delay > 0 else 0.0
-    stalling = {j for j in idle if price[j] < delay * ahead}
+    if delay <= 0:
+        return effective
+    small, by_type = problem.with_messages(effective), problem.by_type is not None
+    stalling = idle
+    if by_type:
+        stalling = {j for j in idle if price[j] < delay * _saying_everything(small)}
+    if stalling and (not by_type or len(effective) <= IMAGINED):
+        ahead = -float(optimal_values(model_of(small.pessimistic().dense())).min())
+        stalling = {j for j in stalling if price[j] < delay * ahead}
     return tuple(sorted(stalling.union(effective)))
 
 
-def _most_to_pay(problem: Problem, effective: tuple[int, ...]) -> float:
-    """What may still be to pay under the optimum, at most: what the imagined type does; with too
-    many messages for that, what saying everything at once and then nothing costs whom it helps
-    least."""
-    small = problem.with_messages(effective)
-    if problem.by_type is None or len(effective) <= IMAGINED:
-        return -float(optimal_values(model_of(small.pessimistic())).min())
-    model = model_of(small)
-    left, most = np.zeros(problem.n_types), 0.0
-    for k in reversed(range(problem.n_steps)):
-        left = explain_cost_at(model, k, (1 << len(effective)) - 1) + model.discount * left
-        most = max(most, float(left.max()))
-    return float(model.price.sum()) + most
+def _saying_everything(small: Problem) -> float:
+    """What the imagined type has still to pay under the optimum, at most, from any step on and
+    whatever was given: all messages are given at once, and then nothing is said."""
+    everything = (1 << small.n_messages) - 1
+    p = small.label_probabilities(small.n_steps, everything).min(axis=0)
+    left, most = 0.0, 0.0
+    for cost in reversed((small.inexplicability_cost * np.cumsum(1 - p)).tolist()):
+        left = cost + small.discount * left
+        most = max(most, left)
+    return small.trade_off * float(small.message_cost.sum()) + most
 
 
 def restricted(problem: Problem) -> tuple[Problem, tuple[int, ...]]:
     """The problem with the messages worth giving, and their positions. With few of them it is
-    dense: tables of all types side by side are quicker than a type's own."""
+    dense: searches are quicker where the tables of all types lie side by side."""
     kept = messages_worth_giving(problem)
     small = problem.with_messages(kept)
     return (small.dense() if len(kept) <= DENSE else small), kept

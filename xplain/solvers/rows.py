@@ -52,6 +52,15 @@ def row(rows, given, t):  # type: ignore[no-untyped-def]
     return at
 
 
+@inlined
+def is_left(rows, at, t, c):  # type: ignore[no-untyped-def]
+    """Whether some message of a class is not yet given in a row."""
+    stride, size = rows.stride[t, c], rows.size[t, c]
+    if size <= 1 and stride & (stride - 1) == 0:  # a bit, which is quicker told than a digit
+        return size == 1 and at & stride == 0
+    return at // stride % (size + 1) < size
+
+
 def rows_at(rows: Rows, given: int | NDArray[np.int64]) -> NDArray[np.int64]:
     """The rows of H for all types: [N], or [B, N] for B message sets."""
     counts = np.bitwise_count(np.asarray(given, dtype=np.int64)[..., None, None] & rows.mask)

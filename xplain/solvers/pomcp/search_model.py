@@ -21,7 +21,7 @@ from xplain.numba_kernels import inlined, lean_kernel, shared_kernel
 from xplain.solvers.model import Model, explain_costs, explicable, optimal_values, table_bytes
 from xplain.solvers.model import model_of as reduced_model
 from xplain.solvers.pomcp.random_words import GOLDEN, splitmix64
-from xplain.solvers.rows import Rows, row
+from xplain.solvers.rows import Rows, is_left, row
 
 LIKELIEST = np.dtype([("probability", np.float64), ("code", np.uint64)])
 CACHE = 1 << 24
@@ -241,7 +241,7 @@ def _find_wanted_by_type(model):  # type: ignore[no-untyped-def]
                             mask |= (said - model.price[j] > silent) << j
                     for c in range(rows.stride.shape[1]):
                         stride = rows.stride[t, c]
-                        if at // stride % (rows.size[t, c] + 1) < rows.size[t, c]:
+                        if is_left(rows, at, t, c):
                             said = model.message_discount * model.optimal[k, at + stride, t]
                             if said - rows.price[t, c] > silent:
                                 mask |= rows.mask[t, c]
