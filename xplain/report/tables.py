@@ -92,19 +92,6 @@ def as_csv(summary: Summary) -> str:
     return out.getvalue()
 
 
-def differences_csv(summary: Summary) -> str:
-    """Paired differences between methods on the same traces and users."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["domain", "lambda", "method", "less", "mean", "low", "high"])
-    for domain, trade_off, method, other, e in summary.differences():
-        writer.writerow(
-            [domain, f"{trade_off:g}", method, other]
-            + [number(x, 6) for x in (e.mean, e.low, e.high)]
-        )
-    return out.getvalue()
-
-
 def grid(summary: Summary, by_setting: bool = False) -> list[tuple[str, str, float, list[Entry]]]:
     """(domain, setting, λ, numbers in the order of the columns)."""
     rows: dict[tuple[str, str, float], list[Entry]] = {}
@@ -149,7 +136,7 @@ def latex(summary: Summary) -> str:
         r"\begin{tabular}{ll" + "r@{ }l" * len(keys) + "}",
         r"\toprule",
         "Domain & $\\lambda$ & "
-        + " & ".join(rf"\multicolumn{{2}}{{c}}{{{_tex(title(key))}}}" for key in keys)
+        + " & ".join(rf"\multicolumn{{2}}{{c}}{{{tex(title(key))}}}" for key in keys)
         + r" \\",
     ]
     last = ""
@@ -164,16 +151,21 @@ def latex(summary: Summary) -> str:
             known = entry is not None and not math.isnan(entry.estimate.low)
             text = rf"\tiny${interval(entry.estimate)}$" if entry is not None and known else ""
             intervals.append(rf"\multicolumn{{2}}{{c}}{{{text}}}")
-        name = _tex(title(domain)) if domain != last else ""
+        name = tex(title(domain)) if domain != last else ""
         lines.append(f"{name} & {trade_off:g} & " + " & ".join(means) + r" \\")
         lines.append(" & & " + " & ".join(intervals) + r" \\")
         last = domain
-    lines += [r"\bottomrule", r"\end{tabular}", f"% {caption(summary)}"]
+    lines += [r"\bottomrule", r"\end{tabular}", f"% {caption(summary, difference=False)}"]
     return "\n".join(lines) + "\n"
 
 
-def caption(summary: Summary) -> str:
-    """How to read the table."""
+def caption(summary: Summary, difference: bool = True) -> str:
+    """How to read the table.
+
+    Args:
+        summary: of the sweep.
+        difference: whether the table tells our difference to the paper beside its value.
+    """
     pooled = [
         f"{title(domain)} pools {len(summary.settings(domain))} settings "
         f"({'; '.join(summary.settings(domain))})"
@@ -182,9 +174,9 @@ def caption(summary: Summary) -> str:
     ]
     unit = "seeds" if summary.seeds > 1 else "traces"
     text = (
-        "Oracle's cost, and regret (cost less the oracle's on the same trace and user) of each "
-        f"method; 95 % intervals over {unit} in brackets; in parentheses the paper's value and "
-        "our difference to it."
+        "Oracle's cost, and regret (cost minus the oracle's on the same trace and user) of each "
+        f"method; 95 % intervals over {unit} in brackets; in parentheses the paper's value"
+        + (" and our difference to it." if difference else ".")
     )
     if summary.missing:
         text += f" {summary.missing} of {len(summary.jobs)} jobs are missing."
@@ -208,5 +200,6 @@ def interval(estimate: Estimate) -> str:
     return f"[{number(estimate.low)}, {number(estimate.high)}]"
 
 
-def _tex(text: str) -> str:
+def tex(text: str) -> str:
+    """Text without what LaTeX would take for commands."""
     return text.replace("_", r"\_").replace("%", r"\%").replace("&", r"\&")
