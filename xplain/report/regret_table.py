@@ -186,7 +186,7 @@ def table_caption(summary: Summary, table: RegretTable) -> str:
     text = "Regret is cost minus the oracle's on the same trace and user."
     if any(cell and not math.isnan(cell.estimate.low) for row in table.rows for cell in row.cells):
         unit = "seeds" if summary.seeds > 1 else "traces"
-        text += f" ± is half of a 95 % interval over {unit}."
+        text += f" ± half-width of the 95 % interval over {unit}."
         if table.marked:
             text += (
                 f" {BEST} least regret of the row; {TIE} not told apart from it: the interval of "

@@ -131,7 +131,7 @@ class Summary:
         return {
             key
             for key in self.keys
-            if all(_is_number(job["values"].get(key, "0")) for job in self.jobs)
+            if all(is_number(job["values"].get(key, "0")) for job in self.jobs)
         }
 
     @cached_property
@@ -311,7 +311,8 @@ def method_of(values: dict[str, str], solver: str) -> str:
     return " ".join([solver, *own])
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether the text of a swept value is a finite number."""
     try:
         return math.isfinite(float(text))
     except ValueError:

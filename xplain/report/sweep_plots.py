@@ -67,6 +67,7 @@ def against_main_key(summary: Summary, measure: str, label: str) -> Figure | Non
         panel.set_title(title, loc="left", weight="bold", fontsize=10)
     for panel in axes:
         _scale(panel, measure, means)
+    _share_scale(axes, layout)
     axes[0].set_ylabel(label)
     if summary.report == "table1" and measure == "regret":
         axes[len(panels) - 1].plot([], [], "o", color="#666666", mfc="white", label="paper")
@@ -218,6 +219,14 @@ def _scale(axes: Axes, measure: str, means: list[float]) -> None:
             "function",
             functions=(lambda y: np.sign(y) * np.abs(y) ** 0.5, lambda y: np.sign(y) * y**2),
         )
+
+
+def _share_scale(axes: list[Axes], layout: PlotLayout) -> None:
+    """The same vertical axis for all panels; tasks differ in scale, so theirs are their own."""
+    if "domain" not in layout.panels:
+        low, high = zip(*(panel.get_ylim() for panel in axes), strict=True)
+        for panel in axes:
+            panel.set_ylim(min(low), max(high))
 
 
 def wide_range(means: list[float]) -> bool:

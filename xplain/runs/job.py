@@ -36,7 +36,7 @@ from xplain.experiment.results import (
 from xplain.report import run_summary
 from xplain.runs.folder import JobOfSweep, is_ours, job_of, mark_failed, mark_started
 from xplain.runs.forecast import print_dry_job
-from xplain.runs.mlflow import tell_link
+from xplain.runs.mlflow import tell_links
 from xplain.runs.worker import end_with_parent
 from xplain.solvers.base import Solver
 from xplain.solvers.known_type import KnownType
@@ -84,7 +84,7 @@ def _run_alone(cfg: DictConfig, folder: Path) -> float | None:
     run_summary.print_summary(results)
     log.info("folder: %s", os.path.relpath(folder))
     log.info("  trace.png is one explanation, results.json has all figures")
-    tell_link(tracking, outputs, link)
+    tell_links(tracking, outputs, [] if link is None else [("MLflow", link)])
     return results.regret
 
 

@@ -89,7 +89,7 @@ class MLflow:
         try:
             with self.client(outputs) as (client, experiment_id):
                 run_id = log_folder(client, experiment_id, folder)
-                describe_experiment(client, experiment_id, self.pages(outputs))
+                describe_experiment(client, experiment_id)
                 return f"{self.pages(outputs)}/experiments/{experiment_id}/runs/{run_id}"
         except Exception as error:  # MLflow raises what SQLAlchemy, requests, the OS do
             reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
@@ -144,11 +144,12 @@ class MLflow:
         yield client, experiment_id
 
 
-def tell_link(tracking: Disk | MLflow, outputs: Path, link: str | None) -> None:
+def tell_links(tracking: Disk | MLflow, outputs: Path, links: list[tuple[str, str]]) -> None:
     """The last lines of a run or a sweep: where it is in MLflow, and how to look there."""
-    if link is None or not isinstance(tracking, MLflow):
+    if not links or not isinstance(tracking, MLflow):
         return
-    log.info("MLflow: %s", link)
+    for words, address in links:
+        log.info("%s: %s", words, address)
     command = tracking.how_to_open(outputs)
     if command is not None:
         log.info("  once this runs: %s", command)
@@ -193,6 +194,7 @@ def fill(
     folder: Path,
     results: Results,
     swept: Mapping[str, str] | None = None,
+    step: int = 0,
 ) -> None:
     """Logs a result into its run and marks it finished; doing it twice changes nothing.
 
@@ -202,13 +204,14 @@ def fill(
         client, run_id: where to.
         folder, results: of the finished run.
         swept: keys of the sweep with this run's values.
+        step: where its figures stand in charts of the sweep.
     """
     from mlflow.entities import Metric, Param, RunTag
 
     end = ended(results)
-    metrics = [Metric(name, value, end, 0) for name, value in scalars(results).items()]
-    for step, value in enumerate(results.steps.get("belief_in_true_type", ())):
-        metrics.append(Metric("belief_in_true_type", value, end, step))
+    metrics = [Metric(name, round(value, 4), end, step) for name, value in scalars(results).items()]
+    for index, value in enumerate(results.steps.get("belief_in_true_type", ())):
+        metrics.append(Metric("belief_in_true_type", value, end, index))
     for k, value in enumerate(results.elbow.disagreements, start=1):
         metrics.append(Metric("disagreements", value, end, k))
     params = [Param(key, value) for key, value in parameters(results, swept or {}).items()]

@@ -12,11 +12,13 @@ import logging
 import threading
 import time
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xplain.experiment.fingerprint import git_state
 from xplain.experiment.results import load_results
+from xplain.report.combinations import heading
 from xplain.report.regret_table import markdown
 from xplain.runs.folder import State, SweepFolder, result_id
 from xplain.runs.mlflow import (
@@ -29,10 +31,12 @@ from xplain.runs.mlflow import (
     source_tags,
 )
 from xplain.runs.mlflow_views import (
-    VIEW_OF,
-    chart_of,
+    MainKey,
+    chart_view,
+    curves,
     describe_experiment,
     every_combination,
+    main_key,
     save_view,
     sweep_view,
     view_address,
@@ -71,9 +75,9 @@ class NoMirror:
     def finish(self, status: str, summary: Summary | None, report: Path | None) -> None:
         """See :meth:`Mirror.finish`; here nothing is sent."""
 
-    def link(self) -> str | None:
-        """See :meth:`Mirror.link`; here there is none."""
-        return None
+    def links(self) -> list[tuple[str, str]]:
+        """See :meth:`Mirror.links`; here there are none."""
+        return []
 
 
 @dataclass
@@ -117,11 +121,21 @@ class Mirror:
         """
         self._try(lambda: self._finish(status, summary, report))
 
-    def link(self) -> str | None:
-        """Address of the sweep's view: its jobs with what was swept and their regrets."""
+    def links(self) -> list[tuple[str, str]]:
+        """(words, address) of the sweep's views: its jobs with what was swept and their regrets,
+        and the chart; none where MLflow did not take it."""
         if self._client is None:
-            return None
-        return view_address(self.tracking.pages(self.outputs), self._experiment, self._view)
+            return []
+        pages = self.tracking.pages(self.outputs)
+        found = [("MLflow", view_address(pages, self._experiment, self._view))]
+        if self._main.key:
+            chart = view_address(pages, self._experiment, f"{self._view}-chart", chart=True)
+            found.append((f"  regret against {heading(self._main.key)}", chart))
+        return found
+
+    @cached_property
+    def _main(self) -> MainKey:
+        return main_key(self.jobs)
 
     @property
     def _view(self) -> str:
@@ -180,7 +194,6 @@ class Mirror:
             name = f"{identity} · {' × '.join(self._swept())}"
             run = client.create_run(self._experiment, int(1000 * time.time()), tags, name)
             self._parent, self._started = run.info.run_id, run.info.start_time
-            client.set_tag(self._parent, VIEW_OF, self._parent)
             return
         self._parent, self._started = found[0].info.run_id, found[0].info.start_time
         self._ended = found[0].info.end_time or 0
@@ -211,7 +224,6 @@ class Mirror:
             tags = {
                 RESULT_TAG: key,
                 "mlflow.parentRunId": self._parent,
-                VIEW_OF: self._parent,
                 **source_tags(git_state()),
                 **process_tag(),
             }
@@ -222,7 +234,14 @@ class Mirror:
                 client.set_tag(run_id, tag, value)
             client.update_run(run_id, "RUNNING")
         if state == "finished":
-            fill(client, run_id, folder, load_results(folder), job.values)
+            fill(
+                client,
+                run_id,
+                folder,
+                load_results(folder),
+                job.values,
+                self._main.step(job.values),
+            )
         elif state == "failed":
             failure = self.folder.failure(job)
             client.set_tag(run_id, "xplain.error", failure["error"][:4000])
@@ -253,24 +272,26 @@ class Mirror:
         """What opens on the answer: curves, table and parameters on the parent, and the view."""
         from mlflow.entities import Metric, Param
 
-        when = self._started
-        chart = chart_of(summary)
         metrics = [
-            Metric(curve.name, value, when, step)
-            for curve in chart.curves
-            for step, value in curve.points
+            Metric(name, value, self._started, step)
+            for name, step, value in curves(summary, self._main)
         ]
-        regrets = [cell.estimates["regret"] for cell in every_combination(summary)]
+        regrets = [cell.estimates["regret"].mean for cell in every_combination(summary)]
         if regrets:
-            metrics.append(Metric("best_regret", min(e.mean for e in regrets), when, 0))
+            metrics.append(Metric("best_regret", round(min(regrets), 4), self._started, 0))
         for first in range(0, len(metrics), 900):
             client.log_batch(self._parent, metrics[first : first + 900])
         params = [Param(key, value) for key, value in self._parameters(summary).items()]
         client.log_batch(self._parent, params=params)
         client.set_tag(self._parent, "mlflow.note.content", self._note(summary))
-        view = sweep_view(self._parent, summary, chart)
-        save_view(client, self._experiment, self._view, view)
-        describe_experiment(client, self._experiment, self.tracking.pages(self.outputs))
+        table = sweep_view(self._parent, summary, self._main)
+        save_view(client, self._experiment, self._view, table)
+        if self._main.key:
+            chart = chart_view(self._parent, summary, self._main)
+            save_view(client, self._experiment, f"{self._view}-chart", chart)
+        link = view_address("#", self._experiment, self._view)
+        newest = f"**[Newest sweep: {self.folder.identity}]({link})**"
+        describe_experiment(client, self._experiment, newest)
 
     def _parameters(self, summary: Summary) -> dict[str, str]:
         """Of the parent: what was swept, with all values."""
@@ -283,12 +304,14 @@ class Mirror:
 
     def _note(self, summary: Summary) -> str:
         """The parent's description."""
-        about = self.folder.load()
-        link = self.link()
+        links = [f"[its jobs by regret]({view_address('#', self._experiment, self._view)})"]
+        if self._main.key:
+            chart = view_address("#", self._experiment, f"{self._view}-chart", chart=True)
+            links.append(f"[regret against {heading(self._main.key)}]({chart})")
         return (
             f"{len(self.jobs)} jobs over {', '.join(summary.keys) or 'nothing'}: "
-            f"`{about['command']}`. [The jobs as a table, by regret]({link}). The report is among "
-            f"the artifacts (`report/index.html`).\n\n{markdown(summary)}"
+            f"{', '.join(links)}; the report is among the artifacts (`report/index.html`). "
+            f"`{self.folder.load()['command']}`\n\n{markdown(summary)}"
         )
 
 

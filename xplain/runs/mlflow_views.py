@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,13 +21,11 @@ from xplain.report.combinations import (
     value_label,
 )
 from xplain.report.layout import plot_layout
-from xplain.report.summary import Summary, Value
+from xplain.report.summary import Summary, Value, is_number
+from xplain.runs.plan import Job
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
-
-VIEW_OF = "xplain.in"
-"""Tag of a sweep's parent and of its children: the parent's id."""
 
 VIEW_TAG = "mlflow.sharedViewState."
 SWEEPS_VIEW = "sweeps"
@@ -40,24 +38,45 @@ MOST_CURVES = 12
 
 
 @dataclass(frozen=True)
-class Curve:
-    """A line of the parent's chart: its metric, and (step, regret)."""
-
-    name: str
-    points: tuple[tuple[int, float], ...]
-
-
-@dataclass(frozen=True)
-class Chart:
-    """Regret against the main swept key.
+class MainKey:
+    """The swept key on the horizontal axis of charts, whose steps are whole numbers.
 
     Attributes:
-        title: says what a step is.
-        curves: one a line and panel of the report's plot.
+        key: "" where no key has several numbers for values.
+        scale: a power of ten; a step is so many times the value.
     """
 
-    title: str
-    curves: tuple[Curve, ...]
+    key: str
+    scale: int
+
+    def step(self, values: Mapping[str, str]) -> int:
+        """Of a job with these swept values."""
+        return round(self.scale * float(values.get(self.key) or 0)) if self.key else 0
+
+    @property
+    def title(self) -> str:
+        """What a step is."""
+        return f"{'' if self.scale == 1 else f'{self.scale} × '}{heading(self.key)}"
+
+
+def main_key(jobs: Sequence[Job]) -> MainKey:
+    """The numeric key with most values, λ before others; seeds are replicates."""
+    values: dict[str, set[str]] = {}
+    for job in jobs:
+        for key, value in job.values.items():
+            values.setdefault(key, set()).add(value)
+    numbers = {
+        key: [float(value) for value in own]
+        for key, own in values.items()
+        if key != "seed" and len(own) > 1 and all(map(is_number, own))
+    }
+    key = max(numbers, key=lambda key: (len(numbers[key]), key == "lambda"), default="")
+    scale = 1
+    while scale < 10**6 and any(
+        abs(scale * x - round(scale * x)) > 1e-9 for x in numbers.get(key, [])
+    ):
+        scale *= 10
+    return MainKey(key, scale)
 
 
 def every_combination(summary: Summary) -> list[Combination]:
@@ -66,33 +85,20 @@ def every_combination(summary: Summary) -> list[Combination]:
     return [one for one in found if "regret" in one.estimates]
 
 
-def chart_of(summary: Summary) -> Chart:
-    """The curves for MLflow, whose steps are whole numbers. Combinations of which a job is missing
-    are left out: their mean would change later."""
+def curves(summary: Summary, main: MainKey) -> list[tuple[str, int, float]]:
+    """(metric, step, regret) for the parent's charts: a metric a line of the report's plot.
+    Combinations of which a job is missing are left out: their mean would change later."""
     layout = plot_layout(summary)
-    if layout.x is None or not layout.numeric:
-        return Chart("", ())
-    numbers = [value for value in summary.values(layout.x) if isinstance(value, float)]
-    scale = _scale(numbers)
-    curves = []
-    for values, frame in grouped(summary, (*layout.panels, *layout.lines)):
-        points = []
-        for value in numbers:
-            own = frame[frame[layout.x] == value].dropna(subset=["regret"])
-            if len(own) and summary.complete({**values, layout.x: value}):
-                points.append((round(scale * value), summary.mean(own, "regret").mean))
-        if points:
-            curves.append(Curve(_metric("regret", values), tuple(points)))
-    times = "" if scale == 1 else f"{scale} × "
-    return Chart(f"regret against {times}{heading(layout.x)}", tuple(curves))
-
-
-def _scale(numbers: list[float]) -> int:
-    """A power of ten that makes all of them whole."""
-    scale = 1
-    while scale < 10**6 and any(abs(scale * x - round(scale * x)) > 1e-9 for x in numbers):
-        scale *= 10
-    return scale
+    if not main.key or layout.x != main.key:
+        return []
+    found = []
+    for values, frame in grouped(summary, (*layout.panels, *layout.lines))[:MOST_CURVES]:
+        for value in summary.values(main.key):
+            own = frame[frame[main.key] == value].dropna(subset=["regret"])
+            if len(own) and summary.complete({**values, main.key: value}):
+                step = round(main.scale * float(value or 0))
+                found.append((_metric("regret", values), step, summary.mean(own, "regret").mean))
+    return found
 
 
 def _metric(name: str, values: Mapping[str, Value]) -> str:
@@ -104,25 +110,61 @@ def _metric(name: str, values: Mapping[str, Value]) -> str:
     return re.sub(r"[^\w./ -]", " ", "/".join([name, *words])).replace("   ", " ").strip()
 
 
-def sweep_view(parent: str, summary: Summary, chart: Chart) -> dict[str, Any]:
-    """Flat rows of a sweep's jobs: what was swept and their figures, the least regret first."""
+def sweep_view(parent: str, summary: Summary, main: MainKey) -> dict[str, Any]:
+    """Flat rows of a sweep's jobs: what was swept and their figures, the least regret first; its
+    chart has a point a job."""
     swept = ["solver", "lambda", *(k for k in summary.keys if k not in ("solver", "lambda"))]
     if summary.seeds > 1:
         swept.append("seed")
+    columns = [*(f"params.`{key}`" for key in swept), *(f"metrics.`{name}`" for name in FIGURES)]
+    chart = {
+        "type": "SCATTER",
+        "xaxis": {"key": main.key, "type": "PARAM"},
+        "yaxis": {"key": "regret", "type": "METRIC"},
+        "displayName": f"regret against {heading(main.key)}, a point a job",
+    }
     return {
-        **_view(f"tags.`{VIEW_OF}` = '{parent}'", "regret"),
-        "selectedColumns": [
-            *(f"params.`{key}`" for key in swept),
-            *(f"metrics.`{name}`" for name in FIGURES),
-        ],
+        **_view(parent),
+        "selectedColumns": columns,
+        "columnOrder": columns,
+        **(_charts(chart) if main.key else {}),
+    }
+
+
+def chart_view(parent: str, summary: Summary, main: MainKey) -> dict[str, Any]:
+    """The jobs by solver or other choice, and one chart of regret against the main key with a
+    line for each: means over seeds, the band from least to greatest."""
+    layout = plot_layout(summary)
+    keys = (*layout.lines, *layout.panels) or ("solver",)
+    chart = {
+        "type": "LINE",
+        "metricKey": "regret",
+        "selectedMetricKeys": ["regret"],
+        "xAxisKey": "step",
+        "xAxisScaleType": "linear",
+        "scaleType": "linear",
+        "lineSmoothness": 0,
+        "displayPoints": True,
+        "displayName": f"regret against {main.title}",
+    }
+    return {
+        **sweep_view(parent, summary, main),
+        "groupBy": {
+            "aggregateFunction": "average",
+            "groupByKeys": [{"mode": "param", "groupByData": key} for key in keys],
+        },
+        "useGroupedValuesInCharts": True,
         **_charts(chart),
     }
 
 
 def sweeps_view() -> dict[str, Any]:
-    """One row a sweep, the newest first, with its best regret."""
+    """One row a sweep, with its best regret, the least first."""
     return {
-        **_view("tags.`xplain.sweep` LIKE '%'", None),
+        "searchFilter": "tags.`xplain.sweep` LIKE '%'",
+        "orderByKey": "metrics.`best_regret`",
+        "orderByAsc": True,
+        **_EVERYTHING,
         "selectedColumns": [
             "metrics.`best_regret`",
             "params.`solver`",
@@ -134,50 +176,47 @@ def sweeps_view() -> dict[str, Any]:
     }
 
 
-def _view(condition: str, metric: str | None) -> dict[str, Any]:
+def _view(parent: str) -> dict[str, Any]:
     return {
-        "searchFilter": condition,
-        "orderByKey": "attributes.start_time" if metric is None else f"metrics.`{metric}`",
-        "orderByAsc": metric is not None,
-        "startTime": "ALL",
-        "lifecycleFilter": "Active",
-        "datasetsFilter": [],
-        "modelVersionFilter": "All Runs",
-        "runsHiddenMode": "SHOW_ALL",
-        "viewMaximized": False,
-        "runListHidden": False,
+        "searchFilter": f"tags.`mlflow.parentRunId` = '{parent}'",
+        "orderByKey": "metrics.`regret`",
+        "orderByAsc": True,
+        **_EVERYTHING,
     }
 
 
-def _charts(chart: Chart) -> dict[str, Any]:
-    """Our chart in a section of its own, above those that the page makes by itself."""
-    if not chart.curves:
-        return {}
-    names = [curve.name for curve in chart.curves[:MOST_CURVES]]
+_EVERYTHING = {
+    "startTime": "ALL",
+    "lifecycleFilter": "Active",
+    "datasetsFilter": [],
+    "modelVersionFilter": "All Runs",
+    "runsHiddenMode": "SHOW_ALL",
+    "viewMaximized": False,
+    "runListHidden": False,
+}
+
+
+def _charts(chart: Mapping[str, Any]) -> dict[str, Any]:
+    """One chart, in a wide section of its own above those that the page makes by itself."""
+    section = "xplain-section"
     return {
         "compareRunSections": [
             {
-                "uuid": "xplain-section",
-                "name": chart.title,
+                "uuid": section,
+                "name": chart["displayName"],
                 "display": True,
                 "isReordered": True,
+                "columns": 1,
+                "cardHeight": 420,
             }
         ],
         "compareRunCharts": [
             {
                 "uuid": "xplain-regret",
-                "type": "LINE",
-                "metricSectionId": "xplain-section",
+                "metricSectionId": section,
                 "deleted": False,
                 "isGenerated": False,
-                "metricKey": names[0],
-                "selectedMetricKeys": names,
-                "xAxisKey": "step",
-                "xAxisScaleType": "linear",
-                "scaleType": "linear",
-                "lineSmoothness": 0,
-                "displayPoints": True,
-                "displayName": chart.title,
+                **chart,
             }
         ],
         "isAccordionReordered": True,
@@ -189,26 +228,44 @@ def save_view(client: MlflowClient, experiment: str, key: str, view: Mapping[str
     client.set_experiment_tag(experiment, VIEW_TAG + key, json.dumps(view))
 
 
-def view_address(pages: str, experiment: str, key: str) -> str:
+def view_address(pages: str, experiment: str, key: str, chart: bool = False) -> str:
     """Where a view is opened.
 
     Args:
-        pages: where the user interface is, up to the ``#``.
+        pages: where the user interface is, up to the ``#``; just ``#`` in MLflow's own texts.
         experiment: its id.
         key: of the view.
+        chart: whether charts are shown first, beside the list, or the table of runs.
     """
     page = f"{pages}/experiments/{experiment}/runs"
-    return f"{page}?workflowType=machine_learning&viewStateShareKey={key}"
+    mode = "&compareRunsMode=CHART" if chart else ""
+    return f"{page}?workflowType=machine_learning&viewStateShareKey={key}{mode}"
 
 
-def describe_experiment(client: MlflowClient, experiment: str, pages: str) -> None:
-    """The experiment's description, and the view over all sweeps."""
+def describe_experiment(client: MlflowClient, experiment: str, newest: str = "") -> None:
+    """The experiment's description, which begins with links, and the view over all sweeps.
+
+    Args:
+        client, experiment: where to.
+        newest: link to the newest sweep, in Markdown; "" keeps the one that is there.
+    """
     save_view(client, experiment, SWEEPS_VIEW, sweeps_view())
-    link = view_address(pages, experiment, SWEEPS_VIEW)
-    text = (
-        "Personalized explanations of a robot's decisions: each run explains traces to simulated "
-        "users of every type. **regret** is what an explanation cost minus what it costs an agent "
-        f"that knows the user's type. [All sweeps with their best regret]({link}); the description "
-        "of each sweep links its table."
+    before = client.get_experiment(experiment).tags.get("mlflow.note.content", "")
+    newest = newest or next((line for line in before.split(SEPARATOR) if "ewest" in line), "")
+    text = SEPARATOR.join(
+        [
+            *([newest] if newest else []),
+            f"[All sweeps with their best regret]({view_address('#', experiment, SWEEPS_VIEW)})",
+            ABOUT,
+        ]
     )
-    client.set_experiment_tag(experiment, "mlflow.note.content", text)
+    if text != before:
+        client.set_experiment_tag(experiment, "mlflow.note.content", text)
+
+
+SEPARATOR = " · "
+ABOUT = (
+    "Personalized explanations of a robot's decisions: each run explains traces to simulated users "
+    "of every type. **Regret** is what an explanation cost minus what it costs an agent that knows "
+    "the user's type."
+)

@@ -24,7 +24,7 @@ from xplain.report.summary import Summary
 from xplain.runs.folder import SweepFolder, mark_failed
 from xplain.runs.forecast import print_dry_run
 from xplain.runs.launch import interruptible, launch
-from xplain.runs.mlflow import tell_link
+from xplain.runs.mlflow import tell_links
 from xplain.runs.mlflow_mirror import mirror_of
 from xplain.runs.plan import Job, Plan, in_launch_order, make_plan
 from xplain.runs.progress import Watch, duration
@@ -251,7 +251,7 @@ class Run:
         report = self._folder.path / "report"
         log.info("folder: %s", os.path.relpath(self._folder.path))
         log.info("report: %s (regret.csv beside it)", os.path.relpath(report / "index.html"))
-        tell_link(self._tracking, self._outputs, self._mirror.link())
+        tell_links(self._tracking, self._outputs, self._mirror.links())
 
 
 def age() -> float:
