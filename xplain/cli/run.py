@@ -44,7 +44,8 @@ def main(arguments: list[str]) -> None:
 def _require_known_flags(arguments: list[str]) -> None:
     """Raises XplainError for a key that was written as a flag."""
     words = [word for word in arguments if word != "--keys"]
-    _, unknown = get_args_parser().parse_known_args(words)
+    _, left = get_args_parser().parse_known_args(words)
+    unknown = [word for word in left if word.startswith("-")]
     if unknown:
         key, _, value = unknown[0].lstrip("-").partition("=")
         after = words[words.index(unknown[0]) + 1 :]

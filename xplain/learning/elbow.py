@@ -34,18 +34,27 @@ def elbow(curve: NDArray[np.int64], few: float) -> tuple[int, str]:
     # A partition into more clusters may be worse by chance; what counts is the best so far.
     lowest = np.minimum.accumulate(curve)
     if curve[0] == 0:
-        return _chosen(1, "flat zero", "nobody disagrees")
+        return _chosen(1, "flat zero", "no two observers disagree on any label")
     reached = np.flatnonzero(lowest <= few * lowest[0])
     knee = None
     if len(curve) >= 3 and lowest.sum() < len(lowest) * (lowest[0] + lowest[-1]) / 2:
         knee = _kneedle(lowest)
     if knee is not None and (not len(reached) or knee > reached[0]):
-        return _chosen(knee, "kneedle", f"disagreements {curve[0]} → {lowest[knee - 1]}")
-    why = "no knee" if knee is None else f"the knee {knee} leaves {lowest[knee - 1]} disagreements"
+        return _chosen(
+            knee,
+            "kneedle",
+            f"there the curve of disagreements within types bends, from {curve[0]} with one type "
+            f"to {lowest[knee - 1]}",
+        )
+    why = "the curve of disagreements within types has no knee"
+    if knee is not None:
+        why = f"at {knee} types, the knee of the curve, {lowest[knee - 1]} of the {curve[0]} "
+        why += "disagreements with one type are left"
     if len(reached):
         k = int(reached[0]) + 1
-        return _chosen(k, "few", f"{why}; first k with at most {few:g} of {curve[0]}")
-    return _chosen(int(lowest.argmin()) + 1, "lowest", f"{why}; no k leaves {few:g} of {curve[0]}")
+        return _chosen(k, "few", f"{why}; {k} is the first number that leaves at most {few:.2%}")
+    k = int(lowest.argmin()) + 1
+    return _chosen(k, "lowest", f"{why}; no number of types leaves only {few:.2%}, {k} the fewest")
 
 
 def _chosen(k: int, rule: str, why: str) -> tuple[int, str]:

@@ -105,7 +105,7 @@ def page(summary: Summary, pictures: Pictures) -> str:
 def _heading(summary: Summary) -> str:
     if summary.report == "table1":
         return "Personalized explanations: costs and regrets"
-    swept = [heading(key) for key in shown_keys(summary)]
+    swept = [heading(key).lower() for key in shown_keys(summary)]
     return f"Regret by {', '.join(swept)}" if swept else "Regret"
 
 
@@ -122,7 +122,7 @@ def _own_table(summary: Summary) -> dict[str, Any]:
             {"headings": table.headings(i), "cells": [_own_cell(cell) for cell in row.cells]}
             for i, row in enumerate(table.rows)
         ],
-        "caption": table_caption(summary, table),
+        "caption": table_caption(summary, table, brackets=True),
     }
 
 

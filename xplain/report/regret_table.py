@@ -181,12 +181,18 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-def table_caption(summary: Summary, table: RegretTable) -> str:
-    """How to read the table."""
+def table_caption(summary: Summary, table: RegretTable, brackets: bool = False) -> str:
+    """How to read the table.
+
+    Args:
+        summary, table: of the sweep.
+        brackets: whether intervals stand in brackets, or as half of their widths.
+    """
     text = "Regret is cost minus the oracle's on the same trace and user."
     if any(cell and not math.isnan(cell.estimate.low) for row in table.rows for cell in row.cells):
         unit = "seeds" if summary.seeds > 1 else "traces"
-        text += f" ± half-width of the 95 % interval over {unit}."
+        what = "In brackets the" if brackets else "± half-width of the"
+        text += f" {what} 95 % interval over {unit}."
         if table.marked:
             text += (
                 f" {BEST} least regret of the row; {TIE} not told apart from it: the interval of "

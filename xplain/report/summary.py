@@ -57,7 +57,6 @@ class Summary:
         self.folder = folder
         self.about: dict[str, Any] = json.loads((folder / "sweep.json").read_text("utf-8"))
         self.jobs: list[dict[str, Any]] = self.about["jobs"]
-        self.pool: tuple[str, ...] = tuple(self.about.get("pool", ()))
         self.results: list[tuple[dict[str, Any], Results]] = []
         for job in self.jobs:
             own = folder / "jobs" / job["name"]
@@ -86,6 +85,11 @@ class Summary:
         table has rows and columns for."""
         others = set(self.keys) - {"domain", "solver", "lambda", *self.pool}
         return None if others else self.about.get("report")
+
+    @property
+    def pool(self) -> tuple[str, ...]:
+        """Swept keys that the sweep's file asks to average over."""
+        return tuple(key for key in self.about.get("pool", ()) if key in self.keys)
 
     @cached_property
     def keys(self) -> list[str]:

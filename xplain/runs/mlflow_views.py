@@ -127,6 +127,7 @@ def sweep_view(parent: str, summary: Summary, main: MainKey) -> dict[str, Any]:
         **_view(parent),
         "selectedColumns": columns,
         "columnOrder": columns,
+        "columnWidths": {column: _width(column) for column in columns},
         **(_charts(chart) if main.key else {}),
     }
 
@@ -183,6 +184,12 @@ def _view(parent: str) -> dict[str, Any]:
         "orderByAsc": True,
         **_EVERYTHING,
     }
+
+
+def _width(column: str) -> int:
+    """Pixels: as narrow as its heading allows, so that the regret is seen without scrolling."""
+    name = column.partition("`")[2].rstrip("`")
+    return max(80, 8 * len(name) + 24)
 
 
 _EVERYTHING = {
