@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from xplain.experiment.results import ElbowFigures, Figure, Results, TypeNames
-from xplain.runs.mlflow import MOST_PARAMETERS, fill, parameters
+from xplain.runs.mlflow_run import MOST_PARAMETERS, fill, parameters
 from xplain.runs.mlflow_views import main_key
 from xplain.runs.plan import Job
 

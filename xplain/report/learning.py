@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.report.summary import Summary, setting_of
+from xplain.report.settings import setting_of
+from xplain.report.summary import Summary
 
 
 def elbows(summary: Summary, domain: str) -> dict[str, tuple[NDArray[np.float64], Counter[int]]]:

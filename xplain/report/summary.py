@@ -20,18 +20,13 @@ import pandas as pd
 
 from xplain.evaluation.statistics import Estimate, clustered_mean
 from xplain.experiment.results import RESULTS, Results, load_results
+from xplain.report.settings import method_of, setting_of
 
 ORDER = ("qmdp", "pomcp", "qhr", "baseline", "conformant")
 """The paper's columns come first, others after them by name."""
 
 Value = float | str
 """Of a swept key: a number where all its values are; "" where a setting lacks the key."""
-
-_SOURCE = ("domain", "users", "observers", "labeler", "clusterer", "points", "traces", "max_steps")
-"""What tells settings apart; anything else that is swept tells methods apart."""
-
-_WORDS = {"users.count": "{} types", "users.index": "completion {}"}
-"""What people call settings."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +217,7 @@ class Summary:
         return None
 
     def differences(self) -> Iterator[tuple[str, float, str, str, Estimate]]:
-        """(domain, λ, method, other, cost of the method less the other's on the same trace and
+        """(domain, λ, method, other, cost of the method minus the other's on the same trace and
         user) for each pair of methods."""
         key = ["setting", "seed", "trace", "type"]
         for domain in self.domains:
@@ -292,27 +287,6 @@ class Summary:
         """What was sampled: seeds, each with its own data and traces; with one seed, traces.
         Settings share seeds and traces, so they make no clusters of their own."""
         return frame["seed"] if self.seeds > 1 else frame["trace"]
-
-
-def setting_of(values: dict[str, str]) -> str:
-    """``3 types``, ``noise=0.1``; empty where settings are domains alone."""
-    words = []
-    for key, value in values.items():
-        group, _, last = key.rpartition(".")
-        if key.partition(".")[0] not in _SOURCE or key == "domain":
-            continue
-        words.append(_WORDS.get(key, f"{last}=" + "{}").format(value) if group else value)
-    return " ".join(words)
-
-
-def method_of(values: dict[str, str], solver: str) -> str:
-    """``pomcp``, or ``pomcp simulations=500`` where that is swept as well."""
-    own = [
-        f"{key.rpartition('.')[2]}={value}"
-        for key, value in values.items()
-        if key.partition(".")[0] not in _SOURCE and key not in ("solver", "lambda", "seed")
-    ]
-    return " ".join([solver, *own])
 
 
 def is_number(text: str) -> bool:

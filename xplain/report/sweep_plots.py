@@ -29,7 +29,7 @@ AXES = {
 """What a key means, on its axis; any other stands there by its name."""
 
 MOST_PANELS = 24
-WIDE_RANGE = 12.0
+WIDE_RANGE = 8.0
 """Means whose largest is so many times their median are drawn on an axis of square roots."""
 
 
@@ -66,7 +66,7 @@ def against_main_key(summary: Summary, measure: str, label: str) -> Figure | Non
         title = ", ".join(value_label(key, value) for key, value in values.items())
         panel.set_title(title, loc="left", weight="bold", fontsize=10)
     for panel in axes:
-        _scale(panel, measure, means)
+        _scale(panel, measure, summary.report == "table1" or wide_range(means))
     _share_scale(axes, layout)
     axes[0].set_ylabel(label)
     if summary.report == "table1" and measure == "regret":
@@ -208,13 +208,13 @@ def _draw_paper(
         panel.plot(*zip(*paper, strict=True), ls="none", ms=5, **look)
 
 
-def _scale(axes: Axes, measure: str, means: list[float]) -> None:
+def _scale(axes: Axes, measure: str, roots: bool) -> None:
     """Regrets of the baseline and of the others differ tenfold: square roots show both."""
     if measure != "regret":
         axes.set_ylim(bottom=0)
         return
     axes.axhline(0, color="#222222", lw=0.8)
-    if wide_range(means):
+    if roots:
         axes.set_yscale(
             "function",
             functions=(lambda y: np.sign(y) * np.abs(y) ** 0.5, lambda y: np.sign(y) * y**2),

@@ -25,11 +25,11 @@ from xplain.runs.mlflow import (
     RESULT_TAG,
     MLflow,
     all_runs,
-    fill,
     process_tag,
     retire,
     source_tags,
 )
+from xplain.runs.mlflow_run import fill, parent_parameters
 from xplain.runs.mlflow_views import (
     MainKey,
     chart_view,
@@ -281,7 +281,7 @@ class Mirror:
             metrics.append(Metric("best_regret", round(min(regrets), 4), self._started, 0))
         for first in range(0, len(metrics), 900):
             client.log_batch(self._parent, metrics[first : first + 900])
-        params = [Param(key, value) for key, value in self._parameters(summary).items()]
+        params = [Param(key, value) for key, value in parent_parameters(self.jobs).items()]
         client.log_batch(self._parent, params=params)
         client.set_tag(self._parent, "mlflow.note.content", self._note(summary))
         table = sweep_view(self._parent, summary, self._main)
@@ -292,15 +292,6 @@ class Mirror:
         link = view_address("#", self._experiment, self._view)
         newest = f"**[Newest sweep: {self.folder.identity}]({link})**"
         describe_experiment(client, self._experiment, newest)
-
-    def _parameters(self, summary: Summary) -> dict[str, str]:
-        """Of the parent: what was swept, with all values."""
-        values: dict[str, dict[str, None]] = {}
-        for job in self.jobs:
-            for key, value in job.values.items():
-                values.setdefault(key, {})[value] = None
-        found = {key: ", ".join(own)[:500] for key, own in values.items()}
-        return found | {"jobs": str(len(self.jobs))}
 
     def _note(self, summary: Summary) -> str:
         """The parent's description."""
