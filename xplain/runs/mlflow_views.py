@@ -161,19 +161,20 @@ def chart_view(parent: str, summary: Summary, main: MainKey) -> dict[str, Any]:
 
 def sweeps_view() -> dict[str, Any]:
     """One row a sweep, with its best regret, the least first."""
+    columns = [
+        "metrics.`best_regret`",
+        "params.`jobs`",
+        "params.`solver`",
+        "params.`lambda`",
+        "attributes.`Description`",
+    ]
     return {
         "searchFilter": "tags.`xplain.sweep` LIKE '%'",
-        "orderByKey": "metrics.`best_regret`",
+        "orderByKey": columns[0],
         "orderByAsc": True,
         **_EVERYTHING,
-        "selectedColumns": [
-            "metrics.`best_regret`",
-            "params.`solver`",
-            "params.`lambda`",
-            "params.`jobs`",
-            "attributes.`Duration`",
-            "attributes.`Description`",
-        ],
+        "selectedColumns": columns,
+        "columnOrder": columns,
     }
 
 
