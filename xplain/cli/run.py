@@ -9,10 +9,12 @@ from __future__ import annotations
 import sys
 
 import hydra
+from hydra._internal.utils import get_args_parser
 from omegaconf import DictConfig
 
 from xplain.cli import hydra_plugins
 from xplain.config import CONF, named, register
+from xplain.errors import XplainError
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")
@@ -28,6 +30,7 @@ def main(arguments: list[str]) -> None:
     Args:
         arguments: overrides and Hydra's flags; ``--keys`` shows every key and choice.
     """
+    _require_known_flags(arguments)
     register()
     hydra_plugins.register()
     flags = ["--help" if word == "--keys" else word for word in named(arguments)]
@@ -36,3 +39,17 @@ def main(arguments: list[str]) -> None:
         _job()
     finally:
         sys.argv = before
+
+
+def _require_known_flags(arguments: list[str]) -> None:
+    """Raises XplainError for a key that was written as a flag."""
+    words = [word for word in arguments if word != "--keys"]
+    _, left = get_args_parser().parse_known_args(words)
+    unknown = [word for word in left if word.startswith("-")]
+    if unknown:
+        key, _, value = unknown[0].lstrip("-").partition("=")
+        after = words[words.index(unknown[0]) + 1 :]
+        value = value or (after[0] if after and "=" not in after[0] else "VALUE")
+        raise XplainError(
+            f"{unknown[0]}: no such flag; keys are written without dashes: {key}={value}"
+        )
