@@ -20,7 +20,7 @@ from xplain.report.learning import elbows as curves_of
 from xplain.report.paper import title
 from xplain.report.summary import Summary
 
-# Okabe and Ito's palette, grey for their yellow; each series also has a marker and a line style of its own.
+# Okabe and Ito's palette, grey for their yellow; each series has a marker and a line style, too.
 COLOURS = (
     "#0072B2",
     "#D55E00",
