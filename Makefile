@@ -3,6 +3,7 @@
 # make test-slow  the long ones: twenty kill -9, ten thousand hostile requests, every command of
 #                 the docs, the examples against a built wheel; browser-test needs Chromium
 # make mutants  puts mistakes in at random, and tells which ones no test noticed (tests/mutants)
+# make ui     MLflow on the runs and sweeps in outputs/ (http://127.0.0.1:5000)
 # make study  starts the study's server
 # make bench  the benchmarks, whole
 PYTHON ?= python3

@@ -9,6 +9,7 @@ import secrets
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException
 from omegaconf import (
     AnyNode,
+    BooleanNode,
     DictConfig,
     FloatNode,
     IntegerNode,
@@ -50,11 +52,19 @@ GROUPS = (
 )
 """Groups of components that decide a number; a choice says what it is without its key."""
 MOVED = {
-    "observers.queries": "queries=independent or queries=shared",
+    "observers.queries": "queries=independent, queries=shared, queries=battery or queries=adaptive",
     "observers.trace_length": "queries.trace_length",
     "observers.message_probability": "queries.message_probability",
 }
 """Keys that are called otherwise today."""
+
+RESUME = ("missing", "failed", "none")
+"""Which jobs of a sweep run: those not finished, those that failed, or all of them anew."""
+
+NO_PACKAGE = (
+    "domain: the file of this choice has to begin with the line '# @package _global_', since it "
+    "sets keys beside domain"
+)
 
 _unique = secrets.token_hex(3)
 
@@ -74,6 +84,7 @@ def schema() -> DictConfig:
             "inexplicability_cost": FloatNode(1.0),
             "prior": StringNode("uniform"),
             "resume": StringNode("missing"),
+            "dry_run": BooleanNode(False),
             # Absolute, so that it is the same folder in every worker.
             "outputs": StringNode(str(Path.cwd() / "outputs")),
         }
@@ -145,6 +156,18 @@ def require_seed(cfg: DictConfig) -> int:
     return whole_number("seed", cfg.seed, 0)
 
 
+def require_usable(cfg: DictConfig) -> None:
+    """Refuses an experiment's configuration whose types fit and which makes no sense all the same.
+
+    Raises:
+        XplainError: a ``resume`` that there is not, or a domain's file in the wrong package.
+    """
+    if cfg.resume not in RESUME:
+        raise InputError("resume", cfg.resume, f"one of {', '.join(RESUME)}")
+    if "_target_" not in cfg.domain and "domain" in cfg.domain:
+        raise XplainError(NO_PACKAGE)
+
+
 @contextmanager
 def report_errors() -> Iterator[None]:
     """Turns errors of the user's making into one line on stderr and exit code 2.
@@ -158,8 +181,8 @@ def report_errors() -> Iterator[None]:
             raise _handed_over[0]
     except BrokenPipeError:  # whoever read the output has gone
         sys.exit(1)
-    except KeyboardInterrupt:
-        print("xplain: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as error:
+        print(": ".join(["xplain: interrupted", *map(str, error.args)]), file=sys.stderr)
         sys.exit(130)
     except (XplainError, HydraException, OmegaConfBaseException, OSError) as error:
         text = one_line(error)
@@ -205,28 +228,77 @@ def _first_line(error: BaseException) -> str:
 def _unknown_choice(error: MissingConfigException) -> str:
     missing = str(error.missing_cfg_file or "?")
     group, _, choice = missing.rpartition("/")
-    options = ", ".join(error.options or ())
+    options = list(error.options or ())
     if not group:
         return _first_line(error)
-    return f"{group}={choice}: unknown choice; allowed: {options}"
+    hint = _did_you_mean(choice, options)
+    return f"{group}={choice}: unknown choice;{hint} allowed: {', '.join(options)}"
 
 
 def _composition(error: ConfigCompositionException) -> str:
     text = str(error)
     misspelt = re.search(r"Could not override '([^']+)'", text)
     if misspelt:
-        key = misspelt.group(1)
-        line = f"{key}: no such key"
-        if key in MOVED:
-            return f"{key}: no such key; it is {MOVED[key]} now"
-        known = [*schema(), *GROUPS]
-        near = difflib.get_close_matches(key, known, 1)
-        if near:
-            line += f"; did you mean {near[0]}?"
-        elif "." in key:
-            line += f"; see what {key.rsplit('.', 1)[0]} takes with --cfg job"
-        return line + f" allowed: {', '.join(known)}" if "." not in key else line
+        return unknown_key(misspelt.group(1))
     cause: Any = error.__cause__
     if isinstance(cause, OmegaConfBaseException):
         return f"{getattr(cause, 'full_key', None) or 'config'}: {_first_line(cause)}"
     return " ".join(text.split())
+
+
+def unknown_key(key: str) -> str:
+    """What a key of the experiment that there is not might have been."""
+    if key in MOVED:
+        return f"{key}: no such key; it is {MOVED[key]} now"
+    if "@domain." in key:
+        return NO_PACKAGE
+    top, _, inner = key.partition(".")
+    known = known_keys()
+    if not inner or top not in known:
+        hint = _did_you_mean(top, list(known))
+        return f"{key}: no such key;{hint} allowed: {', '.join(known)}"
+    takes = known[top]
+    if not takes:
+        return f"{key}: no such key; {top} has none inside (--cfg job shows it)"
+    name = inner.partition(".")[0]
+    if name in takes:
+        needs = " or ".join(f"{top}={choice}" for choice in takes[name])
+        return f"{key}: no such key; it needs {needs}"
+    hint = _did_you_mean(name, list(takes), f"{top}.") or f" {top} takes {', '.join(takes)}"
+    return f"{key}: no such key;{hint} (--cfg job shows them)"
+
+
+@cache
+def known_keys() -> dict[str, dict[str, list[str]]]:
+    """``{key of the experiment: {key inside: choices of the group that have it}}``."""
+    content = _yaml(CONF / "config.yaml")
+    keys: dict[str, dict[str, list[str]]] = {str(key): {} for key in schema()}
+    for key, value in content.items():
+        if key not in ("defaults", "hydra"):
+            keys[key] = {name: [] for name in value} if isinstance(value, dict) else {}
+    for entry in content["defaults"]:
+        for group in entry if isinstance(entry, dict) else ():
+            if " " not in group:  # no "override ..."
+                keys[group] = _inside(group)
+    return keys
+
+
+def _inside(group: str) -> dict[str, list[str]]:
+    """``{key: choices of the group that have it}``."""
+    found: dict[str, list[str]] = {}
+    for path in sorted((CONF / group).glob("*.yaml")):
+        content = _yaml(path)
+        for name in content.get(group, content):
+            if not name.startswith("_"):
+                found.setdefault(name, []).append(path.stem)
+    return found
+
+
+def _yaml(path: Path) -> dict[str, Any]:
+    content: Any = OmegaConf.to_container(OmegaConf.load(path))
+    return dict(content)
+
+
+def _did_you_mean(word: str, known: Sequence[str], before: str = "") -> str:
+    near = difflib.get_close_matches(word, known, 1)
+    return f" did you mean {before}{near[0]}?" if near else ""

@@ -99,12 +99,14 @@ BAD = [
     (["domain.map='SV?'"], ["domain.map", "?"]),
     (["domain.map='SVAFUrpf#s'"], ["domain.map", "path"]),
     (["domain.discount=1"], ["domain.discount", "1"]),
-    (["observers.points=1", "queries=shared"], ["points", "1"]),
+    (["observers.points=1", "queries=shared"], ["points: too few", "two"]),
     (["observers.queries=shared"], ["observers.queries", "queries=shared"]),
     (["observers.trace_length=4"], ["queries.trace_length"]),
     (["observers.message_probability=0.3"], ["queries.message_probability"]),
     (["solver=true"], ["solver", "true", "qmdp"]),
     (["observers=file", "observers.path=absent.csv"], ["absent.csv"]),
+    (["resume=maybe"], ["resume", "maybe", "missing, failed, none"]),
+    (["sweeps=tabel1"], ["sweeps=tabel1", "did you mean table1?", "type_counts"]),
 ]
 
 
@@ -123,6 +125,62 @@ def test_bad_input_is_one_line_and_leaves_nothing_behind(xplain, tmp_path, argum
 def assert_nothing_written(folder):
     """No file, but for locks: they hold nothing, and to remove one would race."""
     assert not [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock"]
+
+
+def test_a_misspelt_key_lists_every_key_that_there_is(xplain):
+    _, _, err = xplain("lamda=2")
+    assert "did you mean lambda?" in err
+    listed = {word.strip() for word in err.partition("allowed:")[2].split(",")}
+    assert listed == set(composed()) | {"sweeps"}
+
+
+def test_a_key_of_another_choice_says_which(xplain):
+    _, _, err = xplain("domain=rescue", "users.count=3")
+    assert (
+        err == "xplain: users.count: no such key; it needs users=few_facts or users=random_cover\n"
+    )
+    _, _, err = xplain("solver=pomcp", "solver.simulation=3")
+    assert "did you mean solver.simulations?" in err
+    _, _, err = xplain("certify.trace=3")
+    assert "did you mean certify.traces?" in err
+
+
+def test_the_group_of_sweeps_is_near_to_its_misspelling(xplain):
+    _, _, err = xplain("sweep=table1")
+    assert "did you mean sweeps?" in err
+
+
+@pytest.mark.parametrize("words", [["--lambda", "1.5"], ["--lambda=1.5"]])
+def test_a_key_written_as_a_flag_is_told_how_keys_are_written(xplain, words):
+    code, _, err = xplain(*words)
+    assert code == 2
+    assert err.startswith(f"xplain: {words[0]}: no such flag")
+    assert err.rstrip().endswith("without dashes: lambda=1.5")
+
+
+def test_too_few_points_are_not_called_by_another_number(xplain):
+    _, _, err = xplain("points=1")
+    assert err.startswith("xplain: points: too few")
+    assert "points=15" not in err
+
+
+def test_a_file_of_labels_is_called_by_its_key(xplain):
+    _, _, err = xplain("observers=file", "observers.path=nowhere.csv")
+    assert err == "xplain: observers.path='nowhere.csv': no such file\n"
+
+
+@pytest.mark.parametrize("overrides", [True, False])
+def test_a_domain_file_without_its_package_is_told_the_line(xplain, tmp_path, overrides):
+    folder = tmp_path / "mine" / "domain"
+    folder.mkdir(parents=True)
+    text = (CONF / "domain" / "four_rooms.yaml").read_text().replace("# @package _global_\n", "")
+    if not overrides:
+        text = text.replace("defaults:\n  - override /users: random_cover\n", "")
+    (folder / "my_rooms.yaml").write_text(text)
+    code, _, err = xplain(f"--config-dir={tmp_path / 'mine'}", "domain=my_rooms")
+    assert code == 2
+    assert len(err.splitlines()) == 1
+    assert "# @package _global_" in err
 
 
 HEAD = "observer,messages,label,row,column"

@@ -43,6 +43,7 @@ NO_NUMBER = {
     "hydra": "where and how jobs run; only what a sweep is planned with has it",
     "outputs": "where files are written",
     "tracking": "where results go besides the disk",
+    "dry_run": "lists jobs and runs none",
     "resume": "which jobs of a sweep run again, not what they give",
 }
 """Top-level keys of a run that no number depends on, and why. Whatever is not here must count."""

@@ -5,6 +5,7 @@ Screenshots are left in ``outputs/screenshots`` (``XPLAIN_SCREENSHOTS`` names an
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import socket
@@ -38,7 +39,8 @@ def driver():
 def sweep(tmp_path_factory, driver):
     """Folder and output of a finished sweep."""
     folder = tmp_path_factory.mktemp("sweep")
-    code, output = sweeps.run(folder, *sweeps.TINY)
+    arguments = ["users.count=2,3" if word == "users.count=2" else word for word in sweeps.TINY]
+    code, output = sweeps.run(folder, *arguments)
     assert code == 0, output
     return folder, output
 
@@ -91,42 +93,106 @@ def screenshot(driver, name):
     driver.save_screenshot(str(SCREENSHOTS / name))
 
 
-def links(output, server):
-    """The links that the sweep printed, on the test's server."""
-    found = re.findall(r": (http://127\.0\.0\.1:5000/\S+)", output)
-    assert len(found) == 3, output
-    return [address.replace("http://127.0.0.1:5000", server) for address in found]
+def link(output, server, words):
+    """The link that the sweep printed after these words, on the test's server."""
+    (found,) = re.findall(rf"^{words}: http://127\.0\.0\.1:5000(/\S+)$", output, re.MULTILINE)
+    return server + found
 
 
-def test_mlflow_shows_the_parents_curves(driver, sweep, server):
-    parent, _, _ = links(sweep[1], server)
-    driver.get(f"{parent}/model-metrics")
-    shown(driver, "document.body.innerText.includes('four_rooms/qmdp')")
-    # A curve is drawn, not an empty chart: Plotly's traces have points.
-    shown(driver, "document.querySelectorAll('.js-plotly-plot .scatterlayer path').length > 0")
-    time.sleep(1)
-    screenshot(driver, "mlflow-parent.png")
+def expected_rows(folder):
+    """(solver, λ, users.count, regret) of every job, from the disk, regret as MLflow shows it."""
+    found = set()
+    for path in (sweeps.sweep_folder(folder) / "jobs").glob("*/results.json"):
+        content = json.loads(path.read_text())
+        found.add(
+            (
+                content["choices"]["solver"],
+                str(content["config"]["lambda"]),
+                str(content["config"]["users"]["count"]),
+                f"{round(content['metrics']['regret']['mean'], 4):g}",
+            )
+        )
+    return found
 
 
-def test_mlflow_shows_the_table_on_the_parent(driver, sweep, server):
-    parent, _, _ = links(sweep[1], server)
-    driver.get(parent)
-    shown(driver, "document.body.innerText.includes('Oracle')")
-    screenshot(driver, "mlflow-parent-note.png")
+ROWS = """
+return (function () {
+  const params = ['solver', 'lambda', 'users.count'].map(key => 'params.`' + key + '`');
+  const columns = [...params, 'metrics.`regret`'];
+  const rows = {};
+  for (const cell of document.querySelectorAll('[role=gridcell]')) {
+    const column = columns.indexOf(cell.getAttribute('col-id'));
+    const box = cell.getBoundingClientRect();
+    if (column < 0 || box.width == 0 || box.right > window.innerWidth) continue;
+    const row = cell.closest('[row-index]').getAttribute('row-index');
+    (rows[row] = rows[row] || [])[column] = cell.innerText.trim();
+  }
+  return Object.values(rows);
+})()
+"""
 
 
-def test_mlflow_lists_and_compares_the_children(driver, sweep, server):
-    _, table, comparison = links(sweep[1], server)
-    driver.get(table)
-    # The parent's row, folded; the count says that its six children are below it.
-    shown(driver, "/7\\s+matching runs/.test(document.body.innerText)")
-    screenshot(driver, "mlflow-runs.png")
-    driver.get(comparison)
-    for name in ("qmdp λ=0.5", "qhr λ=2"):
-        shown(driver, f"document.body.innerText.includes('{name}')")
-    shown(driver, "document.querySelectorAll('.js-plotly-plot, .plotly').length > 0")
-    time.sleep(1)
-    screenshot(driver, "mlflow-comparison.png")
+def assert_the_answer_is_seen(driver, folder):
+    """A row a (solver, λ, users.count) with its regret, the least first."""
+    wanted = expected_rows(folder)
+    assert len(wanted) == 12
+    deadline = time.monotonic() + 90
+    rows = []
+    while time.monotonic() < deadline and {tuple(row) for row in rows} != wanted:
+        time.sleep(0.5)
+        rows = driver.execute_script(ROWS)
+    assert {tuple(row) for row in rows} == wanted
+    regrets = [float(row[3]) for row in rows]
+    assert regrets == sorted(regrets)
+
+
+def test_the_printed_link_shows_the_answer_without_a_click(driver, sweep, server):
+    driver.get(link(sweep[1], server, "MLflow"))
+    assert_the_answer_is_seen(driver, sweep[0])
+    screenshot(driver, "mlflow-sweep.png")
+
+
+def test_from_the_first_page_two_clicks_lead_there(driver, sweep, server):
+    driver.get(server)
+    shown(driver, "[...document.querySelectorAll('a')].some(a => a.innerText.trim() == 'xplain')")
+    driver.find_element("link text", "xplain").click()
+    shown(driver, "document.body.innerText.includes('Newest sweep')")
+    close_notice(driver)
+    driver.find_element("partial link text", "Newest sweep").click()
+    first, *others = driver.window_handles
+    assert len(others) == 1  # MLflow opens what a description links in a new tab
+    driver.switch_to.window(others[0])
+    try:
+        assert_the_answer_is_seen(driver, sweep[0])
+    finally:
+        driver.close()
+        driver.switch_to.window(first)
+
+
+def close_notice(driver):
+    """MLflow greets a new browser with a notice over its own page."""
+    time.sleep(3)
+    for button in driver.find_elements("xpath", "//button[normalize-space()='Got it']"):
+        button.click()
+        time.sleep(1)
+
+
+def test_the_chart_has_a_line_a_solver_and_setting(driver, sweep, server):
+    driver.get(link(sweep[1], server, "  regret against λ"))
+    shown(driver, "document.body.innerText.includes('regret against 10 × λ')")
+    # Two solvers and two numbers of types, means of one job at each λ.
+    lines = "document.querySelectorAll('.js-plotly-plot .scatterlayer .trace path.js-line').length"
+    shown(driver, f"{lines} >= 4")
+    screenshot(driver, "mlflow-chart.png")
+
+
+def test_all_sweeps_are_listed_with_their_best_regret(driver, sweep, server):
+    view = "workflowType=machine_learning&viewStateShareKey=sweeps"
+    driver.get(f"{server}/#/experiments/1/runs?{view}")
+    best = min(float(row[3]) for row in expected_rows(sweep[0]))
+    shown(driver, f"document.body.innerText.includes('{best:g}')")
+    shown(driver, "document.body.innerText.includes('multirun-')")
+    screenshot(driver, "mlflow-sweeps.png")
 
 
 def test_the_report_page_renders(driver, sweep):

@@ -14,23 +14,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from xplain.domains.base import Item, Scene
-from xplain.experiment.results import (
-    ElbowFigures,
-    EpisodeFigures,
-    Results,
-    TypeNames,
-    save_results,
-)
+from tests.report import handmade
 from xplain.report import tables
+from xplain.report.combinations import differences_csv
 from xplain.report.summary import Summary
 from xplain.report.write import write_report
+from xplain.runs.mlflow_views import MainKey, curves
 
 METHODS = ("qmdp", "qhr", "baseline")
 SETTINGS = ({"domain": "rescue"}, {"domain": "four_rooms", "users.count": "2"})
 GRID = "#b0b0b0"
 SVG = "{http://www.w3.org/2000/svg}"
-SEEDS, TRACES, TYPES, TRADE_OFFS = 3, 4, ("A", "B"), (0.5, 1.0)
+SEEDS, TRACES, TRADE_OFFS = 3, 4, (0.5, 1.0)
 
 
 def oracle(trade_off, seed, trace):
@@ -40,39 +35,6 @@ def oracle(trade_off, seed, trace):
 def regret(method, trade_off, seed, trace):
     base = {"qmdp": 0.5, "qhr": 2.0, "baseline": 12.0}[method]
     return base * trade_off + 0.3 * ((seed * 7 + trace * 3) % 5)
-
-
-def episode(solver, trace, kind, cost):
-    return EpisodeFigures(
-        solver=solver,
-        trace=trace,
-        type=kind,
-        cost=cost,
-        communication=1.0,
-        inexplicability=2.0,
-        messages=1,
-        inexplicable_labels=2,
-        steps_until_sure=1,
-    )
-
-
-def line(solver, trace, kind):
-    steps = [
-        {"messages": ["fire"], "labels": [1], "belief": [0.5, 0.5]},
-        {"messages": [], "labels": [1, 0], "belief": [0.9, 0.1]},
-    ]
-    return json.dumps(
-        {
-            "solver": solver,
-            "trace": trace,
-            "type": kind,
-            "cost": 3.5,
-            "transitions": ["moves right to (0, 1)", "moves <right> & stops"],
-            "positions": [[0, 0], [0, 1], [0, 2]],
-            "prior": [0.5, 0.5],
-            "steps": steps,
-        }
-    )
 
 
 @pytest.fixture
@@ -90,48 +52,25 @@ def known(tmp_path_factory):
 
 
 def made(tmp_path):
-    jobs = []
-    for setting, method, trade_off, seed in itertools.product(
-        SETTINGS, METHODS, TRADE_OFFS, range(SEEDS)
-    ):
-        values = setting | {"solver": method, "lambda": f"{trade_off:g}", "seed": str(seed)}
-        name = ",".join(f"{key}={value}" for key, value in values.items())
-        jobs.append({"name": name, "label": name, "values": values})
-        episodes = [
-            episode(solver, trace, kind, cost)
-            for trace in range(TRACES)
-            for kind in TYPES
-            for solver, cost in [
-                ("oracle", oracle(trade_off, seed, trace)),
-                ("solver", oracle(trade_off, seed, trace) + regret(method, trade_off, seed, trace)),
-            ]
-        ]
-        results = Results(
-            name=name,
-            xplain="0",
-            code="0",
-            git={},
-            started=0.0,
-            seconds={},
-            choices={"domain": setting["domain"], "solver": method},
-            config={"lambda": trade_off, "seed": seed},
-            metrics={},
-            bounds={},
-            learning={"types_found": 2.0, "adjusted_rand_index": 1.0},
-            elbow=ElbowFigures("kneedle", (40.0, 3.0, 1.0)),
-            messages={"fire": "The robot likes <fire>."},
-            scene=Scene(1, 3, (), (Item("goal", "G", ((0, 2),)),)),
-            types=TypeNames(TYPES, ("1", "2"), (0, 1), (0, 1)),
-            steps={"belief_in_true_type": (0.5, 0.8, 0.9), "episodes": (8, 8, 8)},
-            episodes=tuple(episodes),
+    jobs = [
+        setting | {"solver": method, "lambda": f"{trade_off:g}", "seed": str(seed)}
+        for setting, method, trade_off, seed in itertools.product(
+            SETTINGS, METHODS, TRADE_OFFS, range(SEEDS)
         )
-        folder = tmp_path / "jobs" / name
-        folder.mkdir(parents=True)
-        save_results(folder, results)
-        (folder / "episodes.jsonl").write_text("\n".join(line("solver", 0, kind) for kind in TYPES))
-    about = {"name": "many", "command": "python -m xplain", "code": "c0de", "git": {}, "jobs": jobs}
-    (tmp_path / "sweep.json").write_text(json.dumps(about))
-    return tmp_path
+    ]
+
+    def numbers(values):
+        return float(values["lambda"]), int(values["seed"])
+
+    return handmade.sweep(
+        tmp_path,
+        jobs,
+        lambda values, trace: regret(values["solver"], *numbers(values), trace),
+        lambda values, trace: oracle(*numbers(values), trace),
+        TRACES,
+        report="table1",
+        pool=["users.count"],
+    )
 
 
 def test_the_table_holds_means_intervals_and_the_papers_values(known):
@@ -159,8 +98,8 @@ def test_the_table_holds_means_intervals_and_the_papers_values(known):
 
 def test_differences_are_paired(known):
     """The oracle's cost and the traces' difficulty cancel: what is left is exact."""
-    rows = csv.DictReader(io.StringIO(tables.differences_csv(Summary(known))))
-    found = {(r["domain"], float(r["lambda"]), r["method"], r["less"]): r for r in rows}
+    rows = csv.DictReader(io.StringIO(differences_csv(Summary(known))))
+    found = {(r["domain"], float(r["lambda"]), r["method"], r["minus"]): r for r in rows}
     for trade_off in TRADE_OFFS:
         row = found["rescue", trade_off, "qhr", "qmdp"]
         for key in ("mean", "low", "high"):
@@ -195,9 +134,10 @@ def test_missing_jobs_are_told_and_incomplete_cells_make_no_curve(sweep):
     (sweep / "jobs" / lost / "failure.json").write_text(json.dumps(failure))
     summary = Summary(sweep)
     assert "1 of 36 jobs are missing" in tables.caption(summary)
-    names = {(name, trade_off) for name, trade_off, _ in summary.curves()}
-    assert ("regret/rescue/qmdp", 1.0) not in names
-    assert ("regret/rescue/qmdp", 0.5) in names
+    main = MainKey("lambda", 10)
+    points = {(name, step) for name, step, _ in curves(summary, main)}
+    assert ("regret/rescue/qmdp", 10) not in points
+    assert ("regret/rescue/qmdp", 5) in points
     _, report = write_report(sweep)
     page = (report / "index.html").read_text()
     assert "InputError: &lt;no&gt;" in page

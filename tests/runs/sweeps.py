@@ -115,7 +115,7 @@ def sweep_folder(folder: Path) -> Path:
 def tables(folder: Path) -> dict[str, bytes]:
     """The final tables, byte by byte."""
     report = sweep_folder(folder) / "report"
-    names = ("table1.md", "table1.tex", "table1.csv", "differences.csv")
+    names = ("table.md", "table.tex", "regret.csv", "differences.csv")
     return {name: (report / name).read_bytes() for name in names}
 
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from xplain.experiment.results import ElbowFigures, Figure, Results, TypeNames
-from xplain.runs.mlflow import fill
+from xplain.runs.mlflow_run import MOST_PARAMETERS, fill, parameters
+from xplain.runs.mlflow_views import main_key
+from xplain.runs.plan import Job
 
 RESULTS = Results(
     name="by hand",
@@ -15,8 +19,8 @@ RESULTS = Results(
     git={},
     started=1000.5,
     seconds={"learn": 2.0, "explain": 3.5},
-    choices={"solver": "qmdp"},
-    config={"seed": 4, "solver": {"memory": {"limit": 2}}},
+    choices={"solver": "qmdp", "domain": "rescue"},
+    config={"seed": 4, "lambda": 0.5, "solver": {"memory": {"limit": 2}}},
     metrics={"regret": Figure(1.25, 1.0, 1.5), "types": Figure(3.0, None, None)},
     bounds={"gap": 0.01},
     learning={"adjusted_rand_index": 0.9},
@@ -24,7 +28,7 @@ RESULTS = Results(
     messages={},
     scene=None,
     types=TypeNames((), (), (), ()),
-    steps={"belief": (0.2, 0.6, 0.9)},
+    steps={"belief_in_true_type": (0.2, 0.6, 0.9)},
     episodes=(),
 )
 
@@ -67,7 +71,7 @@ def test_curves_stand_at_the_numbers_they_belong_to(tmp_path: Path) -> None:
     notebook = noted(tmp_path)
     # Disagreements with one type, two, three; beliefs before the first step, after it, …
     assert curve(notebook, "disagreements") == {1: 40.0, 2: 7.0, 3: 1.0}
-    assert curve(notebook, "step/belief") == {0: 0.2, 1: 0.6, 2: 0.9}
+    assert curve(notebook, "belief_in_true_type") == {0: 0.2, 1: 0.6, 2: 0.9}
 
 
 def test_each_figure_is_logged_once_under_its_name(tmp_path: Path) -> None:
@@ -78,15 +82,42 @@ def test_each_figure_is_logged_once_under_its_name(tmp_path: Path) -> None:
         "regret": 1.25,
         "regret.low": 1.0,
         "regret.high": 1.5,
-        "types": 3.0,
-        "learning/adjusted_rand_index": 0.9,
-        "bounds/gap": 0.01,
-        "seconds/learn": 2.0,
-        "seconds/explain": 3.5,
+        "adjusted_rand_index": 0.9,
+        "seconds": 5.5,
     }
     assert len(notebook.metrics) == len(single) + 3 + 3
-    assert notebook.params == {"solver": "qmdp", "seed": "4", "solver.memory.limit": "2"}
+    assert notebook.params == {"solver": "qmdp", "domain": "rescue", "seed": "4", "lambda": "0.5"}
     assert notebook.tags["xplain.rule"] == "kneedle"
+    assert "regret 1.250" in notebook.tags["mlflow.note.content"]
+
+
+def test_swept_keys_are_parameters_and_few_others_are(tmp_path: Path) -> None:
+    many = {f"key{i}": i for i in range(40)}
+    swept = {"users.count": "3", "solver": "qmdp", "solver.memory.limit": "2"}
+    found = parameters(replace(RESULTS, config=many), swept)
+    assert len(found) == MOST_PARAMETERS
+    assert {"users.count": "3", "solver.memory.limit": "2", "solver": "qmdp"}.items() <= (
+        found.items()
+    )
+
+
+def test_the_main_key_is_the_one_with_most_numbers_and_its_steps_are_whole() -> None:
+    def jobs(**values: list[str]) -> list[Job]:
+        keys = list(values)
+        return [
+            Job(str(found), "", (), dict(zip(keys, found, strict=True)), str(found), "")
+            for found in itertools.product(*values.values())
+        ]
+
+    main = main_key(
+        jobs(trade=["0", ".02", ".125"], solver=["a", "b", "c", "d"], seed=list("0123"))
+    )
+    assert (main.key, main.scale) == ("trade", 1000)
+    assert main.step({"trade": ".125", "solver": "a"}) == 125
+    both = {"count": ["2", "3"], "lambda": ["0.5", "1"]}
+    assert main_key(jobs(**both)).key == "lambda"
+    assert main_key(jobs(solver=["a", "b"])).key == ""
+    assert main_key(jobs(solver=["a", "b"])).step({"solver": "a"}) == 0
 
 
 def test_a_run_ends_when_its_work_did_and_hides_no_file(tmp_path: Path) -> None:

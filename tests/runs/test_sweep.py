@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import sqlite3
 import time
@@ -40,8 +41,9 @@ def test_the_end_tells_the_table_the_share_and_the_links(finished):
     output = finished.output
     assert "6 of 6 jobs finished" in output
     assert re.search(r"\d+% in the method itself, \d+% in all else", output)
-    for part in ("Oracle's cost", "QMDP", "QHR", "/#/compare-runs?runs=", "searchFilter="):
+    for part in ("oracle's cost", "QMDP", "QHR", "report/index.html", "&viewStateShareKey="):
         assert part in output
+    assert "once this runs: mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db" in output
     assert "\x1b" not in output  # clean where the output is no terminal
     assert "\r" not in output
 
@@ -60,20 +62,52 @@ def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
     with sweeps.database(folder) as database:
         curve = database.execute(
             "select step, value from metrics join runs using (run_uuid) where runs.name = ? and "
-            "key = 'regret/four_rooms/qmdp' order by step",
+            "key = 'regret/qmdp' order by step",
             (parents[0],),
         ).fetchall()
         note = database.execute(
-            "select value from tags where key = 'mlflow.note.content'"
+            "select value from tags join runs using (run_uuid) where key = 'mlflow.note.content' "
+            "and runs.name = ?",
+            (parents[0],),
         ).fetchone()
     regrets = {
-        round(100 * content["config"]["lambda"]): content["metrics"]["regret"]["mean"]
+        round(10 * content["config"]["lambda"]): content["metrics"]["regret"]["mean"]
         for name, (_, content) in results(folder).items()
         if "solver=qmdp" in name
     }
     assert dict(curve) == pytest.approx(regrets)
-    assert sorted(regrets) == [50, 100, 200]
-    assert note[0].startswith("| Domain | λ |")
+    assert sorted(regrets) == [5, 10, 20]
+    assert "| λ | oracle's cost | QMDP | QHR |" in note[0]
+
+
+def test_mlflow_shows_what_people_compare_and_true_times(finished):
+    with sweeps.database(finished.folder) as database:
+        for table, most in (("latest_metrics", 15), ("params", 25)):
+            counts = database.execute(f"select count(*) from {table} group by run_uuid").fetchall()
+            assert len(counts) == 7
+            assert max(count for (count,) in counts) <= most, table
+        times = database.execute("select start_time, end_time from runs").fetchall()
+        described = database.execute(
+            "select count(*) from tags where key = 'mlflow.note.content' and length(value) > 50"
+        ).fetchone()
+        keys = {
+            key
+            for (key,) in database.execute(
+                "select key from experiment_tags where key like 'mlflow.sharedViewState.%'"
+            )
+        }
+    assert described == (7,)
+    digest = sweeps.sweep_folder(finished.folder).name.rpartition("-")[2]
+    assert keys == {f"mlflow.sharedViewState.{k}" for k in (digest, f"{digest}-chart", "sweeps")}
+    for start, end in times:
+        assert 0 <= end - start <= 1000 * finished.seconds
+    # Each job's own: from its results.
+    jobs = sweeps.sweep_folder(finished.folder) / "jobs"
+    for path in jobs.glob("*/results.json"):
+        content = json.loads(path.read_text())
+        end = int(1000 * (content["started"] + sum(content["seconds"].values())))
+        (start,) = [start for start, ended in times if ended == end]
+        assert start <= 1000 * content["started"]
 
 
 def test_the_same_command_again_runs_nothing_and_says_the_same(finished):
@@ -114,13 +148,73 @@ def test_all_anew_on_demand(tmp_path):
     assert len(sweeps.runs(tmp_path)) == 3
 
 
-def test_a_way_to_resume_that_does_not_exist_is_one_line(tmp_path):
-    code, output = sweeps.run(tmp_path, *QUICK, "resume=maybe")
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["resume=maybe"], "resume='maybe': one of missing, failed, none"),
+        (["discount=0.95,7"], "discount=7.0: a number in (0, 1]"),
+        (["users.count=2,0"], "users.count=0: a whole number ≥ 1"),
+        (["observers.label_noise=0,0.7"], "observers.label_noise=0.7: a number in [0, 0.5]"),
+    ],
+)
+def test_bad_values_are_found_before_any_job_starts(tmp_path, arguments, said):
+    code, output = sweeps.run(tmp_path, *QUICK, *arguments)
     assert code == 2
-    assert output.strip().splitlines() == [
-        "xplain: resume='maybe': one of missing, failed, none",
-    ]
+    assert output.strip().splitlines() == [f"xplain: {said}"]
     assert not (tmp_path / "outputs").exists()
+
+
+def without_tracking(finished, folder):
+    """A copy of the finished sweep's results, and of nothing else."""
+    shutil.copytree(
+        sweeps.sweep_folder(finished.folder),
+        folder / "outputs" / "sweeps" / sweeps.sweep_folder(finished.folder).name,
+    )
+
+
+def test_a_sweep_that_grows_runs_what_is_new_and_shows_all_of_it(finished, tmp_path):
+    without_tracking(finished, tmp_path)
+    before = {name: content for name, (_, content) in results(finished.folder).items()}
+    wider = (*sweeps.TINY[:-1], "lambda=0.5,1,2,3")
+    code, output = sweeps.run(tmp_path, *wider, "dry_run=true")
+    assert code == 0, output
+    assert "8 jobs: 0 done, 6 done elsewhere (to be copied), 2 to run" in output
+    assert re.search(r"time to expect: about \d+ s on \d workers?, judged by 6", output)
+    assert len(list((tmp_path / "outputs" / "sweeps").iterdir())) == 1
+    assert not (tmp_path / "outputs" / "mlflow.db").exists()
+
+    code, output = sweeps.run(tmp_path, *wider)
+    assert code == 0, output
+    assert "2 jobs to run, 6 copied from finished runs and sweeps" in output
+    (grown,) = [
+        path
+        for path in (tmp_path / "outputs" / "sweeps").iterdir()
+        if path.name != sweeps.sweep_folder(finished.folder).name
+    ]
+    for name, content in before.items():
+        copied = json.loads((grown / "jobs" / name / "results.json").read_text())
+        # The same numbers under the new sweep's name for them.
+        assert copied.pop("id") != content.pop("id")
+        assert {key: copied[key] for key in ("episodes", "stamp", "config")} == {
+            key: content[key] for key in ("episodes", "stamp", "config")
+        }
+        assert (grown / "jobs" / name / "episodes.jsonl").exists()
+    assert len(list((grown / "jobs").glob("*/results.json"))) == 8
+    names = [name for name, _, parent in sweeps.runs(tmp_path) if parent is not None]
+    assert len(names) == len(set(names)) == 8
+
+
+def test_a_run_on_its_own_is_taken_into_a_sweep(tmp_path):
+    single = [word for word in QUICK if word not in ("-m", sweeps.SERIAL)]
+    single[single.index("solver=qmdp,qhr")] = "solver=qhr"
+    code, output = sweeps.run(tmp_path, *single)
+    assert code == 0, output
+    assert "folder: outputs/runs/" in output
+    assert re.search(r"MLflow: http://127.0.0.1:5000/#/experiments/\d+/runs/[0-9a-f]{32}", output)
+    code, output = sweeps.run(tmp_path, *QUICK)
+    assert code == 0, output
+    assert "1 jobs to run, 1 copied" in output
+    assert len(sweeps.runs(tmp_path)) == 1 + (1 + 2)
 
 
 def test_every_launcher_gives_the_same_table(finished, tmp_path):
@@ -147,20 +241,42 @@ def test_launchers_of_the_extras_give_the_same_table(finished, tmp_path, package
 
 
 def test_a_job_that_raises_lets_the_others_go_on(tmp_path):
-    arguments = (*QUICK, "discount=0.95,7")
+    (tmp_path / "failing.py").write_text(
+        "from dataclasses import dataclass\n"
+        "from xplain.errors import InputError\n"
+        "from xplain.solvers.qmdp import QMDP\n"
+        "@dataclass(frozen=True)\n"
+        "class Failing(QMDP):\n"
+        "    fails: bool = False\n"
+        "    def plan(self, problem, seed=0):\n"
+        "        if self.fails:\n"
+        "            raise InputError('fails', True, 'false')\n"
+        "        return super().plan(problem, seed)\n"
+    )
+    group = tmp_path / "conf" / "solver"
+    group.mkdir(parents=True)
+    (group / "failing.yaml").write_text("_target_: failing.Failing\nfails: false\n")
+    arguments = (
+        f"--config-dir={tmp_path / 'conf'}",
+        *QUICK[:-3],
+        "solver=failing",
+        "solver.fails=true,false",
+        "lambda=0.5,1",
+        sweeps.SERIAL,
+    )
     code, output = sweeps.run(tmp_path, *arguments)
     assert code == 1
     assert "2 of 4 jobs finished" in output
     summary = output[output.index("2 of 4 jobs finished") :]
-    assert "InputError: discount=7.0" in summary
+    assert "InputError: fails=True: false" in summary
     states = {name: status for name, status, _ in sweeps.runs(tmp_path)}
-    assert {s for name, s in states.items() if "discount=7" in name} == {"FAILED"}
-    assert {s for name, s in states.items() if "discount=0.95" in name} == {"FINISHED"}
+    assert {s for name, s in states.items() if "fails=True" in name} == {"FAILED"}
+    assert {s for name, s in states.items() if "fails=False" in name} == {"FINISHED"}
     assert {s for name, s in states.items() if name.startswith("multirun")} == {"FAILED"}
 
     # Only what failed runs again; jobs that were lost besides do not.
     jobs = sweeps.sweep_folder(tmp_path) / "jobs"
-    (lost,) = jobs.glob("*discount=0.95*qmdp*/results.json")
+    (lost,) = jobs.glob("*fails=False*lambda=1/results.json")
     lost.unlink()
     code, output = sweeps.run(tmp_path, *arguments, "resume=failed")
     assert code == 1
@@ -219,6 +335,10 @@ def test_ctrl_c_leaves_no_run_open(tmp_path):
     assert {s for name, s in states.items() if name.startswith("multirun")} == {"KILLED"}
     assert set(states.values()) <= {"FINISHED", "KILLED"}
     assert "Traceback" not in output
+    last = output.strip().splitlines()[-1]
+    assert re.fullmatch(
+        r"xplain: interrupted: \d+ of 30 jobs are finished; the same command goes on", last
+    )
 
 
 def test_four_at_once_on_an_empty_folder(tmp_path):

@@ -20,8 +20,11 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from xplain.config import CONF, SWEEPS
+from xplain.errors import InputError
 
 GROUP = "sweeps"
+REPORTS = ("table1",)
+"""What a sweep file may ask for beside the report that every sweep has."""
 
 
 class SweepFiles(FileConfigSource):
@@ -81,13 +84,23 @@ class ResumingSweeper(Sweeper):
         settings: a list of such mappings, one a setting of the experiment; the sweep is the
             union over settings, each combined with ``params``. Keys given on the command line
             win over both.
+        pool: swept keys over whose values the report's tables and plots average; every other
+            one has rows or lines of its own.
+        report: ``table1`` adds the paper's Table 1 with its published values; null adds nothing.
     """
 
     def __init__(
-        self, params: dict[str, Any] | None = None, settings: list[dict[str, Any]] | None = None
+        self,
+        params: dict[str, Any] | None = None,
+        settings: list[dict[str, Any]] | None = None,
+        pool: list[str] | None = None,
+        report: str | None = None,
     ) -> None:
         self.params = params or {}
         self.settings = settings or [{}]
+        if report not in (None, *REPORTS):
+            raise InputError("hydra.sweeper.report", report, f"one of {', '.join(REPORTS)}")
+        self.shown = {"pool": list(pool or ()), "report": report}
 
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
@@ -100,7 +113,7 @@ class ResumingSweeper(Sweeper):
         from xplain.runs.sweep import run_sweep
 
         settings = [{**self.params, **plain(setting)} for setting in self.settings]
-        return run_sweep(*self._run, settings, list(arguments))
+        return run_sweep(*self._run, settings, list(arguments), self.shown)
 
 
 def plain(node: Any) -> dict[str, Any]:

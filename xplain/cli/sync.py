@@ -16,6 +16,7 @@ from xplain.experiment.results import RESULTS
 from xplain.runs.folder import SWEEP, SweepFolder
 from xplain.runs.mlflow import MLflow, log_folder
 from xplain.runs.mlflow_mirror import Mirror
+from xplain.runs.mlflow_views import describe_experiment
 
 
 def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
@@ -40,6 +41,7 @@ def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
     with tracking.client(outputs) as (client, experiment_id):
         for result in alone:
             log_folder(client, experiment_id, result)
+        describe_experiment(client, experiment_id)
     for path in sweeps:
         sweep_folder = SweepFolder(path)
         with sweep_folder.alone(f"{path.name}: it is running; waiting for its end"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -136,6 +137,11 @@ class FileObservers:
     features: Sequence[str] | None = None
     ignore: Sequence[str] = ()
 
+    def __post_init__(self) -> None:
+        """Raises InputError where there is no such file."""
+        if not Path(self.path).is_file():
+            raise InputError("observers.path", str(self.path), "no such file")
+
     def collect(self, setting: Setting, queries: Queries, seed: int) -> tuple[Dataset, None]:
         """The table, its features in the order of the domain's, so that labelers trained on it
         can be asked about the domain's traces; ``queries`` and ``seed`` are not used, for these
@@ -144,5 +150,10 @@ class FileObservers:
         Raises:
             InputError: the file cannot be read, or its messages or features are not the domain's.
         """
-        dataset = read_table(self.path, setting.message_names, self.features, self.ignore)
-        return align(dataset, transition_feature_names(setting.domain)), None
+        try:
+            dataset = read_table(self.path, setting.message_names, self.features, self.ignore)
+            return align(dataset, transition_feature_names(setting.domain)), None
+        except InputError as error:
+            if error.key != "data":  # what the command that finds types calls its table
+                raise
+            raise InputError("observers.path", error.value, error.allowed) from error

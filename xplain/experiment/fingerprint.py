@@ -25,7 +25,7 @@ from omegaconf import DictConfig, OmegaConf
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "kneed", "numba", "pandas", "pyarrow")
 """Distributions whose version may change a number."""
 
-NOT_IN_NUMBERS = ("hydra", "outputs", "tracking", "resume")
+NOT_IN_NUMBERS = ("hydra", "outputs", "tracking", "resume", "dry_run")
 """Keys of a configuration that cannot change a number. Hydra takes its own from a job's, but not
 from the one that a sweep is planned with."""
 

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from xplain.experiment.cache import SOURCE
+from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import Components
 
@@ -48,3 +54,26 @@ def costs_of(cfg: DictConfig) -> Costs:
     if by_name:  # before anything is learned
         costs.message_costs(tuple(p.name for p in instantiate(cfg.domain).parameters))
     return costs
+
+
+def check(configurations: Iterable[Mapping[str, Any]]) -> None:
+    """Instantiates all that resolved configurations name, once each, and so checks their values
+    before any work.
+
+    Raises:
+        XplainError, HydraException: a value that a component refuses.
+    """
+    seen: set[str] = set()
+    for config in configurations:
+        cfg = OmegaConf.create(dict(config))
+        for part, make in (
+            (SOURCE, components_of),
+            (("solver",), lambda cfg: instantiate(cfg.solver)),
+            (("belief",), lambda cfg: instantiate(cfg.belief)),
+            (("certify",), lambda cfg: Certify(**cfg.certify)),
+        ):
+            key = json.dumps([part, [config[name] for name in part]], sort_keys=True)
+            if key not in seen:
+                make(cfg)
+                seen.add(key)
+        costs_of(cfg)

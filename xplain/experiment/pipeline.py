@@ -28,7 +28,7 @@ from xplain.domains.base import (
     transition_feature_names,
     transition_features,
 )
-from xplain.errors import InputError, whole_number
+from xplain.errors import InputError, XplainError, whole_number
 from xplain.experiment.known_types import Known, Tables, true_types, unless_too_large
 from xplain.explanation.by_type import DENSE, ByType, LabelTable
 from xplain.learning.clustering import Clusterer, Perfect
@@ -293,7 +293,7 @@ def learn_references(observed: Observed, trainer: LabelerTrainer, seed: int) -> 
     """The labeler of all data, and the labelers under perfect clustering.
 
     Raises:
-        InputError: too few labels to hold some out.
+        XplainError: too few labels to hold some out.
     """
     dataset, behaviour = observed.dataset, observed.behaviour
     everyone = trainer.fit(dataset, labeler_seed(seed))
@@ -399,14 +399,13 @@ def _mean_accuracy(labelers: Iterable[Any]) -> float:
 
 
 def _require_tested(labelers: Iterable[Any]) -> None:
-    """Raises InputError where no label could be held out to measure a labeler's confidence."""
+    """Raises XplainError where no label could be held out to measure a labeler's confidence."""
     for labeler in labelers:
         if labeler.n_test == 0:
-            raise InputError(
-                "points",
-                labeler.n_train,
-                "too few: the labels of a type need at least two distinct (transition, message "
-                "set) points, one to train its labeler and one to test it",
+            raise XplainError(
+                f"points: too few; the {labeler.n_train} labels of a type are all of one "
+                "(transition, message set), and its labeler needs two: one to train it and one "
+                "to test it"
             )
 
 

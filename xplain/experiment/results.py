@@ -116,7 +116,7 @@ class Results(Provenance):
         steps: means by step (:func:`xplain.evaluation.metrics.by_step`).
         episodes: of the solver and of its references.
         id: names this result for ever.
-        stamp: of a sweep's job, the fingerprint of all that its numbers depend on.
+        stamp: the fingerprint of all that its numbers depend on.
     """
 
     metrics: Mapping[str, Figure]
@@ -235,7 +235,7 @@ def save_results(folder: Path, results: Results) -> None:
     """Writes ``results.json``, last of all files of a run: where it is, the run is whole."""
     content = encode(results)
     if not results.stamp:
-        del content["stamp"]  # of jobs of a sweep only
+        del content["stamp"]  # a run that nobody may take for another's
     write_text(folder / RESULTS, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 

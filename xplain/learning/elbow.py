@@ -33,16 +33,24 @@ def elbow(curve: NDArray[np.int64], few: float) -> tuple[int, str]:
     # A partition into more clusters may be worse by chance; what counts is the best so far.
     lowest = np.minimum.accumulate(curve)
     if curve[0] == 0:
-        return _chosen(1, "flat zero", "nobody disagrees")
+        return _chosen(1, "flat zero", "no two observers disagree on any label")
     knee = _kneedle(lowest)
     if knee is not None:
-        return _chosen(knee, "kneedle", f"disagreements {curve[0]} → {lowest[knee - 1]}")
+        return _chosen(
+            knee,
+            "kneedle",
+            f"there the curve of disagreements within types bends, from {curve[0]} with one type "
+            f"to {lowest[knee - 1]}",
+        )
+    why = "the curve of disagreements within types has no knee"
     reached = np.flatnonzero(lowest <= few * lowest[0])
     if len(reached):
         k = int(reached[0]) + 1
-        return _chosen(k, "no knee, few", f"the first k that leaves at most {few:g} of {curve[0]}")
+        why += f"; {k} is the first number of types that leaves at most {few:.2%}"
+        return _chosen(k, "no knee, few", why)
     k = int(lowest.argmin()) + 1
-    return _chosen(k, "no knee, lowest", f"no k leaves at most {few:g} of {curve[0]}")
+    why += f"; no number of types leaves only {few:.2%}, {k} the fewest"
+    return _chosen(k, "no knee, lowest", why)
 
 
 def _chosen(k: int, rule: str, why: str) -> tuple[int, str]:

@@ -13,20 +13,24 @@ from typing import Any
 
 from xplain.report import tables
 from xplain.report.claims import claims
+from xplain.report.combinations import heading
+from xplain.report.layout import shown_keys
+from xplain.report.learning import learning
 from xplain.report.paper import title
+from xplain.report.regret_table import Cell, regret_table, table_caption
 from xplain.report.summary import Summary
 from xplain.report.tables import Entry, interval, number, signed
 
 CLAIMS = (
-    ("pomcp_paper", "qmdp", "POMCP less QMDP: about the same", 0),
-    ("pomcp", "qmdp", "POMCP (ours) less QMDP", 0),
-    ("qhr", "qmdp", "QHR less QMDP: costs more", 1),
-    ("qhr", "pomcp_paper", "QHR less POMCP: costs more", 1),
-    ("baseline", "qmdp", "Baseline less QMDP: costs far more", 1),
-    ("baseline", "pomcp_paper", "Baseline less POMCP: costs far more", 1),
-    ("baseline", "qhr", "Baseline less QHR: costs far more", 1),
+    ("pomcp_paper", "qmdp", "POMCP minus QMDP: about the same", 0),
+    ("pomcp", "qmdp", "POMCP (ours) minus QMDP", 0),
+    ("qhr", "qmdp", "QHR minus QMDP: costs more", 1),
+    ("qhr", "pomcp_paper", "QHR minus POMCP: costs more", 1),
+    ("baseline", "qmdp", "Baseline minus QMDP: costs far more", 1),
+    ("baseline", "pomcp_paper", "Baseline minus POMCP: costs far more", 1),
+    ("baseline", "qhr", "Baseline minus QHR: costs far more", 1),
 )
-"""(method, less this one, what the paper says, the sign that it says)."""
+"""(method, minus this one, what the paper says, the sign that it says)."""
 
 LEARNING = {
     "true_types": "types",
@@ -74,33 +78,17 @@ def page(summary: Summary, pictures: Pictures) -> str:
     about = summary.about
     commit = about["git"].get("commit", "")[:12] or "no commit"
     dirty = " with changes" if about["git"].get("dirty") == "true" else ""
-    keys = tables.columns(summary)
     return environment.from_string(source).render(
         name=summary.folder.name,
-        heading="Personalized explanations: costs and regrets",
+        heading=_heading(summary),
         command=about["command"],
         code=f"{about['code']} (commit {commit}{dirty})",
         size=_size(summary),
         jobs=len(summary.jobs),
         missing=summary.missing,
         failures=summary.failures,
-        columns=[title(key) for key in keys],
-        table=list(_table(summary, keys)),
-        caption=tables.caption(summary),
-        claims=list(_claims(summary)),
-        verdicts=[
-            {
-                "domain": title(claim.domain),
-                "text": claim.text,
-                "figure": claim.figure,
-                "mean": number(claim.estimate.mean),
-                "interval": interval(claim.estimate) if number(claim.estimate.low) else "",
-                "verdict": claim.verdict,
-                "look": {"holds": "yes", "does not hold": "no"}.get(claim.verdict, ""),
-            }
-            for claim in claims(summary.episodes, summary.types_found())
-        ],
-        ranges=list(_ranges(summary, keys)),
+        table=None if summary.report == "table1" else _own_table(summary),
+        table1=_table1(summary) if summary.report == "table1" else None,
         figures=pictures,
         learning=_learning(summary),
         messages=[
@@ -115,6 +103,67 @@ def page(summary: Summary, pictures: Pictures) -> str:
             for domain, found in pictures.traces.items()
         ],
     )
+
+
+def _heading(summary: Summary) -> str:
+    if summary.report == "table1":
+        return "Personalized explanations: costs and regrets"
+    swept = [heading(key).lower() for key in shown_keys(summary)]
+    return f"Regret by {', '.join(swept)}" if swept else "Regret"
+
+
+def _own_table(summary: Summary) -> dict[str, Any]:
+    """The sweep's table: what was swept is what is shown."""
+    table = regret_table(summary)
+    return {
+        "about": table.about,
+        "heads": [
+            *((heading(key), True) for key in table.down),
+            *((h, False) for h in table.heads),
+        ],
+        "rows": [
+            {"headings": table.headings(i), "cells": [_own_cell(cell) for cell in row.cells]}
+            for i, row in enumerate(table.rows)
+        ],
+        "caption": table_caption(summary, table, brackets=True),
+    }
+
+
+def _own_cell(cell: Cell | None) -> dict[str, str] | None:
+    if cell is None:
+        return None
+    return {
+        "mean": number(cell.estimate.mean),
+        "interval": interval(cell.estimate) if number(cell.estimate.low) else "",
+        "mark": cell.mark,
+    }
+
+
+def _table1(summary: Summary) -> dict[str, Any]:
+    """Table 1 beside the paper's, what it claims, and the range over pooled settings."""
+    keys = tables.columns(summary)
+    return {
+        "columns": [title(key) for key in keys],
+        "rows": list(_table(summary, keys)),
+        "caption": tables.caption(summary),
+        "claims": list(_claims(summary)),
+        "verdicts": list(_verdicts(summary)),
+        "ranges": list(_ranges(summary, keys)),
+    }
+
+
+def _verdicts(summary: Summary) -> Iterator[dict[str, str]]:
+    """Every claim of the paper that the sweep's methods allow to test."""
+    for claim in claims(summary.episodes, summary.types_found()):
+        yield {
+            "domain": title(claim.domain),
+            "text": claim.text,
+            "figure": claim.figure,
+            "mean": number(claim.estimate.mean),
+            "interval": interval(claim.estimate) if number(claim.estimate.low) else "",
+            "verdict": claim.verdict,
+            "look": {"holds": "yes", "does not hold": "no"}.get(claim.verdict, ""),
+        }
 
 
 def _size(summary: Summary) -> str:
@@ -234,13 +283,13 @@ def _where(paper: float, low: float, high: float) -> str:
 
 
 def _learning(summary: Summary) -> dict[str, Any] | None:
-    figures = summary.learning()
+    figures = learning(summary)
     heads = [key for key in LEARNING if any(key in own for own in figures.values())]
     rows = []
     for (domain, setting), own in figures.items():
         name = " ".join(filter(None, [title(domain), setting]))
         rows.append({"name": name, "cells": [_figure(key, own.get(key)) for key in heads]})
-    return {"heads": [LEARNING[key] for key in heads], "rows": rows[:12]} if rows else None
+    return {"heads": [LEARNING[key] for key in heads], "rows": rows} if rows else None
 
 
 def _figure(key: str, value: float | None) -> str:

@@ -89,7 +89,8 @@ def _headline(results: Results) -> str:
     learning = results.learning
     lines = [
         f"{results.domain} · {results.solver} · λ = {results.trade_off:g} · "
-        f"{results.config['traces']} traces × {len(results.types.true)} types · "
+        f"{_count(results.config['traces'], 'trace')} × "
+        f"{_count(len(results.types.true), 'type')} · "
         f"seed {results.seed}",
         f"user types found: {learning['types_found']:.0f}"
         + (f" of {learning['true_types']:.0f}" if "true_types" in learning else "")
@@ -120,21 +121,28 @@ def _interval(figure: Figure) -> str:
 
 
 def _bounds(bounds: Mapping[str, float]) -> list[str]:
+    """Certificates, and the policy's cost under the learned model, each said to be what it is."""
     if not bounds:
         return []
+    traces = _count(bounds["traces"], "trace")
     lines = [
-        f"certificates, {bounds['traces']:.0f} traces, discounted returns under the learned model:",
+        f"certificates, {traces}, discounted returns under the learned model:",
         f"  optimum between {bounds['optimal_lower']:.4f} and {bounds['optimal_upper']:.4f}; "
         f"expected value of perfect information {_range(bounds, 'price_of_not_knowing')}",
     ]
     if "policy_value" in bounds:
         how = "exact" if bounds["policy_value_exact"] == 1 else f"± {bounds['policy_value_se']:.4f}"
-        lines.append(
+        lines += [
             f"  this policy {bounds['policy_value']:.4f} ({how}), suboptimality "
-            f"{_range(bounds, 'price_of_approximation')}; its expected cost "
-            f"{bounds['policy_cost']:.3f}"
-        )
+            f"{_range(bounds, 'price_of_approximation')}",
+            f"cost that the learned model expects of this policy, undiscounted, {traces}: "
+            f"{bounds['policy_cost']:.3f}",
+        ]
     return lines
+
+
+def _count(number: float, what: str) -> str:
+    return f"{number:.0f} {what}{'' if number == 1 else 's'}"
 
 
 def _range(bounds: Mapping[str, float], name: str) -> str:

@@ -7,8 +7,7 @@ launcher: the same jobs give the same bytes.
 from __future__ import annotations
 
 import json
-import re
-from collections import Counter
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,11 +17,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from xplain.evaluation.metrics import possible
 from xplain.evaluation.statistics import Estimate, clustered_mean
 from xplain.experiment.results import RESULTS, Results, load_results
+from xplain.report.settings import method_of, setting_of
 
 ORDER = (
     "qmdp",
@@ -37,21 +36,8 @@ ORDER = (
 )
 """The paper's columns come first, others after them by name."""
 
-_SOURCE = (
-    "domain",
-    "users",
-    "observers",
-    "queries",
-    "labeler",
-    "clusterer",
-    "points",
-    "traces",
-    "max_steps",
-)
-"""What tells settings apart; anything else that is swept tells methods apart."""
-
-_WORDS = {"users.count": "{} types", "users.index": "completion {}"}
-"""What people call settings."""
+Value = float | str
+"""Of a swept key: a number where all its values are; "" where a setting lacks the key."""
 
 
 @dataclass(frozen=True)
@@ -100,10 +86,71 @@ class Summary:
         return len(self.jobs) - len(self.results)
 
     @cached_property
+    def report(self) -> str | None:
+        """``table1`` where the sweep's file asks for it, and nothing was swept beside what that
+        table has rows and columns for."""
+        others = set(self.keys) - {"domain", "solver", "lambda", *self.pool}
+        return None if others else self.about.get("report")
+
+    @property
+    def pool(self) -> tuple[str, ...]:
+        """Swept keys that the sweep's file asks to average over."""
+        return tuple(key for key in self.about.get("pool", ()) if key in self.keys)
+
+    @cached_property
+    def keys(self) -> list[str]:
+        """The swept keys, in the order of the jobs' names. Seeds are replicates, not among them."""
+        return [
+            key
+            for key in dict.fromkeys(k for job in self.jobs for k in job["values"])
+            if key != "seed"
+        ]
+
+    def values(self, key: str) -> list[Value]:
+        """Values of a swept key, ``solver`` or ``lambda`` among the finished jobs: numbers
+        ascending, solvers in the paper's order, other text as it was swept."""
+        found: list[Value] = list(dict.fromkeys(self._value(key, *one) for one in self.results))
+        if key == "solver":
+            return sorted(found, key=lambda name: (_rank(str(name)), name))
+        if all(isinstance(value, float) or value == "" for value in found):
+            return sorted(found, key=lambda value: (value != "", value))
+        return found
+
+    def is_number(self, key: str) -> bool:
+        """Whether a key's values are numbers, more than one."""
+        return sum(isinstance(value, float) for value in self.values(key)) > 1
+
+    def values_of(self, job: dict[str, Any], results: Results) -> dict[str, Value]:
+        """The swept values of a job; those of ``solver`` and ``lambda`` always."""
+        keys = dict.fromkeys((*self.keys, "solver", "lambda"))
+        return {key: self._value(key, job, results) for key in keys}
+
+    def _value(self, key: str, job: dict[str, Any], results: Results) -> Value:
+        if key == "lambda":
+            return results.trade_off
+        if key == "solver":
+            return results.solver
+        if key == "domain":
+            return results.domain
+        text = job["values"].get(key, "")
+        return float(text) if text and key in self._numbers else text
+
+    @cached_property
+    def _numbers(self) -> set[str]:
+        """Swept keys all of whose values are numbers."""
+        return {
+            key
+            for key in self.keys
+            if all(is_number(job["values"].get(key, "0")) for job in self.jobs)
+        }
+
+    @cached_property
     def episodes(self) -> pd.DataFrame:
-        """One row an episode of a job's own solver, the references' costs beside its own."""
+        """One row an episode of a job's own solver, the references' costs beside its own, and the
+        swept keys by their full names."""
         rows = []
         for job, results in self.results:
+            swept = self.values_of(job, results)
             costs = {(e.solver, e.trace, e.type): e.cost for e in results.episodes}
             for episode in results.episodes:
                 if episode.solver != "solver":
@@ -111,6 +158,7 @@ class Summary:
                 key = (episode.trace, episode.type)
                 rows.append(
                     {
+                        **swept,
                         "domain": results.domain,
                         "setting": setting_of(job["values"]),
                         "method": method_of(job["values"], results.solver),
@@ -166,8 +214,7 @@ class Summary:
         frame = frame[np.isfinite(frame[measure])]
         if not len(frame):
             return None
-        name = measure.replace(" ", "_")
-        estimate = clustered_mean(frame[measure], self._clusters(frame), possible=possible(name))
+        estimate = self.mean(frame, measure)
         label = "all" if setting is None else setting
         return TableCell(domain, label, trade_off, method, estimate, len(frame))
 
@@ -187,7 +234,7 @@ class Summary:
         return self.reference("oracle", domain, trade_off, setting)
 
     def differences(self) -> Iterator[tuple[str, float, str, str, Estimate]]:
-        """(domain, λ, method, other, cost of the method less the other's on the same trace and
+        """(domain, λ, method, other, cost of the method minus the other's on the same trace and
         user) for each pair of methods."""
         key = ["setting", "seed", "trace", "type"]
         for domain in self.domains:
@@ -198,17 +245,36 @@ class Summary:
                     both = left.join(right["cost"], rsuffix="_other", how="inner").reset_index()
                     if len(both):
                         paired = both["cost"] - both["cost_other"]
-                        estimate = clustered_mean(paired, self._clusters(both))
+                        estimate = clustered_mean(paired, self.clusters(both))
                         yield domain, trade_off, method, other, estimate
 
-    def job(self, domain: str, trade_off: float, method: str) -> tuple[Path, Results] | None:
-        """Folder and results of the first finished job of a cell."""
-        for job, results in self.results:
-            own = method_of(job["values"], results.solver)
-            key = (results.domain, results.trade_off, own)
-            if key == (domain, trade_off, method):
-                return self.folder / "jobs" / job["name"], results
-        return None
+    def example(self, domain: str) -> tuple[Path, str, Results] | None:
+        """Folder, label and results of one job of a domain: at λ = 1 where that was run, else
+        at the middle one, with the solver that comes first."""
+        own = [(job, results) for job, results in self.results if results.domain == domain]
+        trade_offs = sorted({results.trade_off for _, results in own})
+        middle = 1.0 if 1.0 in trade_offs else trade_offs[len(trade_offs) // 2] if own else 0.0
+        at = [one for one in own if one[1].trade_off == middle]
+        if not at:
+            return None
+        job, results = min(at, key=lambda one: (_rank(one[1].solver), one[1].solver))
+        return self.folder / "jobs" / job["name"], job["label"], results
+
+    def complete(self, values: Mapping[str, Value]) -> bool:
+        """Whether all jobs of these values (of the finished ones, and as planned) are there."""
+        finished = {job["name"] for job, _ in self.results}
+        return all(
+            job["name"] in finished
+            for job in self.jobs
+            if all(self._planned(key, job) in (None, value) for key, value in values.items())
+        )
+
+    def _planned(self, key: str, job: dict[str, Any]) -> Value | None:
+        """A job's value of a key; None where the sweep does not say."""
+        text = job["values"].get(key)
+        if text is None:
+            return "" if key in self.keys else None
+        return float(text) if key in self._numbers else str(text)
 
     def messages(self, domain: str) -> dict[str, str]:
         """``{message: its sentence}`` of a domain; empty where no job of it has finished."""
@@ -216,72 +282,6 @@ class Summary:
             if results.domain == domain:
                 return dict(results.messages)
         return {}
-
-    def complete(self, domain: str, trade_off: float, method: str) -> bool:
-        """Whether all jobs of a cell are there."""
-        wanted = got = 0
-        finished = {job["name"] for job, _ in self.results}
-        for job in self.jobs:
-            values = job["values"]
-            if (
-                values.get("domain", domain) == domain
-                and float(values.get("lambda", trade_off)) == trade_off
-                and method_of(values, values.get("solver", method)) == method
-            ):
-                wanted += 1
-                got += job["name"] in finished
-        return wanted == got
-
-    def by_step(self, name: str, domain: str, trade_off: float, method: str) -> NDArray[np.float64]:
-        """Mean at each step over all episodes that last so long."""
-        total: NDArray[np.float64] = np.zeros(0)
-        count: NDArray[np.float64] = np.zeros(0)
-        for job, results in self.results:
-            own = method_of(job["values"], results.solver)
-            same_place = results.domain == domain and own == method
-            if not same_place or results.trade_off != trade_off:
-                continue
-            series = np.array(results.steps[name])
-            weight = np.array(results.steps["episodes"])[: len(series)]
-            longest = max(len(total), len(series))
-            total = np.pad(total, (0, longest - len(total)))
-            count = np.pad(count, (0, longest - len(count)))
-            total[: len(series)] += series * weight
-            count[: len(series)] += weight
-        mean: NDArray[np.float64] = total / count
-        return mean
-
-    def elbows(self, domain: str) -> dict[str, tuple[NDArray[np.float64], Counter[int]]]:
-        """``{setting: (mean curve over seeds, how often each k was chosen)}``."""
-        curves: dict[str, dict[int, NDArray[np.float64]]] = {}
-        chosen: dict[str, dict[int, int]] = {}
-        for job, results in self.results:
-            curve = results.elbow.disagreements
-            if results.domain == domain and curve:
-                name, seed = setting_of(job["values"]), results.seed
-                curves.setdefault(name, {})[seed] = np.array(curve, dtype=float)
-                chosen.setdefault(name, {})[seed] = len(results.types.found)
-        means = {}
-        for name, by_seed in curves.items():
-            shortest = min(map(len, by_seed.values()))
-            mean = np.mean([curve[:shortest] for curve in by_seed.values()], axis=0)
-            means[name] = (mean, Counter(chosen[name].values()))
-        return means
-
-    def learning(self) -> dict[tuple[str, str], dict[str, float]]:
-        """``{(domain, setting): figure: mean over seeds}`` of the learning stage."""
-        found: dict[tuple[str, str], dict[int, Mapping[str, float]]] = {}
-        for job, results in self.results:
-            key = (results.domain, setting_of(job["values"]))
-            found.setdefault(key, {})[results.seed] = results.learning
-        return {
-            key: {
-                name: float(np.mean([figures[name] for figures in by_seed.values()]))
-                for name in next(iter(by_seed.values()))
-                if all(name in figures for figures in by_seed.values())
-            }
-            for key, by_seed in found.items()
-        }
 
     def types_found(self) -> dict[str, list[float]]:
         """By domain, the adjusted Rand index of each data set: one a setting and seed."""
@@ -295,25 +295,10 @@ class Summary:
             domains.setdefault(domain, []).append(index)
         return domains
 
-    def curves(self) -> list[tuple[str, float, float]]:
-        """(name, λ, mean) of complete cells, for charts."""
-        points = []
-        for domain in self.domains:
-            for trade_off in self.trade_offs:
-                for method in self.methods:
-                    if not self.complete(domain, trade_off, method):
-                        continue
-                    for measure in ("regret", "messages", "inexplicable labels"):
-                        cell = self.estimate(measure, domain, trade_off, method)
-                        if cell is not None:
-                            name = _metric(f"{measure}/{domain}/{method}")
-                            points.append((name, trade_off, cell.estimate.mean))
-                oracle = self.oracle(domain, trade_off)
-                if oracle and self.complete(domain, trade_off, self.methods[0]):
-                    points.append(
-                        (_metric(f"oracle cost/{domain}"), trade_off, oracle.estimate.mean)
-                    )
-        return points
+    def mean(self, frame: pd.DataFrame, measure: str) -> Estimate:
+        """Mean of a column of episodes, with its interval, cut where the mean cannot be."""
+        values = possible(measure.replace(" ", "_"))
+        return clustered_mean(frame[measure], self.clusters(frame), possible=values)
 
     def _cell(
         self, domain: str, trade_off: float, method: str, setting: str | None
@@ -328,36 +313,18 @@ class Summary:
             chosen &= frame["setting"] == setting
         return frame[chosen]
 
-    def _clusters(self, frame: pd.DataFrame) -> pd.Series[int]:
+    def clusters(self, frame: pd.DataFrame) -> pd.Series[int]:
         """What was sampled: seeds, each with its own data and traces; with one seed, traces.
         Settings share seeds and traces, so they make no clusters of their own."""
         return frame["seed"] if self.seeds > 1 else frame["trace"]
 
 
-def setting_of(values: dict[str, str]) -> str:
-    """``3 types``, ``noise=0.1``; empty where settings are domains alone."""
-    words = []
-    for key, value in values.items():
-        group, _, last = key.rpartition(".")
-        if key.partition(".")[0] not in _SOURCE or key == "domain":
-            continue
-        words.append(_WORDS.get(key, f"{last}=" + "{}").format(value) if group else value)
-    return " ".join(words)
-
-
-def method_of(values: dict[str, str], solver: str) -> str:
-    """``pomcp``, or ``pomcp simulations=500`` where that is swept as well."""
-    own = [
-        f"{key.rpartition('.')[2]}={value}"
-        for key, value in values.items()
-        if key.partition(".")[0] not in _SOURCE and key not in ("solver", "lambda", "seed")
-    ]
-    return " ".join([solver, *own])
-
-
-def _metric(name: str) -> str:
-    """The text without the characters that MLflow refuses in names."""
-    return re.sub(r"[^\w./ -]", " ", name).replace(" ", "_")
+def is_number(text: str) -> bool:
+    """Whether the text of a swept value is a finite number."""
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
 
 
 def _rank(method: str) -> int:

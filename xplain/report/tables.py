@@ -102,19 +102,6 @@ def as_csv(summary: Summary, measure: str = "regret") -> str:
     return out.getvalue()
 
 
-def differences_csv(summary: Summary) -> str:
-    """Paired differences between methods on the same traces and users."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["domain", "lambda", "method", "less", "mean", "low", "high"])
-    for domain, trade_off, method, other, e in summary.differences():
-        writer.writerow(
-            [domain, f"{trade_off:g}", method, other]
-            + [number(x, 6) for x in (e.mean, e.low, e.high)]
-        )
-    return out.getvalue()
-
-
 def grid(
     summary: Summary, by_setting: bool = False, measure: str = "regret"
 ) -> list[tuple[str, str, float, list[Entry]]]:
@@ -163,7 +150,7 @@ def latex(summary: Summary) -> str:
         r"\begin{tabular}{ll" + "r@{ }l" * len(keys) + "}",
         r"\toprule",
         "Domain & $\\lambda$ & "
-        + " & ".join(rf"\multicolumn{{2}}{{c}}{{{_tex(title(key))}}}" for key in keys)
+        + " & ".join(rf"\multicolumn{{2}}{{c}}{{{tex(title(key))}}}" for key in keys)
         + r" \\",
     ]
     last = ""
@@ -178,16 +165,22 @@ def latex(summary: Summary) -> str:
             known = entry is not None and not math.isnan(entry.estimate.low)
             text = rf"\tiny${interval(entry.estimate)}$" if entry is not None and known else ""
             intervals.append(rf"\multicolumn{{2}}{{c}}{{{text}}}")
-        name = _tex(title(domain)) if domain != last else ""
+        name = tex(title(domain)) if domain != last else ""
         lines.append(f"{name} & {trade_off:g} & " + " & ".join(means) + r" \\")
         lines.append(" & & " + " & ".join(intervals) + r" \\")
         last = domain
-    lines += [r"\bottomrule", r"\end{tabular}", f"% {caption(summary)}"]
+    lines += [r"\bottomrule", r"\end{tabular}", f"% {caption(summary, difference=False)}"]
     return "\n".join(lines) + "\n"
 
 
-def caption(summary: Summary, measure: str = "regret") -> str:
-    """How to read the table; ``measure`` as in :func:`entries`."""
+def caption(summary: Summary, measure: str = "regret", difference: bool = True) -> str:
+    """How to read the table.
+
+    Args:
+        summary: of the sweep.
+        measure: as in :func:`entries`.
+        difference: whether the table tells our difference to the paper beside its value.
+    """
     pooled = [
         f"{title(domain)} pools {len(summary.settings(domain))} settings "
         f"({'; '.join(summary.settings(domain))})"
@@ -197,9 +190,11 @@ def caption(summary: Summary, measure: str = "regret") -> str:
     unit = "seeds" if summary.seeds > 1 else "traces"
     to_oracle = measure == "regret"
     whose = "oracle's" if to_oracle else "clairvoyant's"
-    paper = "; in parentheses the paper's value and our difference to it" if to_oracle else ""
+    paper = "; in parentheses the paper's value" if to_oracle else ""
+    if paper and difference:
+        paper += " and our difference to it"
     text = (
-        f"Costs of the references, and regret (cost less the {whose} on the same trace and user) "
+        f"Costs of the references, and regret (cost minus the {whose} on the same trace and user) "
         f"of each method; 95 % intervals over {unit} in brackets{paper}."
     )
     if summary.missing:
@@ -224,5 +219,6 @@ def interval(estimate: Estimate) -> str:
     return f"[{number(estimate.low)}, {number(estimate.high)}]"
 
 
-def _tex(text: str) -> str:
+def tex(text: str) -> str:
+    """Text without what LaTeX would take for commands."""
     return text.replace("_", r"\_").replace("%", r"\%").replace("&", r"\&")

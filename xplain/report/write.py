@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from xplain.report import claims, tables
+from xplain.report import claims, regret_table, tables
+from xplain.report.combinations import differences_csv, regret_csv
 from xplain.report.page import Picture, Pictures, page
 from xplain.report.paper import title
 from xplain.report.summary import Summary
 from xplain.storage import write_text
 
 REPORT = "report"
+
+CSV_OF_COMBINATIONS = "regret.csv"
 
 
 def write_report(folder: Path) -> tuple[Summary, Path]:
@@ -24,11 +27,15 @@ def write_report(folder: Path) -> tuple[Summary, Path]:
     report = folder / REPORT
     report.mkdir(exist_ok=True)
     if summary.results:
-        write_text(report / "table1.md", tables.markdown(summary))
-        write_text(report / "table1.tex", tables.latex(summary))
-        write_text(report / "table1.csv", tables.as_csv(summary))
-        _write_more_of_table1(summary, report)
-        write_text(report / "differences.csv", tables.differences_csv(summary))
+        write_text(report / CSV_OF_COMBINATIONS, regret_csv(summary))
+        write_text(report / "differences.csv", differences_csv(summary))
+        write_text(report / "table.md", regret_table.markdown(summary))
+        write_text(report / "table.tex", regret_table.latex(summary))
+        if summary.report == "table1":
+            write_text(report / "table1.md", tables.markdown(summary))
+            write_text(report / "table1.tex", tables.latex(summary))
+            write_text(report / "table1.csv", tables.as_csv(summary))
+            _write_more_of_table1(summary, report)
         write_text(report / "index.html", page(summary, draw(summary, report)))
     return summary, report
 
@@ -46,28 +53,26 @@ def _write_more_of_table1(summary: Summary, report: Path) -> None:
 
 def draw(summary: Summary, report: Path) -> Pictures:
     """Draws every plot and picture into the folder."""
-    from xplain.report import plots
+    from xplain.report import plots, sweep_plots
 
     pictures = Pictures()
-    many = len(summary.trade_offs) > 1
     drawn = [
         (
-            pictures.regret if many else [],
+            pictures.regret,
             "regret",
-            plots.against_trade_off(summary, "regret", "regret (cost less the oracle’s)"),
-            "Regret against λ, with 95 % intervals; open markers are the paper’s values. "
-            "The axis is scaled by the square root, so that small and large regrets both show.",
+            sweep_plots.against_main_key(summary, "regret", "regret (cost − oracle’s)"),
+            sweep_plots.regret_caption(summary),
         ),
         (
             pictures.diagnostics,
             "messages",
-            plots.against_trade_off(summary, "messages", "messages an episode"),
+            sweep_plots.against_main_key(summary, "messages", "messages an episode"),
             "Messages given in an episode, mean over traces and users.",
         ),
         (
             pictures.diagnostics,
             "inexplicable",
-            plots.against_trade_off(
+            sweep_plots.against_main_key(
                 summary, "inexplicable labels", "inexplicable labels an episode"
             ),
             "Labels “inexplicable” in an episode, summed over its steps, mean over traces and "
@@ -78,12 +83,12 @@ def draw(summary: Summary, report: Path) -> Pictures:
             "disagreements",
             plots.elbows(summary),
             "Disagreements of labels within clusters against the number of clusters; rings mark "
-            "the numbers of user types that the elbow chose.",
+            "the numbers of user types that were chosen.",
         ),
         (
             pictures.types,
             "belief",
-            plots.belief_over_steps(summary),
+            sweep_plots.belief_over_steps(summary),
             "Belief in the user’s true type after each step, mean over the traces that last so "
             "long.",
         ),
@@ -100,21 +105,20 @@ def draw(summary: Summary, report: Path) -> Pictures:
 def _trace_pictures(summary: Summary, report: Path) -> Iterator[tuple[str, Path, str]]:
     """(domain, picture, caption): one trace a domain, explained to two types of users, one who
     needs many messages and one who needs few."""
-    from xplain.report import plots, traces
+    from xplain.report import traces
 
     for domain in summary.domains:
-        trade_off = plots.middle(summary.trade_offs)
-        found = summary.job(domain, trade_off, summary.methods[0])
+        found = summary.example(domain)
         if found is None:
             continue
-        folder, results = found
+        folder, label, results = found
         for story in traces.telling(list(traces.stories(folder, "solver"))):
             path = report / f"trace_{domain}_{story.user_type}.png"
             traces.save_trace(path, results.scene, story)
             yield (
                 domain,
                 path,
-                f"{title(domain)}, {title(summary.methods[0])}, λ = {trade_off:g}: "
-                f"trace {story.trace + 1} explained to a user of type {story.user_type}; cost "
-                f"{story.cost:g}.",
+                f"{title(domain)}, {title(results.solver)}, λ = {results.trade_off:g} (job "
+                f"“{label}”): trace {story.trace + 1} explained to a user of type "
+                f"{story.user_type}; cost {story.cost:g}.",
             )

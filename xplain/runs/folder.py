@@ -12,6 +12,7 @@ import json
 import os
 import shutil
 import socket
+import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -110,6 +111,16 @@ class SweepFolder:
     def worker(self, job: Job) -> str:
         """Host and number of the process that ran the job."""
         return (self.of(job) / STARTED).read_text(encoding="utf-8")
+
+    def started(self, job: Job) -> int:
+        """When its worker took the job, or its results began, in milliseconds since 1970."""
+        folder = self.of(job)
+        if (folder / RESULTS).exists():
+            return int(1000 * load_results(folder).started)
+        try:
+            return int(1000 * (folder / STARTED).stat().st_mtime)
+        except OSError:
+            return int(1000 * time.time())
 
     def failure(self, job: Job) -> dict[str, str]:
         """Error and traceback of a failed job."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import os
 import shutil
 import time
 from dataclasses import replace
@@ -17,7 +18,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__
-from xplain.config import GROUPS, hand_over, one_line
+from xplain.config import GROUPS, hand_over, one_line, require_usable
 from xplain.experiment.cache import prepared_once, source_fingerprint
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import evaluate, with_true_labels
@@ -34,6 +35,8 @@ from xplain.experiment.results import (
 )
 from xplain.report import run_summary
 from xplain.runs.folder import JobOfSweep, is_ours, job_of, mark_failed, mark_started
+from xplain.runs.forecast import print_dry_job
+from xplain.runs.mlflow import tell_links
 from xplain.runs.worker import end_with_parent
 from xplain.solvers.base import Solver
 from xplain.solvers.known_type import KnownType
@@ -53,6 +56,11 @@ def run_job(cfg: DictConfig) -> float | None:
     if job is not None:
         return _run_in_sweep(cfg, folder, job)
     try:
+        require_usable(cfg)
+        if cfg.dry_run:
+            print_dry_job(cfg, Path(cfg.outputs).absolute())
+            shutil.rmtree(folder, ignore_errors=True)
+            return None
         return _run_alone(cfg, folder)
     except Exception as error:  # whatever it is: it is raised again or handed over
         if HydraConfig.get().mode != RunMode.RUN:
@@ -65,12 +73,16 @@ def run_job(cfg: DictConfig) -> float | None:
 
 def _run_alone(cfg: DictConfig, folder: Path) -> float | None:
     tracking = instantiate(cfg.tracking)
-    results, prepared = run_experiment(cfg, configuration(cfg), folder, run_summary.track)
-    results = replace(results, id=result_id(results, folder))
+    config, outputs = configuration(cfg), Path(cfg.outputs).absolute()
+    results, prepared = run_experiment(cfg, config, folder, run_summary.track)
+    results = replace(results, id=result_id(results, folder), stamp=fingerprint(config))
     _draw(folder, prepared)
     save_results(folder, results)
-    tracking.log(folder, Path(cfg.outputs).absolute())
+    link = tracking.log(folder, outputs)
     run_summary.print_summary(results)
+    log.info("folder: %s", os.path.relpath(folder))
+    log.info("  trace.png is one explanation, results.json has all figures")
+    tell_links(tracking, outputs, [] if link is None else [("MLflow", link)])
     return results.regret
 
 

@@ -20,7 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xplain.experiment.results import Results, load_results
+from xplain.experiment.results import load_results
+from xplain.runs.mlflow_run import fill
+from xplain.runs.mlflow_views import describe_experiment
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -38,7 +40,7 @@ RESULT_TAG = "xplain.result"
 class Disk:
     """Tracks nothing: results stay on disk."""
 
-    def log(self, folder: Path, outputs: Path, parent: str | None = None) -> str | None:
+    def log(self, folder: Path, outputs: Path) -> str | None:
         """Sends nothing and returns None: there is no run in MLflow."""
         return None
 
@@ -59,7 +61,21 @@ class MLflow:
         """URI of the server or database to which runs are sent."""
         return self.uri or f"sqlite:///{outputs.resolve() / 'mlflow.db'}"
 
-    def log(self, folder: Path, outputs: Path, parent: str | None = None) -> str | None:
+    def pages(self, outputs: Path) -> str:
+        """Where the user interface shows things; an SQLite file's is on this machine."""
+        uri = self.tracking_uri(outputs)
+        return f"{uri.rstrip('/')}/#" if uri.startswith("http") else "http://127.0.0.1:5000/#"
+
+    def how_to_open(self, outputs: Path) -> str | None:
+        """The command without which the links lead nowhere; None where a server runs already."""
+        uri = self.tracking_uri(outputs)
+        if uri.startswith("http"):
+            return None
+        if outputs.resolve() == Path.cwd() / "outputs" and self.uri is None:
+            uri = "sqlite:///outputs/mlflow.db"
+        return f"mlflow ui --backend-store-uri {uri}"
+
+    def log(self, folder: Path, outputs: Path) -> str | None:
         """Sends the results in ``folder``; a result that is there already is not sent again.
 
         A failure costs nothing but a warning: the results are on disk.
@@ -67,14 +83,15 @@ class MLflow:
         Args:
             folder: of a finished run.
             outputs: where the database is.
-            parent: run id of a sweep.
 
         Returns:
-            The run's id; None when MLflow could not take it.
+            The address of the run's page; None when MLflow could not take it.
         """
         try:
             with self.client(outputs) as (client, experiment_id):
-                return log_folder(client, experiment_id, folder, parent)
+                run_id = log_folder(client, experiment_id, folder)
+                describe_experiment(client, experiment_id)
+                return f"{self.pages(outputs)}/experiments/{experiment_id}/runs/{run_id}"
         except Exception as error:  # MLflow raises what SQLAlchemy, requests, the OS do
             reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
             log.warning(
@@ -128,6 +145,17 @@ class MLflow:
         yield client, experiment_id
 
 
+def tell_links(tracking: Disk | MLflow, outputs: Path, links: list[tuple[str, str]]) -> None:
+    """The last lines of a run or a sweep: where it is in MLflow, and how to look there."""
+    if not links or not isinstance(tracking, MLflow):
+        return
+    for words, address in links:
+        log.info("%s: %s", words, address)
+    command = tracking.how_to_open(outputs)
+    if command is not None:
+        log.info("  once this runs: %s", command)
+
+
 def _create_whole(uri: str) -> None:
     """Creates an SQLite database that is not there, all of it or nothing: one whose creation
     was cut short can be neither used nor completed."""
@@ -145,9 +173,7 @@ def _create_whole(uri: str) -> None:
         os.replace(new, path)
 
 
-def log_folder(
-    client: MlflowClient, experiment_id: str, folder: Path, parent: str | None = None
-) -> str:
+def log_folder(client: MlflowClient, experiment_id: str, folder: Path) -> str:
     """Logs the results in a folder as one finished run; returns its id."""
     results = load_results(folder)
     for run in client.search_runs(
@@ -157,35 +183,10 @@ def log_folder(
             return str(run.info.run_id)
         client.delete_run(run.info.run_id)  # a sender died half-way
     tags = {RESULT_TAG: results.id, **source_tags(results.git), **process_tag()}
-    if parent is not None:
-        tags["mlflow.parentRunId"] = parent
     start = int(1000 * results.started)
     run_id = str(client.create_run(experiment_id, start, tags, results.name).info.run_id)
     fill(client, run_id, folder, results)
     return run_id
-
-
-def fill(client: MlflowClient, run_id: str, folder: Path, results: Results) -> None:
-    """Logs all of a result into its run and marks it finished; doing it twice changes nothing."""
-    from mlflow.entities import Metric, Param, RunTag
-
-    end = int(1000 * (results.started + sum(results.seconds.values())))
-    metrics = [Metric(name, value, end, 0) for name, value in _scalars(results).items()]
-    for name, series in results.steps.items():
-        metrics += [Metric(f"step/{name}", value, end, step) for step, value in enumerate(series)]
-    for k, value in enumerate(results.elbow.disagreements, start=1):
-        metrics.append(Metric("disagreements", value, end, k))
-    params = [Param(key, str(value)[:6000]) for key, value in _params(results).items()]
-    tags = {
-        "xplain.code": results.code,
-        "xplain.folder": str(folder),
-        "xplain.rule": results.elbow.rule,
-    }
-    client.log_batch(run_id, metrics, params, [RunTag(*tag) for tag in tags.items()])
-    for path in sorted(folder.iterdir()):
-        if path.is_file() and not path.name.startswith("."):
-            client.log_artifact(run_id, str(path))
-    client.set_terminated(run_id, "FINISHED", end)
 
 
 def source_tags(git: Mapping[str, str]) -> dict[str, str]:
@@ -245,35 +246,6 @@ def _birth(pid: int) -> str:
     except OSError:
         pass
     return "0"
-
-
-def _scalars(results: Results) -> dict[str, float]:
-    """Figures that make one number each: means, ends of intervals, learning, bounds, times."""
-    flat: dict[str, float] = {}
-    for name, figure in results.metrics.items():
-        flat[name] = figure.mean
-        for end, value in (("low", figure.low), ("high", figure.high)):
-            if value is not None:
-                flat[f"{name}.{end}"] = value
-    flat |= {f"learning/{name}": value for name, value in results.learning.items()}
-    flat |= {f"bounds/{name}": value for name, value in results.bounds.items()}
-    flat |= {f"seconds/{name}": value for name, value in results.seconds.items()}
-    return flat
-
-
-def _params(results: Results) -> dict[str, Any]:
-    """The choices by group (``solver = pomcp``) and every key (``solver.simulations = 2000``)."""
-    return {**results.choices, **_flatten(results.config)}
-
-
-def _flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in node.items():
-        if isinstance(value, Mapping):
-            flat |= _flatten(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat
 
 
 def _user() -> str:

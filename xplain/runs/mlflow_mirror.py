@@ -8,26 +8,38 @@ later.
 
 from __future__ import annotations
 
-import json
 import logging
 import threading
 import time
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import quote
 
 from xplain.experiment.fingerprint import git_state
 from xplain.experiment.results import load_results
+from xplain.report.combinations import heading
+from xplain.report.regret_table import markdown
 from xplain.runs.folder import State, SweepFolder, result_id
 from xplain.runs.mlflow import (
     RESULT_TAG,
     MLflow,
     all_runs,
-    fill,
     process_tag,
     retire,
     source_tags,
+)
+from xplain.runs.mlflow_run import fill, parent_parameters
+from xplain.runs.mlflow_views import (
+    MainKey,
+    chart_view,
+    curves,
+    describe_experiment,
+    every_combination,
+    main_key,
+    save_view,
+    sweep_view,
+    view_address,
 )
 from xplain.runs.plan import Job
 
@@ -40,15 +52,6 @@ log = logging.getLogger(__name__)
 
 SWEEP_TAG = "xplain.sweep"
 """Tag of the parent: identity of the sweep. RESULT_TAG of a child: identity of its result."""
-
-VIEW = "workflowType=machine_learning"
-"""MLflow's page of runs opens in another mode without it."""
-
-Links = list[tuple[str, str]]
-"""(words, address)."""
-
-COMPARABLE = 100
-"""Runs whose comparison still fits into a link."""
 
 
 def mirror_of(
@@ -69,8 +72,11 @@ class NoMirror:
     def update(self, job: Job, state: State) -> None:
         """See :meth:`Mirror.update`; here nothing is sent."""
 
-    def finish(self, status: str, summary: Summary | None, report: Path | None) -> Links:
-        """See :meth:`Mirror.finish`; here there are no links."""
+    def finish(self, status: str, summary: Summary | None, report: Path | None) -> None:
+        """See :meth:`Mirror.finish`; here nothing is sent."""
+
+    def links(self) -> list[tuple[str, str]]:
+        """See :meth:`Mirror.links`; here there are none."""
         return []
 
 
@@ -92,6 +98,8 @@ class Mirror:
     _client: MlflowClient | None = None
     _experiment: str = ""
     _parent: str = ""
+    _started: int = 0
+    _ended: int = 0
     _children: dict[str, tuple[str, str]] = field(default_factory=dict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -103,21 +111,35 @@ class Mirror:
         """A job changed its state."""
         self._try(lambda: self._update(job, state))
 
-    def finish(
-        self, status: str, summary: Summary | None, report: Path | None
-    ) -> list[tuple[str, str]]:
+    def finish(self, status: str, summary: Summary | None, report: Path | None) -> None:
         """Brings every child and the parent into their final state.
 
         Args:
             status: of the parent: FINISHED, FAILED or KILLED.
             summary: curves and table for the parent.
             report: folder of files for the parent.
-
-        Returns:
-            (words, address): where to look.
         """
         self._try(lambda: self._finish(status, summary, report))
-        return self._links() if self._client is not None else []
+
+    def links(self) -> list[tuple[str, str]]:
+        """(words, address) of the sweep's views: its jobs with what was swept and their regrets,
+        and the chart; none where MLflow did not take it."""
+        if self._client is None:
+            return []
+        pages = self.tracking.pages(self.outputs)
+        found = [("MLflow", view_address(pages, self._experiment, self._view))]
+        if self._main.key:
+            chart = view_address(pages, self._experiment, f"{self._view}-chart", chart=True)
+            found.append((f"  regret against {heading(self._main.key)}", chart))
+        return found
+
+    @cached_property
+    def _main(self) -> MainKey:
+        return main_key(self.jobs)
+
+    @property
+    def _view(self) -> str:
+        return self.folder.identity.rpartition("-")[2]
 
     def send(self) -> None:
         """Brings MLflow to the state on disk, in one go, raising what goes wrong.
@@ -169,10 +191,12 @@ class Mirror:
             **process_tag(),
         }
         if not found:
-            run = client.create_run(self._experiment, None, tags, identity)
-            self._parent = run.info.run_id
+            name = f"{identity} · {' × '.join(self._swept())}"
+            run = client.create_run(self._experiment, int(1000 * time.time()), tags, name)
+            self._parent, self._started = run.info.run_id, run.info.start_time
             return
-        self._parent = found[0].info.run_id
+        self._parent, self._started = found[0].info.run_id, found[0].info.start_time
+        self._ended = found[0].info.end_time or 0
         for key, value in tags.items():
             client.set_tag(self._parent, key, value)
         client.update_run(self._parent, "RUNNING")
@@ -184,6 +208,10 @@ class Mirror:
             else:
                 key = run.data.tags.get(RESULT_TAG, "")
                 self._children[key] = (run.info.run_id, run.info.status)
+
+    def _swept(self) -> list[str]:
+        keys = dict.fromkeys(key for job in self.jobs for key in job.values)
+        return ["λ" if key == "lambda" else key for key in keys]
 
     def _update(self, job: Job, state: State) -> None:
         client, key = self._client, result_id(self.folder.identity, job)
@@ -199,16 +227,21 @@ class Mirror:
                 **source_tags(git_state()),
                 **process_tag(),
             }
-            started = int(1000 * time.time())
-            if state == "finished":
-                started = int(1000 * load_results(folder).started)
+            started = self.folder.started(job)
             run_id = client.create_run(self._experiment, started, tags, job.label).info.run_id
         elif state == "running":
             for tag, value in process_tag().items():
                 client.set_tag(run_id, tag, value)
             client.update_run(run_id, "RUNNING")
         if state == "finished":
-            fill(client, run_id, folder, load_results(folder))
+            fill(
+                client,
+                run_id,
+                folder,
+                load_results(folder),
+                job.values,
+                self._main.step(job.values),
+            )
         elif state == "failed":
             failure = self.folder.failure(job)
             client.set_tag(run_id, "xplain.error", failure["error"][:4000])
@@ -216,6 +249,7 @@ class Mirror:
             client.log_artifacts(run_id, str(folder))
             client.set_terminated(run_id, "FAILED")
         self._children[key] = (run_id, _STATUS[state])
+        self._ended = int(1000 * time.time())
 
     def _finish(self, status: str, summary: Summary | None, report: Path | None) -> None:
         client = self._client
@@ -232,45 +266,44 @@ class Mirror:
             self._show(client, summary)
         if report is not None:
             client.log_artifacts(self._parent, str(report), "report")
-        client.set_terminated(self._parent, status)
+        client.set_terminated(self._parent, status, max(self._ended, self._started))
 
     def _show(self, client: MlflowClient, summary: Summary) -> None:
-        """Curves and table on the parent: without any its page is empty."""
-        from mlflow.entities import Metric
+        """What opens on the answer: curves, table and parameters on the parent, and the view."""
+        from mlflow.entities import Metric, Param
 
-        from xplain.report.tables import markdown
-
-        when = int(1000 * self.folder.load()["started"])
         metrics = [
-            Metric(name, value, when, round(100 * trade_off))
-            for name, trade_off, value in summary.curves()
+            Metric(name, value, self._started, step)
+            for name, step, value in curves(summary, self._main)
         ]
+        regrets = [cell.estimates["regret"].mean for cell in every_combination(summary)]
+        if regrets:
+            metrics.append(Metric("best_regret", round(min(regrets), 4), self._started, 0))
         for first in range(0, len(metrics), 900):
             client.log_batch(self._parent, metrics[first : first + 900])
-        client.set_tag(self._parent, "mlflow.note.content", markdown(summary))
+        params = [Param(key, value) for key, value in parent_parameters(self.jobs).items()]
+        client.log_batch(self._parent, params=params)
+        client.set_tag(self._parent, "mlflow.note.content", self._note(summary))
+        table = sweep_view(self._parent, summary, self._main)
+        save_view(client, self._experiment, self._view, table)
+        if self._main.key:
+            chart = chart_view(self._parent, summary, self._main)
+            save_view(client, self._experiment, f"{self._view}-chart", chart)
+        link = view_address("#", self._experiment, self._view)
+        newest = f"**[Newest sweep: {self.folder.identity}]({link})**"
+        describe_experiment(client, self._experiment, newest)
 
-    def _links(self) -> Links:
-        uri = self.tracking.tracking_uri(self.outputs)
-        base, links = uri.rstrip("/"), []
-        if not uri.startswith("http"):
-            base = "http://127.0.0.1:5000"
-            log.info("see it in MLflow with: mlflow ui --backend-store-uri %s", uri)
-        page = f"{base}/#/experiments/{self._experiment}/runs"
-        filtered = quote(f"tags.`mlflow.parentRunId` = '{self._parent}'")
-        links = [
-            ("the sweep, its curves and table", f"{page}/{self._parent}"),
-            ("its runs as a table", f"{page}?searchFilter={filtered}&{VIEW}"),
-        ]
-        ids = [run_id for run_id, status in self._children.values() if status == "FINISHED"]
-        if 1 < len(ids) <= COMPARABLE:
-            runs, experiments = quote(_json(ids)), quote(_json([self._experiment]))
-            address = f"{base}/#/compare-runs?runs={runs}&experiments={experiments}"
-            links.append(("its runs compared", address))
-        return links
+    def _note(self, summary: Summary) -> str:
+        """The parent's description."""
+        links = [f"[its jobs by regret]({view_address('#', self._experiment, self._view)})"]
+        if self._main.key:
+            chart = view_address("#", self._experiment, f"{self._view}-chart", chart=True)
+            links.append(f"[regret against {heading(self._main.key)}]({chart})")
+        return (
+            f"{len(self.jobs)} jobs over {', '.join(summary.keys) or 'nothing'}: "
+            f"{', '.join(links)}; the report is among the artifacts (`report/index.html`). "
+            f"`{self.folder.load()['command']}`\n\n{markdown(summary)}"
+        )
 
 
 _STATUS = {"running": "RUNNING", "finished": "FINISHED", "failed": "FAILED", "waiting": ""}
-
-
-def _json(values: list[str]) -> str:
-    return json.dumps(values, separators=(",", ":"))

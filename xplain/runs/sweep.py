@@ -4,37 +4,33 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from threading import Event
 from typing import Any
 
-from hydra.core.plugins import Plugins
-from hydra.core.utils import JobReturn, JobStatus
-from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from hydra.utils import instantiate
-from omegaconf import DictConfig, open_dict
-from rich.console import Console
-from rich.style import Style
+from omegaconf import DictConfig
 
-from xplain.errors import InputError
+from xplain.config import require_usable
 from xplain.experiment.cache import source_fingerprint
 from xplain.experiment.fingerprint import code_version, configuration, fingerprint, git_state
+from xplain.experiment.from_config import check
 from xplain.experiment.results import load_results
 from xplain.report.summary import Summary
 from xplain.runs.folder import SweepFolder, mark_failed
+from xplain.runs.forecast import print_dry_run
+from xplain.runs.launch import interruptible, launch
+from xplain.runs.mlflow import tell_links
 from xplain.runs.mlflow_mirror import mirror_of
 from xplain.runs.plan import Job, Plan, in_launch_order, make_plan
 from xplain.runs.progress import Watch, duration
+from xplain.runs.reuse import copy_finished
 
 log = logging.getLogger(__name__)
-
-RESUME = ("missing", "failed", "none")
 
 
 def run_sweep(
@@ -43,6 +39,7 @@ def run_sweep(
     config: DictConfig,
     settings: list[dict[str, Any]],
     arguments: list[str],
+    shown: Mapping[str, Any],
 ) -> None:
     """Plans the sweep, runs the jobs that are missing, reports.
 
@@ -50,27 +47,34 @@ def run_sweep(
         context, task, config: of Hydra.
         settings: see :func:`xplain.runs.plan.make_plan`.
         arguments: overrides given on the command line.
+        shown: how the report is to show it (``pool``, ``report``), kept beside the jobs.
 
     Raises:
         XplainError: the configuration of some job is wrong; nothing was run.
         SystemExit: 1 when jobs failed.
     """
     began = time.time()
-    if config.resume not in RESUME:
-        raise InputError("resume", config.resume, f"one of {', '.join(RESUME)}")
+    configurations: dict[str, dict[str, Any]] = {}
 
     def compose(overrides: list[str]) -> dict[str, Any]:
         composed = context.config_loader.load_sweep_config(config, overrides)
+        require_usable(composed)
         return configuration(composed)
 
     def fingerprints(resolved: dict[str, Any]) -> tuple[str, str]:
-        return fingerprint(resolved), source_fingerprint(resolved)
+        own = fingerprint(resolved)
+        configurations[own] = resolved
+        return own, source_fingerprint(resolved)
 
-    choices = config.hydra.runtime.choices
-    name = choices.get("sweeps") or "multirun"
+    name = config.hydra.runtime.choices.get("sweeps") or "multirun"
     plan = make_plan(name, settings, arguments, compose, fingerprints)
     outputs = Path(config.outputs).absolute()
     folder = SweepFolder(outputs / "sweeps" / plan.identity)
+    missing = [job for job in plan.jobs if folder.state(job) != "finished"]
+    check([configurations[job.fingerprint] for job in missing])
+    if config.dry_run:
+        print_dry_run(plan, folder, outputs, config, configurations)
+        return
     with folder.alone(f"{plan.identity}: another process runs this sweep; waiting for it"):
         folder.save(
             plan,
@@ -79,14 +83,14 @@ def run_sweep(
                 "command": " ".join(["python -m xplain", *sys.argv[1:]]),
                 "code": code_version(),
                 "git": git_state(),
+                **shown,
             },
         )
         run = Run(plan, folder, instantiate(config.tracking), outputs, config.resume)
-
-        def launch(jobs: list[Job]) -> None:
-            _launch(jobs, folder, context, task, config)
-
-        run.through(launch)
+        try:
+            run.through(lambda jobs: launch(jobs, folder, context, task, config))
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(run.so_far()) from None
     run.tell()
     if run.failed:
         raise SystemExit(1)
@@ -119,7 +123,9 @@ class Run:
         for job in self._todo:
             folder.clear(job)
         self._done_before = sum(state == "finished" for _, state in states)
-        self._links: list[tuple[str, str]] = []
+        self._copied = [] if resume == "none" else copy_finished(outputs, folder, self._todo)
+        self._todo = [job for job in self._todo if job not in self._copied]
+        self._tracking, self._outputs = tracking, outputs
         self._summary: Summary | None = None
 
     def through(self, launch: Callable[[list[Job]], None]) -> None:
@@ -128,8 +134,9 @@ class Run:
         self._announce()
         status = "KILLED"
         try:
-            watch = Watch(folder, self._todo, self._mirror, self._done_before)
-            with _interruptible() as interrupted, watch:
+            before = self._done_before + len(self._copied)
+            watch = Watch(folder, self._todo, self._mirror, before)
+            with interruptible() as interrupted, watch:
                 self._attempt(launch, interrupted)
             states = [folder.state(job) for job in plan.jobs]
             if all(state == "finished" for state in states):
@@ -145,14 +152,16 @@ class Run:
                 from xplain.report.write import write_report
 
                 summary, report = write_report(folder.path)
-            self._links = self._mirror.finish(status, summary, report)
+            self._mirror.finish(status, summary, report)
             self._summary = summary
 
     def _announce(self) -> None:
-        if not self._todo:
-            log.info("%s: nothing is missing", self._plan.identity)
-            return
         before = f", {self._done_before} finished before" if self._done_before else ""
+        if self._copied:
+            before += f", {len(self._copied)} copied from finished runs and sweeps"
+        if not self._todo:
+            log.info("%s: nothing is missing%s", self._plan.identity, before)
+            return
         log.info("%s: %d jobs to run%s", self._plan.identity, len(self._todo), before)
         log.info("folder: %s", self._folder.path)
 
@@ -217,6 +226,11 @@ class Run:
         """Jobs whose folder tells of an error, in the order of the sweep."""
         return [job for job in self._plan.jobs if self._folder.state(job) == "failed"]
 
+    def so_far(self) -> str:
+        """What a person who interrupted the sweep wants to know."""
+        finished = sum(self._folder.state(job) == "finished" for job in self._plan.jobs)
+        return f"{finished} of {len(self._plan.jobs)} jobs are finished; the same command goes on"
+
     def tell(self) -> None:
         """The table, what failed, where to look."""
         from xplain.report.console import print_sweep
@@ -234,73 +248,10 @@ class Run:
             log.info("run them again: the same command with resume=failed")
         elif finished < total:
             log.info("run the others: the same command without resume=%s", self._resume)
-        log.info("report: %s", self._folder.path / "report" / "index.html")
-        for words, address in self._links:
-            show_link(words, address)
-
-
-def _launch(
-    jobs: list[Job],
-    folder: SweepFolder,
-    context: HydraContext,
-    task: TaskFunction,
-    config: DictConfig,
-) -> None:
-    """Has the configured launcher run the jobs; failures end up in the jobs' folders."""
-    with open_dict(config):
-        config.hydra.sweep.dir = str(folder.path)
-    launcher: Launcher = Plugins.instance().instantiate_launcher(
-        hydra_context=context, task_function=task, config=config
-    )
-    overrides = [
-        [
-            *job.overrides,
-            f"hydra.sweep.dir='{folder.path}'",
-            f"hydra.sweep.subdir='jobs/{job.name}'",
-            # On the terminal the sweep speaks as a whole; what a job says is in its folder.
-            "hydra.job_logging.root.handlers=[file]",
-            "hydra.output_subdir=null",  # config.yaml is beside the results
-        ]
-        for job in jobs
-    ]
-    returns = launcher.launch(overrides, initial_job_idx=0)
-    for job, returned in zip(jobs, returns, strict=True):
-        _note_failure(folder, job, returned)
-
-
-def _note_failure(folder: SweepFolder, job: Job, returned: JobReturn) -> None:
-    """A job that failed outside of its own code (a worker that cannot import the package)."""
-    if returned.status == JobStatus.FAILED and folder.state(job) != "failed":
-        try:
-            returned.return_value  # noqa: B018  (raises what the job raised)
-        except Exception as error:  # noqa: BLE001  (whatever it raised is its result)
-            mark_failed(folder.of(job), error)
-
-
-@contextmanager
-def _interruptible() -> Iterator[Event]:
-    """SIGTERM ends the sweep like Ctrl-C, so that its runs do not stay open; the event tells that
-    either came."""
-    came = Event()
-
-    def interrupt(*_: object) -> None:
-        came.set()
-        raise KeyboardInterrupt
-
-    before = {}
-    try:
-        for number in (signal.SIGTERM, signal.SIGINT):
-            # A shell's background job ignores Ctrl-C, and shall.
-            if signal.getsignal(number) is not signal.SIG_IGN:
-                before[number] = signal.signal(number, interrupt)
-    except ValueError:  # not the main thread: someone embeds this
-        yield came
-        return
-    try:
-        yield came
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        report = self._folder.path / "report"
+        log.info("folder: %s", os.path.relpath(self._folder.path))
+        log.info("report: %s (regret.csv beside it)", os.path.relpath(report / "index.html"))
+        tell_links(self._tracking, self._outputs, self._mirror.links())
 
 
 def age() -> float:
@@ -314,14 +265,6 @@ def age() -> float:
 
 
 _IMPORTED = time.time()
-
-
-def show_link(words: str, address: str) -> None:
-    """A link behind its words where the terminal can, else written out."""
-    if sys.stderr.isatty():
-        Console(stderr=True).print(words, style=Style(link=address))
-    else:
-        log.info("%s: %s", words, address)
 
 
 def _short(error: BaseException | None) -> str:

@@ -1,0 +1,110 @@
+"""Sweeps whose every number is known, written to disk as a sweep leaves them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+from xplain.domains.base import Item, Scene
+from xplain.experiment.results import (
+    ElbowFigures,
+    EpisodeFigures,
+    Results,
+    TypeNames,
+    save_results,
+)
+
+TYPES = ("A", "B")
+Values = Mapping[str, str]
+
+
+def episode(solver: str, trace: int, kind: str, cost: float) -> EpisodeFigures:
+    return EpisodeFigures(
+        solver=solver,
+        trace=trace,
+        type=kind,
+        cost=cost,
+        communication=1.0,
+        inexplicability=2.0,
+        messages=1,
+        inexplicable_labels=2,
+        steps_until_sure=1,
+    )
+
+
+def line(solver: str, trace: int, kind: str) -> str:
+    steps = [
+        {"messages": ["fire"], "labels": [1], "belief": [0.5, 0.5]},
+        {"messages": [], "labels": [1, 0], "belief": [0.9, 0.1]},
+    ]
+    return json.dumps(
+        {
+            "solver": solver,
+            "trace": trace,
+            "type": kind,
+            "cost": 3.5,
+            "transitions": ["moves right to (0, 1)", "moves <right> & stops"],
+            "positions": [[0, 0], [0, 1], [0, 2]],
+            "prior": [0.5, 0.5],
+            "steps": steps,
+        }
+    )
+
+
+def sweep(
+    folder: Path,
+    jobs: Iterable[Values],
+    regret: Callable[[Values, int], float],
+    oracle: Callable[[Values, int], float] = lambda values, trace: 1.0 + trace,
+    traces: int = 4,
+    **about: object,
+) -> Path:
+    """A finished sweep.
+
+    Args:
+        folder: to write it into.
+        jobs: the swept keys with their values, a job each.
+        regret, oracle: of a job on a trace, the same for users of both types.
+        traces: how many.
+        about: beside the jobs in ``sweep.json``, such as ``pool``.
+    """
+    written = []
+    for values in jobs:
+        name = ",".join(f"{key}={value}" for key, value in values.items())
+        written.append({"name": name, "label": name, "values": dict(values)})
+        own = folder / "jobs" / name
+        own.mkdir(parents=True)
+        episodes = [
+            episode(solver, trace, kind, oracle(values, trace) + more)
+            for trace in range(traces)
+            for kind in TYPES
+            for solver, more in (("oracle", 0.0), ("solver", regret(values, trace)))
+        ]
+        save_results(own, results(name, values, tuple(episodes)))
+        (own / "episodes.jsonl").write_text("\n".join(line("solver", 0, kind) for kind in TYPES))
+    content = {"name": "by hand", "command": "python -m xplain", "code": "c0de", "git": {}}
+    (folder / "sweep.json").write_text(json.dumps(content | about | {"jobs": written}))
+    return folder
+
+
+def results(name: str, values: Values, episodes: tuple[EpisodeFigures, ...]) -> Results:
+    return Results(
+        name=name,
+        xplain="0",
+        code="0",
+        git={},
+        started=0.0,
+        seconds={},
+        choices={"domain": values.get("domain", "rescue"), "solver": values.get("solver", "qmdp")},
+        config={"lambda": float(values.get("lambda", 1)), "seed": int(values.get("seed", 0))},
+        metrics={},
+        bounds={},
+        learning={"types_found": 2.0, "adjusted_rand_index": 1.0},
+        elbow=ElbowFigures("kneedle", (40.0, 3.0, 1.0)),
+        messages={"fire": "The robot likes <fire>."},
+        scene=Scene(1, 3, (), (Item("goal", "G", ((0, 2),)),)),
+        types=TypeNames(TYPES, ("1", "2"), (0, 1), (0, 1)),
+        steps={"belief_in_true_type": (0.5, 0.8, 0.9), "episodes": (8, 8, 8)},
+        episodes=episodes,
+    )

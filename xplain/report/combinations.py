@@ -1,0 +1,190 @@
+"""What was swept is what is shown: one combination of swept values, one estimate.
+
+A sweep's keys are its dimensions. Seeds are replicates, never a dimension; a key is averaged over
+only where the sweep's file says so (``pool``).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations as combinations_of
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from xplain.evaluation.statistics import Estimate
+from xplain.report.paper import title
+from xplain.report.summary import Summary, Value
+
+MEASURES = ("regret", "cost", "messages", "inexplicable labels", "oracle", "clairvoyant")
+"""Columns of the table of episodes that are estimated; ``oracle`` and ``clairvoyant`` are costs."""
+
+CONDITIONS = (
+    "domain",
+    "users",
+    "observers",
+    "queries",
+    "lambda",
+    "points",
+    "traces",
+    "max_steps",
+    "message_cost",
+    "inexplicability_cost",
+)
+"""Keys that pose a problem. All others choose how it is solved, and so can be better or worse."""
+
+_ALWAYS = ("domain", "lambda")
+
+_PAIR = ("seed", "trace", "type")
+"""What two ways to solve a problem share: the same trace, explained to the same user."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """One combination of the swept values, over its seeds, traces and users.
+
+    Attributes:
+        values: by key; "" where a setting of the sweep lacks the key.
+        estimates: by measure, those that no episode has left out.
+        replicates: by measure, how many seeds (with one seed: traces) the interval is over.
+    """
+
+    values: Mapping[str, Value]
+    estimates: Mapping[str, Estimate]
+    replicates: Mapping[str, int]
+
+
+def combinations(summary: Summary, keys: Sequence[str]) -> list[Combination]:
+    """Every combination of these keys that has finished jobs, in the order of their values."""
+    if not len(summary.episodes):
+        return []
+    found = []
+    for values, frame in grouped(summary, keys):
+        estimates, replicates = {}, {}
+        for measure in MEASURES:
+            own = frame[np.isfinite(frame[measure])]
+            if len(own):
+                estimates[measure] = summary.mean(own, measure)
+                replicates[measure] = int(summary.clusters(own).nunique())
+        found.append(Combination(values, estimates, replicates))
+    return found
+
+
+def grouped(summary: Summary, keys: Sequence[str]) -> list[tuple[dict[str, Value], pd.DataFrame]]:
+    """(values, episodes) of every combination of these keys, in the order of the values."""
+    if not keys:
+        return [({}, summary.episodes)]
+    order = {key: {value: i for i, value in enumerate(summary.values(key))} for key in keys}
+    groups: list[tuple[dict[str, Any], pd.DataFrame]] = [
+        (dict(zip(keys, values, strict=True)), frame)
+        for values, frame in summary.episodes.groupby(list(keys), sort=False)
+    ]
+    return sorted(groups, key=lambda group: [order[key][group[0][key]] for key in keys])
+
+
+def regret_csv(summary: Summary) -> str:
+    """One row a combination of the swept values, never pooled; six decimals.
+
+    Columns: ``solver``, ``lambda``, every other swept key by its full name; then of each measure
+    mean, low and high end of the 95 % interval, and n, how many seeds (with one seed: traces) it
+    is over.
+    """
+    keys = ["solver", "lambda", *(k for k in summary.keys if k not in ("solver", "lambda"))]
+    names = [measure.replace(" ", "_") for measure in MEASURES]
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(
+        [*keys, *(f"{name}_{end}" for name in names for end in ("mean", "low", "high", "n"))]
+    )
+    for combination in combinations(summary, keys):
+        row: list[object] = [plain_text(combination.values[key]) for key in keys]
+        for measure in MEASURES:
+            estimate = combination.estimates.get(measure)
+            row += [*_numbers(estimate), combination.replicates.get(measure, 0)]
+        writer.writerow(row)
+    return out.getvalue()
+
+
+def differences_csv(summary: Summary) -> str:
+    """Regret of one way to solve a problem minus that of another, paired on the same traces and
+    users: one row a problem and pair; six decimals.
+
+    Columns: ``domain``, ``lambda``, every other swept key that poses the problem; ``method`` and
+    ``minus``, the two ways; mean, low and high end of the 95 % interval.
+    """
+    keys = [key for key in summary.keys if key not in summary.pool]
+    conditions = ["domain", *(k for k in keys if not is_choice(k) and k not in _ALWAYS), "lambda"]
+    ways = [key for key in keys if is_choice(key)] or ["solver"]
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([*conditions, "method", "minus", "mean", "low", "high"])
+    for values, frame in grouped(summary, conditions):
+        frames = {tuple(key): own for key, own in frame.groupby(ways, sort=False)}
+        named = [
+            (way, frames[tuple(way.values())])
+            for way, _ in grouped(summary, ways)
+            if tuple(way.values()) in frames
+        ]
+        for (other, right), (method, left) in combinations_of(named, 2):
+            apart = difference(summary, left, right)
+            if apart is not None:
+                writer.writerow(
+                    [*map(plain_text, values.values()), _way(method), _way(other), *_numbers(apart)]
+                )
+    return out.getvalue()
+
+
+def _numbers(estimate: Estimate | None) -> list[str]:
+    """Mean and ends, six decimals; empty what there is not."""
+    ends = [estimate.mean, estimate.low, estimate.high] if estimate else [math.nan] * 3
+    return ["" if math.isnan(x) else f"{round(x, 6) + 0.0:.6f}" for x in ends]
+
+
+def _way(values: Mapping[str, Value]) -> str:
+    """``pomcp``, or ``pomcp solver.simulations=500``."""
+    return " ".join(
+        plain_text(value) if key == "solver" else f"{key}={plain_text(value)}"
+        for key, value in values.items()
+    )
+
+
+def difference(summary: Summary, one: pd.DataFrame, two: pd.DataFrame) -> Estimate | None:
+    """Regret of the first's episodes minus the second's, on the same traces and users."""
+    pair = [*summary.pool, *_PAIR]
+    left, right = (frame.set_index(pair)["regret"] for frame in (one, two))
+    both = (left - right).dropna().reset_index()
+    return summary.mean(both, "regret") if len(both) else None
+
+
+def is_choice(key: str) -> bool:
+    """Whether the values of a key compete: with a solver one may do better, with a λ one may
+    not."""
+    return key.partition(".")[0] not in CONDITIONS
+
+
+def plain_text(value: Value) -> str:
+    """A value as it is written on the command line."""
+    return value if isinstance(value, str) else f"{value:.10g}"
+
+
+def heading(key: str) -> str:
+    """A key over a column or beside an axis."""
+    return {"lambda": "λ", "domain": "Domain", "solver": "Solver"}.get(key, key)
+
+
+def value_title(key: str, value: Value) -> str:
+    """A value for people."""
+    text = plain_text(value)
+    return title(text) if key in ("domain", "solver") else text
+
+
+def value_label(key: str, value: Value) -> str:
+    """A value with its key for people: ``λ = 0.5``, but ``QMDP`` and ``Four rooms``."""
+    if key in ("domain", "solver"):
+        return value_title(key, value)
+    return f"{heading(key)} = {plain_text(value) or '–'}"

@@ -1,0 +1,254 @@
+"""Plots of a sweep: the main swept key on the axis, a line a way to solve, small multiples for the
+rest, intervals over seeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
+from numpy.typing import NDArray
+
+from xplain.report.combinations import grouped, heading, plain_text, value_label, value_title
+from xplain.report.layout import PlotLayout, plot_layout
+from xplain.report.paper import table1
+from xplain.report.plots import figure_of_panels, series_style
+from xplain.report.summary import Summary, Value
+
+AXES = {
+    "lambda": "λ, cost of communication against inexplicability",
+    "users.count": "number of user types (users.count)",
+    "observers.label_noise": "share of wrong labels (observers.label_noise)",
+    "points": "labels an observer (points)",
+}
+"""What a key means, on its axis; any other stands there by its name."""
+
+MOST_PANELS = 24
+WIDE_RANGE = 8.0
+"""Means whose largest is so many times their median are drawn on an axis of square roots."""
+
+
+def against_main_key(summary: Summary, measure: str, label: str) -> Figure | None:
+    """A measure against the main swept key, with intervals; None where nothing was swept.
+
+    Regrets in a report of Table 1 stand beside the paper's (open markers).
+    """
+    layout = plot_layout(summary)
+    if layout.x is None or not summary.episodes[measure].notna().any():
+        return None
+    panels = grouped(summary, layout.panels)[:MOST_PANELS]
+    ticks = summary.values(layout.x)
+    place = _places(ticks, layout)
+    lines = [values for values, _ in grouped(summary, layout.lines)]
+    figure, axes = figure_of_panels(len(panels))
+    gap = min(np.diff(sorted(place.values())), default=1.0)
+    means = [summary.mean(own, "regret").mean for own in _cells(summary, layout)]
+    for panel, (values, frame) in zip(axes, panels, strict=True):
+        for index, line in enumerate(lines):
+            points = _points(summary, _where(frame, line), layout.x, measure)
+            if not points:
+                continue
+            shift = 0.12 * gap * (index - (len(lines) - 1) / 2)
+            x = np.array([place[value] for value in points]) + shift
+            mean, low, high = np.array(list(points.values())).T
+            errors = np.nan_to_num([mean - low, high - mean])
+            style = series_style(index) | ({} if layout.numeric else {"linestyle": "none"})
+            name = ", ".join(value_label(key, value) for key, value in line.items())
+            panel.errorbar(x, mean, errors, capsize=2.5, lw=1.4, ms=5, label=name or None, **style)
+            if summary.report == "table1" and measure == "regret":
+                _draw_paper(panel, summary, {**values, **line}, shift, style)
+        _name_axes(panel, layout, ticks, place)
+        title = ", ".join(value_label(key, value) for key, value in values.items())
+        panel.set_title(title, loc="left", weight="bold", fontsize=10)
+    for panel in axes:
+        _scale(panel, measure, summary.report == "table1" or wide_range(means))
+    _share_scale(axes, layout)
+    axes[0].set_ylabel(label)
+    if summary.report == "table1" and measure == "regret":
+        axes[len(panels) - 1].plot([], [], "o", color="#666666", mfc="white", label="paper")
+    legend_right(figure, axes)
+    return figure
+
+
+def regret_caption(summary: Summary) -> str:
+    """What the plot of regrets shows."""
+    layout = plot_layout(summary)
+    text = f"Regret against {heading(layout.x or '')}"
+    if not summary.episodes.empty and summary.clusters(summary.episodes).nunique() > 1:
+        text += f", with 95 % intervals over {'seeds' if summary.seeds > 1 else 'traces'}"
+    if summary.report == "table1":
+        text += "; open markers are the paper’s values"
+    count = len(grouped(summary, layout.panels))
+    if count > MOST_PANELS:
+        text += f"; the first {MOST_PANELS} of {count} panels"
+    means = [summary.mean(frame, "regret").mean for frame in _cells(summary, layout)]
+    if wide_range(means):
+        text += ". The axis is scaled by the square root, so that small and large regrets both show"
+    return f"{text}."
+
+
+def _cells(summary: Summary, layout: PlotLayout) -> list[pd.DataFrame]:
+    """The episodes behind each point."""
+    keys = [*([layout.x] if layout.x else []), *layout.lines, *layout.panels]
+    frames = (frame.dropna(subset=["regret"]) for _, frame in grouped(summary, keys))
+    return [frame for frame in frames if len(frame)]
+
+
+def belief_over_steps(summary: Summary) -> Figure | None:
+    """Belief in the user's true type after each step, mean over the episodes that last so long,
+    at the middle of the main key."""
+    layout = plot_layout(summary)
+    fixed = {} if layout.x is None else {layout.x: middle(summary, layout.x)}
+    panels = grouped(summary, layout.panels)[:MOST_PANELS]
+    lines = [values for values, _ in grouped(summary, layout.lines)]
+    figure, axes = figure_of_panels(len(panels))
+    drawn = False
+    for panel, (values, _) in zip(axes, panels, strict=True):
+        for index, line in enumerate(lines):
+            if line.get("solver") == "baseline":
+                continue  # it believes nothing
+            belief = _by_step(summary, "belief_in_true_type", {**fixed, **values, **line})
+            if len(belief):
+                drawn = True
+                name = ", ".join(value_label(key, value) for key, value in line.items()) or None
+                style = series_style(index)
+                panel.plot(belief, lw=1.4, ms=4, markevery=2, label=name, **style)
+        panel.set_ylim(0, 1.02)
+        title = ", ".join(value_label(key, value) for key, value in values.items())
+        panel.set_title(title, loc="left", weight="bold", fontsize=10)
+        panel.set_xlabel("steps explained")
+        panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+    at = ", ".join(value_label(key, value) for key, value in fixed.items())
+    axes[0].set_ylabel("belief in the true type" + (f" ({at})" if at else ""))
+    legend_right(figure, axes)
+    return figure if drawn else None
+
+
+def middle(summary: Summary, key: str) -> Value:
+    """λ = 1 where it was run; of any key else the value in the middle."""
+    values = summary.values(key)
+    return 1.0 if key == "lambda" and 1.0 in values else values[len(values) // 2]
+
+
+def legend_right(figure: Figure, axes: list[Axes]) -> None:
+    """One legend for all panels, at the right of the figure."""
+    named: dict[str, Any] = {}
+    for panel in axes:
+        for handle, name in zip(*panel.get_legend_handles_labels(), strict=True):
+            named.setdefault(name, handle)
+    if named:
+        figure.legend(list(named.values()), list(named), loc="outside right center")
+
+
+def _points(
+    summary: Summary, frame: pd.DataFrame, x: str, measure: str
+) -> dict[Value, tuple[float, float, float]]:
+    """``{value of x: (mean, low, high)}``."""
+    found = {}
+    for value in summary.values(x):
+        own = frame[frame[x] == value].dropna(subset=[measure])
+        if len(own):
+            estimate = summary.mean(own, measure)
+            found[value] = (estimate.mean, estimate.low, estimate.high)
+    return found
+
+
+def _where(frame: pd.DataFrame, values: Mapping[str, Value]) -> pd.DataFrame:
+    for key, value in values.items():
+        frame = frame[frame[key] == value]
+    return frame
+
+
+def _places(ticks: list[Value], layout: PlotLayout) -> dict[Value, float]:
+    """Where each value stands on the axis."""
+    if layout.numeric:
+        return {value: value for value in ticks if isinstance(value, float)}
+    return {value: float(i) for i, value in enumerate(ticks)}
+
+
+def _name_axes(
+    panel: Axes, layout: PlotLayout, ticks: list[Value], place: Mapping[Value, float]
+) -> None:
+    assert layout.x is not None
+    panel.set_xlabel(AXES.get(layout.x, heading(layout.x)))
+    if len(place) <= 8:  # the values that were run, and no others
+        panel.xaxis.set_major_locator(FixedLocator(list(place.values())))
+        panel.xaxis.set_minor_locator(NullLocator())
+        words = [
+            plain_text(value) if layout.numeric else value_title(layout.x, value) for value in place
+        ]
+        panel.set_xticks(list(place.values()), words)
+    if not layout.numeric:
+        panel.set_xlim(-0.5, len(ticks) - 0.5)
+
+
+def _draw_paper(
+    panel: Axes,
+    summary: Summary,
+    values: Mapping[str, Value],
+    shift: float,
+    style: Mapping[str, Any],
+) -> None:
+    """The paper's regrets of a domain and solver as open markers."""
+    domain = str(values.get("domain", summary.domains[0]))
+    solver = str(values.get("solver", summary.values("solver")[0]))
+    published = table1()
+    paper = [
+        (trade_off + shift, published[domain, trade_off][solver])
+        for trade_off in summary.trade_offs
+        if solver in published.get((domain, trade_off), {})
+    ]
+    if paper:
+        look: dict[str, Any] = {"color": style["color"], "marker": style["marker"], "mfc": "white"}
+        panel.plot(*zip(*paper, strict=True), ls="none", ms=5, **look)
+
+
+def _scale(axes: Axes, measure: str, roots: bool) -> None:
+    """Regrets of the baseline and of the others differ tenfold: square roots show both."""
+    if measure != "regret":
+        axes.set_ylim(bottom=0)
+        return
+    axes.axhline(0, color="#222222", lw=0.8)
+    if roots:
+        axes.set_yscale(
+            "function",
+            functions=(lambda y: np.sign(y) * np.abs(y) ** 0.5, lambda y: np.sign(y) * y**2),
+        )
+
+
+def _share_scale(axes: list[Axes], layout: PlotLayout) -> None:
+    """The same vertical axis for all panels; tasks differ in scale, so theirs are their own."""
+    if "domain" not in layout.panels:
+        low, high = zip(*(panel.get_ylim() for panel in axes), strict=True)
+        for panel in axes:
+            panel.set_ylim(min(low), max(high))
+
+
+def wide_range(means: list[float]) -> bool:
+    """Whether a linear axis would press most of the means together."""
+    known = [mean for mean in means if math.isfinite(mean) and mean > 0]
+    return bool(known) and max(known) > WIDE_RANGE * float(np.median(known))
+
+
+def _by_step(summary: Summary, name: str, wanted: Mapping[str, Value]) -> NDArray[np.float64]:
+    """Mean at each step over all episodes of these values that last so long."""
+    total: NDArray[np.float64] = np.zeros(0)
+    count: NDArray[np.float64] = np.zeros(0)
+    for job, results in summary.results:
+        values = summary.values_of(job, results)
+        if any(values[key] != value for key, value in wanted.items()) or name not in results.steps:
+            continue
+        series = np.array(results.steps[name])
+        weight = np.array(results.steps["episodes"])[: len(series)]
+        longest = max(len(total), len(series))
+        total = np.pad(total, (0, longest - len(total)))
+        count = np.pad(count, (0, longest - len(count)))
+        total[: len(series)] += series * weight
+        count[: len(series)] += weight
+    mean: NDArray[np.float64] = total / count
+    return mean

@@ -1,0 +1,128 @@
+"""``dry_run=true``: which jobs there are, which are done already, and how long the rest takes."""
+
+from __future__ import annotations
+
+import os
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from xplain.experiment.fingerprint import configuration, fingerprint
+from xplain.experiment.from_config import check
+from xplain.experiment.results import load_results
+from xplain.runs.folder import SweepFolder
+from xplain.runs.plan import Plan
+from xplain.runs.progress import duration
+from xplain.runs.reuse import finished_below, finished_elsewhere
+
+
+@dataclass(frozen=True)
+class Experience:
+    """How long a finished job took: seconds a trace, with this class of domain and of solver."""
+
+    domain: str
+    solver: str
+    seconds: float
+
+    @classmethod
+    def of(cls, config: Mapping[str, Any], seconds: float) -> Experience:
+        """Of a job with this resolved configuration, which took so long."""
+        return cls(
+            domain=str(config["domain"]["_target_"]),
+            solver=str(config["solver"]["_target_"]),
+            seconds=seconds / int(config["traces"]),
+        )
+
+
+def experiences(outputs: Path) -> list[Experience]:
+    """Of every finished job below the outputs folder."""
+    found = []
+    for _, folder in finished_below(outputs):
+        try:
+            results = load_results(folder)
+        except (OSError, ValueError):
+            continue
+        found.append(Experience.of(results.config, sum(results.seconds.values())))
+    return found
+
+
+def expected_seconds(known: Sequence[Experience], config: Mapping[str, Any]) -> float | None:
+    """Median of the jobs most like this one, a trace, times its traces; None where none is."""
+    own = Experience.of(config, 0.0)
+    alike = (
+        [one.seconds for one in known if (one.domain, one.solver) == (own.domain, own.solver)]
+        or [one.seconds for one in known if one.solver == own.solver]
+        or [one.seconds for one in known]
+    )
+    return int(config["traces"]) * statistics.median(alike) if alike else None
+
+
+def print_dry_run(
+    plan: Plan,
+    folder: SweepFolder,
+    outputs: Path,
+    config: DictConfig,
+    configurations: Mapping[str, Mapping[str, Any]],
+) -> None:
+    """The jobs, those already done, and the time to expect, on standard output.
+
+    Args:
+        plan, folder, outputs: of the sweep.
+        config: as composed for the whole sweep; its launcher says how many workers there are.
+        configurations: of each job, by fingerprint.
+    """
+    done = {job.fingerprint for job in plan.jobs if folder.state(job) == "finished"}
+    if config.resume == "none":
+        done = set()
+    missing = {job.fingerprint for job in plan.jobs} - done
+    elsewhere = {} if config.resume == "none" else finished_elsewhere(outputs, missing)
+    for job in plan.jobs:
+        source = elsewhere.get(job.fingerprint)
+        state = "done" if job.fingerprint in done else "to run"
+        print(f"{'done' if source else state:8}{job.label}{_from(source)}")
+    todo = missing - elsewhere.keys()
+    print(
+        f"{len(plan.jobs)} jobs: {len(done)} done, {len(elsewhere)} done elsewhere (to be copied), "
+        f"{len(todo)} to run"
+    )
+    if todo:
+        known = experiences(outputs)
+        expected = [expected_seconds(known, configurations[key]) for key in todo]
+        print(_time(expected, _workers(config, len(todo)), len(known)))
+
+
+def print_dry_job(cfg: DictConfig, outputs: Path) -> None:
+    """The same for a run on its own, which is run again even where it is done already."""
+    config = configuration(cfg)
+    check([config])
+    key = fingerprint(config)
+    done = finished_elsewhere(outputs, {key}).get(key)
+    print("1 job" + (f", done already ({os.path.relpath(done)})" if done else ""))
+    known = experiences(outputs)
+    print(_time([expected_seconds(known, config)], 1, len(known)))
+
+
+def _from(source: Path | None) -> str:
+    return "" if source is None else f"  ({os.path.relpath(source)})"
+
+
+def _time(expected: list[float | None], workers: int, known: int) -> str:
+    seconds = [value for value in expected if value is not None]
+    if not seconds:
+        return "time to expect: unknown, no job like these has finished yet"
+    on = f"{workers} worker{'s' if workers > 1 else ''}"
+    return (
+        f"time to expect: about {duration(sum(seconds) / workers)} on {on}, judged by {known} "
+        f"finished job{'s' if known > 1 else ''}"
+    )
+
+
+def _workers(config: DictConfig, jobs: int) -> int:
+    """What joblib would start; one where a cluster decides."""
+    wanted = config.hydra.launcher.get("n_jobs", 1)
+    count = (os.cpu_count() or 1) if wanted in (-1, None) else int(wanted)
+    return max(1, min(count, jobs))

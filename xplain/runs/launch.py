@@ -1,0 +1,81 @@
+"""Jobs of a sweep on the configured launcher, which a signal can interrupt."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Event
+
+from hydra.core.plugins import Plugins
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig, open_dict
+
+from xplain.runs.folder import SweepFolder, mark_failed
+from xplain.runs.plan import Job
+
+
+def launch(
+    jobs: list[Job],
+    folder: SweepFolder,
+    context: HydraContext,
+    task: TaskFunction,
+    config: DictConfig,
+) -> None:
+    """Has the configured launcher run the jobs; failures end up in the jobs' folders."""
+    with open_dict(config):
+        config.hydra.sweep.dir = str(folder.path)
+    launcher: Launcher = Plugins.instance().instantiate_launcher(
+        hydra_context=context, task_function=task, config=config
+    )
+    overrides = [
+        [
+            *job.overrides,
+            f"hydra.sweep.dir='{folder.path}'",
+            f"hydra.sweep.subdir='jobs/{job.name}'",
+            # On the terminal the sweep speaks as a whole; what a job says is in its folder.
+            "hydra.job_logging.root.handlers=[file]",
+            "hydra.output_subdir=null",  # config.yaml is beside the results
+        ]
+        for job in jobs
+    ]
+    returns = launcher.launch(overrides, initial_job_idx=0)
+    for job, returned in zip(jobs, returns, strict=True):
+        _note_failure(folder, job, returned)
+
+
+def _note_failure(folder: SweepFolder, job: Job, returned: JobReturn) -> None:
+    """A job that failed outside of its own code (a worker that cannot import the package)."""
+    if returned.status == JobStatus.FAILED and folder.state(job) != "failed":
+        try:
+            returned.return_value  # noqa: B018  (raises what the job raised)
+        except Exception as error:  # noqa: BLE001  (whatever it raised is its result)
+            mark_failed(folder.of(job), error)
+
+
+@contextmanager
+def interruptible() -> Iterator[Event]:
+    """SIGTERM ends the sweep like Ctrl-C, so that its runs do not stay open; the event tells that
+    either came."""
+    came = Event()
+
+    def interrupt(*_: object) -> None:
+        came.set()
+        raise KeyboardInterrupt
+
+    before = {}
+    try:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            # A shell's background job ignores Ctrl-C, and shall.
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                before[number] = signal.signal(number, interrupt)
+    except ValueError:  # not the main thread: someone embeds this
+        yield came
+        return
+    try:
+        yield came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

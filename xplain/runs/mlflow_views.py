@@ -1,0 +1,279 @@
+"""What MLflow's pages open on: saved views of an experiment, and its description.
+
+A view is a tag of the experiment, ``mlflow.sharedViewState.<key>``, that holds what the page of
+runs keeps in the browser: filter, order, columns, charts. The keys are those of MLflow 3.17's page,
+which ignores what it does not know.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from xplain.report.combinations import (
+    Combination,
+    combinations,
+    grouped,
+    heading,
+    value_label,
+)
+from xplain.report.layout import plot_layout
+from xplain.report.summary import Summary, Value, is_number
+from xplain.runs.plan import Job
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+VIEW_TAG = "mlflow.sharedViewState."
+SWEEPS_VIEW = "sweeps"
+"""Key of the view over all sweeps."""
+
+FIGURES = ("regret", "regret.low", "regret.high", "cost", "messages", "inexplicable_labels")
+"""Columns of a sweep's view beside what was swept."""
+
+MOST_CURVES = 12
+
+
+@dataclass(frozen=True)
+class MainKey:
+    """The swept key on the horizontal axis of charts, whose steps are whole numbers.
+
+    Attributes:
+        key: "" where no key has several numbers for values.
+        scale: a power of ten; a step is so many times the value.
+    """
+
+    key: str
+    scale: int
+
+    def step(self, values: Mapping[str, str]) -> int:
+        """Of a job with these swept values."""
+        return round(self.scale * float(values.get(self.key) or 0)) if self.key else 0
+
+    @property
+    def title(self) -> str:
+        """What a step is."""
+        return f"{'' if self.scale == 1 else f'{self.scale} × '}{heading(self.key)}"
+
+
+def main_key(jobs: Sequence[Job]) -> MainKey:
+    """The numeric key with most values, λ before others; seeds are replicates."""
+    values: dict[str, set[str]] = {}
+    for job in jobs:
+        for key, value in job.values.items():
+            values.setdefault(key, set()).add(value)
+    numbers = {
+        key: [float(value) for value in own]
+        for key, own in values.items()
+        if key != "seed" and len(own) > 1 and all(map(is_number, own))
+    }
+    key = max(numbers, key=lambda key: (len(numbers[key]), key == "lambda"), default="")
+    scale = 1
+    while scale < 10**6 and any(
+        abs(scale * x - round(scale * x)) > 1e-9 for x in numbers.get(key, [])
+    ):
+        scale *= 10
+    return MainKey(key, scale)
+
+
+def every_combination(summary: Summary) -> list[Combination]:
+    """All swept combinations of which a regret is known."""
+    found = combinations(summary, summary.keys)
+    return [one for one in found if "regret" in one.estimates]
+
+
+def curves(summary: Summary, main: MainKey) -> list[tuple[str, int, float]]:
+    """(metric, step, regret) for the parent's charts: a metric a line of the report's plot.
+    Combinations of which a job is missing are left out: their mean would change later."""
+    layout = plot_layout(summary)
+    if not main.key or layout.x != main.key:
+        return []
+    found = []
+    for values, frame in grouped(summary, (*layout.panels, *layout.lines))[:MOST_CURVES]:
+        for value in summary.values(main.key):
+            own = frame[frame[main.key] == value].dropna(subset=["regret"])
+            if len(own) and summary.complete({**values, main.key: value}):
+                step = round(main.scale * float(value or 0))
+                found.append((_metric("regret", values), step, summary.mean(own, "regret").mean))
+    return found
+
+
+def _metric(name: str, values: Mapping[str, Value]) -> str:
+    """Without the characters that MLflow refuses in names."""
+    words = [
+        str(value) if key in ("domain", "solver") else value_label(key, value)
+        for key, value in values.items()
+    ]
+    return re.sub(r"[^\w./ -]", " ", "/".join([name, *words])).replace("   ", " ").strip()
+
+
+def sweep_view(parent: str, summary: Summary, main: MainKey) -> dict[str, Any]:
+    """Flat rows of a sweep's jobs: what was swept and their figures, the least regret first; its
+    chart has a point a job."""
+    swept = ["solver", "lambda", *(k for k in summary.keys if k not in ("solver", "lambda"))]
+    if summary.seeds > 1:
+        swept.append("seed")
+    columns = [*(f"params.`{key}`" for key in swept), *(f"metrics.`{name}`" for name in FIGURES)]
+    chart = {
+        "type": "SCATTER",
+        "xaxis": {"key": main.key, "type": "PARAM"},
+        "yaxis": {"key": "regret", "type": "METRIC"},
+        "displayName": f"regret against {heading(main.key)}, a point a job",
+    }
+    return {
+        **_view(parent),
+        "selectedColumns": columns,
+        "columnOrder": columns,
+        "columnWidths": {column: _width(column) for column in columns},
+        **(_charts(chart) if main.key else {}),
+    }
+
+
+def chart_view(parent: str, summary: Summary, main: MainKey) -> dict[str, Any]:
+    """The jobs by solver or other choice, and one chart of regret against the main key with a
+    line for each: means over seeds, the band from least to greatest."""
+    layout = plot_layout(summary)
+    keys = (*layout.lines, *layout.panels) or ("solver",)
+    chart = {
+        "type": "LINE",
+        "metricKey": "regret",
+        "selectedMetricKeys": ["regret"],
+        "xAxisKey": "step",
+        "xAxisScaleType": "linear",
+        "scaleType": "linear",
+        "lineSmoothness": 0,
+        "displayPoints": True,
+        "displayName": f"regret against {main.title}",
+    }
+    return {
+        **sweep_view(parent, summary, main),
+        "groupBy": {
+            "aggregateFunction": "average",
+            "groupByKeys": [{"mode": "param", "groupByData": key} for key in keys],
+        },
+        "useGroupedValuesInCharts": True,
+        **_charts(chart),
+    }
+
+
+def sweeps_view() -> dict[str, Any]:
+    """One row a sweep, with its best regret, the least first."""
+    columns = [
+        "metrics.`best_regret`",
+        "params.`jobs`",
+        "params.`solver`",
+        "params.`lambda`",
+        "attributes.`Description`",
+    ]
+    return {
+        "searchFilter": "tags.`xplain.sweep` LIKE '%'",
+        "orderByKey": columns[0],
+        "orderByAsc": True,
+        **_EVERYTHING,
+        "selectedColumns": columns,
+        "columnOrder": columns,
+    }
+
+
+def _view(parent: str) -> dict[str, Any]:
+    return {
+        "searchFilter": f"tags.`mlflow.parentRunId` = '{parent}'",
+        "orderByKey": "metrics.`regret`",
+        "orderByAsc": True,
+        **_EVERYTHING,
+    }
+
+
+def _width(column: str) -> int:
+    """Pixels: as narrow as its heading allows, so that the regret is seen without scrolling."""
+    name = column.partition("`")[2].rstrip("`")
+    return max(80, 8 * len(name) + 24)
+
+
+_EVERYTHING = {
+    "startTime": "ALL",
+    "lifecycleFilter": "Active",
+    "datasetsFilter": [],
+    "modelVersionFilter": "All Runs",
+    "runsHiddenMode": "SHOW_ALL",
+    "viewMaximized": False,
+    "runListHidden": False,
+}
+
+
+def _charts(chart: Mapping[str, Any]) -> dict[str, Any]:
+    """One chart, in a wide section of its own above those that the page makes by itself."""
+    section = "xplain-section"
+    return {
+        "compareRunSections": [
+            {
+                "uuid": section,
+                "name": chart["displayName"],
+                "display": True,
+                "isReordered": True,
+                "columns": 1,
+                "cardHeight": 420,
+            }
+        ],
+        "compareRunCharts": [
+            {
+                "uuid": "xplain-regret",
+                "metricSectionId": section,
+                "deleted": False,
+                "isGenerated": False,
+                **chart,
+            }
+        ],
+        "isAccordionReordered": True,
+    }
+
+
+def save_view(client: MlflowClient, experiment: str, key: str, view: Mapping[str, Any]) -> None:
+    """Writes a view, over one of this key."""
+    client.set_experiment_tag(experiment, VIEW_TAG + key, json.dumps(view))
+
+
+def view_address(pages: str, experiment: str, key: str, chart: bool = False) -> str:
+    """Where a view is opened.
+
+    Args:
+        pages: where the user interface is, up to the ``#``; just ``#`` in MLflow's own texts.
+        experiment: its id.
+        key: of the view.
+        chart: whether charts are shown first, beside the list, or the table of runs.
+    """
+    page = f"{pages}/experiments/{experiment}/runs"
+    mode = "&compareRunsMode=CHART" if chart else ""
+    return f"{page}?workflowType=machine_learning&viewStateShareKey={key}{mode}"
+
+
+def describe_experiment(client: MlflowClient, experiment: str, newest: str = "") -> None:
+    """The experiment's description, which begins with links, and the view over all sweeps.
+
+    Args:
+        client, experiment: where to.
+        newest: link to the newest sweep, in Markdown; "" keeps the one that is there.
+    """
+    save_view(client, experiment, SWEEPS_VIEW, sweeps_view())
+    before = client.get_experiment(experiment).tags.get("mlflow.note.content", "")
+    newest = newest or next((line for line in before.split(SEPARATOR) if "ewest" in line), "")
+    text = SEPARATOR.join(
+        [
+            *([newest] if newest else []),
+            f"[All sweeps with their best regret]({view_address('#', experiment, SWEEPS_VIEW)})",
+            ABOUT,
+        ]
+    )
+    if text != before:
+        client.set_experiment_tag(experiment, "mlflow.note.content", text)
+
+
+SEPARATOR = " · "
+ABOUT = (
+    "Personalized explanations of a robot's decisions: each run explains traces to simulated users "
+    "of every type. **Regret** is what an explanation cost minus what it costs an agent that knows "
+    "the user's type."
+)
