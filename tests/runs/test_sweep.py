@@ -264,21 +264,21 @@ def test_a_job_that_raises_lets_the_others_go_on(tmp_path):
         "lambda=0.5,1",
         sweeps.SERIAL,
     )
-    code, output = sweeps.run(tmp_path, *arguments)
+    code, output = sweeps.run_command(tmp_path, "xplain", *arguments)
     assert code == 1
     assert "2 of 4 jobs finished" in output
     summary = output[output.index("2 of 4 jobs finished") :]
     assert "InputError: fails=True: false" in summary
     states = {name: status for name, status, _ in sweeps.runs(tmp_path)}
-    assert {s for name, s in states.items() if "fails=True" in name} == {"FAILED"}
-    assert {s for name, s in states.items() if "fails=False" in name} == {"FINISHED"}
+    assert {s for name, s in states.items() if "fails=true" in name} == {"FAILED"}
+    assert {s for name, s in states.items() if "fails=false" in name} == {"FINISHED"}
     assert {s for name, s in states.items() if name.startswith("multirun")} == {"FAILED"}
 
     # Only what failed runs again; jobs that were lost besides do not.
     jobs = sweeps.sweep_folder(tmp_path) / "jobs"
-    (lost,) = jobs.glob("*fails=False*lambda=1/results.json")
+    (lost,) = jobs.glob("*fails=false*lambda=1/results.json")
     lost.unlink()
-    code, output = sweeps.run(tmp_path, *arguments, "resume=failed")
+    code, output = sweeps.run_command(tmp_path, "xplain", *arguments, "resume=failed")
     assert code == 1
     assert "2 jobs to run" in output
     assert not lost.exists()

@@ -31,6 +31,7 @@ from xplain.runs.mlflow import (
 )
 from xplain.runs.mlflow_run import fill, parent_parameters
 from xplain.runs.mlflow_views import (
+    SWEEP_TAG,
     MainKey,
     chart_view,
     curves,
@@ -49,9 +50,6 @@ if TYPE_CHECKING:
     from xplain.report.summary import Summary
 
 log = logging.getLogger(__name__)
-
-SWEEP_TAG = "xplain.sweep"
-"""Tag of the parent: identity of the sweep. RESULT_TAG of a child: identity of its result."""
 
 
 def mirror_of(

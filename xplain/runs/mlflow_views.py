@@ -27,6 +27,9 @@ from xplain.runs.plan import Job
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
+SWEEP_TAG = "xplain.sweep"
+"""Tag of a sweep's parent: identity of the sweep."""
+
 VIEW_TAG = "mlflow.sharedViewState."
 SWEEPS_VIEW = "sweeps"
 """Key of the view over all sweeps."""
@@ -169,7 +172,7 @@ def sweeps_view() -> dict[str, Any]:
         "attributes.`Description`",
     ]
     return {
-        "searchFilter": "tags.`xplain.sweep` LIKE '%'",
+        "searchFilter": f"tags.`{SWEEP_TAG}` LIKE '%'",
         "orderByKey": columns[0],
         "orderByAsc": True,
         **_EVERYTHING,
