@@ -207,14 +207,9 @@ class Problem:
         Raises:
             TooLargeError: kept by type, and more than MAX_DENSE messages matter to some type.
         """
-
-        def mixed(table: NDArray[np.float64]) -> NDArray[np.float64]:
-            one: NDArray[np.float64] = np.tensordot(weights, table, 1)[None]
-            return one
-
         if self.by_type is not None:
-            return self.with_types(self.by_type.combined(mixed), (name,))
-        return self.with_types(mixed(self.p_explicable), (name,))
+            return self.with_types(self.by_type.mixed(weights), (name,))
+        return self.with_types(np.tensordot(weights, self.p_explicable, 1)[None], (name,))
 
     def pessimistic(self) -> Problem:
         """The same trace and costs with one type, to whom each transition is as inexplicable as
@@ -223,14 +218,9 @@ class Problem:
         Raises:
             TooLargeError: as :meth:`mixture`.
         """
-
-        def worst(table: NDArray[np.float64]) -> NDArray[np.float64]:
-            one: NDArray[np.float64] = table.min(axis=0, keepdims=True)
-            return one
-
         if self.by_type is not None:
-            return self.with_types(self.by_type.combined(worst), ("pessimist",))
-        return self.with_types(worst(self.p_explicable), ("pessimist",))
+            return self.with_types(self.by_type.worst(), ("pessimist",))
+        return self.with_types(self.p_explicable.min(axis=0, keepdims=True), ("pessimist",))
 
     def messages_with_effect(self) -> tuple[int, ...]:
         """The positions of the messages that change some P[t, i, H], ascending."""
