@@ -209,7 +209,9 @@ class Problem:
         """
         if self.by_type is not None:
             return self.with_types(self.by_type.mixed(weights), (name,))
-        return self.with_types(np.tensordot(weights, self.p_explicable, 1)[None], (name,))
+        # Weights may sum to a hair more than 1.
+        mixed = np.minimum(np.tensordot(weights, self.p_explicable, 1)[None], 1)
+        return self.with_types(mixed, (name,))
 
     def pessimistic(self) -> Problem:
         """The same trace and costs with one type, to whom each transition is as inexplicable as
