@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.by_type import DENSE, LabelTable
 from xplain.errors import InputError, TooLargeError
-from xplain.explanation.by_type import DENSE, LabelTable
 from xplain.users.setting import Setting
 
 
@@ -78,15 +78,13 @@ def true_types(setting: Setting, truth: NDArray[np.int64] | None) -> Known:
     observers = np.bincount(truth, minlength=len(setting.types))
 
     def tables(transitions: NDArray[np.int64]) -> Tables:
-        def shares(table: NDArray[np.float64]) -> NDArray[np.float64]:
-            share: NDArray[np.float64] = np.tensordot(observers, table, 1)[None] / len(truth)
-            return share
-
         if setting.n_messages > DENSE:
             by_type = setting.labels_by_type(transitions)
-            return Tables(by_type, unless_too_large(lambda: by_type.combined(shares)), by_type)
+            weights = observers / len(truth)
+            return Tables(by_type, unless_too_large(lambda: by_type.mixed(weights)), by_type)
         labels = setting.label_table(transitions).astype(np.float64)
-        return Tables(labels, shares(labels), labels)
+        everyone = np.tensordot(observers, labels, 1)[None] / len(truth)
+        return Tables(labels, everyone, labels)
 
     distinct = setting.distinct
     count = float(len(np.unique(distinct)))

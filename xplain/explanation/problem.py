@@ -3,7 +3,7 @@
 The literal POMDP has states ⟨k, L, E_given, E_next, t⟩. Labels are drawn afresh each step, so
 (k, H, belief) with H = E_given ∪ E_next is a sufficient state, and one table of label
 probabilities, ``p_explicable[t, i, H]``, is the whole model. Where messages are many, each type's
-table is kept over the messages relevant to it (:mod:`xplain.explanation.by_type`).
+table is kept over the messages relevant to it (:mod:`xplain.by_type`).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xplain.by_type import DENSE, ByType, LabelTable, effective_bits
 from xplain.errors import InputError
-from xplain.explanation.by_type import DENSE, ByType, LabelTable, effective_bits
 
 MAX_MESSAGES = 62
 """A message set is a signed integer of 64 bits."""
@@ -207,14 +207,11 @@ class Problem:
         Raises:
             TooLargeError: kept by type, and more than MAX_DENSE messages matter to some type.
         """
-
-        def mixed(table: NDArray[np.float64]) -> NDArray[np.float64]:
-            one: NDArray[np.float64] = np.tensordot(weights, table, 1)[None]
-            return one
-
         if self.by_type is not None:
-            return self.with_types(self.by_type.combined(mixed), (name,))
-        return self.with_types(mixed(self.p_explicable), (name,))
+            return self.with_types(self.by_type.mixed(weights), (name,))
+        # Weights may sum to a hair more than 1.
+        mixed = np.minimum(np.tensordot(weights, self.p_explicable, 1)[None], 1)
+        return self.with_types(mixed, (name,))
 
     def pessimistic(self) -> Problem:
         """The same trace and costs with one type, to whom each transition is as inexplicable as
@@ -223,14 +220,9 @@ class Problem:
         Raises:
             TooLargeError: as :meth:`mixture`.
         """
-
-        def worst(table: NDArray[np.float64]) -> NDArray[np.float64]:
-            one: NDArray[np.float64] = table.min(axis=0, keepdims=True)
-            return one
-
         if self.by_type is not None:
-            return self.with_types(self.by_type.combined(worst), ("pessimist",))
-        return self.with_types(worst(self.p_explicable), ("pessimist",))
+            return self.with_types(self.by_type.worst(), ("pessimist",))
+        return self.with_types(self.p_explicable.min(axis=0, keepdims=True), ("pessimist",))
 
     def messages_with_effect(self) -> tuple[int, ...]:
         """The positions of the messages that change some P[t, i, H], ascending."""

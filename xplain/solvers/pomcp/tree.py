@@ -127,7 +127,7 @@ class Tree(NamedTuple):
         size, actions = simulations + 1, n_messages + 1
         remembered = min(_table_size(simulations), REMEMBERED)
         tree = cls(
-            _in_lines(size, NODE if actions < 32 else WIDE_NODE),
+            _in_lines(size, _node_kind(n_messages)),
             np.empty((size + 1) * actions, EDGE),
             np.empty((size, len(belief))),
             np.zeros(_table_size(simulations), ENTRY),
@@ -223,6 +223,10 @@ def open_(model, tree, node):  # type: ignore[no-untyped-def]
         edge.child = UNVISITED
 
 
+def _node_kind(n_messages: int) -> np.dtype[np.void]:
+    return NODE if n_messages < 31 else WIDE_NODE  # *explain* takes a bit of a mask, too
+
+
 def _table_size(simulations: int) -> int:
     return max(FIRST_TABLE, 1 << (2 * simulations + 2).bit_length())
 
@@ -236,7 +240,11 @@ def _in_lines(size: int, kind: np.dtype[np.void]) -> NDArray[np.void]:
 
 def tree_bytes(problem: Problem, simulations: int) -> int:
     """The most that a tree takes."""
-    node = WIDE_NODE.itemsize + 8 * problem.n_types + EDGE.itemsize * (problem.n_messages + 1)
+    node = (
+        _node_kind(problem.n_messages).itemsize
+        + 8 * problem.n_types
+        + EDGE.itemsize * (problem.n_messages + 1)
+    )
     table = _table_size(simulations)
     remembered = min(table, REMEMBERED) * 8 * (problem.n_types + 1)
     return (simulations + 2) * node + ENTRY.itemsize * table + remembered

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import reduce
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -153,15 +153,26 @@ class ByType:
         """Some of the types."""
         return ByType(self.relevant[list(types)], self.p[list(types)])
 
-    def combined(self, combine: Any) -> ByType:
-        """One type in the place of all: its table is ``combine`` of the dense one, and relevant
-        is what is relevant to any.
+    def mixed(self, weights: NDArray[np.float64]) -> ByType:
+        """One type in the place of all, drawn by ``weights`` [N] anew for every label.
 
         Raises:
-            TooLargeError: more than MAX_RELEVANT messages.
+            TooLargeError: more than MAX_RELEVANT messages matter to some type.
         """
         union = tuple(sorted(set().union(*self.effective())))
-        return ByType(np.array([union], dtype=np.int64).reshape(1, -1), combine(self.over(union)))
+        parts = (w * self[t].over(union) for t, w in enumerate(weights.tolist()))
+        p = reduce(np.add, parts).clip(0, 1)  # weights may sum to a hair more than 1
+        return ByType(np.array([union], dtype=np.int64).reshape(1, -1), p)
+
+    def worst(self) -> ByType:
+        """One type in the place of all, to whom each transition is as inexplicable as to any.
+
+        Raises:
+            TooLargeError: as :meth:`mixed`.
+        """
+        union = tuple(sorted(set().union(*self.effective())))
+        parts = (self[t].over(union) for t in range(len(self)))
+        return ByType(np.array([union], dtype=np.int64).reshape(1, -1), reduce(np.minimum, parts))
 
 
 LabelTable = NDArray[np.float64] | ByType
