@@ -13,7 +13,7 @@ from tests.handmade import a_prepared, with_cases
 from xplain.data.dataset import Dataset
 from xplain.data.queries import Queries, Shared
 from xplain.domains.base import transition_feature_names
-from xplain.errors import InputError
+from xplain.errors import InputError, XplainError
 from xplain.experiment.explanations import Costs, evaluate, problem_for
 from xplain.experiment.pipeline import Components, Prepared, prepare
 from xplain.explanation.belief import Independent, Persistent
@@ -438,7 +438,7 @@ def test_every_labeler_of_a_run_is_fitted_with_one_seed():
 
 def test_a_labeler_that_could_not_be_tested_is_refused():
     # Of the first cluster, which has one observer.
-    with pytest.raises(InputError, match="points"):
+    with pytest.raises(XplainError, match="points"):
         prepare(source(labeler=Rates(n_test=0), traces=1))
 
 
