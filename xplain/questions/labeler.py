@@ -163,7 +163,7 @@ class HypothesisLabeler(Labeler):
         self, features: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """See :meth:`Labeler.relevant_table`; looked at are the facts that people of the type
-        likely hold wrong, where they matter."""
+        likely hold wrong."""
         return self._over_relevant(features, None)
 
     def relevant_table_of(
@@ -179,8 +179,7 @@ class HypothesisLabeler(Labeler):
             return super().relevant_table(features)
         known = self.classifier.known
         place = known.find(features)
-        matters = np.bitwise_or.reduce(known.hypotheses.matters[place[place >= 0]], initial=0)
-        looked_at = int(np.bitwise_or.reduce(self.classifier.facts, initial=0) & matters)
+        looked_at = int(np.bitwise_or.reduce(self.classifier.facts, initial=0))
         if (place < 0).any():
             tree = replace(self, classifier=self.classifier.fallback)
             for j in Labeler.relevant_table(tree, features[place < 0])[0].tolist():
