@@ -99,6 +99,7 @@ NOT_OF_THE_SOURCE = {
     "outputs": "where files are written",
     "tracking": "where results go besides the disk",
     "resume": "which jobs of a sweep run again",
+    "dry_run": "which jobs a sweep would run",
 }
 """Top-level keys that data, types and traces do not depend on, and why. All others must count."""
 
