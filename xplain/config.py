@@ -40,16 +40,9 @@ def _shipped(folder: str) -> Path:
 CONF = _shipped("conf")
 SWEEPS = _shipped("sweeps")
 
-GROUPS = (
-    "domain",
-    "users",
-    "observers",
-    "queries",
-    "labeler",
-    "clusterer",
-    "solver",
-    "belief",
-)
+SOURCE_GROUPS = ("domain", "users", "observers", "queries", "labeler", "clusterer")
+"""Groups of components that decide data and types."""
+GROUPS = (*SOURCE_GROUPS, "solver", "belief")
 """Groups of components that decide a number; a choice says what it is without its key."""
 MOVED = {
     "observers.queries": "queries=independent, queries=shared, queries=battery or queries=adaptive",

@@ -20,21 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.config import SOURCE_GROUPS
 from xplain.experiment.fingerprint import fingerprint
 from xplain.experiment.pipeline import Prepared
 from xplain.storage import decode, encode, written_whole
 
-SOURCE = (
-    "domain",
-    "users",
-    "observers",
-    "queries",
-    "labeler",
-    "clusterer",
-    "traces",
-    "max_steps",
-    "seed",
-)
+SOURCE = (*SOURCE_GROUPS, "traces", "max_steps", "seed")
 """The configuration's keys that decide data, types and traces."""
 
 

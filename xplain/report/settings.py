@@ -2,17 +2,9 @@
 
 from __future__ import annotations
 
-_SOURCE = (
-    "domain",
-    "users",
-    "observers",
-    "queries",
-    "labeler",
-    "clusterer",
-    "points",
-    "traces",
-    "max_steps",
-)
+from xplain.config import SOURCE_GROUPS
+
+_SOURCE = (*SOURCE_GROUPS, "points", "traces", "max_steps")
 """What tells settings apart; anything else that is swept tells methods apart."""
 
 _WORDS = {"users.count": "{} types", "users.index": "completion {}"}
