@@ -15,12 +15,12 @@ from hydra.types import HydraContext, TaskFunction
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from xplain.config import require_usable
 from xplain.experiment.cache import source_fingerprint
-from xplain.experiment.fingerprint import code_version, configuration, fingerprint, git_state
+from xplain.experiment.fingerprint import code_version, fingerprint, git_state
 from xplain.experiment.from_config import check
 from xplain.experiment.results import load_results
 from xplain.report.summary import Summary
+from xplain.runs.compose import Composer
 from xplain.runs.folder import SweepFolder, mark_failed
 from xplain.runs.forecast import print_dry_run
 from xplain.runs.launch import interruptible, launch
@@ -56,10 +56,8 @@ def run_sweep(
     began = time.time()
     configurations: dict[str, dict[str, Any]] = {}
 
-    def compose(overrides: list[str]) -> dict[str, Any]:
-        composed = context.config_loader.load_sweep_config(config, overrides)
-        require_usable(composed)
-        return configuration(composed)
+    def load(overrides: list[str]) -> DictConfig:
+        return context.config_loader.load_sweep_config(config, overrides)
 
     def fingerprints(resolved: dict[str, Any]) -> tuple[str, str]:
         own = fingerprint(resolved)
@@ -67,6 +65,7 @@ def run_sweep(
         return own, source_fingerprint(resolved)
 
     name = config.hydra.runtime.choices.get("sweeps") or "multirun"
+    compose = Composer(load, config.hydra.runtime.choices)
     plan = make_plan(name, settings, arguments, compose, fingerprints)
     outputs = Path(config.outputs).absolute()
     folder = SweepFolder(outputs / "sweeps" / plan.identity)
