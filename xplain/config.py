@@ -251,6 +251,8 @@ def unknown_key(key: str) -> str:
         hint = _did_you_mean(top, list(known))
         return f"{key}: no such key;{hint} allowed: {', '.join(known)}"
     takes = known[top]
+    if top == "message_cost":
+        return f"{key}: no such key; one a message: {top}={{{inner}: 2, …}}, all of them by name"
     if not takes:
         return f"{key}: no such key; {top} has none inside (--cfg job shows it)"
     name = inner.partition(".")[0]

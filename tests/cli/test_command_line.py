@@ -145,6 +145,20 @@ def test_a_key_of_another_choice_says_which(xplain):
     assert "did you mean certify.traces?" in err
 
 
+def test_prices_of_messages_come_all_by_name(xplain):
+    _, _, err = xplain("message_cost.fire=2")
+    assert err.startswith("xplain: message_cost.fire: no such key; ")
+    assert "message_cost={fire: 2, …}" in err
+
+
+@pytest.mark.parametrize("wrong", ["domain.map='SVAFUrpf#s'", "message_cost={fire: 2}"])
+def test_a_sweep_finds_what_a_domain_refuses_before_any_job(xplain, tmp_path, wrong):
+    code, _, err = xplain("-m", wrong, "lambda=1,2")
+    assert code == 2
+    assert wrong.partition("=")[0] in err
+    assert_nothing_written(tmp_path)
+
+
 def test_the_group_of_sweeps_is_near_to_its_misspelling(xplain):
     _, _, err = xplain("sweep=table1")
     assert "did you mean sweeps?" in err

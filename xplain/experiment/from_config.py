@@ -9,10 +9,13 @@ from typing import Any
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from xplain.domains.base import Domain
 from xplain.experiment.cache import SOURCE
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import Components
+from xplain.randomness import stream
+from xplain.users.setting import Setting
 
 
 def components_of(cfg: DictConfig) -> Components:
@@ -56,24 +59,34 @@ def costs_of(cfg: DictConfig) -> Costs:
     return costs
 
 
+COSTS = ("lambda", "message_cost", "inexplicability_cost", "discount", "discount_per", "prior")
+"""Keys that :func:`costs_of` reads, beside the domain's messages."""
+
+
 def check(configurations: Iterable[Mapping[str, Any]]) -> None:
-    """Instantiates all that resolved configurations name, once each, and so checks their values
-    before any work.
+    """Instantiates all that resolved configurations name, and solves the task of each domain once
+    as its types see it: so their values are checked before any work.
 
     Raises:
-        XplainError, HydraException: a value that a component refuses.
+        XplainError, HydraException: a value that a component refuses, or a task without a way to
+            its goal.
     """
     seen: set[str] = set()
     for config in configurations:
-        cfg = OmegaConf.create(dict(config))
         for part, make in (
             (SOURCE, components_of),
             (("solver",), lambda cfg: instantiate(cfg.solver)),
             (("belief",), lambda cfg: instantiate(cfg.belief)),
             (("certify",), lambda cfg: Certify(**cfg.certify)),
+            (("domain", *COSTS), costs_of),
+            (("domain", "users"), _solve),
         ):
             key = json.dumps([part, [config[name] for name in part]], sort_keys=True)
             if key not in seen:
-                make(cfg)
+                make(OmegaConf.create(dict(config)))
                 seen.add(key)
-        costs_of(cfg)
+
+
+def _solve(cfg: DictConfig) -> None:
+    domain: Domain = instantiate(cfg.domain)
+    Setting.build(domain, instantiate(cfg.users).types(domain, stream(cfg.seed, "users")))
