@@ -33,7 +33,7 @@ SAMPLE ?= 60
 SEED ?= 1
 JOBS ?= 2
 mutants: $(READY)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[mutants]"
+	$(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --editable ".[mutants]"
 	$(BIN)/python -m pytest -q tests/mutants
 	$(BIN)/python -m tests.mutants --sample $(SAMPLE) --seed $(SEED) --jobs $(JOBS)
 
@@ -63,7 +63,7 @@ ui: $(READY)
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "xplain needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[test,gym]"
+	$(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --editable ".[test,gym]"
 	touch $(READY)
 
 clean:
