@@ -1,13 +1,13 @@
 """Records what a command writes on a terminal, with seconds, and tells its longest silence.
 
-    python benchmarks/silence.py [--most SECONDS] [--out FILE] -- COMMAND ...
+    python benchmarks/silence.py [--quick] [--most SECONDS] [--out FILE] [-- COMMAND ...]
     python benchmarks/silence.py -- make run
-    NUMBA_CACHE_DIR=$(mktemp -d) python benchmarks/silence.py -- \\
-        python -m xplain solver=pomcp domain=rescue lambda=1.5
+    NUMBA_CACHE_DIR=$(mktemp -d) python benchmarks/silence.py
 
-Exit code 1 where nothing was written for longer than ``--most`` (3 seconds). A bar that moves
-writes. The recording has one line for each piece of output: the seconds at which it came, and what
-is left of it without a terminal's control codes. POSIX alone: the command runs on a pty.
+Without a command it is README's, shorter with ``--quick``. Exit code 1 where nothing was written
+for longer than ``--most`` (3 seconds); a bar that moves writes. The recording has one line for each
+piece of output: the seconds at which it came, and what is left of it without a terminal's control
+codes. POSIX alone: the command runs on a pty.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import time
 from pathlib import Path
 
 CONTROL = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]|[\r\x07]")
+RUN = ["-m", "xplain", "solver=pomcp", "domain=rescue", "lambda=1.5"]
 
 
 def main() -> int:
@@ -29,16 +30,16 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--most", type=float, default=3.0)
     parser.add_argument("--out", type=Path)
-    parser.add_argument("command", nargs="+")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("command", nargs="*")
     given = parser.parse_args()
-    pieces, code = recorded(given.command)
+    short = ["traces=2", "certify.traces=1", "tracking=none"] if given.quick else []
+    pieces, code = recorded(given.command or [sys.executable, *RUN, *short])
     lines, last, longest = [], 0.0, (0.0, 0.0)
     for second, text in pieces:
         longest = max(longest, (second - last, last))
         last = second
-        said = " | ".join(
-            line.strip() for line in CONTROL.sub("", text).split("\n") if line.strip()
-        )
+        said = [line.strip() for line in CONTROL.sub("", text).split("\n")]
         lines.append(f"{second:8.2f}  {' | '.join(filter(None, said))}")
     if given.out is not None:
         given.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
