@@ -52,18 +52,24 @@ html_copy_source = False
 html_show_sourcelink = False
 
 SIDEBAR = {
-    "Start": ["docs/tour", "docs/method", "docs/choices", "docs/domains"],
-    "Use": ["docs/config", "docs/sweeps", "docs/reading-results", "docs/what-to-ask", "docs/study"],
-    "Embed and extend": [
-        "docs/explainer",
-        "docs/api",
-        "docs/your-own-domain",
-        "docs/your-own-data",
-        "docs/pddl",
-        "docs/gymnasium",
+    "Start": ["docs/tour.md", "docs/method.md", "docs/choices.md", "docs/domains.md"],
+    "Use": [
+        "docs/config.md",
+        "docs/sweeps.md",
+        "docs/reading-results.md",
+        "docs/what-to-ask.md",
+        "docs/study.md",
     ],
-    "Measured": ["docs/table1", "docs/ablation", "benchmarks/README"],
-    "Project": ["CONTRIBUTING", "CHANGELOG"],
+    "Embed and extend": [
+        "docs/explainer.md",
+        "docs/api.rst",
+        "docs/your-own-domain.md",
+        "docs/your-own-data.md",
+        "docs/pddl.md",
+        "docs/gymnasium.md",
+    ],
+    "Measured": ["docs/table1.md", "docs/ablation.md", "benchmarks/README.md"],
+    "Project": ["CONTRIBUTING.md", "CHANGELOG.md"],
 }
 
 
