@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import sys
+import time
 
 import pytest
 
@@ -19,18 +20,24 @@ class Screen(io.StringIO):
         return True
 
 
-def test_without_a_terminal_a_stage_is_a_line(caplog: pytest.LogCaptureFixture) -> None:
-    """Also one with parts that are stages by themselves, and one that ends in an error."""
+def test_without_a_terminal_short_stages_say_nothing_and_long_ones_a_line(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A part of a long one is not a line of its own; one that ends in an error says no more."""
     caplog.set_level(logging.INFO, "xplain")
     assert isinstance(stages(), Lines)
     told = stages()
-    with told.stage("whole"):
+    with told.stage("short"):
         assert list(told.track("ab", "part", 2)) == ["a", "b"]
+    assert caplog.messages == []
+    monkeypatch.setattr(module, "EVERY", 0.1)
     with pytest.raises(KeyError), told.stage("broken"):
         raise KeyError
-    with told.stage("last"):
-        pass
-    assert caplog.messages == ["whole …", "broken …", "last …"]
+    with told.stage("long"), told.stage("part"):
+        deadline = time.monotonic() + 20
+        while not caplog.messages and time.monotonic() < deadline:
+            time.sleep(0.01)
+    assert caplog.messages == ["long …"]
 
 
 def test_without_a_terminal_long_stages_tell_how_far_they_are(
@@ -39,9 +46,14 @@ def test_without_a_terminal_long_stages_tell_how_far_they_are(
     caplog.set_level(logging.INFO, "xplain")
     now = [0.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
-    for _ in Lines().track(range(5), "work", 5):
+    told = Lines()
+    for _ in told.track(range(5), "work", 5):
         now[0] += module.EVERY / 2 + 0.1
-    assert caplog.messages == ["work …", "work: 2 of 5", "work: 4 of 5"]
+    with told.stage("more"):
+        now[0] += module.EVERY + 0.1
+        told.compiling("kernel 1 of at most 9 (walk)")
+    assert caplog.messages[:2] == ["work: 2 of 5", "work: 4 of 5"]
+    assert "kernel 1 of at most 9 (walk)" in caplog.messages[2]
 
 
 def test_on_a_terminal_lines_move_and_the_log_is_written_above_them(

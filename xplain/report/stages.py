@@ -1,14 +1,15 @@
-"""What a run is at, on standard error: moving lines on a terminal, a line a stage elsewhere.
+"""What a run is at, on standard error: moving lines on a terminal, a few in the log elsewhere.
 
 Whoever waits sees within seconds that work goes on: a terminal shows the stages that are open,
-with seconds that count and, where it is known, how far each is. Elsewhere a stage is one line when
-it begins, and one more every ten seconds where there is news.
+with seconds that count and, where it is known, how far each is. Elsewhere a stage is one line once
+it has taken ten seconds, and one more every ten seconds where there is news.
 """
 
 from __future__ import annotations
 
 import logging
 import sys
+import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -22,7 +23,7 @@ log = logging.getLogger("xplain")
 T = TypeVar("T")
 
 EVERY = 10.0
-"""Seconds between lines of one stage where there is no terminal."""
+"""Seconds before and between lines of a stage where there is no terminal."""
 
 
 def stages() -> Terminal | Lines:
@@ -31,7 +32,7 @@ def stages() -> Terminal | Lines:
 
 
 class Lines:
-    """A line a stage, in the log."""
+    """Lines in the log for what takes long: an error that comes soon is the only line then."""
 
     def __init__(self) -> None:
         self._open: list[str] = []
@@ -47,14 +48,17 @@ class Lines:
     @contextmanager
     def stage(self, what: str) -> Iterator[None]:
         """See :class:`xplain.experiment.progress.Progress`."""
+        timer = threading.Timer(EVERY, log.info, ("%s …", what))
+        timer.daemon = True
         if not self._open:
             self._said = time.monotonic()
-            log.info("%s …", what)
+            timer.start()
         self._open.append(what)
         try:
             yield
         finally:
             self._open.pop()
+            timer.cancel()
 
     def note(self, text: str) -> None:
         """See :class:`xplain.experiment.progress.Progress`."""
@@ -64,12 +68,10 @@ class Lines:
 
     def compiling(self, text: str) -> None:
         """A kernel is compiled; an empty text where it is done."""
-        now = time.monotonic()
-        if not self._compiling_since and text:
-            self._compiling_since = self._said = now
-            log.info("compiling the solvers' kernels, once (seconds; later runs load them)")
-        elif text:
-            self.note(f"compiling {text}, {now - self._compiling_since:.0f} s since the first")
+        if text:
+            self._compiling_since = self._compiling_since or time.monotonic()
+            seconds = time.monotonic() - self._compiling_since
+            self.note(f"compiling (once; later runs load) {text}, {seconds:.0f} s since the first")
 
 
 class Terminal:
