@@ -6,12 +6,13 @@
 # make ui     MLflow on the runs and sweeps in outputs/ (http://127.0.0.1:5000)
 # make study  starts the study's server
 # make bench  the benchmarks, whole
+# make docs   the docs as a site, in build/site; make outputs runs what the docs show anew
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready
 
-.PHONY: run test test-docs test-slow browser-test mutants lint docs bench bench-quick study ui clean
+.PHONY: run test test-docs test-slow browser-test mutants lint docs outputs bench bench-quick study ui clean
 
 run: $(READY)
 	$(BIN)/python -m xplain solver=pomcp domain=rescue lambda=1.5
@@ -33,7 +34,7 @@ SAMPLE ?= 60
 SEED ?= 1
 JOBS ?= 2
 mutants: $(READY)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[mutants]"
+	$(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --editable ".[mutants]"
 	$(BIN)/python -m pytest -q tests/mutants
 	$(BIN)/python -m tests.mutants --sample $(SAMPLE) --seed $(SEED) --jobs $(JOBS)
 
@@ -43,8 +44,13 @@ lint: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# The reference of all keys, and what the commands in the docs print, anew.
+# Warnings are errors, also of links to pages, headings and pictures that are not there.
 docs: $(READY)
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -c docs -d build/doctrees . build/site
+	@echo "the site: build/site/index.html"
+
+# The reference of all keys, and what the commands in the docs print, anew.
+outputs: $(READY)
 	$(BIN)/python docs/config_reference.py
 	for page in README.md docs/*.md; do $(BIN)/python docs/run.py --write $$page || exit 1; done
 
@@ -63,7 +69,8 @@ ui: $(READY)
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "xplain needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[test,gym]"
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet --upgrade "pip>=25.1"  # shows its progress
+	$(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --editable ".[test,gym,docs]"
 	touch $(READY)
 
 clean:

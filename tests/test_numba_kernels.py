@@ -192,6 +192,29 @@ def test_tells_of_a_compilation_once(caplog: pytest.LogCaptureFixture) -> None:
     assert "compiling" in caplog.messages[0]
 
 
+def test_tells_which_kernel_of_how_many_is_compiled_and_when_it_is_done() -> None:
+    """A number never exceeds its total, whatever is compiled beside the kernels of the package."""
+    said: list[str] = []
+    listener = _Listener()
+    listener.say = said.append
+
+    def first(x):  # type: ignore[no-untyped-def]
+        return x + 1
+
+    def second(x):  # type: ignore[no-untyped-def]
+        return x + 2
+
+    with event.install_listener("numba:compile", listener):
+        for function in (first, second):
+            function.__module__ = "xplain.somewhere"
+            numba.njit(function)(1)
+    begun = [text for text in said if text]
+    assert said[1::2] == ["", ""]
+    assert [text.split()[1] for text in begun] == ["1", "2"]
+    assert all(f"({name})" in text for name, text in zip(("first", "second"), begun, strict=True))
+    assert all(int(text.split()[1]) <= int(text.split()[5]) for text in begun)
+
+
 def test_the_cache_is_numbas_own_index_below_our_folder() -> None:
     """What a kernel of the package is cached in."""
     from xplain.solvers.pomcp.kernel import simulate

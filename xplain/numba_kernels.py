@@ -118,8 +118,13 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Any:
             numba.config.CACHE_DIR = before
 
 
+_entries: list[str] = []
+"""Names of the kernels that Python calls, of the modules imported so far."""
+
+
 def kernel(function: Callable[..., Any]) -> Any:
     """Decorates a kernel: compiled at its first call, cached, and run without the GIL."""
+    _entries.append(function.__name__)
     return _compiled(function)
 
 
@@ -153,6 +158,7 @@ class _PartCompiler(CompilerBase):  # type: ignore[misc]
 def lean_kernel(function: Callable[..., Any]) -> Any:
     """Decorates a kernel that makes no array. numba counts references to arrays at every call and
     wherever a row is taken out of one; here it does not (``_nrt``), nor may what it calls."""
+    _entries.append(function.__name__)
     return _compiled(function, _nrt=False)
 
 
@@ -235,20 +241,45 @@ def _is_ours(compiling: event.Event) -> bool:
 
 
 class _Listener(event.Listener):  # type: ignore[misc]
-    """Speaks at the first kernel of ours that numba did not find in its cache."""
+    """Speaks of each kernel of ours that numba did not find in its cache."""
 
-    told = False
+    def __init__(self) -> None:
+        self.say: Callable[[str], None] = _tell_once
+        self.nested = self.number = 0
 
     def on_start(self, event: event.Event) -> None:
-        if not self.told and _is_ours(event):
-            self.told = True
-            log.warning("compiling the solvers' kernels, once (seconds; later runs load them)")
+        self.nested += 1
+        if self.nested == 1 and _is_ours(event):
+            self.number += 1
+            of = max(len(_entries), self.number)
+            name = event.data["dispatcher"].py_func.__name__.strip("_")
+            self.say(f"kernel {self.number} of at most {of} ({name})")
 
     def on_end(self, event: event.Event) -> None:
-        pass
+        self.nested -= 1
+        if self.nested == 0 and self.number:
+            self.say("")
+
+
+def _tell_once(text: str) -> None:
+    if text.startswith("kernel 1 "):
+        log.warning("compiling the solvers' kernels, once (seconds; later runs load them)")
 
 
 @cache
-def tell_when_compiling() -> None:
-    """From now on, one line is logged in this process when a kernel has to be compiled."""
-    event.register("numba:compile", _Listener())
+def _listener() -> _Listener:
+    listener = _Listener()
+    event.register("numba:compile", listener)
+    return listener
+
+
+def tell_when_compiling(say: Callable[[str], None] | None = None) -> None:
+    """From now on this process tells when kernels have to be compiled.
+
+    Args:
+        say: hears which kernel of how many, and "" when it is done; None leaves it to whoever was
+            given before, or else to one line in the log.
+    """
+    listener = _listener()
+    if say is not None:
+        listener.say = say

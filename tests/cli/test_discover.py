@@ -11,7 +11,9 @@ from hydra.core.global_hydra import GlobalHydra
 from sklearn.metrics import adjusted_rand_score
 
 from tests.conftest import Command
+from xplain.cli.discover import sentences_of
 from xplain.cli.main import main
+from xplain.errors import InputError
 from xplain.learning.saved_types import LearnedTypes
 
 
@@ -42,7 +44,9 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path, name:
     known = pd.read_csv(tmp_path / told["truth"])
     assert list(known.columns) == ["observer", "type", "behaves_like"]
 
-    code, out, err = run("discover", f"data={name}", "output=found", "none_of_these=1")
+    (tmp_path / "said.yaml").write_text("fire: Fires can be put out.\n")
+    options = "output=found", "none_of_these=1", "sentences=said.yaml"
+    code, out, err = run("discover", f"data={name}", *options)
     assert code == 0, err
     answer = json.loads(out.splitlines()[-1])
     wanted = {"n_types", "assignment", "method", "rule", "held_out_log_likelihood", "seconds"}
@@ -55,6 +59,7 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path, name:
 
     types = LearnedTypes.load(tmp_path / "found" / "types.npz")
     assert types.names == ("type_0", "type_1", "type_2", "type_3", "type_4", "none of these")
+    assert types.sentences == {"fire": "Fires can be put out."}
     summary = json.loads((tmp_path / "found" / "summary.json").read_text())
     assert sum(one["labels"] for one in summary["types"]) == told["labels"]
     wrong = [{"fire", "rubble"}, {"first_aid", "fence"}, {"fire", "puddle"}]  # types A to E
@@ -157,3 +162,20 @@ def test_true_labels_are_nothing_that_a_file_of_labels_can_be_learned_with(run) 
         code, _, err = run("discover", "data=labels.csv", "labeler=true", f"clusterer={clusterer}")
         assert code == 2
         assert err.strip().splitlines()[-1].startswith("xplain: labeler='true': ")
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("flood: Beware.", "flood"),
+        ("- fire", "what to say"),
+        ("fire: [1]", "what to say"),
+        (None, "what to say"),
+    ],
+)
+def test_sentences_that_cannot_be_used_are_refused(tmp_path: Path, text: str, named: str) -> None:
+    path = tmp_path / "said.yaml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(InputError, match=named):
+        sentences_of(str(path), ("fire", "fence"))

@@ -15,13 +15,14 @@ from hydra.core.global_hydra import GlobalHydra
 from xplain.cli.main import main
 from xplain.demo.page import content, page
 from xplain.demo.play import Simulated, play, stage
+from xplain.demo.terminal import Terminal
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.explanation.belief import Independent
 from xplain.message_sets import mask_of
 from xplain.participants.simulation.chromium import missing
 from xplain.solvers.qmdp import QMDP
 
-QUICK = ["points=150", "lambda=1.5"]
+QUICK = ["points=150", "lambda=1.5", "clusterer=dirichlet"]
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +64,46 @@ def test_it_plays_the_experiments_episode(rescue, user):
     for k, step in enumerate(played.steps):
         np.testing.assert_array_equal(step.labels, episode.labels[k, : k + 1])
         np.testing.assert_array_equal(list(step.belief.values()), episode.beliefs[k + 1])
+
+
+def test_by_default_it_tells_of_a_type_that_is_found_with_few_messages(rescue):
+    """No user of any type is found on this trace with fewer messages, unless nothing is said."""
+    found = {}
+    for user in rescue.prepared.types:
+        played = play(rescue, Simulated(rescue, user))
+        said = sum(len(step.said) for step in played.steps)
+        if sum(played.steps[-1].belief[name] for name in rescue.right(user)) > 0.9 and said:
+            found[user] = said
+    assert found, "no type is found on this trace"
+    assert found[rescue.user_type(None)] == min(found.values())
+
+
+def test_a_learned_type_is_called_by_the_true_one_that_it_stands_for(rescue):
+    for user in rescue.prepared.types:
+        for name in rescue.right(user):
+            assert user in rescue.title(name).split(" ")[0].split("/")
+    assert rescue.title("none of these") == "none of these"
+
+
+class Keyboard(io.StringIO):
+    """A person who presses keys at a terminal."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize(("typed", "asked"), [("\n\nq\n", 3), ("", 1)])
+def test_a_terminal_waits_a_step_at_a_time_until_it_is_told_not_to(
+    rescue, monkeypatch, typed, asked
+):
+    """The end of the input is such a word, too."""
+    monkeypatch.setattr(sys, "stdin", Keyboard(typed))
+    monkeypatch.setattr(sys, "stdout", Keyboard())
+    shown = Terminal(rescue, "A")
+    play(rescue, Simulated(rescue, "A"), shown)
+    text = sys.stdout.getvalue()
+    assert text.count("the next step") == asked
+    assert re.search(r"cost", text)
 
 
 def test_the_page_holds_the_session_and_loads_nothing(rescue):

@@ -12,6 +12,8 @@ from sklearn.tree import DecisionTreeClassifier
 
 from xplain import Explainer, LearnedTypes
 from xplain.data.dataset import Dataset
+from xplain.data.encoding import encoded
+from xplain.data.label_table import read_table
 from xplain.errors import InputError
 from xplain.learning.clustering import Clustering
 from xplain.learning.labelers import LabelerTrainer
@@ -196,3 +198,45 @@ def test_files_of_another_kind_are_refused_in_one_line(tmp_path):
         with pytest.raises(InputError) as error:
             LearnedTypes.load(tmp_path / name)
         assert "\n" not in str(error.value)
+
+
+def test_a_transition_is_encoded_from_its_columns_as_the_table_was(tmp_path):
+    """Whatever the order of columns: every row of a table with text comes out as it was read."""
+    rng = np.random.default_rng(1)
+    rows = [
+        {"load": int(rng.integers(3)), "zone": str(rng.choice(["river", "hill=steep", "2"]))}
+        for _ in range(30)
+    ]
+    lines = [
+        f"o{i % 3},{'a' if i % 2 else ''},{int(row['load'] > 1)},{row['zone']},{row['load']}"
+        for i, row in enumerate(rows)
+    ]
+    path = tmp_path / "labels.csv"
+    path.write_text("\n".join(["observer,messages,label,zone,load", *lines]) + "\n")
+    data = read_table(path)
+    assert set(data.feature_names) == {"load", "zone=river", "zone=hill=steep", "zone=2"}
+    for row, transition in zip(rows, data.transition, strict=True):
+        assert encoded(row, data.feature_names) == tuple(data.features[transition])
+
+
+@pytest.mark.parametrize(
+    ("transition", "named"),
+    [
+        ({"load": 1}, "zone"),
+        ({"zone": "river"}, "load"),
+        ({"zone": "sea", "load": 1}, "river, hill"),
+        ({"zone": "river", "load": "heavy"}, "number"),
+        ({"zone": "river", "load": 1, "speed": 2}, "speed"),
+    ],
+)
+def test_what_cannot_be_encoded_is_refused_by_name(transition, named):
+    with pytest.raises(InputError, match=named):
+        encoded(transition, ("zone=river", "load", "zone=hill"))
+
+
+def test_learned_types_encode_what_they_explain():
+    types, data = learned(DecisionTreeClassifier())
+    row = types.encode({"column": data.features[3, 1], "row": int(data.features[3, 0])})
+    np.testing.assert_array_equal(
+        types.p_explicable([row]), types.p_explicable(data.features[3:4].tolist())
+    )

@@ -19,10 +19,13 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.utils import instantiate
+from omegaconf import OmegaConf
+from yaml import YAMLError
 
 from xplain.config import composed, require_seed
 from xplain.errors import InputError, TooLargeError
@@ -54,6 +57,7 @@ def discover(arguments: list[str]) -> Row:
         known = Hypotheses.load(cfg.hypotheses)
         dataset = read_table(cfg.data, known.messages, cfg.features, cfg.ignore)
         dataset = align(dataset, known.feature_names or dataset.feature_names)
+    said = sentences_of(cfg.sentences, dataset.messages)
     types = learn(dataset, trainer, clusterer, cfg.seed, none_of_these=cfg.none_of_these)
     clustering = types.clustering
     likelihood = None
@@ -70,8 +74,30 @@ def discover(arguments: list[str]) -> Row:
         "held_out_log_likelihood": likelihood,
         "seconds": time.perf_counter() - began,
     }
-    _write(folder, dataset, types, row)
+    _write(folder, dataset, types, row, said)
     return row
+
+
+def sentences_of(path: str | None, messages: Sequence[str]) -> dict[str, str]:
+    """``{message: what to say}`` of a YAML file; empty where there is none.
+
+    Raises:
+        InputError: the file cannot be read, or holds anything else than texts of these messages.
+    """
+    if path is None:
+        return {}
+    wanted = "a YAML file, a line a message: what to say"
+    try:
+        said = OmegaConf.to_container(OmegaConf.load(path))
+    except (OSError, ValueError, YAMLError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError("sentences", path, f"{wanted} ({reason})") from None
+    if not isinstance(said, dict) or not all(isinstance(text, str) for text in said.values()):
+        raise InputError("sentences", path, wanted)
+    unknown = [name for name in said if name not in messages]
+    if unknown:
+        raise InputError("sentences", unknown[0], f"messages: {', '.join(messages)}")
+    return {str(name): text for name, text in said.items()}
 
 
 def require_writable(folder: Path) -> None:
@@ -85,7 +111,9 @@ def require_writable(folder: Path) -> None:
         raise InputError("output", str(folder), "a folder that can be written")
 
 
-def _write(folder: Path, dataset: Dataset, types: UserTypes, row: Row) -> None:
+def _write(
+    folder: Path, dataset: Dataset, types: UserTypes, row: Row, sentences: dict[str, str]
+) -> None:
     import pandas as pd
 
     from xplain.learning.saved_types import LearnedTypes
@@ -99,7 +127,7 @@ def _write(folder: Path, dataset: Dataset, types: UserTypes, row: Row) -> None:
     if clustering.posterior is not None:
         figures["posterior"] = discovery.posterior(clustering.posterior, clustering.n_types)
     folder.mkdir(parents=True, exist_ok=True)
-    LearnedTypes.of(types, dataset).save(folder / "types.npz")
+    LearnedTypes.of(types, dataset, sentences).save(folder / "types.npz")
     pd.DataFrame(row["assignment"].items(), columns=["observer", "type"]).to_csv(
         folder / "assignment.csv", index=False
     )

@@ -7,9 +7,12 @@ for the heavy packages, which :mod:`xplain.runs.job` brings.
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 
 import hydra
 from hydra._internal.utils import get_args_parser
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from xplain.cli import hydra_plugins
@@ -19,7 +22,11 @@ from xplain.errors import XplainError
 
 @hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")
 def _job(cfg: DictConfig) -> float | None:
-    from xplain.runs.job import run_job
+    from xplain.report.stages import stages
+
+    alone = HydraConfig.get().mode == RunMode.RUN
+    with stages().stage("loading") if alone and sys.stderr.isatty() else nullcontext():
+        from xplain.runs.job import run_job
 
     return run_job(cfg)
 

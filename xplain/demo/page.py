@@ -30,6 +30,7 @@ def content(stage: Stage, played: Played) -> dict[str, Any]:
         "tradeOff": stage.trade_off,
         "user": played.user,
         "right": stage.right(played.user),
+        "titles": {name: stage.title(name) for name in played.prior},
         "believes": list(stage.beliefs.get(played.user or "", ())),
         "sentences": dict(zip(prepared.messages, prepared.sentences, strict=True)),
         "scene": scene

@@ -11,12 +11,15 @@ from hydra.utils import instantiate
 from xplain.config import composed
 from xplain.errors import InputError
 from xplain.evaluation.episode import SimulatedUser
+from xplain.experiment.explanations import Costs
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Case, Prepared, prepare
+from xplain.explanation.belief import BeliefUpdate
 from xplain.message_sets import mask_of
 from xplain.randomness import stream
 from xplain.sessions.explainer import Explainer, GivenTypes
 from xplain.sessions.session import Session, Why
+from xplain.solvers.base import Solver
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class Stage:
         explainer: of the learned types.
         beliefs: for each true type by name, what it believes wrongly, as sentences.
         trade_off: λ.
-        drawn: the true type that the seed chooses for a simulated user.
+        suggested: the true type of a simulated user for whom the trace tells most.
     """
 
     domain: str
@@ -40,16 +43,16 @@ class Stage:
     explainer: Explainer
     beliefs: dict[str, tuple[str, ...]]
     trade_off: float
-    drawn: str
+    suggested: str
 
     def user_type(self, name: str | None) -> str:
-        """A true type by name; None takes the one that the seed chose.
+        """A true type by name; None takes the suggested one.
 
         Raises:
             InputError: there is no such type.
         """
         if name is None:
-            return self.drawn
+            return self.suggested
         if name not in self.beliefs:
             raise InputError("--user", name, f"one of {', '.join(self.beliefs)}")
         return name
@@ -63,6 +66,15 @@ class Stage:
         return [
             name for name, of in zip(found, prepared.matched_true_type, strict=True) if of == alike
         ]
+
+    def title(self, learned: str) -> str:
+        """A learned type for people: the true types that it stands for, where they are known."""
+        prepared = self.prepared
+        number = dict(zip(prepared.learned_types, prepared.matched_true_type, strict=True))
+        alike = prepared.distinct == number.get(learned, -1)
+        names = [name for name, same in zip(prepared.types, alike, strict=True) if same]
+        own = learned.replace("_", " ")
+        return own if not names or own in names else f"{'/'.join(names)} ({own})"
 
 
 @dataclass(frozen=True)
@@ -115,52 +127,90 @@ Answer = Callable[[Session], Sequence[int]]
 """The user's labels of the transitions that a session shows."""
 
 
-def stage(overrides: Sequence[str], trace: int) -> Stage:
+TRIED = 5
+"""Traces among which one is chosen that tells much."""
+SURE = 0.9
+"""A belief from which on a type counts as found."""
+
+
+def stage(overrides: Sequence[str], trace: int | None = None, user: str | None = None) -> Stage:
     """Learns the user types as an experiment does, and takes one of its traces.
+
+    Args:
+        overrides: of the experiment's configuration.
+        trace: its number; None takes the one of the first five that tells most.
+        user: the true type that it is to tell most of; None leaves that open, too.
 
     Raises:
         XplainError, HydraException, OmegaConfBaseException: something in ``overrides`` is wrong.
     """
-    cfg = composed("config", [*overrides, f"traces={trace + 1}"], with_hydra=True)
+    count = TRIED if trace is None else trace + 1
+    cfg = composed("config", [*overrides, f"traces={count}"], with_hydra=True)
     choices = cfg.hydra.runtime.choices
     components, costs = components_of(cfg), costs_of(cfg)
     solver, update = instantiate(cfg.solver), instantiate(cfg.belief)
     if solver.knows not in ("types", "everyone"):
         raise InputError("solver", str(choices.solver), "one that need not know the user's type")
     prepared = prepare(components)
-    case = prepared.cases[trace]
+    true_types = components.users.types(components.domain, stream(components.seed, "users"))
+    sentence = {p.name: p.belief or f"({p.name} wrong)" for p in components.domain.parameters}
+    beliefs = {t.name: tuple(sentence[fact] for fact in t.inaccurate) for t in true_types}
+    cases = prepared.cases if trace is None else prepared.cases[trace:]
+    stages = [
+        Stage(
+            domain=str(choices.domain),
+            solver=str(choices.solver),
+            prepared=prepared,
+            case=case,
+            explainer=_explainer(prepared, case, costs, solver, update, components.seed),
+            beliefs=beliefs,
+            trade_off=costs.trade_off,
+            suggested=name,
+        )
+        for case in cases
+        for name in prepared.types
+    ]
+    named = [one for one in stages if one.suggested == user]  # none: whoever asks is told later
+    return max(named or stages, key=_tells)
+
+
+def _tells(scene: Stage) -> tuple[bool, bool, int, float]:
+    """How much a session shows of the method, the more the larger: that the type was found, with
+    something said, in few messages."""
+    played = play(scene, Simulated(scene, scene.suggested))
+    belief = sum(played.steps[-1].belief[name] for name in scene.right(scene.suggested))
+    messages = sum(len(step.said) for step in played.steps)
+    return belief > SURE, messages > 0, -messages, belief
+
+
+def _explainer(
+    prepared: Prepared, case: Case, costs: Costs, solver: Solver, update: BeliefUpdate, seed: int
+) -> Explainer:
+    """Of one trace to users of the learned types.
+
+    Raises:
+        InputError: the solver plans for everybody at once, of whom too much would have to be known.
+    """
     alone = solver.knows == "everyone"
     table = case.everyone if alone else case.learned
     if table is None:
-        raise InputError("solver", str(choices.solver), "one that plans for types: solver=qmdp")
+        raise InputError("solver", "baseline", "one that plans for types: solver=qmdp")
     types = GivenTypes(
         table,
         prepared.messages,
         ("everyone",) if alone else prepared.learned_types,
         prepared.type_shares if costs.prior == "observers" and not alone else (),
     )
-    true_types = components.users.types(components.domain, stream(components.seed, "users"))
-    sentence = {p.name: p.belief or f"({p.name} wrong)" for p in components.domain.parameters}
-    names = tuple(user_type.name for user_type in true_types)
-    return Stage(
-        domain=str(choices.domain),
-        solver=str(choices.solver),
-        prepared=prepared,
-        case=case,
-        explainer=Explainer(
-            types,
-            solver,
-            costs.trade_off,
-            costs.message_costs(prepared.messages),
-            costs.inexplicability_cost,
-            costs.discount,
-            costs.discount_per,
-            update,
-            components.seed,
-        ),
-        beliefs={t.name: tuple(sentence[fact] for fact in t.inaccurate) for t in true_types},
-        trade_off=costs.trade_off,
-        drawn=names[int(stream(components.seed, "demo").integers(len(names)))],
+    return Explainer(
+        types,
+        solver,
+        costs.trade_off,
+        costs.message_costs(prepared.messages),
+        costs.inexplicability_cost,
+        costs.discount,
+        costs.discount_per,
+        update,
+        seed,
     )
 
 

@@ -31,6 +31,7 @@ class Terminal:
         width = None if sys.stdout.isatty() else 100
         self.console = Console(highlight=False, width=width)
         self.stage, self.user = stage, user
+        self.pauses = user is not None and sys.stdin.isatty() and sys.stdout.isatty()
         self._before: dict[str, float] | None = None
         self._briefing()
 
@@ -74,10 +75,22 @@ class Terminal:
             parts.insert(0, self._transitions(k, step.labels))
         self.console.print(Columns(parts, padding=(0, 4)))
         self._before = step.belief
-        if k == len(self.stage.case.transitions):
+        if k < len(self.stage.case.transitions):
+            self._pause()
+        else:
             self.console.print(
                 f"\n[bold]cost {step.cost:g}[/] (λ · messages + inexplicable labels)"
             )
+
+    def _pause(self) -> None:
+        """A step at a time where somebody sits at the terminal and answers nothing."""
+        if not self.pauses:
+            return
+        self.console.print("[dim]Enter: the next step; q: all of them[/]", end=" ")
+        try:
+            self.pauses = input().strip().lower() != "q"
+        except EOFError:
+            self.pauses = False
 
     def ask(self, count: int) -> list[int]:
         """The person's labels of the first ``count`` transitions.
@@ -122,7 +135,7 @@ class Terminal:
             bar = Text("█" * full, "blue") + Text("─" * (BAR - full), "dim")
             # The user's own type stands out for the audience; the robot is not told.
             style = "bold" if name in self.stage.right(self.user) else ""
-            table.add_row(Text(name.replace("_", " "), style), bar, f"{p:4.0%} {arrow}")
+            table.add_row(Text(self.stage.title(name), style), bar, f"{p:4.0%} {arrow}")
         return table
 
     def _changes(self, k: int) -> RenderableType | None:

@@ -11,6 +11,7 @@ import numpy as np
 from xplain.errors import InputError, TooLargeError, whole_number
 from xplain.experiment.explanations import Costs, problem_for, problem_of_types, trace_seed
 from xplain.experiment.pipeline import Prepared
+from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
@@ -44,7 +45,12 @@ class Certify:
             raise InputError("certify.gap", self.gap, "a number > 0")
 
     def certificates(
-        self, prepared: Prepared, costs: Costs, solver: Solver, seed: int
+        self,
+        prepared: Prepared,
+        costs: Costs,
+        solver: Solver,
+        seed: int,
+        progress: Progress = SILENT,
     ) -> dict[str, float]:
         """Means over the traces, of expected discounted returns under the learned model.
 
@@ -58,12 +64,14 @@ class Certify:
         """
         rows: list[dict[str, float]] = []
         seen: dict[tuple[bytes, bytes], dict[str, float]] = {}
-        for index, case in enumerate(prepared.cases[: self.traces]):
+        cases = prepared.cases[: self.traces]
+        tracked = progress.track(enumerate(cases), "certificates", len(cases))
+        for index, case in tracked:
             problem = problem_of_types(prepared, case, costs)
             own = problem_for(prepared, case, costs, solver, 0)
             key = _table_key(problem), _table_key(own)
             if key not in seen:
-                seen[key] = self._one(problem, own, solver, trace_seed(seed, index))
+                seen[key] = self._one(problem, own, solver, trace_seed(seed, index), progress)
             rows.append(seen[key])
         if not rows:
             return {}
@@ -73,8 +81,12 @@ class Certify:
             means["policy_value_se"] = float(np.sqrt((errors**2).sum()) / len(rows))
         return means | {"traces": float(len(rows))}
 
-    def _one(self, problem: Problem, own: Problem, solver: Solver, seed: int) -> dict[str, float]:
-        found = bounds(problem, Effort(gap=self.gap, nodes=self.nodes, memory_gib=2.0))
+    def _one(
+        self, problem: Problem, own: Problem, solver: Solver, seed: int, progress: Progress
+    ) -> dict[str, float]:
+        with progress.stage("bounds of the optimum"):
+            effort = Effort(gap=self.gap, nodes=self.nodes, memory_gib=2.0)
+            found = bounds(problem, effort, lambda gap: progress.note(f"gap {gap:.4f} so far"))
         low, high = found.value_of_perfect_information
         row = {
             "optimal_lower": found.lower,
@@ -91,7 +103,8 @@ class Certify:
         if own.n_types == 1:
             with suppress(TooLargeError):  # it earns the same, only its value takes longer then
                 world = problem.mixture(problem.prior, own.type_names[0])
-        worth = evaluate(world, solver.plan(own, seed), self.beliefs, self.episodes, seed)
+        with progress.stage("value of this policy"):
+            worth = evaluate(world, solver.plan(own, seed), self.beliefs, self.episodes, seed)
         margin = 1.96 * worth.value_se
         low, _ = found.suboptimality(worth.value + margin)
         _, high = found.suboptimality(worth.value - margin)

@@ -140,6 +140,7 @@ def evaluate(
     belief_update: BeliefUpdate,
     seed: int,
     track: Track[Any] = untracked,
+    what: str = "explaining",
 ) -> list[Record]:
     """Each solver explains each trace to a user of each true type.
 
@@ -150,9 +151,10 @@ def evaluate(
         belief_update: which labels change the belief.
         seed: the policies' streams come from it and the trace, not from the solver's name.
         track: shows progress.
+        what: is done, in its words.
     """
     records = []
-    for index, case in track(enumerate(prepared.cases), "explaining", len(prepared.cases)):
+    for index, case in track(enumerate(prepared.cases), what, len(prepared.cases)):
         for name, solver in solvers.items():
             shared = solver.knows in ("types", "everyone")
             policy = problem = None

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from xplain.by_type import LabelTable
 from xplain.data.dataset import Dataset
+from xplain.data.encoding import encoded
 from xplain.data.label_table import MAX_MASK
 from xplain.errors import InputError
 from xplain.learning.labelers import Labeler
@@ -69,6 +70,15 @@ class LearnedTypes:
             dataset.feature_names,
             dict(sentences or {}),
         )
+
+    def encode(self, transition: Mapping[str, float | str]) -> tuple[float, ...]:
+        """A transition as sessions take it, from its columns in the table of labels:
+        ``types.encode({"zone": "river", "load": 2})``.
+
+        Raises:
+            InputError: a column is missing or unknown, or has a text that no label was given on.
+        """
+        return encoded(transition, self.feature_names)
 
     def p_explicable(self, transitions: Sequence[Any]) -> LabelTable:
         """P(label is 1 | type, message set) of T rows of features: [N, T, 2^n], or by type.

@@ -1,23 +1,15 @@
-"""What a person sees on the terminal: progress on long work, a summary at the end."""
+"""What a run found, on the terminal: its figures, then the certificates."""
 
 from __future__ import annotations
 
-import logging
 import sys
-import time
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 from rich.console import Console
 from rich.table import Table
 
 from xplain.experiment.results import Figure, Results
 from xplain.report.paper import table1
-
-log = logging.getLogger(__name__)
-
-PATIENCE = 2.0
-"""Seconds before progress is shown: short work needs none."""
 
 TITLES = {
     "cost": "cost",
@@ -31,31 +23,6 @@ TITLES = {
     "final_belief": "final belief in true type",
     "decision_ms": "decision time (ms a step)",
 }
-
-
-def track(items: Iterable[Any], what: str, count: int) -> Iterator[Any]:
-    """Yields the items; a bar on a terminal, a line every ten seconds elsewhere, and neither
-    for work that is done before a person would ask."""
-    if not sys.stderr.isatty():
-        yield from _track_by_lines(items, what, count)
-        return
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(what, total=count, visible=False)
-        started = time.monotonic()
-        for item in items:
-            yield item
-            progress.update(task, advance=1, visible=time.monotonic() - started > PATIENCE)
-
-
-def _track_by_lines(items: Iterable[Any], what: str, count: int) -> Iterator[Any]:
-    said = time.monotonic()
-    for done, item in enumerate(items, start=1):
-        yield item
-        if time.monotonic() - said > 5 * PATIENCE:
-            said = time.monotonic()
-            log.info("%s: %d of %d", what, done, count)
 
 
 def print_summary(results: Results) -> None:
@@ -81,7 +48,12 @@ def print_summary(results: Results) -> None:
         value = paper.get(name)
         table.add_row(*row, *(["" if value is None else f"{value:.2f}"] if published else []))
     console.print(table)
-    for line in _bounds(results.bounds):
+
+
+def print_certificates(bounds: Mapping[str, float]) -> None:
+    """The certified figures on standard output; nothing where none were asked for."""
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 100)
+    for line in _bounds(bounds):
         console.print(line)
 
 

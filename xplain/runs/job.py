@@ -8,6 +8,7 @@ import logging
 import os
 import shutil
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,8 @@ from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import evaluate, with_true_labels
 from xplain.experiment.fingerprint import code_version, configuration, fingerprint, git_state
 from xplain.experiment.from_config import components_of, costs_of
-from xplain.experiment.pipeline import Prepared, Track, prepare, untracked
+from xplain.experiment.pipeline import Prepared, prepare
+from xplain.experiment.progress import SILENT, Progress
 from xplain.experiment.results import (
     EPISODES,
     Provenance,
@@ -33,7 +35,9 @@ from xplain.experiment.results import (
     results_of,
     save_results,
 )
-from xplain.report import run_summary
+from xplain.numba_kernels import tell_when_compiling
+from xplain.report.run_summary import print_certificates, print_summary
+from xplain.report.stages import stages
 from xplain.runs.folder import JobOfSweep, is_ours, job_of, mark_failed, mark_started
 from xplain.runs.forecast import print_dry_job
 from xplain.runs.mlflow import tell_links
@@ -72,14 +76,18 @@ def run_job(cfg: DictConfig) -> float | None:
 
 
 def _run_alone(cfg: DictConfig, folder: Path) -> float | None:
+    progress = stages()
+    tell_when_compiling(progress.compiling)
     tracking = instantiate(cfg.tracking)
     config, outputs = configuration(cfg), Path(cfg.outputs).absolute()
-    results, prepared = run_experiment(cfg, config, folder, run_summary.track)
+    results, prepared = run_experiment(cfg, config, folder, progress, print_summary)
+    print_certificates(results.bounds)
     results = replace(results, id=result_id(results, folder), stamp=fingerprint(config))
-    _draw(folder, prepared)
+    with progress.stage("drawing one explanation"):
+        _draw(folder, prepared)
     save_results(folder, results)
-    link = tracking.log(folder, outputs)
-    run_summary.print_summary(results)
+    with progress.stage("sending the run to MLflow"):
+        link = tracking.log(folder, outputs)
     log.info("folder: %s", os.path.relpath(folder))
     log.info("  trace.png is one explanation, results.json has all figures")
     tell_links(tracking, outputs, [] if link is None else [("MLflow", link)])
@@ -96,7 +104,7 @@ def _run_in_sweep(cfg: DictConfig, folder: Path, job: JobOfSweep) -> float | Non
                 "this worker runs other code, libraries or data than the process that started "
                 "the sweep; install the same versions on every machine"
             )
-        results, _ = run_experiment(cfg, config, folder, untracked)
+        results, _ = run_experiment(cfg, config, folder, SILENT)
     except Exception as error:  # any failure of a job is a result of the sweep
         if is_ours(folder):
             log.exception("failed")
@@ -108,7 +116,11 @@ def _run_in_sweep(cfg: DictConfig, folder: Path, job: JobOfSweep) -> float | Non
 
 
 def run_experiment(
-    cfg: DictConfig, config: dict[str, Any], folder: Path, track: Track[Any]
+    cfg: DictConfig,
+    config: dict[str, Any],
+    folder: Path,
+    progress: Progress,
+    tell: Callable[[Results], None] | None = None,
 ) -> tuple[Results, Prepared]:
     """The experiment itself: writes its episodes into the folder, returns the results.
 
@@ -116,7 +128,8 @@ def run_experiment(
         cfg: composed.
         config: the same, resolved (:func:`xplain.experiment.fingerprint.configuration`).
         folder: of the run.
-        track: shows progress.
+        progress: hears how far it is.
+        tell: hears the results before the certificates, which take as long again, are sought.
     """
     choices = {group: str(HydraConfig.get().runtime.choices[group]) for group in GROUPS}
     outputs = Path(cfg.outputs).absolute()
@@ -130,22 +143,23 @@ def run_experiment(
     certify = Certify(**cfg.certify)
 
     clock = Clock()
-    prepared = prepared_once(
-        outputs / "cache",
-        source_fingerprint(config),
-        lambda: prepare(components_of(cfg), track),
-    )
+    with progress.stage("data, user types and labelers"):
+        prepared = prepared_once(
+            outputs / "cache",
+            source_fingerprint(config),
+            lambda: prepare(components_of(cfg), progress.track),
+        )
     clock.lap("prepare")
     solvers: dict[str, Solver] = {"solver": solver, "clairvoyant": KnownType("labels")}
     if all(case.perfect is not None for case in prepared.cases):
         solvers["oracle"] = KnownType("type")
-    records = evaluate(prepared, costs, solvers, belief, cfg.seed, track)
+    records = evaluate(prepared, costs, solvers, belief, cfg.seed, progress.track)
     if solver.knows == "types":  # of others the learned types are not what they plan with
         known = with_true_labels(prepared)
-        records += evaluate(known, costs, {"true_labels": solver}, belief, cfg.seed)
+        what = "explaining, true labels known"
+        again = {"true_labels": solver}
+        records += evaluate(known, costs, again, belief, cfg.seed, progress.track, what)
     clock.lap("explain")
-    bounds = certify.certificates(prepared, costs, solver, cfg.seed)
-    clock.lap("bounds")
 
     provenance = Provenance(
         name=f"{choices['domain']} {choices['solver']} λ={cfg['lambda']:g} seed={cfg.seed}",
@@ -153,13 +167,18 @@ def run_experiment(
         code=code_version(),
         git=git_state(),
         started=started,
-        seconds=clock.laps,
+        seconds=dict(clock.laps),
         choices=choices,
         config=config,
     )
     write_text(folder / EPISODES, episode_lines(prepared, records))
     write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
-    return results_of(prepared, records, bounds, provenance), prepared
+    results = results_of(prepared, records, {}, provenance)
+    if tell is not None:
+        tell(results)
+    bounds = certify.certificates(prepared, costs, solver, cfg.seed, progress)
+    clock.lap("bounds")
+    return replace(results, bounds=bounds, seconds=dict(clock.laps)), prepared
 
 
 class Clock:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,10 +47,17 @@ DEFAULT = Effort(gap=1e-3, nodes=2_000, memory_gib=2.0)
 """Some tenths of a second at most for a trace."""
 
 
-def bounds(problem: Problem, effort: Effort = DEFAULT) -> Bounds:
+def bounds(
+    problem: Problem, effort: Effort = DEFAULT, told: Callable[[float], None] | None = None
+) -> Bounds:
     """Certified bounds of the optimal value: by HSVI; where its tables would take more than the
     effort's memory by one step of lookahead; where messages are too many for that too, from
     above by known types and from below by plans that heed no answer.
+
+    Args:
+        problem: from the start of the trace.
+        effort: when the search may stop.
+        told: hears the gap now and then while HSVI searches.
 
     Raises:
         TooLargeError: not even the tables of known types fit.
@@ -63,7 +71,7 @@ def bounds(problem: Problem, effort: Effort = DEFAULT) -> Bounds:
         lookahead = Lookahead(memory_gib=effort.memory_gib).plan(small)
         known = float(small.prior @ lookahead.policy.tables.optimal[0, 0])
         return Bounds(lookahead.lower, lookahead.upper, known)
-    found = explore(tables, Start(0, 0, small.prior), effort, small)
+    found = explore(tables, Start(0, 0, small.prior), effort, small, told)
     known = float(small.prior @ tables.optimal[0, 0])
     return Bounds(found.lower, found.upper, known)
 

@@ -77,7 +77,8 @@ def _walk(
     problem: Problem, policy: Policy, limit: int, precision: float = EXACT
 ) -> PolicyValue | None:
     """None where more than ``limit`` beliefs are reachable, or will be: a layer is seldom smaller
-    than the one before, so there must be room for two of its size."""
+    than the one before, so there must be room for as many of its size as there are steps to come.
+    Decisions of a policy that searches are dear: none is asked for in vain."""
     given = np.zeros(1, dtype=np.int64)
     weight = problem.prior[None].copy()
     evidence = np.zeros((1, problem.n_types), dtype=np.int64)
@@ -87,7 +88,7 @@ def _walk(
     budget = precision / (2 * problem.n_steps * max(worst, 1))
     negligible = NEGLIGIBLE * precision / EXACT
     for k in range(problem.n_steps):
-        if asked + min(2, problem.n_steps - k) * len(given) > limit:
+        if asked + (problem.n_steps - k) * len(given) > limit:
             return None
         asked += len(given)
         mass = weight.sum(axis=1)

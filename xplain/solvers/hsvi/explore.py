@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,15 +107,23 @@ class Found:
         return dict(zip(actions["messages"].tolist(), actions["lower"].tolist(), strict=True))
 
 
-def explore(tables: Tables, start: Start, effort: Effort, problem: Problem | None = None) -> Found:
+def explore(
+    tables: Tables,
+    start: Start,
+    effort: Effort,
+    problem: Problem | None = None,
+    told: Callable[[float], None] | None = None,
+) -> Found:
     """Searches from a belief at (k, H), within the effort. Ctrl-C is heard throughout.
 
     With the ``problem`` of the tables, a long search makes those of pairs; a short one does not
-    pay for them.
+    pay for them. ``told`` hears the gap now and then.
     """
     search = _Search(tables, start, effort, problem)
     while True:
         search.sample()
+        if told is not None:
+            told(search.gap)
         if search.stops():
             break
         search.back_up()

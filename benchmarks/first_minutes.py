@@ -1,0 +1,92 @@
+"""What the first and every later run cost in processor time, against a bare script.
+
+    python benchmarks/first_minutes.py [--quick]
+
+The bare script is what anybody's experiment pays: it imports scikit-learn and MLflow and logs a run
+into an SQLite store that exists. Later runs and it take turns, so that a machine whose speed drifts
+or is shared favours neither. Given are user + system seconds of whole processes, children included,
+and the imports that cost most. The first run finds no compiled kernels (with ``--quick`` those of
+others). Goals: a first run at most 5 times the bare script, a later one at most 1.5 times.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+
+RUN = ["-m", "xplain", "solver=pomcp", "domain=rescue", "lambda=1.5", "clusterer=dirichlet"]
+BARE = """
+import mlflow
+from sklearn.tree import DecisionTreeClassifier
+
+mlflow.set_tracking_uri("sqlite:///bare.db")
+mlflow.set_experiment("bare")
+with mlflow.start_run():
+    mlflow.log_params({"solver": "none", "seed": 0})
+    mlflow.log_metrics({"cost": 1.0, "regret": 0.5})
+"""
+
+
+def main() -> None:
+    """Prints the table."""
+    quick = "--quick" in sys.argv[1:]
+    rounds = 1 if quick else 5
+    with tempfile.TemporaryDirectory() as folder:
+        kernels = {} if quick else {"NUMBA_CACHE_DIR": str(Path(folder) / "kernels")}
+        seconds(["-c", BARE], folder, {})  # makes the store
+        bare, warm = [], []
+        first = seconds(RUN, folder, kernels)
+        for _ in range(rounds):
+            warm.append(seconds(RUN, folder, kernels))
+            bare.append(seconds(["-c", BARE], folder, {}))
+        imported = imports(folder, kernels)
+    ratios = [one / other for one, other in zip(warm, bare, strict=True)]
+    print(f"user + system seconds, {rounds} later runs in turn with the bare script, median\n")
+    print(f"bare script   {median(bare):6.1f}")
+    print(f"first run     {first:6.1f}   {first / median(bare):.1f} times the bare script")
+    print(f"later run     {median(warm):6.1f}   {median(ratios):.1f} times")
+    print("\nimports of a later run: wall seconds in modules of each package")
+    for name, spent in imported.items():
+        print(f"{name:12}  {spent:6.2f}")
+
+
+def seconds(arguments: list[str], folder: str, environment: dict[str, str]) -> float:
+    """User + system seconds of a process of Python, and of its children."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)} | environment,
+        check=True,
+        capture_output=True,
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def imports(folder: str, environment: dict[str, str]) -> dict[str, float]:
+    """Wall seconds of imports by top-level package, the dearest first."""
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", *RUN],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)} | environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    spent: dict[str, float] = {}
+    for own, name in re.findall(r"import time:\s+(\d+) \|\s+\d+ \|\s+([\w.]+)", done.stderr):
+        package = name.split(".")[0]
+        spent[package] = spent.get(package, 0.0) + int(own) / 1e6
+    dearest = sorted(spent, key=lambda package: -spent[package])[:12]
+    return {package: spent[package] for package in dearest}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""Records what a command writes on a terminal, with seconds, and tells its longest silence.
+
+    python benchmarks/silence.py [--quick] [--most SECONDS] [--out FILE] [-- COMMAND ...]
+    python benchmarks/silence.py -- make run
+    NUMBA_CACHE_DIR=$(mktemp -d) python benchmarks/silence.py
+
+Without a command it is README's, shorter with ``--quick``. Exit code 1 where nothing was written
+for longer than ``--most`` (3 seconds); a bar that moves writes. The recording has one line for each
+piece of output: the seconds at which it came, and what is left of it without a terminal's control
+codes. POSIX alone: the command runs on a pty.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import pty
+import re
+import select
+import sys
+import time
+from pathlib import Path
+
+CONTROL = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]|[\r\x07]")
+RUN = ["-m", "xplain", "solver=pomcp", "domain=rescue", "lambda=1.5"]
+
+
+def main() -> int:
+    """Runs the command on a terminal of its own."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--most", type=float, default=3.0)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("command", nargs="*")
+    given = parser.parse_args()
+    short = ["traces=2", "certify.traces=1", "tracking=none"] if given.quick else []
+    pieces, code = recorded(given.command or [sys.executable, *RUN, *short])
+    lines, last, longest = [], 0.0, (0.0, 0.0)
+    for second, text in pieces:
+        longest = max(longest, (second - last, last))
+        last = second
+        said = [line.strip() for line in CONTROL.sub("", text).split("\n")]
+        lines.append(f"{second:8.2f}  {' | '.join(filter(None, said))}")
+    if given.out is not None:
+        given.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    silence, at = longest
+    print(f"exit code {code} after {last:.1f} s; silent for {silence:.1f} s from second {at:.1f}")
+    return int(code != 0 or silence > given.most)
+
+
+def recorded(command: list[str]) -> tuple[list[tuple[float, str]], int]:
+    """What the command writes on a terminal of 100 columns, with the seconds at which it came; and
+    its exit code."""
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.environ |= {"COLUMNS": "100", "LINES": "40", "TERM": "xterm"}
+        os.execvp(command[0], command)
+    began, pieces = time.monotonic(), []
+    while True:
+        select.select([terminal], [], [])
+        try:
+            data = os.read(terminal, 65536)
+        except OSError:  # the command has closed its end
+            break
+        if not data:
+            break
+        pieces.append((time.monotonic() - began, data.decode(errors="replace")))
+    return pieces, os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

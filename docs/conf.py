@@ -1,0 +1,104 @@
+"""The site: today's Markdown, README first, and the public names from their docstrings.
+
+    make docs        build/site/index.html; warnings are errors, also of links that lead nowhere
+
+The sources are the repository's own pages, so that they read the same in a checkout.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+ALIAS = re.compile(r"TypeAliasForwardRef\('(\w+)'\)")
+ROOT = Path(__file__).resolve().parent.parent
+
+project = "xplain"
+author = "the xplain developers"
+project_copyright = author
+release = re.search(r'^version = "(.+)"', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)[1]
+
+root_doc = "README"
+include_patterns = [
+    "README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "docs/*.md",
+    "docs/api.rst",
+    "benchmarks/README.md",
+    "benchmarks/results/*.md",
+]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+suppress_warnings = ["toc.not_included"]  # pages that others link, beside those of the sidebar
+
+myst_heading_anchors = 4  # links to headings are checked
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+autodoc_type_aliases = {name: name for name in ("ArrayLike", "LabelTable", "NDArray")}
+napoleon_attr_annotations = False  # signatures have them
+napoleon_use_ivar = True
+
+html_theme = "furo"
+html_title = "xplain"
+html_copy_source = False
+html_show_sourcelink = False
+
+SIDEBAR = {
+    "Start": ["docs/tour.md", "docs/method.md", "docs/choices.md", "docs/domains.md"],
+    "Use": [
+        "docs/config.md",
+        "docs/sweeps.md",
+        "docs/reading-results.md",
+        "docs/what-to-ask.md",
+        "docs/study.md",
+    ],
+    "Embed and extend": [
+        "docs/explainer.md",
+        "docs/api.rst",
+        "docs/your-own-domain.md",
+        "docs/your-own-data.md",
+        "docs/pddl.md",
+        "docs/gymnasium.md",
+    ],
+    "Measured": ["docs/table1.md", "docs/ablation.md", "benchmarks/README.md"],
+    "Project": ["CONTRIBUTING.md", "CHANGELOG.md"],
+}
+
+
+def _with_sidebar(app: Sphinx, name: str, source: list[str]) -> None:
+    """README as Sphinx reads it has the table of contents that would be noise in a checkout."""
+    if name == root_doc:
+        for caption, pages in SIDEBAR.items():
+            lines = "\n".join(pages)
+            source[0] += f"\n\n```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{lines}\n```\n"
+
+
+def _with_index(app: Sphinx, error: Exception | None) -> None:
+    """The front page also by the name that servers look for."""
+    page = Path(app.outdir) / f"{root_doc}.html"
+    if error is None and page.exists():
+        shutil.copyfile(page, page.with_name("index.html"))
+
+
+def _with_plain_aliases(
+    app: Sphinx, kind: str, name: str, what: object, options: object, given: str, returned: str
+) -> tuple[str, str] | None:
+    """Aliases within unions by their names; None leaves a signature as it is."""
+    if "TypeAliasForwardRef" not in f"{given}{returned}":
+        return None
+    return ALIAS.sub(r"\1", given), ALIAS.sub(r"\1", returned or "")
+
+
+def setup(app: Sphinx) -> None:
+    """The hooks above."""
+    app.connect("source-read", _with_sidebar)
+    app.connect("autodoc-process-signature", _with_plain_aliases)
+    app.connect("build-finished", _with_index)

@@ -1,0 +1,87 @@
+"""What a run says while it works, with a terminal and without."""
+
+from __future__ import annotations
+
+import io
+import logging
+import sys
+import time
+
+import pytest
+
+from xplain.report import stages as module
+from xplain.report.stages import Lines, Terminal, stages
+
+
+class Screen(io.StringIO):
+    """A terminal that remembers."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_without_a_terminal_short_stages_say_nothing_and_long_ones_a_line(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A part of a long one is not a line of its own; one that ends in an error says no more."""
+    caplog.set_level(logging.INFO, "xplain")
+    assert isinstance(stages(), Lines)
+    told = stages()
+    with told.stage("short"):
+        assert list(told.track("ab", "part", 2)) == ["a", "b"]
+    assert caplog.messages == []
+    monkeypatch.setattr(module, "EVERY", 0.1)
+    with pytest.raises(KeyError), told.stage("broken"):
+        raise KeyError
+    with told.stage("long"), told.stage("part"):
+        deadline = time.monotonic() + 20
+        while not caplog.messages and time.monotonic() < deadline:
+            time.sleep(0.01)
+    assert caplog.messages == ["long …"]
+
+
+def test_without_a_terminal_long_stages_tell_how_far_they_are(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caplog.set_level(logging.INFO, "xplain")
+    now = [0.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    told = Lines()
+    for _ in told.track(range(5), "work", 5):
+        now[0] += module.EVERY / 2 + 0.1
+    with told.stage("more"):
+        now[0] += module.EVERY + 0.1
+        told.compiling("kernel 1 of at most 9 (walk)")
+    assert caplog.messages[:2] == ["work: 2 of 5", "work: 4 of 5"]
+    assert "kernel 1 of at most 9 (walk)" in caplog.messages[2]
+
+
+def test_on_a_terminal_lines_move_and_the_log_is_written_above_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Afterwards the log goes where it went."""
+    screen = Screen()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "100")
+    handler = logging.StreamHandler(screen)
+    root = logging.getLogger()
+    root.addHandler(handler)
+    try:
+        told = stages()
+        assert isinstance(told, Terminal)
+        with told.stage("whole"):
+            for item in told.track("abc", "part", 3):
+                told.compiling("kernel 1 of at most 9 (walk)")
+                told.compiling("")
+                logging.getLogger("elsewhere").warning("look: %s", item)
+                told._bars.refresh()
+            told.note("nearly there")
+            told._bars.refresh()
+        assert handler.stream is screen
+    finally:
+        root.removeHandler(handler)
+    text = screen.getvalue()
+    for words in ("whole", "part", "2 of 3", "nearly there", "look: c"):
+        assert words in text
+    assert sys.stderr is screen
