@@ -13,11 +13,14 @@ from xplain.data.queries import Answer, Answered
 from xplain.domains.base import Domain, transition_features
 from xplain.errors import InputError, number, whole_number
 from xplain.questions.battery import battery
+from xplain.questions.committee import Committee
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
 from xplain.randomness import derived_seed
 from xplain.users.setting import Setting
 
+WITHOUT = "none"
+"""In place of a file: there are no hypotheses."""
 _OF_DOMAIN: WeakKeyDictionary[Domain, Hypotheses] = WeakKeyDictionary()
 
 
@@ -107,7 +110,9 @@ class Adaptive:
         misread: share of clips that are misunderstood as a whole.
         none: probability that no hypothesis fits a person.
         from_others: weight of the observers before in the prior of the next.
-        hypotheses: an ``.npz`` file; None: those of the domain.
+        hypotheses: an ``.npz`` file; None: those of the domain; ``none``: no hypotheses, and
+            questions are those of :class:`xplain.questions.committee.Committee`.
+        screen: without hypotheses, questions chosen at a time.
     """
 
     error: float = 0.05
@@ -116,8 +121,10 @@ class Adaptive:
     none: float = 0.01
     from_others: float = 0.5
     hypotheses: str | None = None
+    screen: int = 25
 
     def __post_init__(self) -> None:
+        whole_number("queries.screen", self.screen, 1)
         for key, low, high in (("error", 1e-3, NONE_ERROR), ("misread", 0, 1), ("none", 0, 1)):
             if not low <= number(f"queries.{key}", getattr(self, key)) < high:
                 allowed = f"a number in [{low:g}, {high:.3g})"
@@ -132,6 +139,8 @@ class Adaptive:
     ) -> list[Answered]:
         """Exactly ``sizes`` labels an observer, one observer after the other; the last clip is
         cut."""
+        if self.hypotheses == WITHOUT:
+            return Committee(self.screen).ask(setting, sizes, answer, seed)
         known = hypotheses_of(setting.domain, self.hypotheses).told_apart_by_features()
         transitions = transitions_of(known, setting)
         others = np.zeros(len(known.facts))
