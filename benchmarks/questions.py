@@ -19,6 +19,8 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -51,7 +53,8 @@ from xplain.experiment.pipeline import (
 )
 from xplain.explanation.belief import Independent as IndependentLabels
 from xplain.explanation.problem import Problem
-from xplain.learning.user_types import p_explicable
+from xplain.learning.user_types import UserTypes, p_explicable
+from xplain.message_sets import indices
 from xplain.questions.designs import Adaptive, Battery, hypotheses_of
 from xplain.questions.labeler import HypothesisTrainer
 from xplain.randomness import stream
@@ -66,10 +69,17 @@ FIRST_SEED = 7000
 MAPS = ("rescue", "four_rooms", "random rescue", "random rooms")
 WAYS = {
     "random questions, trees": ("independent", "pruned"),
+    "by what was learned, trees": ("committee", "pruned"),
     "random questions, hypotheses": ("independent", "hypotheses"),
     "battery, hypotheses": ("battery", "hypotheses"),
     "adaptive, hypotheses": ("adaptive", "hypotheses"),
 }
+WRONG = (
+    *("half", "double", "half or double", "tenth"),
+    *("unwritten", "tire", "misread", "misread clips"),
+)
+MISREAD, CLIP = 0.15, 4
+"""Share of the questions that are misread; transitions in a row where they are clips."""
 POINTS = (5, 10, 20, 40, 80, 320)
 IDENTIFIED = ("map", "seed", "error", "questions", "right")
 KEY = ["map", "way", "points", "error", "people", "seed"]
@@ -156,43 +166,81 @@ def setting_of(domain: Domain, people: str, seed: int) -> Setting:
     return Setting.build(domain, tuple(own))
 
 
-def design_of(way: str, path: str | None, error: float) -> tuple[Queries, Any]:
+def design_of(way: str, path: str | None, error: float, people: str) -> tuple[Queries, Any]:
     """The query design and the trainer of a way."""
     asked, labeler = WAYS[way]
+    clips = {"clip": CLIP, "misread": MISREAD} if people == "misread clips" else {}
     designs: dict[str, Queries] = {
         "independent": Independent(),
         "battery": Battery(hypotheses=path),
-        "adaptive": Adaptive(error=max(error, 0.01), hypotheses=path),
+        "adaptive": Adaptive(error=max(error, 0.01), hypotheses=path, **clips),  # type: ignore[arg-type]
+        "committee": Adaptive(hypotheses="none"),
     }
     if labeler == "hypotheses":
         return designs[asked], None
-    return designs[asked], instantiate(composed("discover", ["labeler=pruned"]).labeler)
+    return designs[asked], instantiate(composed("discover", [f"labeler={labeler}"]).labeler)
+
+
+@dataclass(frozen=True)
+class Altered:
+    """Asks through observers whose answers are altered."""
+
+    queries: Queries
+    alter: Callable[[Answer], Answer]
+
+    def ask(self, setting: Setting, sizes: Any, answer: Answer, seed: int) -> Any:
+        """As the queries."""
+        return self.queries.ask(setting, sizes, self.alter(answer), seed)
 
 
 def observed_by(
     setting: Setting, queries: Queries, points: int, error: float, people: str, seed: int
 ) -> Observed:
     """Labels of three observers a type, with their errors."""
-    if people != "tire":
-        crowd = SimulatedObservers(3, points, error)
-        return Observed(setting, *crowd.collect(setting, queries, seed))
+    if people == "tire":
+        error, queries = 0.0, Altered(queries, lambda answer: tired(answer, points, seed))
+    elif people.startswith("misread"):
+        queries = Altered(queries, lambda answer: misreading(answer, setting, seed))
+    crowd = SimulatedObservers(3, points, error)
+    return Observed(setting, *crowd.collect(setting, queries, seed))
+
+
+def tired(answer: Answer, points: int, seed: int) -> Answer:
+    """Errors rise from 2 to 15 % over an observer's labels."""
     asked: dict[int, int] = {}
 
-    class Tired:
-        """Asks through a crowd whose error rises from 2 to 15 % over its labels."""
+    def worse(observer: int, transitions: Any, told: Any) -> NDArray[np.uint8]:
+        before = asked.get(observer, 0)
+        asked[observer] = before + len(told)
+        rate = 0.02 + 0.13 * (before + np.arange(len(told))) / max(points - 1, 1)
+        flip = stream(seed, "tire", observer, before).random(len(told)) < rate
+        return answer(observer, transitions, told) ^ flip.astype(np.uint8)
 
-        def ask(self, setting: Setting, sizes: Any, answer: Answer, seed: int) -> Any:
-            def worse(observer: int, transitions: Any, told: Any) -> NDArray[np.uint8]:
-                before = asked.get(observer, 0)
-                asked[observer] = before + len(told)
-                rate = 0.02 + 0.13 * (before + np.arange(len(told))) / max(points - 1, 1)
-                flip = stream(seed, "tire", observer, before).random(len(told)) < rate
-                return answer(observer, transitions, told) ^ flip.astype(np.uint8)
+    return worse
 
-            return queries.ask(setting, sizes, worse, seed)
 
-    crowd = SimulatedObservers(3, points, 0.0)
-    return Observed(setting, *crowd.collect(setting, Tired(), seed))
+def misreading(answer: Answer, setting: Setting, seed: int) -> Answer:
+    """A share of the questions is misread: one message is overlooked, or the label is that of what
+    the robot may do next (at the end: of another way there)."""
+    rng = stream(seed, "misread")
+    reachable = setting.reachable
+
+    def neighbour(transition: NDArray[np.int64]) -> NDArray[np.int64]:
+        beside = reachable[reachable[:, 0] == transition[2]]
+        if not len(beside):
+            beside = reachable[reachable[:, 2] == transition[2]]
+        chosen: NDArray[np.int64] = rng.choice(beside)
+        return chosen
+
+    def misread(observer: int, transitions: Any, told: Any) -> NDArray[np.uint8]:
+        if rng.random() >= MISREAD:
+            return answer(observer, transitions, told)
+        messages = indices(int(told[0]))
+        if messages and rng.random() < 0.5:
+            return answer(observer, transitions, told & ~(1 << int(rng.choice(messages))))
+        return answer(observer, np.array([neighbour(one) for one in transitions]), told)
+
+    return misread
 
 
 def row_of(
@@ -203,12 +251,12 @@ def row_of(
     setting = setting_of(domain, people, seed)
     with tempfile.TemporaryDirectory() as folder:
         path = _without_a_fact(domain, seed, Path(folder)) if people == "unwritten" else None
-        queries, trainer = design_of(way, path, error)
+        queries, trainer = design_of(way, path, error, people)
         trainer = trainer or HypothesisTrainer(domain=domain, path=path)
         observed = observed_by(setting, queries, points, error, people, seed)
         clusterer = instantiate(composed("discover", ["clusterer=dirichlet"]).clusterer)
         types = learn(observed.dataset, trainer, clusterer, seed)
-        none = _none(observed, hypotheses_of(domain, path), error)
+        none = _none(observed, types, hypotheses_of(domain, path), error)
         references = learn_references(observed, trainer, seed)
     assert observed.truth is not None
     alike = setting.distinct[observed.truth]
@@ -241,9 +289,13 @@ def _without_a_fact(domain: Domain, seed: int, folder: Path) -> str:
     return str(path)
 
 
-def _none(observed: Observed, hypotheses: Hypotheses, error: float) -> float:
-    """Share of the observers whom, by their questionnaires, rather no hypothesis fits."""
-    dataset, hypotheses = observed.dataset, hypotheses.told_apart_by_features()
+def _none(observed: Observed, types: UserTypes, hypotheses: Hypotheses, error: float) -> float:
+    """Share of the observers whom rather no hypothesis fits: by their own questionnaires, or as
+    their type holds something wrong that no hypothesis does."""
+    dataset, needs = observed.dataset, types.clustering.needs
+    unwritten = ~int(np.bitwise_or.reduce(hypotheses.facts))
+    odd = np.zeros(0) if needs is None else needs[types.clustering.assignment] & unwritten
+    hypotheses = hypotheses.told_apart_by_features()
     assert hypotheses.features is not None
     place = {row.tobytes(): t for t, row in enumerate(hypotheses.features)}
     said = []
@@ -253,7 +305,7 @@ def _none(observed: Observed, hypotheses: Hypotheses, error: float) -> float:
             t = place.get(dataset.features[dataset.transition[p]].tobytes())
             if t is not None:
                 questions.answer(int(dataset.label[p]), (t, int(dataset.message_set[p])))
-        said.append(questions.none > 0.5)
+        said.append(questions.none > 0.5 or (len(odd) > 0 and bool(odd[o])))
     return float(np.mean(said))
 
 
@@ -415,7 +467,16 @@ def main() -> None:
     every = range(FIRST_SEED, FIRST_SEED + seeds)
     traces = 2 if given.quick else given.traces
     points = (10, 20) if given.quick else given.points
-    people = ("half", "double", "half or double", "tenth", "unwritten", "tire")
+    people = (
+        "half",
+        "double",
+        "half or double",
+        "tenth",
+        "unwritten",
+        "tire",
+        "misread",
+        "misread clips",
+    )
     if given.part in ("identify", None):
         rows = identify(seeds)
         table = rows.groupby(["map", "error"], sort=False)[["questions", "right"]].mean()

@@ -46,11 +46,14 @@ def plainly(data, held_wrong, observer, transition, told, depth):
     all tables of labels."""
     n = data.n_messages
     rows = np.flatnonzero(data.transition == transition)
+    held = held_wrong[data.observer] & ~data.message_set
     over = np.zeros(2)
     for size in range(depth + 1):
         for chosen in combinations(range(n), size):
             matter = sum(1 << j for j in chosen)
-            asked = {int(held_wrong[data.observer[p]] & ~data.message_set[p] & matter) for p in rows}
+            asked = {
+                int(held_wrong[data.observer[p]] & ~data.message_set[p] & matter) for p in rows
+            }
             own = int(held_wrong[observer] & ~told & matter)
             cells = sorted(asked | {own})
             share = SUBSET**size / len(list(combinations(range(n), size)))
@@ -62,8 +65,8 @@ def plainly(data, held_wrong, observer, transition, told, depth):
                 for noise in NOISE:
                     likelihood = 1.0
                     for p in rows:
-                        cell = int(held_wrong[data.observer[p]] & ~data.message_set[p] & matter)
-                        likelihood *= 1 - noise if f[cell] == data.label[p] else noise
+                        agrees = f[int(held[p] & matter)] == data.label[p]
+                        likelihood *= 1 - noise if agrees else noise
                     over[f[own]] += prior * likelihood / len(NOISE)
     return over[1] / over.sum()
 
