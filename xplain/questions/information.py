@@ -72,14 +72,8 @@ class Posterior:
         within = _smallest([values.ravel() for values in off], count) + EQUAL
         places = [np.flatnonzero(values <= within) for values in off]
         value = np.concatenate([v.ravel()[at] for v, at in zip(off, places, strict=True)])
-        fresh = np.concatenate(
-            [
-                new[at % len(new)]
-                for new, at in zip(
-                    _fresh(groups, seen, self.hypotheses.n_transitions), places, strict=True
-                )
-            ]
-        )
+        new = _fresh(groups, seen, self.hypotheses.n_transitions)
+        fresh = np.concatenate([one[at % len(one)] for one, at in zip(new, places, strict=True)])
         level = np.round(value / EQUAL)  # equal but for rounding
         order = np.lexsort((rng.random(len(value)), ~fresh, level))[:count]
         ends = np.cumsum([len(at) for at in places])
@@ -89,8 +83,8 @@ class Posterior:
             group, at = groups[which], places[which][entry - ends[which]]
             kept, function = divmod(int(at), len(group.transitions))
             own = group.transitions[function]
-            new = own[~np.isin(own, seen)]
-            transition = int(rng.choice(new if len(new) else own))
+            unseen = own[~np.isin(own, seen)]
+            transition = int(rng.choice(unseen if len(unseen) else own))
             chosen.append((transition, int(group.facts[-1] & ~group.facts[kept])))
         return chosen
 
