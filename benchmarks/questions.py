@@ -65,11 +65,11 @@ from xplain.users.types import RandomCover
 
 RESULTS = Path(__file__).parent / "results"
 ROWS = Path("outputs/benchmarks/questions_grid.csv")
-FIRST_SEED = 7000
+FIRST_SEED = 7200
 MAPS = ("rescue", "four_rooms", "random rescue", "random rooms")
 WAYS = {
-    "random questions, trees": ("independent", "pruned"),
-    "by what was learned, trees": ("committee", "pruned"),
+    "random questions, trees": ("independent", "tree"),
+    "by what was learned, trees": ("committee", "tree"),
     "random questions, hypotheses": ("independent", "hypotheses"),
     "battery, hypotheses": ("battery", "hypotheses"),
     "adaptive, hypotheses": ("adaptive", "hypotheses"),
