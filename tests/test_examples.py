@@ -127,6 +127,26 @@ def test_the_explainer_needs_numpy_scipy_and_numba_alone(bare, tmp_path):
     assert set(ran(bare, "-c", others.format(absent), **where).split()) == {"None"}
 
 
+@pytest.mark.slow
+def test_a_questionnaire_needs_the_wheel_alone(bare, tmp_path):
+    """A table of one's own, questions, answers, and on from the text of what was asked, in an empty
+    folder beside numpy, scipy and numba."""
+    program = """
+from xplain import Hypotheses, Questionnaire
+
+wrong = 0b101
+facts = Hypotheses.of([[held >> j & 1 ^ 1 for j in range(3)] for held in range(8)])
+q = Questionnaire(facts, error=0.05)
+while not q.done:
+    transition, told = q.next()
+    q.answer(wrong >> transition & ~told >> transition & 1 ^ 1)
+    q = Questionnaire.from_json(q.to_json(), facts)
+print(q.best, q.none < 0.05, abs(q.posterior.sum() + q.none - 1) < 1e-9)
+"""
+    where = elsewhere("", tmp_path)
+    assert ran(bare, "-c", program, **where).split() == ["5", "True", "True"]
+
+
 def test_examples_test_themselves_in_three_lines():
     for name in EXAMPLES:
         (test,) = (ROOT / "examples" / name / "tests").glob("test_*.py")

@@ -125,6 +125,7 @@ def test_random_questions_tell_hypotheses_less(setting):
         (Adaptive, {"clip": 99}),
         (Adaptive, {"from_others": 1.0}),
         (Adaptive, {"misread": 1.0}),
+        (Adaptive, {"check": 1.0}),
         (Battery, {"redundancy": 0}),
     ],
 )
@@ -136,3 +137,48 @@ def test_bad_values_name_the_key(design, keys):
 def test_hypotheses_need_a_file_or_a_domain():
     with pytest.raises(InputError, match="hypotheses"):
         HypothesisTrainer()
+
+
+@pytest.mark.parametrize(("check", "least", "most"), [(0.0, 0.0, 0.1), (0.5, 0.2, 0.7)])
+def test_once_somebody_is_known_a_share_of_questions_asks_whether_that_is_all(
+    setting, monkeypatch, check, least, most
+):
+    """Every fact of the hypotheses is told, and everybody whom one fits finds it explicable. None
+    is asked before it is known what they hold wrong."""
+    checked = []
+
+    class Kept(Questionnaire):
+        def answer(self, label, question=None):
+            transitions, told = question
+            if told == 0b11:
+                assert self.done
+                checked.append(self.hypotheses.labels[0, transitions].all())
+            super().answer(label, question)
+
+    monkeypatch.setattr(designs, "Questionnaire", Kept)
+
+    def answer(observer, transitions, told):
+        return setting.labels(observer % 3, transitions, told)
+
+    asked = Adaptive(check=check).ask(setting, np.full(6, 40), answer, 0)
+    assert all(checked)
+    shares = [np.mean(one.message_sets == 0b11) for one in asked]
+    assert least <= np.mean(shares) <= most
+
+
+def test_who_holds_wrong_what_nobody_wrote_down_is_found(setting, tmp_path):
+    """The hypotheses know of the end alone; a third of the observers fear the toll. That the toll's
+    message helps them is found by questions that no hypothesis would ask."""
+    full = Hypotheses.of_domain(setting.domain)
+    end = Hypotheses.of(
+        full.labels[:2], np.arange(2), full.messages, features=full.features,
+        feature_names=full.feature_names,
+    )  # fmt: skip
+    end.save(tmp_path / "end.npz")
+    path = str(tmp_path / "end.npz")
+    crowd = SimulatedObservers(per_type=3, points=40)
+    data, truth = crowd.collect(setting, Adaptive(hypotheses=path), 0)
+    found = DirichletMixture().cluster(data, HypothesisTrainer(path=path), 0, None)
+    needs = found.needs[found.assignment]
+    assert (needs[truth == 0] == 0b01).all()
+    assert (needs[truth > 0] & 0b10 > 0).all()

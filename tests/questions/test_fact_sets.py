@@ -10,23 +10,27 @@ from scipy.special import logsumexp
 
 from tests.questions.tables import random_hypotheses
 from xplain.data.dataset import Dataset
-from xplain.questions import fact_sets
-from xplain.questions.fact_sets import (
+from xplain.questions.fact_sets import partition
+from xplain.questions.known_transitions import MATTERS, UNWRITTEN, KnownTransitions
+from xplain.questions.labeler import FactSetClassifier, HypothesisTrainer
+from xplain.questions.likelihood import (
     DEVIATION,
+    DISPUTED,
     ERROR,
     Answers,
     Cells,
-    KnownTransitions,
     log_prior,
-    partition,
 )
-from xplain.questions.labeler import FactSetClassifier, HypothesisTrainer
 
 
-def known_of(hypotheses_seed=0, facts=3, transitions=5, variants=1):
+def known_of(hypotheses_seed=0, facts=3, transitions=5, variants=1, unwritten=0):
+    """Of random labels; ``unwritten`` messages are about facts that no candidate holds wrong."""
     rows = np.arange(transitions, dtype=np.float64)[:, None]
     made = random_hypotheses(
-        hypotheses_seed, facts, transitions, variants, features=rows, feature_names=("row",)
+        *(hypotheses_seed, facts, transitions, variants),
+        messages=tuple(f"fact_{j}" for j in range(facts + unwritten)),
+        features=rows,
+        feature_names=("row",),
     )
     return KnownTransitions.of(made)
 
@@ -55,22 +59,24 @@ def plainly(known, answers, facts, variant, d, error):
         said = [table[h.facts.tolist().index(held), t] for table in h.tables]
         delta = DEVIATION[d]
         if len(set(said)) > 1:
-            delta = min(fact_sets.DISPUTED * delta, DEVIATION[-1])
+            delta = min(DISPUTED * delta, DEVIATION[-1])
+        one = said[variant] * (1 - MATTERS if held & known.unwritten else 1)
+        one = one * (1 - delta) + (1 - one) * delta
         total *= sum(
-            (1 - delta if f == said[variant] else delta)
+            (one if f else 1 - one)
             * np.prod([1 - error if label == f else error for label in labels])
             for f in (0, 1)
         )
     return total
 
 
-@given(st.integers(0, 10_000))
+@given(st.integers(0, 10_000), st.integers(0, 1))
 @settings(deadline=None, max_examples=20)
-def test_the_likelihood_is_a_sum_over_true_labels(seed):
+def test_the_likelihood_is_a_sum_over_true_labels(seed, unwritten):
     rng = np.random.default_rng(seed)
-    known = known_of(seed)
+    known = known_of(seed, unwritten=unwritten)
     answers = answers_of(rng, known, 8)
-    facts = np.array([0, 3, 5])
+    facts = np.array([0, 3, 5 + 8 * unwritten])
     found = Cells.of(known, answers, facts).log_likelihood(ERROR[[0, 3]], 3)
     for r, variant, d, e in product(range(3), range(2), range(len(DEVIATION)), range(2)):
         error = float(ERROR[[0, 3]][e])
@@ -210,3 +216,67 @@ def test_the_posterior_is_one_probability(rng):
     known = known_of(4)
     joint = Cells.of(known, answers_of(rng, known, 6), np.array([1])).log_joint(ERROR)
     assert np.exp(logsumexp(joint, axis=0)).max() <= 1
+
+
+def test_somebody_may_hold_wrong_what_no_hypothesis_does():
+    """Two messages more than facts: each candidate again with either of them."""
+    known = known_of(3, facts=3, unwritten=2)
+    h = known.hypotheses
+    assert known.unwritten == 0b11000
+    assert h.facts.tolist() == [*range(8), *range(8, 16), *range(16, 24)]
+    assert h.prior.sum() == pytest.approx(1)
+    assert h.prior[8:].sum() == pytest.approx(UNWRITTEN)
+    assert np.array_equal(h.labels[8:16], h.labels[:8])
+    assert (known.essential[8:16] == known.essential[:8] | 8).all()
+    assert known_of(3, facts=3).unwritten == 0
+
+
+def odd_people(known, facts, count, rng, odd):
+    """As :func:`people`; whoever holds fact 3 wrong, too, finds the transitions ``odd``
+    inexplicable until told."""
+    said = people(known, [held & 7 for held in facts], count, rng, 0.03)
+    for held, one in zip(facts, said, strict=True):
+        wonders = (held & ~one.message_set & 8 > 0) & np.isin(one.transition, odd)
+        one.label[wonders] = 0
+    return said
+
+
+def test_what_nobody_wrote_down_is_learned_from_answers(caplog):
+    rng = np.random.default_rng(5)
+    known = known_of(1, facts=3, transitions=30, variants=0, unwritten=1)
+    facts, odd = [1, 1, 1, 9, 9, 9], np.arange(8)
+    said = odd_people(known, facts, 120, rng, odd)
+    found = partition(known, said, 1.0, rng)
+    assert found.facts.tolist() == [int(known.essential[f]) for f in facts]
+    together = Answers(
+        *(np.concatenate(part) for part in zip(*map(columns, said[3:]), strict=True))
+    )
+    made = FactSetClassifier(known, together, None)
+    h, before = known.hypotheses, np.flatnonzero(known.hypotheses.labels[1, odd])
+    told_rest = np.full(len(before), 0b0110)
+    assert (made.known_rows(odd[before], told_rest) < 0.5).all()
+    assert (made.known_rows(odd[before], told_rest | 8) > 0.5).all()
+    # Elsewhere nothing spoke against the hypotheses.
+    other = np.flatnonzero(h.labels[1, 8:]) + 8
+    assert (made.known_rows(other, np.full(len(other), 0b0110)) > 0.9).mean() > 0.9
+
+
+def columns(answers):
+    return answers.transition, answers.message_set, answers.label, answers.weight
+
+
+def test_what_nobody_wrote_down_is_told_of(tmp_path, caplog):
+    known = known_of(1, facts=3, transitions=30, variants=0, unwritten=1)
+    plain = random_hypotheses(
+        *(1, 3, 30, 0),
+        messages=known.hypotheses.messages,
+        features=known.hypotheses.features,
+        feature_names=("row",),
+    )
+    plain.save(tmp_path / "h.npz")
+    trainer = HypothesisTrainer(path=str(tmp_path / "h.npz"))
+    for facts, warned in (([1, 1, 1], False), ([9, 9, 9], True)):
+        caplog.clear()
+        said = odd_people(known, facts, 120, np.random.default_rng(6), np.arange(10))
+        trainer.find_types(dataset_of(known, said), 1.0, 0)
+        assert ("fact_3" in caplog.text) == warned

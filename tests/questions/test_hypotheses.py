@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.questions.tables import random_hypotheses
@@ -33,6 +33,7 @@ def few_facts(seed):
 
 
 @given(seeds)
+@settings(deadline=None)
 def test_classes_are_the_candidates_that_no_question_tells_apart(seed):
     labels, facts = few_facts(seed)
     hypotheses = Hypotheses.of(labels, facts) if labels.min() == 0 else random_hypotheses(seed)
@@ -43,6 +44,7 @@ def test_classes_are_the_candidates_that_no_question_tells_apart(seed):
 
 
 @given(seeds)
+@settings(deadline=None)
 def test_the_essential_facts_are_the_smallest_candidate_that_behaves_alike(seed):
     labels, facts = few_facts(seed)
     hypotheses = Hypotheses.of(labels, facts) if labels.min() == 0 else random_hypotheses(seed)
@@ -53,6 +55,7 @@ def test_the_essential_facts_are_the_smallest_candidate_that_behaves_alike(seed)
 
 
 @given(seeds, st.integers(0, 2))
+@settings(deadline=None)
 def test_expected_labels_are_the_sum_over_candidates(seed, variants):
     hypotheses = random_hypotheses(seed, variants=variants)
     weight = np.random.default_rng(seed).random((1 + variants, 8))

@@ -34,3 +34,29 @@ def sample_trace(
         steps.append((state, action, after))
         state = after
     return np.array(steps, dtype=np.int64)
+
+
+def expected_visits(
+    model: Model,
+    optimal: NDArray[np.bool_],
+    starts: NDArray[np.int64],
+    transitions: NDArray[np.int64],
+    max_length: int,
+) -> NDArray[np.float64]:
+    """How often a trace of :func:`sample_trace` makes each transition, in expectation: [T].
+
+    Args:
+        model, optimal, starts, max_length: as for :func:`sample_trace`.
+        transitions: [T, 3] all that a trace can make, each once.
+    """
+    before, action, after = transitions.T
+    leads = model.successor[before, action] == after[:, None]
+    share = (model.probability[before, action] * leads).sum(axis=1) / optimal[before].sum(axis=1)
+    here: NDArray[np.float64] = np.bincount(starts, minlength=model.n_states) / len(starts)
+    visits = np.zeros(len(transitions))
+    for _ in range(max_length):
+        here[model.terminal] = 0.0
+        made = here[before] * share
+        visits += made
+        here = np.bincount(after, made, model.n_states).astype(np.float64)
+    return visits

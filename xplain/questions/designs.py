@@ -10,14 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.data.queries import Answer, Answered
+from xplain.data.rollouts import expected_visits
 from xplain.domains.base import Domain, transition_features
 from xplain.errors import InputError, number, whole_number
 from xplain.questions.battery import battery
+from xplain.questions.committee import LONGEST, RARE, Committee
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
-from xplain.randomness import derived_seed
+from xplain.randomness import derived_seed, stream
 from xplain.users.setting import Setting
 
+WITHOUT = "none"
+"""In place of a file: there are no hypotheses."""
+AGAIN = 0.25
+"""How likely a transition is checked again, of anybody, against before."""
 _OF_DOMAIN: WeakKeyDictionary[Domain, Hypotheses] = WeakKeyDictionary()
 
 
@@ -107,7 +113,12 @@ class Adaptive:
         misread: share of clips that are misunderstood as a whole.
         none: probability that no hypothesis fits a person.
         from_others: weight of the observers before in the prior of the next.
-        hypotheses: an ``.npz`` file; None: those of the domain.
+        check: once it is known what a person holds wrong, share of the questions that ask whether
+            it is all: every fact that hypotheses know of is told, and what the robot often does
+            should be explicable.
+        hypotheses: an ``.npz`` file; None: those of the domain; ``none``: no hypotheses, and
+            questions are those of :class:`xplain.questions.committee.Committee`.
+        screen: without hypotheses, questions chosen at a time.
     """
 
     error: float = 0.05
@@ -115,15 +126,17 @@ class Adaptive:
     misread: float = 0.0
     none: float = 0.01
     from_others: float = 0.5
+    check: float = 0.5
     hypotheses: str | None = None
+    screen: int = 25
 
     def __post_init__(self) -> None:
-        for key, low, high in (("error", 1e-3, NONE_ERROR), ("misread", 0, 1), ("none", 0, 1)):
+        whole_number("queries.screen", self.screen, 1)
+        shares = {"misread": (0, 1), "none": (0, 1), "from_others": (0, 1), "check": (0, 1)}
+        for key, (low, high) in ({"error": (1e-3, NONE_ERROR)} | shares).items():
             if not low <= number(f"queries.{key}", getattr(self, key)) < high:
                 allowed = f"a number in [{low:g}, {high:.3g})"
                 raise InputError(f"queries.{key}", getattr(self, key), allowed)
-        if not 0 <= number("queries.from_others", self.from_others) < 1:
-            raise InputError("queries.from_others", self.from_others, "a number in [0, 1)")
         if whole_number("queries.clip", self.clip, 1) > MAX_CLIP:
             raise InputError("queries.clip", self.clip, f"at most {MAX_CLIP}")
 
@@ -132,9 +145,12 @@ class Adaptive:
     ) -> list[Answered]:
         """Exactly ``sizes`` labels an observer, one observer after the other; the last clip is
         cut."""
+        if self.hypotheses == WITHOUT:
+            return Committee(self.screen).ask(setting, sizes, answer, seed)
         known = hypotheses_of(setting.domain, self.hypotheses).told_apart_by_features()
         transitions = transitions_of(known, setting)
         others = np.zeros(len(known.facts))
+        checks = _Checks.of(known, transitions, setting, stream(seed, "queries", "checks"))
         asked = []
         for o, size in enumerate(sizes.tolist()):
             share = self.from_others if o else 0.0
@@ -149,7 +165,8 @@ class Adaptive:
             )
             left = size
             while left:
-                which, told = questions.next()
+                check = questions.done and checks.rng.random() < self.check
+                which, told = checks.next() if check else questions.next()
                 clip = np.atleast_1d(which)[:left]
                 labels = answer(o, transitions[clip], np.full(len(clip), told))
                 questions.answer(labels, (clip.tolist(), told))
@@ -157,6 +174,43 @@ class Adaptive:
             others += questions.posterior / questions.posterior.sum()
             asked.append(_answered(questions, transitions))
         return asked
+
+
+@dataclass(frozen=True)
+class _Checks:
+    """Questions to which all hypotheses have the same answer: everything that they know of is told.
+
+    Attributes:
+        told: the facts of all hypotheses.
+        weight: [T] visits of each transition that is then explicable, fewer where checked before.
+        rng: of every draw.
+    """
+
+    told: int
+    weight: NDArray[np.float64]
+    rng: np.random.Generator
+
+    @classmethod
+    def of(
+        cls,
+        known: Hypotheses,
+        transitions: NDArray[np.int64],
+        setting: Setting,
+        rng: np.random.Generator,
+    ) -> _Checks:
+        reachable = setting.reachable
+        made = expected_visits(
+            setting.models[0], setting.optimal[0], setting.domain.starts, reachable, LONGEST
+        )
+        visits = dict(zip(map(bytes, reachable), (made + RARE).tolist(), strict=True))
+        weight = np.array([visits[bytes(one)] for one in transitions])
+        return cls(int(np.bitwise_or.reduce(known.facts)), weight * known.tables[0, 0], rng)
+
+    def next(self) -> tuple[int, int]:
+        """A transition, drawn by its weight, and the message set."""
+        chosen = int(self.rng.choice(len(self.weight), p=self.weight / self.weight.sum()))
+        self.weight[chosen] *= AGAIN
+        return chosen, self.told
 
 
 def _answered(questions: Questionnaire, transitions: NDArray[np.int64]) -> Answered:

@@ -12,7 +12,6 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from itertools import combinations
 from math import comb
 from pathlib import Path
 from typing import Any
@@ -20,16 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.domains.base import Domain, Parameter, transition_feature_names, transition_features
-from xplain.errors import DomainError, InputError, TooLargeError, XplainError, whole_number
-from xplain.message_sets import names_of, subsets
+from xplain.domains.base import Domain, transition_feature_names, transition_features
+from xplain.errors import DomainError, InputError, whole_number
+from xplain.message_sets import names_of
+from xplain.questions.inaccurate_values import labels_of
+from xplain.questions.label_tables import prior_over, table_of_labels
 from xplain.storage import written_whole
-from xplain.users.setting import MAX_MODELS, Setting, UserType
+from xplain.users.setting import MAX_MODELS
 
 log = logging.getLogger(__name__)
 
-SUM = 1e-6
-"""A prior sums to 1 within this."""
 AS_ASSUMED = 0.6
 """Prior of the assumed values, where there are variants."""
 
@@ -83,7 +82,7 @@ class Hypotheses:
         Raises:
             InputError: one of them is not as described, or no question separates any candidates.
         """
-        table = _table(labels)
+        table = table_of_labels(labels)
         if facts is None and len(table) & (len(table) - 1):
             raise InputError("hypotheses.labels", table.shape, "2^n rows, one a set of facts")
         masks = np.arange(len(table)) if facts is None else np.asarray(facts)
@@ -97,7 +96,7 @@ class Hypotheses:
         weight = prior_over(prior, len(table), "hypotheses.prior")
         order = np.argsort(masks)
         if len(about.get("variants", ())):
-            about["variants"] = np.stack([_table(one) for one in about["variants"]])
+            about["variants"] = np.stack([table_of_labels(one) for one in about["variants"]])
             if about["variants"].shape[1:] != table.shape:
                 shape = about["variants"].shape
                 raise InputError("hypotheses.variants", shape, f"tables like labels, {table.shape}")
@@ -131,12 +130,12 @@ class Hypotheses:
             most = max(k for k in range(n + 1) if comb(n, k) << k <= MAX_MODELS)
             most = n if 1 << n <= MAX_MODELS else max(most, 1)
         most = min(whole_number("hypotheses.most", most, 1), n)
-        setting, facts, labels = _labels_of(domain, most, 1.0)
+        setting, facts, labels = labels_of(domain, most, 1.0)
         transitions = setting.reachable
         variants = []
         for scale in scales:
             try:
-                variants.append(_labels_of(domain, most, scale)[2])
+                variants.append(labels_of(domain, most, scale)[2])
             except DomainError as error:
                 log.info("no variant of the hypotheses with values times %g: %s", scale, error)
         return cls.of(
@@ -314,79 +313,3 @@ class Hypotheses:
                 "facts that cannot be told apart: no question separates any of them, as every "
                 "transition has one label whatever is held wrong",
             )
-
-
-def prior_over(prior: ArrayLike | None, count: int, key: str) -> NDArray[np.float64]:
-    """[count] probabilities; None is uniform.
-
-    Raises:
-        InputError: of another shape, negative, or not summing to 1.
-    """
-    if prior is None:
-        return np.full(count, 1 / count)
-    try:
-        weight = np.asarray(prior, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(key, prior, f"{count} probabilities") from None
-    if weight.shape != (count,):
-        raise InputError(key, weight.shape, f"{count} probabilities, one a candidate")
-    if not (weight >= 0).all() or not abs(weight.sum() - 1) < SUM:
-        raise InputError(key, float(weight.sum()), "probabilities that sum to 1")
-    return np.asarray(weight / weight.sum())
-
-
-def _table(labels: ArrayLike) -> NDArray[np.uint8]:
-    try:
-        table = np.asarray(labels)
-    except ValueError:
-        table = np.zeros(0)
-    if table.ndim != 2 or 0 in table.shape or table.dtype.kind not in "biuf":
-        raise InputError("hypotheses.labels", table.shape, "a table [2^n, transitions]")
-    if not np.isin(table, (0, 1)).all():
-        other = table[~np.isin(table, (0, 1))][0]
-        raise InputError("hypotheses.labels", other.item(), "labels 0 and 1")
-    if len(table) > MAX_MODELS:
-        raise TooLargeError(
-            f"hypotheses: {len(table)} candidates are more than {MAX_MODELS}; leave out sets of "
-            "many facts"
-        )
-    return table.astype(np.uint8)
-
-
-def _labels_of(
-    domain: Domain, most: int, scale: float
-) -> tuple[Setting, NDArray[np.int64], NDArray[np.uint8]]:
-    """The sets of at most ``most`` facts [C], and who holds them, at the scaled values, labels
-    what the robot can do [C, T]."""
-    n = len(domain.parameters)
-    value = {p.name: _scaled(domain, p, scale) for p in domain.parameters}
-    names = [parameter.name for parameter in domain.parameters]
-    largest = list(combinations(range(n), most))
-    setting = Setting.build(
-        domain,
-        tuple(
-            UserType(str(i), {names[j]: value[names[j]] for j in chosen})
-            for i, chosen in enumerate(largest)
-        ),
-    )
-    model: dict[int, int] = {}
-    for i, chosen in enumerate(largest):
-        own = subsets(chosen)
-        models = setting.model_index(i, int(own[-1]) & ~own)
-        model.update(zip(own.tolist(), models.tolist(), strict=True))
-    facts = np.array(sorted(model))
-    by_model = setting.label_by_model(setting.reachable)
-    return setting, facts, by_model[[model[held] for held in facts.tolist()]]
-
-
-def _scaled(domain: Domain, parameter: Parameter, scale: float) -> Any:
-    """The inaccurate value times ``scale``, where it is a number and the domain takes it."""
-    wrong = parameter.inaccurate
-    if scale == 1 or isinstance(wrong, bool) or not isinstance(wrong, (int, float)):
-        return wrong
-    values = {one.name: one.accurate for one in domain.parameters}
-    try:
-        domain.model(values | {parameter.name: scale * wrong})
-    except XplainError:
-        return wrong
-    return scale * wrong

@@ -1,11 +1,12 @@
 """A labeler of hypotheses: P(label = 1) of people of one type, by what they may hold wrong.
 
 What it knows of a type is a posterior over fact sets; where the answers contradict the hypotheses,
-the answers win (:mod:`xplain.questions.fact_sets`). docs/what-to-ask.md
+the answers win (:mod:`xplain.questions.likelihood`). docs/what-to-ask.md
 """
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -24,19 +25,15 @@ from xplain.learning.labelers import (
     check_looked_at,
     paper_tree,
 )
-from xplain.message_sets import indices, subsets
+from xplain.message_sets import indices, names_of, subsets
 from xplain.questions.designs import hypotheses_of
-from xplain.questions.fact_sets import (
-    ERROR,
-    Answers,
-    Cells,
-    KnownTransitions,
-    log_prior,
-    partition,
-    truth,
-)
+from xplain.questions.fact_sets import partition
 from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.known_transitions import KnownTransitions
+from xplain.questions.likelihood import ERROR, Answers, Cells, log_prior, truth
 from xplain.randomness import derived_seed, stream
+
+log = logging.getLogger(__name__)
 
 KEPT = 1e-4
 """Fact sets with a smaller share of the posterior are left out of predictions."""
@@ -67,7 +64,7 @@ class FactSetClassifier:
     def __init__(self, known: KnownTransitions, answers: Answers, fallback: Any) -> None:
         """Works out the posterior over fact sets, variants, deviations and errors."""
         self.known, self.fallback = known, fallback
-        facts, first = np.unique(known.hypotheses.essential, return_inverse=True)
+        facts, first = np.unique(known.essential, return_inverse=True)
         prior = np.log(np.bincount(first.ravel(), known.hypotheses.prior) + 1e-300)
         joint = Cells.of(known, answers, facts).log_likelihood(ERROR, len(facts))
         joint += prior[:, None, None, None] + log_prior(known.hypotheses)[:, :, None]
@@ -102,10 +99,10 @@ class FactSetClassifier:
     ) -> NDArray[np.float64]:
         """P(f = 1) by the hypotheses alone, of their transitions [P]: [P]. Where transitions
         share their features, nobody knows which of them an answer was about."""
-        known, result = self.known.hypotheses, np.zeros(len(transitions))
+        result = np.zeros(len(transitions))
         for r, facts in enumerate(self.facts.tolist()):
-            labels = known.tables[:, known.row(facts & ~told), transitions].T.astype(np.float64)
-            result += (truth(labels) * self.weight[r]).sum(axis=(1, 2))
+            share = self.known.share_of(facts & ~told, transitions)
+            result += (truth(share) * self.weight[r]).sum(axis=(1, 2))
         return np.clip(result, EDGE, 1 - EDGE)
 
     def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -288,6 +285,9 @@ class HypothesisTrainer(LabelerTrainer):
         found = partition(known, observers, concentration, stream(derived_seed(seed, "types")))
         _, first = np.unique(found.facts, return_index=True)
         needs = found.facts[np.sort(first)]
+        if surprise := int(np.bitwise_or.reduce(needs & known.unwritten)):
+            names = ", ".join(names_of(surprise, dataset.messages))
+            log.warning("some hold wrong what no hypothesis does; it is set right by: %s", names)
         return Clustering(found.facts, "dirichlet", "hypotheses", needs=needs)
 
 

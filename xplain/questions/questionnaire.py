@@ -17,21 +17,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import entr
 
 from xplain.errors import InputError, number, whole_number
 from xplain.questions.expectation import Group, groups
-from xplain.questions.hypotheses import Hypotheses, prior_over
+from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.information import Posterior
+from xplain.questions.label_tables import prior_over
 from xplain.randomness import stream
 
 NONE_ERROR = 1 / 3
 """Whom no hypothesis fits answers as the best of them says in two of three cases: anybody who
 disagrees with all hypotheses more often than errors explain."""
 MAX_CLIP = 10
-TIE = 1e-9
-"""Clips tie when their mutual informations (bits) differ by less."""
-EQUAL = 1e-11
-"""Questions tie when their P(label 1) lie as far from ½, but for this."""
 STARTS = 16
 """Questions that clips are grown from: those that tell most by themselves."""
 FORMAT = 1
@@ -109,8 +106,15 @@ class Questionnaire:
         """The question that tells most, as (transition, message set); with ``clip`` > 1 (a list
         of transitions, message set). The same until it is answered."""
         if self._pending is None:
-            starts = self._singles(STARTS if self.clip > 1 else 1)
-            self._pending = starts[0] if self.clip == 1 else self._grown(starts)
+            seen = [transition for one in self.asked for transition in one.transitions]
+            rng = stream(self.seed, "questionnaire", len(self.asked))
+            posterior, starts = self._posterior, STARTS if self.clip > 1 else 1
+            singles = posterior.best_questions(self._groups, starts, seen, rng)
+            if self.clip == 1:
+                self._pending = singles[0]
+            else:
+                rng = stream(self.seed, "questionnaire", "clip", len(self.asked))
+                self._pending = posterior.best_clip(singles, self.clip, rng)
         return self._pending
 
     def answer(self, label: ArrayLike, question: Question | None = None) -> None:
@@ -217,17 +221,11 @@ class Questionnaire:
     def information(self, question: Question) -> float:
         """Mutual information, in bits, of the answer and (the candidate, whether any fits)."""
         transitions, told = self._checked(question)
-        pattern = self._labels(transitions, told) @ (1 << np.arange(len(transitions)))
-        shares = np.stack(
-            [
-                np.bincount(one, row, minlength=1 << len(transitions)).astype(np.float64)
-                for one, row in zip(pattern, self._weight, strict=True)
-            ]
-        )
-        return float(self._information(shares[:, :, None])[0])
+        return self._posterior.information(transitions, told)
 
     def _take(self, one: Asked) -> None:
-        right = self._labels(one.transitions, one.message_set) == np.array(one.labels)
+        labels = self._posterior.labels(one.transitions, one.message_set)
+        right = labels == np.array(one.labels)
         agree, of = right.sum(axis=2), len(one.labels)
         error = self._error[:, None]
         likelihood = (1 - error) ** agree * error ** (of - agree)
@@ -235,11 +233,6 @@ class Questionnaire:
             self._log_joint += np.log((1 - self.misread) * likelihood + self.misread / 2**of)
         self.asked.append(one)
         self._refresh()
-
-    def _labels(self, transitions: ArrayLike, told: int) -> NDArray[np.int64]:
-        """[2 + V, C, Q] labels by layer and candidate; whom none fits goes by those assumed."""
-        labels = self.hypotheses.label(transitions, told).astype(np.int64)
-        return np.concatenate([labels, labels[:1]])
 
     def _refresh(self) -> None:
         top = self._log_joint.max()
@@ -249,6 +242,14 @@ class Questionnaire:
             )
         weight = np.exp(self._log_joint - top)
         self._weight = weight / weight.sum()
+
+    @property
+    def _posterior(self) -> Posterior:
+        return Posterior(self.hypotheses, self._weight, self._error, self.misread)
+
+    @cached_property
+    def _groups(self) -> tuple[Group, ...]:
+        return groups(self.hypotheses)
 
     def _checked(self, question: Any) -> tuple[NDArray[np.int64], int]:
         known = self.hypotheses
@@ -269,140 +270,6 @@ class Questionnaire:
         if not 0 <= told < 1 << known.n_messages:
             raise InputError("question", told, f"a set of {known.n_messages} messages")
         return transitions.astype(np.int64), told
-
-    @cached_property
-    def _groups(self) -> tuple[Group, ...]:
-        return groups(self.hypotheses)
-
-    def _singles(self, count: int) -> list[tuple[int, int]]:
-        """The ``count`` best questions about one transition, the best first; of equal ones those
-        about transitions not asked about before, else at random.
-
-        All errors are those of a symmetric channel, so that a question tells more the nearer its
-        P(label 1) is to ½.
-        """
-        weight = (1 - 2 * self._error)[:, None] * self._weight
-        weight[0] += weight[-1]
-        weight = weight[:-1]
-        middle = weight.sum() / 2
-        off = [group.expected(weight) for group in self._groups]
-        for values in off:
-            np.abs(np.subtract(values, middle, out=values), out=values)
-        within = _smallest([values.ravel() for values in off], count) + EQUAL
-        places = [np.flatnonzero(values <= within) for values in off]
-        value = np.concatenate([v.ravel()[at] for v, at in zip(off, places, strict=True)])
-        fresh = np.concatenate(
-            [new[at % len(new)] for new, at in zip(self._fresh(), places, strict=True)]
-        )
-        rng = stream(self.seed, "questionnaire", len(self.asked))
-        level = np.round(value / EQUAL)  # equal but for rounding
-        order = np.lexsort((rng.random(len(value)), ~fresh, level))[:count]
-        ends = np.cumsum([len(at) for at in places])
-        chosen = []
-        for entry in order.tolist():
-            which = int(np.searchsorted(ends, entry, side="right"))
-            group, at = self._groups[which], places[which][entry - ends[which]]
-            kept, function = divmod(int(at), len(group.transitions))
-            own = group.transitions[function]
-            new = own[~np.isin(own, self._seen)]
-            transition = int(rng.choice(new if len(new) else own))
-            chosen.append((transition, int(group.facts[-1] & ~group.facts[kept])))
-        return chosen
-
-    def _fresh(self) -> list[NDArray[np.bool_]]:
-        """By group, [G] whether some transition with the function was never asked about."""
-        seen = np.zeros(self.hypotheses.n_transitions, dtype=bool)
-        seen[self._seen] = True
-        return [
-            np.array([not seen[own].all() for own in group.transitions]) for group in self._groups
-        ]
-
-    @property
-    def _seen(self) -> list[int]:
-        return [transition for one in self.asked for transition in one.transitions]
-
-    def _grown(self, starts: list[tuple[int, int]]) -> tuple[list[int], int]:
-        """The best clip of those grown transition by transition, each time by the one that makes
-        the whole clip tell most (greedy, as mutual information is submodular)."""
-        known = self.hypotheses
-        best, most = ([starts[0][0]], starts[0][1]), -1.0
-        every = np.arange(known.n_transitions)
-        rng = stream(self.seed, "questionnaire", "clip", len(self.asked))
-        for start, told in starts:
-            labels = self._labels(every, told)
-            clip, pattern = [start], labels[:, :, start]
-            value = self.information((clip, told))
-            while len(clip) < self.clip and len(after := self._beside(clip)):
-                size = 1 << len(clip)
-                layers = list(zip(pattern, self._weight, labels[:, :, after], strict=True))
-                of_one = np.stack(  # [2 + V, patterns, further]: share of label 1 after a pattern
-                    [_sum_rows(own, row[:, None] * label, size) for own, row, label in layers]
-                )
-                of_any = np.stack([np.bincount(own, row, size) for own, row, _ in layers])
-                shares = np.concatenate([of_any[:, :, None] - of_one, of_one], axis=1)
-                values = self._information(shares)
-                ties = np.flatnonzero(values > values.max() - TIE)
-                i = int(rng.choice(ties))
-                pattern = pattern + size * labels[:, :, after[i]]
-                value = float(values[i])
-                clip.append(int(after[i]))
-            if value > most + TIE:
-                best, most = (clip, told), value
-        return best
-
-    def _beside(self, clip: list[int]) -> NDArray[np.int64]:
-        """The transitions by which a clip can grow: those that follow its last one."""
-        states = self.hypotheses.states
-        others = np.setdiff1d(np.arange(self.hypotheses.n_transitions), clip)
-        return others if states is None else others[states[others, 0] == states[clip[-1], 1]]
-
-    def _information(self, shares: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Bits that answers tell: shares [2 + V, 2^c, Q] of each pattern of labels, by layer, of Q
-        questions about c transitions → [Q].
-
-        The noise has the same entropy whatever the pattern.
-        """
-        patterns = shares.shape[1]
-        layers = [
-            _channel(patterns.bit_length() - 1, error, self.misread)
-            for error in self._error.tolist()
-        ]
-        answers = sum(layer @ share for layer, share in zip(layers, shares, strict=True))
-        noise = sum(
-            share.sum() * _entropy(layer[:, 0])
-            for layer, share in zip(layers, self._weight, strict=True)
-        )
-        return np.asarray(_entropy(np.asarray(answers)) - noise)
-
-
-def _smallest(parts: list[NDArray[np.float64]], count: int) -> float:
-    """The ``count``-th smallest of all numbers, or the largest where they are fewer."""
-    if count == 1:
-        return min(float(part.min()) for part in parts)
-    merged = np.concatenate(parts)
-    last = min(count, len(merged)) - 1
-    return float(np.partition(merged, last)[last])
-
-
-def _sum_rows(
-    group: NDArray[np.int64], rows: NDArray[np.float64], count: int
-) -> NDArray[np.float64]:
-    """Sums of the rows [C, Q] of each group [C]: [count, Q]."""
-    return np.asarray((group == np.arange(count)[:, None]).astype(np.float64) @ rows)
-
-
-def _channel(length: int, error: float, misread: float) -> NDArray[np.float64]:
-    """P(answered pattern | true pattern) of clips of ``length`` labels: [2^length, 2^length]."""
-    one = np.array([[1 - error, error], [error, 1 - error]])
-    result = np.ones((1, 1))
-    for _ in range(length):
-        result = np.kron(one, result)
-    return (1 - misread) * result + misread / len(result)
-
-
-def _entropy(probability: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bits, over the first axis."""
-    return np.asarray(entr(probability).sum(axis=0) / np.log(2))
 
 
 def _share(key: str, value: object, below: float) -> float:

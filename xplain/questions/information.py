@@ -1,0 +1,180 @@
+"""How much answers tell: mutual information under what is known of a person."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import entr
+
+from xplain.questions.expectation import Group
+from xplain.questions.hypotheses import Hypotheses
+
+TIE = 1e-9
+"""Clips tie when their mutual informations (bits) differ by less."""
+EQUAL = 1e-11
+"""Questions tie when their P(label 1) lie as far from ½, but for this."""
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What is known of a person, layer by layer: the values as assumed, V variants, and somebody
+    whom no hypothesis fits.
+
+    Attributes:
+        hypotheses: C candidates.
+        weight: [2 + V, C] posterior; sums to 1.
+        error: [2 + V] probability of a wrong label.
+        misread: probability that a clip is misread.
+    """
+
+    hypotheses: Hypotheses
+    weight: NDArray[np.float64]
+    error: NDArray[np.float64]
+    misread: float
+
+    def labels(self, transitions: ArrayLike, told: int) -> NDArray[np.int64]:
+        """[2 + V, C, Q] labels by layer and candidate; whom none fits goes by those assumed."""
+        labels = self.hypotheses.label(transitions, told).astype(np.int64)
+        return np.concatenate([labels, labels[:1]])
+
+    def information(self, transitions: ArrayLike, told: int) -> float:
+        """Bits that the answer to one question tells of (the candidate, whether any fits)."""
+        labels = self.labels(transitions, told)
+        count = labels.shape[2]
+        pattern = labels @ (1 << np.arange(count))
+        shares = np.stack(
+            [
+                np.bincount(one, row, minlength=1 << count).astype(np.float64)
+                for one, row in zip(pattern, self.weight, strict=True)
+            ]
+        )
+        return float(self._bits(shares[:, :, None])[0])
+
+    def best_questions(
+        self, groups: Sequence[Group], count: int, seen: list[int], rng: np.random.Generator
+    ) -> list[tuple[int, int]]:
+        """The ``count`` best questions about one transition, the best first; of equal ones those
+        about transitions not asked about before, else at random.
+
+        All errors are those of a symmetric channel, so that a question tells more the nearer its
+        P(label 1) is to ½.
+        """
+        weight = (1 - 2 * self.error)[:, None] * self.weight
+        weight[0] += weight[-1]
+        weight = weight[:-1]
+        middle = weight.sum() / 2
+        off = [group.expected(weight) for group in groups]
+        for values in off:
+            np.abs(np.subtract(values, middle, out=values), out=values)
+        within = _smallest([values.ravel() for values in off], count) + EQUAL
+        places = [np.flatnonzero(values <= within) for values in off]
+        value = np.concatenate([v.ravel()[at] for v, at in zip(off, places, strict=True)])
+        new = _fresh(groups, seen, self.hypotheses.n_transitions)
+        fresh = np.concatenate([one[at % len(one)] for one, at in zip(new, places, strict=True)])
+        level = np.round(value / EQUAL)  # equal but for rounding
+        order = np.lexsort((rng.random(len(value)), ~fresh, level))[:count]
+        ends = np.cumsum([len(at) for at in places])
+        chosen = []
+        for entry in order.tolist():
+            which = int(np.searchsorted(ends, entry, side="right"))
+            group, at = groups[which], places[which][entry - ends[which]]
+            kept, function = divmod(int(at), len(group.transitions))
+            own = group.transitions[function]
+            unseen = own[~np.isin(own, seen)]
+            transition = int(rng.choice(unseen if len(unseen) else own))
+            chosen.append((transition, int(group.facts[-1] & ~group.facts[kept])))
+        return chosen
+
+    def best_clip(
+        self, starts: list[tuple[int, int]], length: int, rng: np.random.Generator
+    ) -> tuple[list[int], int]:
+        """The best clip of those grown transition by transition, each time by the one that makes
+        the whole clip tell most (greedy, as mutual information is submodular)."""
+        known = self.hypotheses
+        best, most = ([starts[0][0]], starts[0][1]), -1.0
+        every = np.arange(known.n_transitions)
+        for start, told in starts:
+            labels = self.labels(every, told)
+            clip, pattern = [start], labels[:, :, start]
+            value = self.information(clip, told)
+            while len(clip) < length and len(after := self._beside(clip)):
+                size = 1 << len(clip)
+                layers = list(zip(pattern, self.weight, labels[:, :, after], strict=True))
+                of_one = np.stack(  # [2 + V, patterns, further]: share of label 1 after a pattern
+                    [_sum_rows(own, row[:, None] * label, size) for own, row, label in layers]
+                )
+                of_any = np.stack([np.bincount(own, row, size) for own, row, _ in layers])
+                shares = np.concatenate([of_any[:, :, None] - of_one, of_one], axis=1)
+                values = self._bits(shares)
+                ties = np.flatnonzero(values > values.max() - TIE)
+                i = int(rng.choice(ties))
+                pattern = pattern + size * labels[:, :, after[i]]
+                value = float(values[i])
+                clip.append(int(after[i]))
+            if value > most + TIE:
+                best, most = (clip, told), value
+        return best
+
+    def _beside(self, clip: list[int]) -> NDArray[np.int64]:
+        """The transitions by which a clip can grow: those that follow its last one."""
+        states = self.hypotheses.states
+        others = np.setdiff1d(np.arange(self.hypotheses.n_transitions), clip)
+        return others if states is None else others[states[others, 0] == states[clip[-1], 1]]
+
+    def _bits(self, shares: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Bits that answers tell: shares [2 + V, 2^c, Q] of each pattern of labels, by layer, of Q
+        questions about c transitions → [Q].
+
+        The noise has the same entropy whatever the pattern.
+        """
+        patterns = shares.shape[1]
+        layers = [
+            _channel(patterns.bit_length() - 1, error, self.misread)
+            for error in self.error.tolist()
+        ]
+        answers = sum(layer @ share for layer, share in zip(layers, shares, strict=True))
+        noise = sum(
+            share.sum() * _entropy(layer[:, 0])
+            for layer, share in zip(layers, self.weight, strict=True)
+        )
+        return np.asarray(_entropy(np.asarray(answers)) - noise)
+
+
+def _fresh(groups: Sequence[Group], seen: list[int], transitions: int) -> list[NDArray[np.bool_]]:
+    """By group, [G] whether some transition with the function was never asked about."""
+    known = np.zeros(transitions, dtype=bool)
+    known[seen] = True
+    return [np.array([not known[own].all() for own in group.transitions]) for group in groups]
+
+
+def _smallest(parts: list[NDArray[np.float64]], count: int) -> float:
+    """The ``count``-th smallest of all numbers, or the largest where they are fewer."""
+    if count == 1:
+        return min(float(part.min()) for part in parts)
+    merged = np.concatenate(parts)
+    last = min(count, len(merged)) - 1
+    return float(np.partition(merged, last)[last])
+
+
+def _sum_rows(
+    group: NDArray[np.int64], rows: NDArray[np.float64], count: int
+) -> NDArray[np.float64]:
+    """Sums of the rows [C, Q] of each group [C]: [count, Q]."""
+    return np.asarray((group == np.arange(count)[:, None]).astype(np.float64) @ rows)
+
+
+def _channel(length: int, error: float, misread: float) -> NDArray[np.float64]:
+    """P(answered pattern | true pattern) of clips of ``length`` labels: [2^length, 2^length]."""
+    one = np.array([[1 - error, error], [error, 1 - error]])
+    result = np.ones((1, 1))
+    for _ in range(length):
+        result = np.kron(one, result)
+    return (1 - misread) * result + misread / len(result)
+
+
+def _entropy(probability: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bits, over the first axis."""
+    return np.asarray(entr(probability).sum(axis=0) / np.log(2))

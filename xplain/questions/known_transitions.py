@@ -1,0 +1,133 @@
+"""The hypotheses as answers are compared with them: by rows of features, and open to what nobody
+wrote down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.questions.hypotheses import Hypotheses
+from xplain.users.setting import MAX_MODELS
+
+UNWRITTEN = 0.1
+"""Probability that somebody holds a fact wrong that has a message, but is in no hypothesis."""
+MATTERS = 0.2
+"""Share of what is explicable otherwise that such a fact makes inexplicable."""
+
+
+@dataclass(frozen=True)
+class KnownTransitions:
+    """The hypotheses by rows of features: transitions that share one are one, of mean label.
+
+    A message whose fact is in no hypothesis might yet set something right. People who hold such a
+    fact wrong, alone or with others, are candidates as well. What it changes nobody knows: each
+    label may be 0 instead, and answers say where it is.
+
+    Attributes:
+        hypotheses: with features; with the candidates who hold a fact wrong that nobody wrote down.
+        unwritten: these facts, as a bitmask.
+        features: [U, F] float32, distinct.
+        share: [1 + V, C, U] float64, of the transitions with these features those labelled 1.
+    """
+
+    hypotheses: Hypotheses
+    features: NDArray[np.float32]
+    share: NDArray[np.float64]
+    unwritten: int = 0
+
+    @classmethod
+    def of(cls, hypotheses: Hypotheses) -> KnownTransitions:
+        """Of hypotheses that have features."""
+        assert hypotheses.features is not None
+        hypotheses, unwritten = _with_unwritten(hypotheses)
+        rows = np.asarray(hypotheses.features, dtype=np.float32)
+        distinct, which = np.unique(rows, axis=0, return_inverse=True)
+        member = which.ravel() == np.arange(len(distinct))[:, None]
+        share = hypotheses.tables @ (member / member.sum(axis=1, keepdims=True)).T
+        share *= _certain(hypotheses.facts, unwritten)[:, None]
+        return cls(hypotheses, distinct, share, unwritten)
+
+    @cached_property
+    def essential(self) -> NDArray[np.int64]:
+        """[C] as of the hypotheses; what nobody wrote down is never taken to change nothing."""
+        return self.hypotheses.essential | self.hypotheses.facts & self.unwritten
+
+    def share_of(
+        self, held: NDArray[np.int64], transitions: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(label 1) by the hypotheses' own transitions [P], whose features may be shared, of who
+        holds these facts [P] wrong: [P, 1 + V]."""
+        labels = self.hypotheses.tables[:, self.hypotheses.row(held), transitions]
+        return np.asarray((labels * _certain(held, self.unwritten)).T, np.float64)
+
+    @cached_property
+    def by_cell(self) -> NDArray[np.float64]:
+        """[C · U, 1 + V] :attr:`share` by the key of a cell."""
+        return np.ascontiguousarray(self.share.reshape(len(self.share), -1).T)
+
+    @cached_property
+    def ambiguous(self) -> NDArray[np.bool_]:
+        """[U] whether transitions that share the features are labelled differently."""
+        return np.asarray(((self.share > 0) & (self.share < 1)).any(axis=(0, 1)))
+
+    @cached_property
+    def _exact(self) -> dict[bytes, int]:
+        states, rows = self.hypotheses.states, self.hypotheses.features
+        if states is None or rows is None:
+            return {}
+        return {
+            state.tobytes() + row.tobytes(): t
+            for t, (state, row) in enumerate(
+                zip(states.astype(np.int64), rows.astype(np.float32), strict=True)
+            )
+        }
+
+    def find_exactly(
+        self, features: NDArray[np.float64], states: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """[P] the hypotheses' transitions with these features [P, F] between these states [P, 2];
+        −1 where there is none."""
+        rows = features.astype(np.float32)
+        keys = [s.tobytes() + row.tobytes() for s, row in zip(states, rows, strict=True)]
+        return np.array([self._exact.get(key, -1) for key in keys], dtype=np.int64)
+
+    @cached_property
+    def _place(self) -> dict[bytes, int]:
+        return {row.tobytes(): u for u, row in enumerate(self.features + np.float32(0))}
+
+    def find(self, features: NDArray[np.floating]) -> NDArray[np.int64]:
+        """[P] where rows of features [P, F] are; −1 where the hypotheses do not know them."""
+        rows = np.ascontiguousarray(features, dtype=np.float32) + np.float32(0)  # −0 is 0
+        return np.array([self._place.get(row.tobytes(), -1) for row in rows], dtype=np.int64)
+
+
+def _with_unwritten(hypotheses: Hypotheses) -> tuple[Hypotheses, int]:
+    """With each candidate those who hold one fact more wrong that has a message, but that no
+    candidate holds wrong; and these facts. Their labels are as without it."""
+    written = int(np.bitwise_or.reduce(hypotheses.facts))
+    open_facts = [1 << j for j in range(hypotheses.n_messages) if not written >> j & 1]
+    candidates = len(hypotheses.facts)
+    if not open_facts or candidates * (1 + len(open_facts)) > MAX_MODELS:
+        return hypotheses, 0
+    facts = np.concatenate([hypotheses.facts | more for more in (0, *open_facts)])
+    order = np.argsort(facts)
+    like = np.tile(np.arange(candidates), 1 + len(open_facts))[order]
+    share = np.repeat(
+        [1 - UNWRITTEN, UNWRITTEN / len(open_facts)], candidates * np.array([1, len(open_facts)])
+    )
+    extended = replace(
+        hypotheses,
+        labels=hypotheses.labels[like],
+        facts=facts[order],
+        prior=hypotheses.prior[like] * share,
+        variants=hypotheses.variants[:, like] if len(hypotheses.variants) else hypotheses.variants,
+    )
+    return extended, sum(open_facts)
+
+
+def _certain(held: NDArray[np.int64], unwritten: int) -> NDArray[np.float64]:
+    """P(the label is that of the hypotheses) of who holds these facts wrong, of any shape."""
+    return np.where(held & unwritten, 1 - MATTERS, 1.0)
