@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import functools
 import logging
 
 from flask import Flask, Response, request
-from markupsafe import Markup
 from werkzeug.exceptions import HTTPException
 from werkzeug.middleware.proxy_fix import ProxyFix
 from werkzeug.wrappers import Response as AnyResponse
 
-from xplain.participants.server import map_svg, security
+from xplain.participants.server import security
 from xplain.participants.server.http import Context, Server, context, error_page, owner
 from xplain.participants.server.participant_pages import pages as participant_pages
 from xplain.participants.server.researcher_pages import pages as researcher_pages
@@ -19,17 +17,6 @@ from xplain.participants.server.security import Keys, RateLimit
 from xplain.participants.server.store import Store
 
 log = logging.getLogger(__name__)
-
-TITLES = {
-    "consent": "Before you start",
-    "briefing": "What you know about the robot",
-    "training": "Practice",
-    "eligibility": "A short check",
-    "evaluation": "Watch the robot",
-    "quiz": "What do you know now?",
-    "questions": "A few questions",
-    "done": "Thank you",
-}
 
 
 def create_app(store: Store, server: Server) -> Flask:
@@ -42,20 +29,14 @@ def create_app(store: Store, server: Server) -> Flask:
     )
     app.extensions["study"] = Context(
         store,
-        store.study,
+        store.protocol,
         Keys(store.secret),
         server,
         RateLimit(server.requests_per_second, server.burst),
         RateLimit(server.visitors_per_second, server.visitor_burst),
     )
     app.jinja_env.trim_blocks = app.jinja_env.lstrip_blocks = True
-    app.jinja_env.globals.update(
-        map=functools.cache(lambda steps: Markup(map_svg.picture(store.study.plan, steps))),
-        changes=store.study.plan.changes,
-        legend=[(name, Markup(svg)) for name, svg in map_svg.legend(store.study.plan)],
-        texts=store.study.plan.texts,
-        titles=TITLES,
-    )
+    app.jinja_env.globals.update(**store.protocol.drawing(), texts=store.protocol.plan.texts)
     app.before_request(_limit)
     app.after_request(_secure)
     app.register_error_handler(HTTPException, _http_error)

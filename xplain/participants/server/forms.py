@@ -8,7 +8,8 @@ from typing import Any
 
 from werkzeug.datastructures import MultiDict
 
-from xplain.study.protocol.machine import Refused, State
+from xplain.errors import Refused
+from xplain.study.protocol.machine import State
 from xplain.study.protocol.plan import Study
 
 TAB_KINDS = ("visible", "hidden", "label", "recall", "retry")

@@ -8,9 +8,9 @@ from flask import Response, current_app, make_response, render_template, request
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError
+from xplain.participants.server.protocol import Protocol
 from xplain.participants.server.security import Keys, RateLimit
 from xplain.participants.server.store import Store
-from xplain.study.protocol.plan import Study
 
 PARTICIPANT = "participant"
 """The cookie of somebody who was let in."""
@@ -56,7 +56,7 @@ class Context:
     """What every page needs."""
 
     store: Store
-    study: Study
+    protocol: Protocol
     keys: Keys
     server: Server
     participant_limit: RateLimit

@@ -9,6 +9,7 @@ from typing import Any
 from flask import Blueprint, Response, make_response, redirect, render_template, request, url_for
 from werkzeug.wrappers import Response as AnyResponse
 
+from xplain.errors import Refused
 from xplain.participants.server import forms
 from xplain.participants.server.http import (
     PARTICIPANT,
@@ -20,15 +21,11 @@ from xplain.participants.server.http import (
 )
 from xplain.participants.server.slots import Full
 from xplain.participants.server.store import Participant, Unknown
-from xplain.study.protocol import machine
-from xplain.study.protocol.machine import Refused
-from xplain.study.protocol.view import page
 
 pages = Blueprint("participant", __name__)
 VISITOR = "visitor"
 """The cookie of somebody who has not entered yet; forms are bound to it."""
 _PROLIFIC = ("PROLIFIC_PID", "STUDY_ID", "SESSION_ID")
-_WITHOUT_QUESTIONS = tuple(stage for stage in machine.STAGES if stage != "questions")
 
 # Entry -----------------------------------------------------------------------------------------
 
@@ -106,23 +103,21 @@ def show() -> AnyResponse:
 
 def _page(found: Participant, problem: str = "", status: int = 200) -> Response:
     own = context()
-    view = page(own.study, found.state)
+    protocol = own.protocol
     stage = found.state.stage
     own.store.shown(found.id, found.state.accepted, stage)
     code = own.server.completion_code or found.code
     return make_response(
         render_template(
-            "ended.html" if stage in machine.ENDS else f"{stage}.html",
-            **view,
+            "ended.html" if stage in protocol.ends else f"{stage}.html",
+            **protocol.view(found.state),
             token=own.keys.form(found.id),
-            kind=machine.KINDS.get(stage, ""),
+            kind=protocol.kinds.get(stage, ""),
             problem=problem,
             code=code,
             back=own.server.completion_url.replace("{code}", code),
-            stages=machine.STAGES if own.study.plan.asked else _WITHOUT_QUESTIONS,
+            stages=protocol.stages,
             stream=found.stream,
-            recall=own.study.plan.rules.recall,
-            n_steps=own.study.plan.n_steps,
         ),
         status,
     )
@@ -147,7 +142,7 @@ def answer() -> AnyResponse:
             found.id,
             forms.sequence_of(form),
             kind,
-            forms.payload_of(kind, form, own.study, found.state),
+            own.protocol.payload(kind, form, found.state),
             forms.milliseconds(form.get("ms")),
         )
     except Full as error:

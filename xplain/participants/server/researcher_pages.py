@@ -12,7 +12,6 @@ from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.participants.server import forms
 from xplain.participants.server.http import context, error_page, genuine, set_cookie
-from xplain.study.protocol import machine
 from xplain.study.stored import STREAMS
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
@@ -44,29 +43,23 @@ def _overview(invitations: list[str]) -> Response:
         "FROM participant ORDER BY over, seen DESC LIMIT 500"
     )
     now = own.store.clock.wall()
-    slots = own.store.query(
-        "SELECT stream, user_type, condition, sum(used) AS completed, "
-        "sum(used = 0 AND holder IS NOT NULL) AS held, sum(holder IS NULL) AS free "
-        "FROM slot GROUP BY stream, user_type, condition ORDER BY stream, user_type, condition"
-    )
     flow = own.store.query(
         "SELECT stream, json_extract(state, '$.stage') AS stage, count(*) AS number "
         "FROM participant GROUP BY 1, 2"
     )
     return make_response(
         render_template(
-            "researcher.html",
+            own.protocol.overview,
+            **own.protocol.glance(own.store.query),
             token=own.keys.form(WHO),
             people=people,
             now=now,
-            slots=slots,
-            stages=(*machine.STAGES, *machine.ENDS),
+            stages=(*own.protocol.stages, *own.protocol.ends),
             flow={(row["stream"], row["stage"]): row["number"] for row in flow},
             streams=[name for name in STREAMS if any(row["stream"] == name for row in flow)],
-            roles=own.study.plan.roles,
             entrance=url_for("participant.entrance", _external=True),
             invitations=invitations,
-            plan_hash=own.study.plan.hash,
+            plan_hash=own.protocol.plan.hash,
         )
     )
 
@@ -98,14 +91,12 @@ def export() -> AnyResponse:
     """All data as one archive, made from a snapshot."""
     if not _genuine():
         return error_page(403, "Please log in first.")
-    from xplain.study.analysis.export import export as write
-
     archive = io.BytesIO()
     with tempfile.TemporaryDirectory() as folder:
         snapshot = Path(folder) / "snapshot.sqlite"
         context().store.snapshot(snapshot)
         tables = Path(folder) / "tables"
-        write(snapshot, tables)
+        context().protocol.export(snapshot, tables)
         with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as out:
             for file in sorted([snapshot, *tables.iterdir()]):
                 out.write(file, f"study/{file.name}")

@@ -6,12 +6,12 @@ time out or are not eligible, and is used up only when they complete.
 
 from __future__ import annotations
 
-import sqlite3
+from collections.abc import Mapping
 from typing import Any
 
+from xplain.errors import Refused
 from xplain.participants.server.database import Do
 from xplain.randomness import stream
-from xplain.study.protocol.machine import Refused
 from xplain.study.protocol.plan import StudyPlan
 
 
@@ -30,7 +30,7 @@ def add_block(do: Do, plan: StudyPlan, stream_name: str, block: int) -> None:
         )
 
 
-def reserve(do: Do, plan: StudyPlan, person: sqlite3.Row) -> dict[str, Any]:
+def reserve(do: Do, plan: StudyPlan, person: Mapping[str, Any]) -> dict[str, Any]:
     """Takes the first free slot of the person's stream, and draws the orders of questions:
     what the consent event carries.
 

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xplain.errors import InputError
-from xplain.participants.server import slots
+from xplain.errors import InputError, Refused
 from xplain.participants.server.database import Clock, Database, Do
-from xplain.study.protocol import machine
-from xplain.study.protocol.machine import Refused, State
-from xplain.study.protocol.plan import Study
+from xplain.participants.server.protocol import State
+from xplain.participants.server.protocols import Running, protocol_of
 from xplain.study.stored import STREAMS
 
 MAX_TAB_EVENTS = 5000
@@ -42,7 +40,7 @@ class Participant:
 class Store(Database):
     """Everything the server knows. Safe to call from several threads."""
 
-    def __init__(self, path: Path, study: Study, clock: Clock | None = None) -> None:
+    def __init__(self, path: Path, study: Running, clock: Clock | None = None) -> None:
         """Opens or creates the database.
 
         Raises:
@@ -50,6 +48,7 @@ class Store(Database):
         """
         super().__init__(path)
         self.study, self.clock = study, clock or Clock()
+        self.protocol = protocol_of(study)
         plan = study.plan
         try:
             with self.transaction() as do:
@@ -57,8 +56,7 @@ class Store(Database):
                 if row is None:
                     do("INSERT INTO meta VALUES ('plan', ?)", (plan.text,))
                     do("INSERT INTO meta VALUES ('plan_hash', ?)", (plan.hash,))
-                    for block in range(plan.rules.per_cell):
-                        slots.add_block(do, plan, "person", block)
+                    self.protocol.found(do)
                 elif row[0] != plan.text:
                     raise InputError("database", str(path), "belongs to another study plan")
         except BaseException:
@@ -143,7 +141,7 @@ class Store(Database):
                 json.dumps(kept),
                 now,
                 now,
-                State().text,
+                self.protocol.state().text,
                 code,
             ),
         )
@@ -166,7 +164,8 @@ class Store(Database):
         if not rows:
             raise Unknown
         (row,) = rows
-        return Participant(row["id"], row["stream"], State.from_text(row["state"]), row["code"])
+        state = self.protocol.state(row["state"])
+        return Participant(row["id"], row["stream"], state, row["code"])
 
     def submit(
         self,
@@ -195,7 +194,7 @@ class Store(Database):
             row = do("SELECT * FROM participant WHERE id = ?", (who,)).fetchone()
             if row is None:
                 raise Unknown
-            state = State.from_text(row["state"])
+            state = self.protocol.state(row["state"])
             if sequence < state.accepted:
                 return state
             if sequence > state.accepted:
@@ -204,7 +203,7 @@ class Store(Database):
                 return state
             if kind == "consent" and payload.get("agree"):
                 self._time_out_stale(do)
-                payload = {**payload, **slots.reserve(do, self.study.plan, row)}
+                payload = {**payload, **self.protocol.admit(do, row)}
             return self._accept(do, who, state, kind, payload, browser)
 
     def _accept(
@@ -216,7 +215,7 @@ class Store(Database):
         payload: Mapping[str, Any],
         browser: float | None,
     ) -> State:
-        outcome = machine.advance(self.study, state, kind, payload)
+        outcome = self.protocol.advance(state, kind, payload)
         after = outcome.state
         self._record(do, who, "protocol", state.accepted, kind, payload, browser)
         if answer := outcome.answer:
@@ -236,7 +235,7 @@ class Store(Database):
             (after.text, after.over, who),
         )
         if after.over:
-            slots.settle(do, who, after.stage)
+            self.protocol.settle(do, who, after.stage)
         return after
 
     def shown(self, who: str, sequence: int, stage: str) -> None:
@@ -316,5 +315,6 @@ class Store(Database):
             "SELECT id, state FROM participant WHERE over = 0 AND seen < ?", (limit,)
         ).fetchall()
         for row in stale:
-            self._accept(do, row["id"], State.from_text(row["state"]), "time_out", {}, None)
+            state = self.protocol.state(row["state"])
+            self._accept(do, row["id"], state, "time_out", {}, None)
         return len(stale)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
+from typing import Any, Protocol
 from urllib.parse import urlencode, urlsplit
 
 from xplain.study.simulation.participant import Person
@@ -107,6 +108,18 @@ class Page(HTMLParser):
         for choice in self.choices:
             found.setdefault(choice.name, []).append(choice)
         return found
+
+
+class Visitor(Protocol):
+    """Somebody simulated."""
+
+    def leaves(self) -> bool:
+        """Whether this page is where they drop out."""
+        ...
+
+
+Fill = Callable[[Any, Page], tuple[list[tuple[str, str]], float]]
+"""What such a person fills in on a page, and the seconds that it takes them."""
 
 
 def fill(person: Person, page: Page) -> tuple[list[tuple[str, str]], float]:
@@ -214,9 +227,10 @@ class Refusal(Exception):
 
 def visit(
     browser: Browser,
-    person: Person,
+    person: Visitor,
     invitation: str,
     think: Callable[[float], None] = lambda seconds: None,
+    fill: Fill = fill,
 ) -> str:
     """Takes part from the invitation to the end.
 
@@ -225,6 +239,7 @@ def visit(
         person: who answers.
         invitation: the token.
         think: called with the seconds a person would take before each answer.
+        fill: how such a person answers a page.
 
     Returns:
         The last stage; "left" for somebody who dropped out.
@@ -234,13 +249,17 @@ def visit(
         OSError: the server was away for longer than the browser's patience.
     """
     try:
-        return _visit(browser, person, invitation, think)
+        return _visit(browser, person, invitation, think, fill)
     finally:
         browser.close()
 
 
 def _visit(
-    browser: Browser, person: Person, invitation: str, think: Callable[[float], None]
+    browser: Browser,
+    person: Visitor,
+    invitation: str,
+    think: Callable[[float], None],
+    fill: Fill,
 ) -> str:
     _, html = browser.get(f"/?invitation={invitation}")
     page = Page(html)

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from xplain.errors import Refused as Refused
 from xplain.explanation import belief as beliefs
 from xplain.study.protocol.plan import Study
 
@@ -43,10 +44,6 @@ KINDS = {
     "questions": "answers",
 }
 """The kind of event that each stage waits for; ``withdraw`` and ``time_out`` are always heard."""
-
-
-class Refused(Exception):
-    """An event that the protocol does not accept here; the text is for the participant."""
 
 
 @dataclass(frozen=True)
