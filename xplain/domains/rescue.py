@@ -166,6 +166,13 @@ class Rescue:
                 return f"{verb} {ENTERS[kind]} at {cell}"
         return f"{verb} into the shelter" if self._terminal[after] else f"{verb} to {cell}"
 
+    def taken(self, state: int) -> tuple[str, ...]:
+        """Names of the items that are no longer where the map has them."""
+        flags = state % self._flags
+        named = [*(ITEM_NAMES[kind] for kind in self.bonuses if kind != "refuel"), "victim"]
+        bits = [bit for bit, kind in enumerate([*self.bonuses, ""]) if kind != "refuel"]
+        return tuple(name for name, bit in zip(named, bits, strict=True) if flags >> bit & 1)
+
     @property
     def scene(self) -> Scene:
         """The map for people: walls, and the cells of each item."""

@@ -23,15 +23,16 @@ def test_roles_follow_from_the_sentences(study: Study) -> None:
     for role in plan.roles:
         for j, (fact, told) in enumerate(zip(plan.facts, role.briefing, strict=True)):
             assert told == (fact.belief if j in role.wrong else fact.message)
-        true = [s for s in role.quiz if s.true]
-        assert [plan.facts[j].name for j in role.wrong] == [s.fact for s in true]
-        assert all(s.text == plan.facts[_of(plan, s.fact)].message for s in true)
-        false = [s for s in role.quiz if not s.true]
-        assert len(false) == 2
-        assert not {s.fact for s in false} & {s.fact for s in true}
-        assert all(s.text == plan.facts[_of(plan, s.fact)].belief for s in false)
+        assert len({s.fact for s in role.quiz}) == 4
+        assert {plan.facts[j].name for j in role.wrong} <= {s.fact for s in role.quiz}
+        for about in (role.wrong, {j for j in range(4) if j not in role.wrong}):
+            names = {plan.facts[j].name for j in about}
+            assert [s.true for s in role.quiz if s.fact in names] == [True, False]
+        for s in role.quiz:
+            fact = plan.facts[_of(plan, s.fact)]
+            assert s.text == (fact.message if s.true else fact.belief)
     # A reward with a phrase gets the paper's question; what is no number gets the sentences.
-    assert plan.roles[0].eligibility[0].options == ("0 or more", "less than 0")
+    assert plan.roles[0].eligibility[0].options == ("0 points or more", "less than 0 points")
     assert plan.roles[0].eligibility[0].answer == 1
     assert plan.roles[2].eligibility[0].answer == 0
     assert set(plan.roles[0].eligibility[3].options) == {

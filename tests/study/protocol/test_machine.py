@@ -161,11 +161,19 @@ def test_pages_show_the_trace_so_far_the_messages_apart_and_questions_in_their_o
     quiz = State(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
     statements = page(study, quiz)["statements"]
     assert statements == [(i, plan.roles[1].quiz[i].text) for i in (3, 2, 1, 0)]
-    state = State(stage="evaluation", user_type=1, step=2, given=0b0111, new=0b0100, labels=(1, 0))
+    state = State(
+        stage="evaluation",
+        user_type=1,
+        step=2,
+        given=0b0111,
+        new=0b0100,
+        labels=(1, 0),
+        heard=(1, 0, 2),
+    )
     view = page(study, state)
     assert view["trace"] == plan.trace[:3]
     assert view["labels"] == (1, 0)
-    assert view["old"] == [plan.facts[0].message, plan.facts[1].message]
+    assert view["old"] == [plan.facts[1].message, plan.facts[0].message]  # as they came
     assert view["new"] == [plan.facts[2].message]
 
 

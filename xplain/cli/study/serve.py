@@ -11,6 +11,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from omegaconf import OmegaConf
+
 from xplain.config import composed
 from xplain.errors import InputError
 from xplain.study.settings import fixed
@@ -37,7 +39,10 @@ def serve(cfg: DictConfig) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     if not os.access(path.parent, os.W_OK):
         raise InputError("database", str(path), "a file in a folder that can be written to")
-    server = Server(**{key: value for key, value in cfg.server.items() if key != "_target_"})
+    given = OmegaConf.to_container(cfg.server, resolve=True)
+    assert isinstance(given, dict), "a mapping in conf/study.yaml"
+    address = given["address"] or f"http://{cfg.host}:{cfg.port}"
+    server = Server(**{k: v for k, v in given.items() if k != "_target_"} | {"address": address})
     study, ignored = running_study(cfg, path)
     if ignored:
         print(
@@ -67,6 +72,8 @@ def running_study(cfg: DictConfig, path: Path) -> tuple[Any, list[str]]:
         print("study: preparing a new study …", file=sys.stderr)
         return study_of(study_plan(cfg)), []
     now = fixed(cfg)
+    if now["seed"] is None:
+        del now["seed"]  # drawn once, at the first start
     ignored = [key for key in now if now[key] != renamed(plan.config.get(key))]
     return study_of(plan), ignored
 

@@ -101,6 +101,24 @@ class Protocol(Interface):
         """
         ...
 
+    def readmit(self, do: Do, person: Mapping[str, Any], state: Any) -> Mapping[str, Any]:
+        """What the return of a participant who was silent for too long carries, as
+        :meth:`admit`.
+
+        Raises:
+            Refused: no place is free, or they are not away.
+        """
+        ...
+
+    def pin(self, do: Do, who: str, cell: int) -> None:
+        """Makes a participant one of that cell of the plan (a type under a condition), in the
+        order in which the protocol names its cells on the researcher's page.
+
+        Raises:
+            Refused: there is no such cell.
+        """
+        ...
+
     def settle(self, do: Do, who: str, stage: str) -> None:
         """The end of somebody's part."""
         ...

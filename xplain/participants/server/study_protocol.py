@@ -18,17 +18,6 @@ from xplain.study.protocol.machine import Outcome, State
 from xplain.study.protocol.plan import Study, StudyPlan
 from xplain.study.protocol.view import page
 
-TITLES = {
-    "consent": "Before you start",
-    "briefing": "What you know about the robot",
-    "training": "Practice",
-    "eligibility": "A short check",
-    "evaluation": "Watch the robot",
-    "quiz": "What do you know now?",
-    "questions": "A few questions",
-    "done": "Thank you",
-}
-
 
 @dataclass(frozen=True)
 class StudyProtocol:
@@ -46,9 +35,9 @@ class StudyProtocol:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """Without the questions where the plan asks none."""
-        asked = bool(self.plan.asked)
-        return tuple(stage for stage in machine.STAGES if asked or stage != "questions")
+        """Without questions where the plan asks none."""
+        without = {"before": not self.plan.before, "questions": not self.plan.asked}
+        return tuple(stage for stage in machine.STAGES if not without.get(stage))
 
     def state(self, text: str | None = None) -> State:
         """See the interface, as for all that follows."""
@@ -66,6 +55,14 @@ class StudyProtocol:
     def admit(self, do: Do, person: Mapping[str, Any]) -> dict[str, Any]:
         """Reserves a slot."""
         return slots.reserve(do, self.plan, person)
+
+    def readmit(self, do: Do, person: Mapping[str, Any], state: State) -> dict[str, Any]:
+        """Takes a slot like the one that was lost."""
+        return slots.retake(do, self.plan, person, state)
+
+    def pin(self, do: Do, who: str, cell: int) -> None:
+        """A slot of this type and condition."""
+        slots.pin(do, self.plan, who, cell)
 
     def settle(self, do: Do, who: str, stage: str) -> None:
         """The slot is used up or comes back."""
@@ -87,7 +84,7 @@ class StudyProtocol:
             "map": functools.cache(lambda steps: Markup(map_svg.picture(plan, steps))),
             "legend": [(name, Markup(svg)) for name, svg in map_svg.legend(plan)],
             "changes": plan.changes,
-            "titles": TITLES,
+            "titles": {stage: plan.texts.words[stage] for stage in machine.STAGES[:-1]},
         }
 
     def glance(self, query: Callable[[str], list[dict[str, Any]]]) -> dict[str, Any]:
@@ -97,7 +94,9 @@ class StudyProtocol:
             "sum(used = 0 AND holder IS NOT NULL) AS held, sum(holder IS NULL) AS free "
             "FROM slot GROUP BY stream, user_type, condition ORDER BY stream, user_type, condition"
         )
-        return {"slots": left, "roles": self.plan.roles}
+        roles = [role.name for role in self.plan.roles]
+        cells = [f"{roles[t]}, {condition}" for t, condition in self.plan.cells]
+        return {"slots": left, "roles": self.plan.roles, "cells": cells}
 
     def export(self, snapshot: Path, folder: Path) -> None:
         """The tidy tables."""

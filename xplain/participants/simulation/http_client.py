@@ -126,7 +126,9 @@ def fill(person: Person, page: Page) -> tuple[list[tuple[str, str]], float]:
     """The fields that a person fills in, and how long it took them, in seconds."""
     groups = page.groups()
     if page.stage == "consent":
-        return [("agree", "1")], 0.0
+        return [("agree", "1"), ("width", "1280")], 0.0
+    if page.stage == "before":
+        return list(person.asked().items()), 0.0
     if page.stage == "briefing":
         person.briefed(page.facts)
     elif page.stage == "training":
