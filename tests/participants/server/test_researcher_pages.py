@@ -81,9 +81,11 @@ def test_links_come_from_the_configured_address_not_from_the_request(store: Stor
     client = app.test_client()
     token = logged_in(client, store)
     good = {"token": token, "count": "1", "stream": "person"}
-    headers = {"Host": "evil.example.com"}
     made = client.post("/researcher/invitations", data=good)
-    html = client.get(made.headers["Location"], headers=headers).text
+    held = client.get_cookie("researcher")
+    assert held is not None
+    headers = {"Host": "evil.example.com", "Cookie": f"researcher={held.value}"}
+    html = app.test_client().get(made.headers["Location"], headers=headers).text
     assert "https://study.example.org/?invitation=" in html
     assert "evil" not in html
 
