@@ -32,7 +32,7 @@ from xplain.solvers.qmdp import QMDP
 from xplain.users.setting import Setting
 from xplain.users.types import TypeSource
 
-RUNS = 3
+RUNS = 2
 """Simulated collections."""
 MORE = 10
 TRACES = 5

@@ -266,6 +266,7 @@ def assemble(
         roles=tuple(_role(name, held, source.facts) for name, held in source.roles.items()),
         assigned=config["briefing"] == "assigned",
         hypotheses=known,
+        subject=wording["words"]["robot"] if source.domain else "",
         questions=listed,
         design=design if isinstance(design, Adaptive) else Adaptive(),
         situations=source.situations,

@@ -107,6 +107,7 @@ class Questionnaire:
         Raises:
             InputError: a value is not allowed.
         """
+        assert self._groups, "some question separates candidates"  # worked out once, for all
         made = copy.copy(self)
         made.seed = whole_number("seed", seed, 0)
         made._start(prior)

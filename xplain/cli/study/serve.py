@@ -33,10 +33,7 @@ def serve(cfg: DictConfig) -> None:
     from xplain.participants.server.http import Server
 
     check_address(cfg)
-    path = Path(cfg.database).absolute()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not os.access(path.parent, os.W_OK):
-        raise InputError("database", str(path), "a file in a folder that can be written to")
+    path = database_of(cfg)
     server = Server(**{key: value for key, value in cfg.server.items() if key != "_target_"})
     study, ignored = running_study(cfg, path)
     if ignored:
@@ -45,7 +42,20 @@ def serve(cfg: DictConfig) -> None:
             f"{', '.join(ignored)}",
             file=sys.stderr,
         )
-    _run(study, server, path, cfg)
+    run_server(study, server, path, cfg, "study")
+
+
+def database_of(cfg: DictConfig) -> Path:
+    """The database's path, in a folder that is there.
+
+    Raises:
+        InputError: it cannot be written to.
+    """
+    path = Path(cfg.database).absolute()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(path.parent, os.W_OK):
+        raise InputError("database", str(path), "a file in a folder that can be written to")
+    return path
 
 
 def check_address(cfg: DictConfig) -> None:
@@ -71,7 +81,8 @@ def running_study(cfg: DictConfig, path: Path) -> tuple[Any, list[str]]:
     return study_of(plan), ignored
 
 
-def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
+def run_server(study: Any, server: Any, path: Path, cfg: DictConfig, name: str) -> None:
+    """Serves until it is stopped; ``name`` of the command stands before what it prints."""
     from gunicorn.app.base import BaseApplication  # type: ignore[import-untyped]
 
     from xplain.participants.server.app import create_app
@@ -94,7 +105,7 @@ def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
                 "max_requests": 0,
                 "accesslog": None,
                 "loglevel": "warning",
-                "proc_name": "xplain-study",
+                "proc_name": f"xplain-{name}",
                 "control_socket_disable": True,
             }.items():
                 if key in self.cfg.settings:
@@ -109,8 +120,8 @@ def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
     key = _researcher_key(store)
     store.close()
     print(
-        f"study: http://{cfg.host}:{cfg.port}/  ·  researcher's page: /researcher, key {key}\n"
-        f"study: database {path}, plan {study.plan.hash[:16]}",
+        f"{name}: http://{cfg.host}:{cfg.port}/  ·  researcher's page: /researcher, key {key}\n"
+        f"{name}: database {path}, plan {study.plan.hash[:16]}",
         file=sys.stderr,
         flush=True,
     )

@@ -129,6 +129,7 @@ class CollectPlan:
         roles: of simulated people.
         assigned: whether each participant is told what one of the roles knows.
         hypotheses: what people might hold wrong, with phrases.
+        subject: who does what the phrases say; "" where they are whole sentences.
         questions: the list that everybody is asked, as (transition, message set); empty where
             each question depends on the answers before.
         design: of these adaptive questions; of a list, how its answers are weighed.
@@ -154,6 +155,7 @@ class CollectPlan:
     roles: tuple[Role, ...]
     assigned: bool
     hypotheses: Hypotheses
+    subject: str
     questions: tuple[tuple[int, int], ...]
     design: Adaptive
     situations: tuple[tuple[str, ...], ...]

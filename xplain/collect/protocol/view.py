@@ -55,7 +55,7 @@ def _clip(plan: CollectPlan, clip: Clip) -> dict[str, Any]:
     steps = clip.transitions
     return {
         "told": told,
-        "steps": [plan.hypotheses.phrases[t] for t in steps],
+        "steps": [f"{plan.subject} {plan.hypotheses.phrases[t]}".strip() for t in steps],
         "transitions": steps,
         "situation": plan.situations[steps[0]] if plan.situations else (),
         "pictures": [t for t in steps if plan.pictures and plan.pictures[t] is not None],

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from html import escape
+from typing import Protocol
 
 from xplain.domains.base import Item, Scene
-from xplain.study.protocol.plan import StudyPlan
 
 CELL, RULER = 48, 22
 """Side of a cell, and width of the margin with the numbers of rows and columns, in SVG units."""
@@ -15,7 +16,18 @@ COLOURS = ("#0072B2", "#D55E00", "#00795A", "#A0447E", "#8A6500", "#2F7EA8", "#5
 FLOOR, WALL, WAY, INK = "#FBFAF7", "#3B4252", "#1B5FA7", "#1F2933"
 
 
-def picture(plan: StudyPlan, steps: int) -> str:
+class Drawn(Protocol):
+    """What is drawn: a map, or none, the robot's way on it, and icons by the names of items."""
+
+    @property
+    def scene(self) -> Scene | None: ...
+    @property
+    def path(self) -> tuple[tuple[tuple[int, int], tuple[int, int]], ...] | None: ...
+    @property
+    def icons(self) -> Mapping[str, str]: ...
+
+
+def picture(plan: Drawn, steps: int) -> str:
     """The map after the first ``steps`` transitions; "" where the domain has no map.
 
     Args:
@@ -47,7 +59,7 @@ def picture(plan: StudyPlan, steps: int) -> str:
     return "".join([*parts, "</svg>"])
 
 
-def legend(plan: StudyPlan) -> list[tuple[str, str]]:
+def legend(plan: Drawn) -> list[tuple[str, str]]:
     """(name, small SVG) of everything on the map."""
     if plan.scene is None:
         return []
@@ -61,7 +73,7 @@ def legend(plan: StudyPlan) -> list[tuple[str, str]]:
     ]
 
 
-def icon(plan: StudyPlan, item: Item, index: int) -> str:
+def icon(plan: Drawn, item: Item, index: int) -> str:
     """A tile with the item's icon, or with its symbol where the configuration has no icon."""
     colour = COLOURS[index % len(COLOURS)]
     tile = (
