@@ -12,7 +12,7 @@ CODEBOOK = {
         "stream": "person, pilot or bot; decided by the invitation, never changed",
         "stage": "where they are or how it ended: done, declined, withdrawn, timed_out",
         "in_labels": "1 if their labels are in labels.csv (or labels_STREAM.csv)",
-        "left_out": "why they are not: unfinished, withdrawn, timed_out, declined, or inattentive (the "
+        "left_out": "why not: unfinished, withdrawn, timed_out, declined, or inattentive (the "
         "obvious step made sense to them)",
         "labels": "number of their labels",
         "attentive": "1 if the obvious step made no sense to them; empty if it was not reached",

@@ -76,7 +76,7 @@ class Observer:
 
     def practises(self, part: int) -> int:
         """The label of the practice step."""
-        return part ^ self._chance(self.habits.mistake)
+        return int(part) ^ int(self._chance(self.habits.mistake))
 
     def labels(self, transitions: Sequence[int], told: Sequence[str]) -> tuple[list[int], float]:
         """Labels of a clip's transitions with these messages on the page, and the seconds that it
