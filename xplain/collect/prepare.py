@@ -60,7 +60,7 @@ class Source:
         hypotheses: T transitions with phrases and features.
         facts: [n] sentences.
         roles: {name: bitmask of what it holds wrong}, of simulated people.
-        situations, paths, changes, scene, pictures: see :class:`CollectPlan`.
+        situations, gone, paths, changes, scene, pictures: see :class:`CollectPlan`.
         domain, users: of the task, where there is a model of it.
     """
 
@@ -69,6 +69,7 @@ class Source:
     facts: tuple[Fact, ...]
     roles: Mapping[str, int]
     situations: tuple[tuple[str, ...], ...] = ()
+    gone: tuple[tuple[str, ...], ...] = ()
     paths: tuple[tuple[tuple[int, int], tuple[int, int]], ...] = ()
     changes: tuple[tuple[str, ...], ...] = ()
     scene: Scene | None = None
@@ -131,19 +132,27 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
     ]
     paths = tuple((a, b) for a, b in cells if a is not None and b is not None)
     drawn = domain.scene is not None and len(paths) == len(cells)
-    told = getattr(domain, "situation", None)
     return Source(
         name=domain.name,
         hypotheses=known,
         facts=facts_of(domain.parameters),
         roles={one.name: mask_of(one.inaccurate, names) for one in types},
-        situations=tuple(tuple(told(int(s))) for s in known.states[:, 0]) if told else (),
+        situations=_at_start(domain, "situation", known),
+        gone=_at_start(domain, "gone", known),
         paths=paths if drawn else (),
         changes=() if drawn else _changes(domain, known),
         scene=domain.scene if drawn else None,
         domain=domain,
         users=users,
     )
+
+
+def _at_start(domain: Domain, method: str, known: Hypotheses) -> tuple[tuple[str, ...], ...]:
+    """[T] what a domain's method says of the state in which each transition begins; none where
+    the domain has no such method."""
+    assert known.states is not None, "hypotheses of a domain know states"
+    told = getattr(domain, method, None)
+    return () if told is None else tuple(tuple(told(int(s))) for s in known.states[:, 0])
 
 
 def _changes(domain: Domain, known: Hypotheses) -> tuple[tuple[str, ...], ...]:
@@ -270,6 +279,7 @@ def assemble(
         questions=listed,
         design=design if isinstance(design, Adaptive) else Adaptive(),
         situations=source.situations,
+        gone=source.gone,
         paths=source.paths,
         changes=source.changes,
         scene=source.scene

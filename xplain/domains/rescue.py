@@ -177,6 +177,14 @@ class Rescue:
         done = [SINCE[kind] for bit, kind in enumerate(self.bonuses) if flags >> bit & 1]
         return (*done, *(["The robot carries the victim."] if flags & self._carrying else []))
 
+    def gone(self, state: int) -> tuple[str, ...]:
+        """Names of the things on the map that are there no more in this state. A fuel station
+        stays."""
+        flags = state % self._flags
+        taken = [ITEM_NAMES[kind] for bit, kind in enumerate(self.bonuses) if flags >> bit & 1]
+        victim = [SYMBOLS[VICTIM]] if flags & self._carrying else []
+        return tuple(name for name in [*taken, *victim] if name != ITEM_NAMES["refuel"])
+
     @property
     def scene(self) -> Scene:
         """The map for people: walls, and the cells of each item."""

@@ -134,6 +134,7 @@ class CollectPlan:
             each question depends on the answers before.
         design: of these adaptive questions; of a list, how its answers are weighed.
         situations: [T] what is so when the transition begins, as sentences; or none.
+        gone: [T] names of the items that are on the map no more when it begins; or none.
         paths: [T] (cell before, cell after) on the map; or none.
         changes: [T] what each transition changes, for domains without a map; or none.
         scene: the map, or None.
@@ -159,6 +160,7 @@ class CollectPlan:
     questions: tuple[tuple[int, int], ...]
     design: Adaptive
     situations: tuple[tuple[str, ...], ...]
+    gone: tuple[tuple[str, ...], ...]
     paths: tuple[tuple[tuple[int, int], tuple[int, int]], ...]
     changes: tuple[tuple[str, ...], ...]
     scene: Scene | None

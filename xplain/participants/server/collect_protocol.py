@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,20 @@ class Drawing:
     scene: Scene | None
     path: tuple[tuple[tuple[int, int], tuple[int, int]], ...] | None
     icons: Mapping[str, str]
+
+
+def _without(scene: Scene | None, gone: tuple[str, ...]) -> Scene | None:
+    """The map when some items are gone; the others keep their colours."""
+    return scene and replace(
+        scene,
+        items=tuple(replace(item, cells=()) if item.name in gone else item for item in scene.items),
+    )
+
+
+def _beside_all(plan: CollectPlan) -> tuple[tuple[int, int], tuple[int, int]]:
+    """A place for the robot where it covers nothing, if there is one."""
+    taken = {cell for item in plan.scene.items for cell in item.cells} if plan.scene else set()
+    return next((path for path in plan.paths if path[0] not in taken), plan.paths[0])
 
 
 @dataclass(frozen=True)
@@ -133,8 +147,9 @@ class CollectProtocol:
         def drawn(transitions: tuple[int, ...]) -> Markup:
             if not plan.paths:
                 return Markup("")
-            path = tuple(plan.paths[t] for t in transitions) or plan.paths[:1]
-            drawing = Drawing(plan.scene, path, plan.icons)
+            path = tuple(plan.paths[t] for t in transitions) or (_beside_all(plan),)
+            gone = plan.gone[transitions[0]] if plan.gone and transitions else ()
+            drawing = Drawing(_without(plan.scene, gone), path, plan.icons)
             return Markup(map_svg.picture(drawing, len(transitions)))
 
         legend = map_svg.legend(Drawing(plan.scene, None, plan.icons))
