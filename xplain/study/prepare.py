@@ -322,7 +322,7 @@ def _changes(
 
 def _taken(domain: Domain, transitions: NDArray[np.int64]) -> list[tuple[str, ...]]:
     """Names of the items that are off the map after 0 … m steps, of domains that say so."""
-    taken = getattr(domain, "taken", None)
+    taken = getattr(domain, "gone", None)
     if taken is None:
         return []
     states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]

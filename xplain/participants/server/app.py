@@ -41,9 +41,8 @@ def create_app(store: Store, server: Server) -> Flask:
         Desk(),
     )
     app.jinja_env.trim_blocks = app.jinja_env.lstrip_blocks = True
-    app.jinja_env.globals.update(
-        **store.protocol.drawing(), texts=store.protocol.plan.texts, words=words
-    )
+    drawn = dict(store.protocol.drawing())
+    app.jinja_env.globals.update(drawn | {"texts": store.protocol.plan.texts, "words": words})
     app.before_request(_limit)
     app.after_request(_secure)
     app.register_error_handler(HTTPException, _http_error)

@@ -146,8 +146,9 @@ class Database:
             do("DELETE FROM step WHERE participant = ?", (who,))
             do("UPDATE slot SET holder = NULL, used = 0 WHERE holder = ?", (who,))
             do(
-                "UPDATE event SET kind = ?, source = 'erased', source_sequence = sequence, wall = 0, "
-                "monotonic = 0, boot = '', browser = NULL, payload = '{}' WHERE participant = ?",
+                "UPDATE event SET kind = ?, source = 'erased', source_sequence = sequence, "
+                "wall = 0, monotonic = 0, boot = '', browser = NULL, payload = '{}' "
+                "WHERE participant = ?",
                 (event_log.ERASED, who),
             )
             do(

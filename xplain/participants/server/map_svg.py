@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from html import escape
+from typing import Protocol
 
 from xplain.domains.base import Item, Scene, cell_name
-from xplain.study.protocol.plan import StudyPlan
 
 CELL, RULER = 64, 26
 """Side of a cell, and width of the margin with the numbers of rows and columns, in SVG units."""
@@ -16,20 +17,43 @@ COLOURS = ("#0072B2", "#D55E00", "#00795A", "#A0447E", "#8A6500", "#2F7EA8", "#5
 FLOOR, WALL, WAY, INK = "#FBFAF7", "#3B4252", "#1B5FA7", "#1F2933"
 
 
-def picture(plan: StudyPlan, steps: int) -> str:
+class Drawn(Protocol):
+    """What is drawn: a map, or none, the robot's way on it, and icons by the names of items."""
+
+    @property
+    def scene(self) -> Scene | None: ...
+    @property
+    def path(self) -> tuple[tuple[tuple[int, int], tuple[int, int]], ...] | None: ...
+    @property
+    def icons(self) -> Mapping[str, str]: ...
+
+
+WORDS = {
+    "map_step": "the map and the robot's way after step {step}",
+    "map_alone": "the map",
+    "map_words": "the list of steps says the same in words",
+    "wall": "wall",
+    "way": "the robot's way, with the numbers of its steps",
+}
+"""What a picture says, where a plan has no words of its own."""
+
+
+def picture(
+    plan: Drawn, steps: int, gone: Sequence[str] = (), words: Mapping[str, str] = WORDS
+) -> str:
     """The map after the first ``steps`` transitions; "" where the domain has no map.
 
     Args:
         plan: with scene and path.
         steps: how much of the way is drawn; 0 shows the map alone.
+        gone: names of items that are no longer on the map.
+        words: that it says.
     """
     scene, path = plan.scene, plan.path
     if scene is None or path is None:
         return ""
     width, height = scene.columns * CELL, scene.rows * CELL
-    words = plan.texts.words
     where = words["map_step"].format(step=steps) if steps else words["map_alone"]
-    gone = plan.taken[steps] if plan.taken else ()
     here = path[steps - 1][1] if steps else path[0][0]
     items = [
         (cell, icon(plan, item, index))
@@ -57,24 +81,24 @@ def picture(plan: StudyPlan, steps: int) -> str:
     return "".join([*parts, "</svg>"])
 
 
-def legend(plan: StudyPlan) -> list[tuple[str, str]]:
+def legend(plan: Drawn, words: Mapping[str, str] = WORDS) -> list[tuple[str, str]]:
     """(name, small SVG) of everything on the map."""
     if plan.scene is None:
         return []
     drawn = [(item.name, icon(plan, item, index)) for index, item in enumerate(plan.scene.items)]
     if plan.scene.walls:
         wall = f'<rect width="{CELL}" height="{CELL}" fill="{WALL}"/>'
-        drawn.append((plan.texts.words["wall"], wall))
+        drawn.append((words["wall"], wall))
     if plan.path is not None:
         way = f'<path d="M6 32H58" stroke="{WAY}" stroke-width="6"/>{_badge("1")}'
-        drawn.append((plan.texts.words["way"], way))
+        drawn.append((words["way"], way))
     return [
         (name, f'<svg class="key" viewBox="0 0 {CELL} {CELL}" aria-hidden="true">{svg}</svg>')
         for name, svg in drawn
     ]
 
 
-def icon(plan: StudyPlan, item: Item, index: int) -> str:
+def icon(plan: Drawn, item: Item, index: int) -> str:
     """A tile with the item's icon, or with its symbol where the configuration has no icon."""
     colour = COLOURS[index % len(COLOURS)]
     tile = (
@@ -162,7 +186,8 @@ def _robot(cell: tuple[int, int], aside: bool) -> str:
     left = -6 if aside else 8
     return _cell(
         cell,
-        f'<g transform="translate({left} 24)" stroke="{INK}" stroke-width="2" stroke-linecap="round">'
+        f'<g transform="translate({left} 24)" stroke="{INK}" stroke-width="2" '
+        'stroke-linecap="round">'
         f'<path d="M24 12V7"/><circle cx="24" cy="6" r="2" fill="{INK}"/>'
         '<rect x="11" y="13" width="26" height="21" rx="6" fill="#FFD95A"/>'
         f'<circle cx="19" cy="22" r="2.4" fill="{INK}"/><circle cx="29" cy="22" r="2.4" '

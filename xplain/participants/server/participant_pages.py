@@ -163,6 +163,18 @@ def consent() -> AnyResponse:
     return reply
 
 
+@pages.get("/picture/<name>")
+def picture(name: str) -> AnyResponse:
+    """An image that belongs to the plan."""
+    found = context().protocol.file(name)
+    if found is None:
+        return error_page(404, "There is no such page.")
+    media, content = found
+    response = make_response(content)
+    response.headers["Content-Type"] = media
+    return response
+
+
 @pages.post("/events")
 def events() -> AnyResponse:
     """A page's own events: seen, hidden, a label clicked. Changes no state."""

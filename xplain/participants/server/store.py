@@ -20,7 +20,7 @@ from xplain.participants.server.protocols import Running, protocol_of
 from xplain.study.stored import STREAMS
 
 LETTERS = "BCDFGHJKLMNPQRSTVWXZ"
-"""Of completion codes: no vowels, so no words, and no digits that a table would take for numbers."""
+"""Of completion codes: no vowels, so no words, and no digits that look like a number."""
 MAX_TAB_EVENTS = 5000
 """Events of a participant's pages that are kept; a study page makes a few dozen."""
 
@@ -189,9 +189,7 @@ class Store(Database):
         Raises:
             Unknown: there is none.
         """
-        rows = self.query(
-            "SELECT id, stream, state, code, erased FROM participant WHERE id = ?", (who,)
-        )
+        rows = self.query("SELECT * FROM participant WHERE id = ?", (who,))
         if not rows:
             raise Unknown
         (row,) = rows

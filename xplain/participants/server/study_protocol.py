@@ -79,10 +79,16 @@ class StudyProtocol:
 
     def drawing(self) -> dict[str, Any]:
         """The map after a number of steps."""
-        plan = self.plan
+        plan, words = self.plan, self.plan.texts.words
+
+        @functools.cache
+        def drawn(steps: int) -> Markup:
+            gone = plan.taken[steps] if plan.taken else ()
+            return Markup(map_svg.picture(plan, steps, gone, words))
+
         return {
-            "map": functools.cache(lambda steps: Markup(map_svg.picture(plan, steps))),
-            "legend": [(name, Markup(svg)) for name, svg in map_svg.legend(plan)],
+            "map": drawn,
+            "legend": [(name, Markup(svg)) for name, svg in map_svg.legend(plan, words)],
             "changes": plan.changes,
             "titles": {stage: plan.texts.words[stage] for stage in machine.STAGES[:-1]},
         }

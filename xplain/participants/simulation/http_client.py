@@ -31,6 +31,7 @@ class Page(HTMLParser):
         choices: its radio buttons and checkboxes.
         messages, facts: the sentences on the page.
         headings: texts of h1.
+        steps: ``data-step`` of the list's items: which transitions a clip shows.
     """
 
     def __init__(self, html: str) -> None:
@@ -41,6 +42,7 @@ class Page(HTMLParser):
         self.messages: list[str] = []
         self.facts: list[str] = []
         self.headings: list[str] = []
+        self.steps: list[str] = []
         self._text: list[str] | None = None
         self._skip = False
         self._inside: list[str] = []
@@ -63,6 +65,8 @@ class Page(HTMLParser):
             self._inside.append("facts")
         elif tag == "div" and "message" in classes:
             self._start("message")
+        elif tag == "li" and "data-step" in found:
+            self.steps.append(found["data-step"])
         elif tag == "li" and self._inside[-1:] == ["facts"]:
             self._start("fact")
         elif tag == "label":
