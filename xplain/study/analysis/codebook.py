@@ -12,7 +12,8 @@ CODEBOOK = {
         "eligible": "1 if the test was passed",
         "steps_labelled": "steps of the trace with a label",
         "messages_given": "messages that the robot gave (of the policy, until the last step)",
-        "inexplicable_transitions": "labels 'makes no sense' at the last step, 0 … m; paper: measure 2",
+        "inexplicable_transitions": "labels 'makes no sense' at the last step, 0 … m; paper: "
+        "measure 2",
         "quiz_score": "statements judged correctly, 0 … 4; paper: measure 3",
         "interaction_time_s": "seconds, server's wall clock, first rendering of step 1 to the "
         "last accepted label; paper: measure 1",

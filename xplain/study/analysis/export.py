@@ -39,8 +39,8 @@ def export(database: Path, folder: Path) -> str:
     """
     with reading(database) as connection:
         plan, found = plan_of(connection), tables(connection)
-    folder.mkdir(parents=True, exist_ok=True)
         head = head_of(connection)
+    folder.mkdir(parents=True, exist_ok=True)
     for name, table in found.items():
         table.map(defused).to_csv(folder / f"{name}.csv", index=False)
         table.to_parquet(folder / f"{name}.parquet", index=False)
@@ -61,11 +61,12 @@ def tables(connection: sqlite3.Connection) -> dict[str, pd.DataFrame]:
     import pandas as pd
 
     plan = plan_of(connection)
-    people = [dict(r) for r in connection.execute("SELECT * FROM participant WHERE NOT erased ORDER BY number")]
+    kept = "participant WHERE NOT erased"
+    people = [dict(r) for r in connection.execute(f"SELECT * FROM {kept} ORDER BY number")]
     events = [
         dict(r)
         for r in connection.execute(
-            "SELECT * FROM event WHERE participant IN (SELECT id FROM participant WHERE NOT erased) "
+            f"SELECT * FROM event WHERE participant IN (SELECT id FROM {kept}) "
             "ORDER BY participant, sequence"
         )
     ]
