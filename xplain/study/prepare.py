@@ -21,6 +21,7 @@ from xplain.domains.base import Domain, Parameter, Scene, cell_name, changes_of,
 from xplain.errors import InputError, whole_number
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import learn, observe
+from xplain.learning.clustering import Perfect
 from xplain.learning.labelers import Labeler
 from xplain.learning.user_types import p_explicable
 from xplain.randomness import stream
@@ -68,14 +69,17 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     )
     setting = observed.setting
     transitions = choose_trace(setting, config["trace"], config["max_steps"], cfg.seed)
+    clusterer = instantiate(cfg.clusterer)
     learned = learn(
         observed.dataset,
         instantiate(cfg.labeler),
-        instantiate(cfg.clusterer),
+        clusterer,
         cfg.seed,
         observed.truth,
     )
-    order = matched(setting, learned.labelers, cfg.seed)
+    order = list(range(len(setting.types)))
+    if not isinstance(clusterer, Perfect):  # which finds the types in their order
+        order = matched(setting, learned.labelers, cfg.seed)
     features = transition_features(setting.domain, transitions)
     labelers = [learned.labelers[one] for one in order]
     table = p_explicable(labelers, features, setting.n_messages)
