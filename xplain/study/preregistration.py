@@ -77,7 +77,7 @@ def _design(plan: StudyPlan) -> list[str]:
 
 def _measures(plan: StudyPlan) -> list[str]:
     rows = [
-        f"- {title} (`{measure}`): {MEANING[measure]}{' (secondary)' if measure in SECONDARY else ''}."
+        f"- {title} (`{measure}`{', secondary' if measure in SECONDARY else ''}): {MEANING[measure]}."
         for measure, title in {**MEASURES, **SECONDARY}.items()
     ]
     found = ["## Measures", "\n".join(rows)]
@@ -107,7 +107,7 @@ def _exclusions(plan: StudyPlan) -> list[str]:
         if q.right
     ]
     rows += [
-        f"- “{q.label}” answered otherwise than “{q.right}” after the quiz: left out of the analysis."
+        f"- “{q.label}” answered otherwise than “{q.right}” after the quiz: not analysed."
         for q in plan.asked
         if q.right
     ]
