@@ -77,7 +77,7 @@ def _design(plan: StudyPlan) -> list[str]:
 
 def _measures(plan: StudyPlan) -> list[str]:
     rows = [
-        f"- {title} (`{measure}`{', secondary' if measure in SECONDARY else ''}): {MEANING[measure]}."
+        f"- {title} (`{measure}`{', secondary' * (measure in SECONDARY)}): {MEANING[measure]}."
         for measure, title in {**MEASURES, **SECONDARY}.items()
     ]
     found = ["## Measures", "\n".join(rows)]

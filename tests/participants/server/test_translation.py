@@ -33,7 +33,7 @@ def translated(value: Any) -> Any:
         return made_up(value)
     if isinstance(value, dict):
         return {key: translated(item) for key, item in value.items()}
-    return [translated(item) for item in value]
+    return [translated(item) for item in value] if isinstance(value, list) else value
 
 
 class Words(HTMLParser):

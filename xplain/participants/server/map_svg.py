@@ -183,7 +183,7 @@ def _badge(text: str) -> str:
 
 def _robot(cell: tuple[int, int], aside: bool) -> str:
     """A small robot's head, below the numbers; to the left where something else is in the cell."""
-    left = -6 if aside else 8
+    left = -8 if aside else 8
     return _cell(
         cell,
         f'<g transform="translate({left} 24)" stroke="{INK}" stroke-width="2" '

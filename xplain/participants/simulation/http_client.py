@@ -13,6 +13,10 @@ from urllib.parse import urlencode, urlsplit
 from xplain.study.simulation.participant import Person
 
 
+WIDTH = {"width": "1280"}
+"""Of the window that a client without scripts says it has."""
+
+
 @dataclass
 class Choice:
     """A radio button or a checkbox with the words beside it."""
@@ -58,7 +62,8 @@ class Page(HTMLParser):
             self._skip = self._skip or tag == "details"
         elif tag == "input" and not self._skip:
             if kind == "hidden":
-                self.hidden[found["name"]] = found.get("value", "")
+                # Scripts would fill in the width of the window.
+                self.hidden[found["name"]] = found.get("value") or WIDTH.get(found["name"], "")
             elif kind in ("radio", "checkbox"):
                 self.choices.append(Choice(found["name"], found["value"]))
         elif tag == "ul" and "facts" in classes:
@@ -130,7 +135,7 @@ def fill(person: Person, page: Page) -> tuple[list[tuple[str, str]], float]:
     """The fields that a person fills in, and how long it took them, in seconds."""
     groups = page.groups()
     if page.stage == "consent":
-        return [("agree", "1"), ("width", "1280")], 0.0
+        return [("agree", "1")], 0.0
     if page.stage == "before":
         return list(person.asked().items()), 0.0
     if page.stage == "briefing":
