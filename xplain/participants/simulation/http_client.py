@@ -12,7 +12,6 @@ from urllib.parse import urlencode, urlsplit
 
 from xplain.study.simulation.participant import Person
 
-
 WIDTH = {"width": "1280"}
 """Of the window that a client without scripts says it has."""
 
