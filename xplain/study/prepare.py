@@ -14,7 +14,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from xplain.by_type import LabelTable
+from xplain.by_type import ByType, LabelTable
 from xplain.config import CONF
 from xplain.data.rollouts import sample_trace
 from xplain.domains.base import Domain, Parameter, Scene, cell_name, changes_of, transition_features
@@ -127,7 +127,9 @@ def matched(setting: Setting, labelers: Sequence[Labeler], seed: int) -> list[in
         axis=0,
     )
     features = transition_features(setting.domain, shown)
-    learned = p_explicable(labelers, features, setting.n_messages) > 0.5
+    table = p_explicable(labelers, features, setting.n_messages)
+    assert not isinstance(table, ByType), "a study has few messages"
+    learned = table > 0.5
     true = setting.label_table(shown).astype(bool)
     agreement = np.array([[(one == own).mean() for one in learned] for own in true])
     _, order = linear_sum_assignment(-agreement)

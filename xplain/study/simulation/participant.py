@@ -87,12 +87,12 @@ class Person:
     def asked(self) -> dict[str, str]:
         """What they answer before the briefing: what is right, else the first that is allowed, to
         questions that need an answer."""
-        first = {"number": lambda q: str(q.low), "text": lambda q: "–"}
-        return {
-            q.name: q.right or (q.options[0] if q.options else first[q.kind](q))
-            for q in self.plan.before
-            if q.needed
-        }
+        answers = {}
+        for q in self.plan.before:
+            first = q.options[0] if q.options else str(q.low) if q.kind == "number" else "–"
+            if q.needed:
+                answers[q.name] = q.right or first
+        return answers
 
     def briefed(self, sentences: Sequence[str]) -> None:
         """Takes over what the briefing says."""
