@@ -64,3 +64,11 @@ def street_plan(
 def street_collection(*args: Any, **changes: Any) -> Collection:
     """The same, at work."""
     return collection_of(street_plan(*args, **changes))
+
+
+def telling() -> Collection:
+    """One in which every question comes with other messages: the street's own need none."""
+    plan = street_plan()
+    transitions = plan.hypotheses.n_transitions
+    listed = tuple((told % transitions, told) for told in range(2, 14))
+    return Collection(replace(plan, questions=listed, expectation=EXPECTED))
