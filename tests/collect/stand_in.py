@@ -57,8 +57,13 @@ def street_plan(
         Rules(points=points, **RULES | rules),
         config,
     )
+    return at_work(plan).plan
+
+
+def at_work(plan: CollectPlan) -> Collection:
+    """A plan with an expectation that is made up."""
     plan = replace(plan, expectation=EXPECTED)
-    return CollectPlan.from_text(replace(plan, probes=probes(Collection(plan))).text)
+    return Collection(CollectPlan.from_text(replace(plan, probes=probes(Collection(plan))).text))
 
 
 def street_collection(*args: Any, **changes: Any) -> Collection:

@@ -8,21 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.collect.stand_in import FAULTLESS, street_collection
+from tests.collect.stand_in import FAULTLESS, at_work, street_collection
 from tests.participants import test_browser
 from tests.participants.server_process import ServerProcess
 from tests.participants.test_browser import By, complaints, look_at, moved_on
 from tests.participants.test_browser import axe as axe
 from tests.participants.test_browser import driver as driver
 from xplain.cli.main import main
-from xplain.collect.probes import collection_of
-from xplain.collect.protocol.plan import Collection
+from xplain.collect.protocol.plan import Collection, Rules
 from xplain.collect.simulation.observer import observer
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
 from xplain.participants.simulation.chromium import Driver, answer, go_in, press, take_part, wait
 from xplain.participants.simulation.collect_bots import fill
 from xplain.participants.simulation.http_client import Page
+from xplain.questions.designs import Adaptive
 
 pytestmark = pytest.mark.browser
 
@@ -34,16 +34,21 @@ def own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def rescue() -> Collection:
-    """The rescue task with the lab's questions, and as few simulated people as can be."""
-    from xplain.collect.prepare import collect_plan
+    """The rescue task with clips of two steps and the lab's questions; no expectation, to save
+    time."""
+    from xplain.collect.prepare import assemble, source_of
     from xplain.config import composed
+    from xplain.study.settings import fixed
 
     questions = (
         "wording.questions=[{name: age, label: Your age, kind: number, low: 18, high: 110},"
         "{name: comment, label: 'Was anything unclear?', kind: text}]"
     )
-    cfg = composed("collect", ["rules.people=5", "points=8", "queries.clip=2", questions])
-    return collection_of(collect_plan(cfg))
+    cfg = composed("collect", ["points=8", questions])
+    config = fixed(cfg)
+    rules = Rules(points=8, **config["rules"])
+    plan = assemble(source_of(cfg), Adaptive(clip=2), rules, config)
+    return at_work(plan)
 
 
 def serving(path: Path, collection: Collection) -> ServerProcess:
