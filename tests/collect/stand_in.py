@@ -57,10 +57,23 @@ def street_plan(
         Rules(points=points, **RULES | rules),
         config,
     )
+    return at_work(plan).plan
+
+
+def at_work(plan: CollectPlan) -> Collection:
+    """A plan with an expectation that is made up."""
     plan = replace(plan, expectation=EXPECTED)
-    return CollectPlan.from_text(replace(plan, probes=probes(Collection(plan))).text)
+    return Collection(CollectPlan.from_text(replace(plan, probes=probes(Collection(plan))).text))
 
 
 def street_collection(*args: Any, **changes: Any) -> Collection:
     """The same, at work."""
     return collection_of(street_plan(*args, **changes))
+
+
+def telling() -> Collection:
+    """One in which every question comes with other messages: the street's own need none."""
+    plan = street_plan()
+    transitions = plan.hypotheses.n_transitions
+    listed = tuple((told % transitions, told) for told in range(2, 14))
+    return Collection(replace(plan, questions=listed, expectation=EXPECTED))
