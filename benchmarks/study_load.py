@@ -2,6 +2,7 @@
 
     python benchmarks/study_load.py            200 participants, thinking 2 to 10 s between pages
     python benchmarks/study_load.py --quick    20 participants, thinking 0.2 to 1 s
+    python benchmarks/study_load.py --slow 50  beside 50 connections that send a byte a second
 
 Prints percentiles of the time that a page takes, from the click to the last byte of the next page
 (the answer is stored, then the page is rendered), and of single requests; exits with 1 on any
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import http.client
 import json
+import socket
 import sys
 import tempfile
 import threading
@@ -104,9 +106,32 @@ def percentiles(times: Times) -> str:
     )
 
 
-def measure(people: int, think: tuple[float, float], ramp: float) -> int:
+class Slow(threading.Thread):
+    """Connections that never finish a request: each sends a byte a second of its header."""
+
+    def __init__(self, port: int, count: int) -> None:
+        super().__init__(daemon=True)
+        self.port, self.count, self.ended = port, count, threading.Event()
+
+    def run(self) -> None:
+        """Until :attr:`ended`; connections that the server closes are opened anew."""
+        held: list[socket.socket] = []
+        while not self.ended.wait(1.0):
+            while len(held) < self.count:
+                held.append(socket.create_connection(("127.0.0.1", self.port), timeout=10))
+                held[-1].sendall(b"POST /study HTTP/1.1\r\nHost: x\r\nX-A: ")
+            for one in list(held):
+                try:
+                    one.sendall(b"a")
+                except OSError:
+                    held.remove(one)
+        for one in held:
+            one.close()
+
+
+def measure(people: int, think: tuple[float, float], ramp: float, slow: int = 0) -> int:
     """Runs and prints; how many participants met an error."""
-    plan = study_plan(composed("study", ["observers.points=150", "trace.candidates=40"]))
+    plan = study_plan(composed("study", ["seed=0", "observers.points=150", "trace.candidates=40"]))
     with tempfile.TemporaryDirectory() as folder:
         database = Path(folder) / "study.sqlite"
         Store(database, study_of(plan)).close()
@@ -117,17 +142,24 @@ def measure(people: int, think: tuple[float, float], ramp: float) -> int:
                 Participant(server.url, plan, token, number, rng.uniform(0, ramp), think)
                 for number, token in enumerate(invitations)
             ]
+            beside = Slow(server.port, slow)
+            if slow:
+                beside.start()
             start = time.perf_counter()
             for one in crowd:
                 one.start()
             for one in crowd:
                 one.join()
             took = time.perf_counter() - start
+            beside.ended.set()
     pages = [t for one in crowd for t in one.pages]
     requests = [t for one in crowd for t, _ in one.browser.timings]
     errors = [one.error for one in crowd if one.error]
     errors += [str(s) for one in crowd for _, s in one.browser.timings if s >= 400]
-    print(f"{people} participants at once, thinking {think[0]:g} to {think[1]:g} s, {took:.0f} s")
+    print(
+        f"{people} participants at once, thinking {think[0]:g} to {think[1]:g} s, {took:.0f} s"
+        f"{f', beside {slow} slow connections' if slow else ''}"
+    )
     print(f"{len(pages):6d} pages     {percentiles(pages)}")
     print(f"{len(requests):6d} requests  {percentiles(requests)}  ({len(requests) / took:.0f} /s)")
     print(f"{len(errors):6d} errors    {'; '.join(sorted(set(errors))[:5])}")
@@ -139,10 +171,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--people", type=int, default=200)
+    parser.add_argument("--slow", type=int, default=0)
     given = parser.parse_args()
     if given.quick:
-        sys.exit(measure(20, (0.2, 1.0), 1.0) > 0)
-    sys.exit(measure(given.people, (2.0, 10.0), 8.0) > 0)
+        sys.exit(measure(20, (0.2, 1.0), 1.0, given.slow) > 0)
+    sys.exit(measure(given.people, (2.0, 10.0), 8.0, given.slow) > 0)
 
 
 if __name__ == "__main__":

@@ -101,7 +101,12 @@ def test_a_default_that_differs_is_seen() -> None:
 
 
 @pytest.mark.parametrize(
-    ("config", "key", "made"), [("study", "server", Server), ("config", "tracking", MLflow)]
+    ("config", "key", "made"),
+    [
+        ("study", "server", Server),
+        ("collect", "server", Server),
+        ("config", "tracking", MLflow),
+    ],
 )
 def test_a_class_and_its_file_have_one_default(
     config: str, key: str, made: type, monkeypatch: pytest.MonkeyPatch

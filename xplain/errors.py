@@ -43,6 +43,10 @@ class TooLargeError(XplainError):
     """A problem needs more memory than allowed; the text says how much, and what can be done."""
 
 
+class Refused(Exception):
+    """An answer of a participant that is not accepted; the text is for them."""
+
+
 def number(key: str, value: object) -> float:
     """A finite number.
 

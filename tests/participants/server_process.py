@@ -25,9 +25,11 @@ def free_port() -> int:
 
 
 class ServerProcess:
-    """``python -m xplain study`` on 127.0.0.1, over a database that holds a plan already."""
+    """``python -m xplain study`` (or ``collect``) on 127.0.0.1, over a database that holds a plan
+    already."""
 
-    def __init__(self, database: Path, *overrides: str) -> None:
+    def __init__(self, database: Path, *overrides: str, command: str = "study") -> None:
+        self.command = command
         self.database, self.port, self.overrides = database, free_port(), overrides
         self.url = f"http://127.0.0.1:{self.port}"
         self.key = ""
@@ -37,7 +39,7 @@ class ServerProcess:
     def start(self) -> None:
         """Returns when the server answers."""
         command = [
-            *(sys.executable, "-m", "xplain", "study", f"port={self.port}"),
+            *(sys.executable, "-m", "xplain", self.command, f"port={self.port}"),
             *(f"database={self.database}", *self.overrides),
         ]
         environment = os.environ | {"PYTHONPATH": str(ROOT)}

@@ -88,7 +88,7 @@ def rescue() -> Study:
         "{name: gender, label: Your gender, kind: choice, choices: [woman, man, another]},"
         "{name: comment, label: 'Was anything unclear?', kind: text}]"
     )
-    return study_of(study_plan(composed("study", ["observers.points=150", questions])))
+    return study_of(study_plan(composed("study", ["seed=0", "observers.points=150", questions])))
 
 
 def serving(path: Path, study: Study) -> ServerProcess:
@@ -199,6 +199,62 @@ def test_every_page_is_accessible_and_is_photographed(
 def look_at(driver: Driver, axe: str, name: str) -> None:
     assert faults(driver, axe) == [], name
     photograph(driver, name)
+
+
+def preview(driver: Driver, server: ServerProcess, cell: int) -> None:
+    """Begins as a pilot of that type and condition, from the researcher's page."""
+    driver.get(f"{server.url}/researcher")
+    if driver.find_elements(By.ID, "key"):
+        driver.find_element(By.ID, "key").send_keys(server.key)
+        press(driver)
+    wait(lambda: bool(driver.find_elements(By.ID, "cell")))
+    box = driver.find_element(By.ID, "cell")
+    driver.execute_script("arguments[0].value = arguments[1]", box, str(cell))
+    box.find_element(By.XPATH, "./ancestor::form//button").click()
+    wait(lambda: sequence(driver) is not None)
+
+
+def scrolled(driver: Driver, person: Person) -> float:
+    """Pixels that a participant scrolls in the evaluation: to every answer that they click, and to
+    the button, no further than they have to."""
+    total = 0.0
+    while (page := Page(driver.page_source)).hidden:
+        fields, at = fill(person, page)[0], 0.0
+        targets = [f'input[name="{name}"][value="{value}"]' for name, value in fields]
+        for selector in [*targets[::-1], "main form button"]:
+            found = driver.find_element(By.CSS_SELECTOR, selector)
+            if selector in targets and found.is_selected():
+                continue
+            script = "arguments[0].scrollIntoView({block: 'nearest'}); return window.scrollY"
+            y = driver.execute_script(script, found)
+            if page.stage == "evaluation":
+                total += abs(y - at)
+            at = y
+            found.click()
+        wait(lambda before=page.hidden["sequence"]: moved_on(driver, before))  # type: ignore[misc]
+    assert page.stage == "done"
+    return total
+
+
+def test_scrolling_hangs_on_no_condition(driver: Driver, rescue: Study, tmp_path: Path) -> None:
+    """At three window sizes: over a whole study the conditions differ by less than a tenth."""
+    plan, measured = rescue.plan, {}
+    driver.implicitly_wait(0)
+    with serving(tmp_path / "s.sqlite", rescue) as server:
+        for width, height in ((1920, 1080), (1280, 800), (390, 844)):
+            size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+            driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+            total = dict.fromkeys(plan.conditions, 0.0)
+            for cell, (user_type, condition) in enumerate(plan.cells):
+                if user_type in (0, 3):
+                    preview(driver, server, cell)
+                    total[condition] += scrolled(
+                        driver, Person(plan, FAULTLESS, np.random.default_rng(0))
+                    )
+            measured[width] = total
+    print(measured)
+    for total in measured.values():
+        assert max(total.values()) - min(total.values()) <= 0.1 * max(total.values()), measured
 
 
 def test_bots_in_chromium_take_part_and_replay_agrees(

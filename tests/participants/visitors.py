@@ -13,7 +13,9 @@ from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import Browser, Page, fill
 from xplain.study.simulation.participant import Person
 
-GENEROUS = Server(("invitation", "prolific", "open"), burst=1e9, visitor_burst=1e9)
+GENEROUS = Server(
+    ("invitation", "prolific", "open"), ("s",), burst=1e9, visitor_burst=1e9, blinded=False
+)
 
 
 class Visitor(Browser):

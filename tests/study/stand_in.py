@@ -10,7 +10,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import yaml
 
+from xplain.config import CONF
 from xplain.domains.base import Item, Parameter, Scene
 from xplain.domains.mdp import MDP
 from xplain.study.policies import study_of
@@ -86,6 +88,14 @@ TYPES = (
     UserType("Z", {"school": -3.0, "tunnel": False}),
 )
 
+
+def english_words() -> dict[str, str]:
+    """Everything that the pages say, in English."""
+    shared = yaml.safe_load((CONF / "words" / "en.yaml").read_text(encoding="utf-8"))
+    own = yaml.safe_load((CONF / "study" / "texts" / "en.yaml").read_text(encoding="utf-8"))
+    return {**shared, **own["words"]}
+
+
 CONFIG: dict[str, Any] = {
     "seed": 3,
     "lambda": 1.0,
@@ -100,6 +110,7 @@ CONFIG: dict[str, Any] = {
     },
     "belief": {"_target_": "xplain.explanation.belief.Independent"},
     "rules": {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30, "recall": True},
+    "before": [],
     "questions": [
         {"name": "age", "label": "Your age", "kind": "number", "low": 18, "high": 110},
         {"name": "comment", "label": "Anything else?", "kind": "text", "max_length": 200},
@@ -110,7 +121,11 @@ CONFIG: dict[str, Any] = {
         "consent": ["Do you want to?"],
         "introduction": ["A robot walks."],
         "task": ["Label."],
-        "goodbye": ["Bye."],
+        "debriefing": ["Bye."],
+        "known": [],
+        "facts": {},
+        "phrases": {},
+        "words": english_words(),
         "training": {"belief": "b", "action": "a", "message": "m"},
         "rewards": {"bridge": "Crossing the bridge"},
         "hide": [],

@@ -9,20 +9,24 @@ import numpy as np
 import pytest
 
 from tests.participants.visitors import GENEROUS, Visitor
-from tests.study.stand_in import FAULTLESS
+from tests.study.stand_in import FAULTLESS, TYPES, Street, street_plan
+from xplain.config import composed
+from xplain.domains.base import cell_name
 from xplain.errors import InputError
+from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.participants.server.app import create_app
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import visit
+from xplain.study import prepare
+from xplain.study.policies import difference, study_of
+from xplain.study.prepare import choose_trace, phrases_of, study_plan
 from xplain.study.simulation.participant import Person
+from xplain.users.setting import Setting
 
 
 def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
-    from xplain.config import composed
-    from xplain.study.policies import study_of
-    from xplain.study.prepare import study_plan
 
-    cfg = composed("study", ["trace.candidates=40"])
+    cfg = composed("study", ["seed=0", "trace.candidates=40"])
     plan = study_plan(cfg)
     assert study_plan(cfg).hash == plan.hash  # same configuration, same study
     study_of(plan)
@@ -34,17 +38,18 @@ def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
     assert set(plan.icons) >= {item.name for item in plan.scene.items}
     for role in plan.roles:
         assert len(role.wrong) == 2
-        assert all(q.options == ("0 or more", "less than 0") for q in role.eligibility)
+        signs = ("0 points or more", "less than 0 points")
+        assert all(q.options == signs for q in role.eligibility)
         assert [q.answer for q in role.eligibility] == [int(j in role.wrong) for j in range(6)]
     assert json.loads(plan.text)["config"]["lambda"] == 1.0
 
 
 def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) -> None:
-    from xplain.config import composed
-    from xplain.study.policies import study_of
-    from xplain.study.prepare import study_plan
 
-    cfg = composed("study", ["domain=four_rooms", "observers.points=150", "trace.candidates=40"])
+    cfg = composed(
+        "study",
+        ["seed=0", "domain=four_rooms", "observers.points=150", "trace.candidates=60"],
+    )
     plan = study_plan(cfg)
     assert plan.scene is not None
     assert plan.scene.items == ()  # goals and penalties are among what types hold wrong
@@ -61,3 +66,81 @@ def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) ->
         study_plan(
             composed("study", ["domain=four_rooms", "wording.hide=[Q]", "observers.points=50"])
         )
+
+
+def street() -> Setting:
+    return Setting.build(Street(), TYPES)
+
+
+def trace_rules(**changes: object) -> dict[str, object]:
+    return {"start": None, "candidates": 3, "min_steps": 1} | changes
+
+
+def test_a_trace_has_the_steps_that_are_asked_for() -> None:
+    setting = street()
+    assert len(choose_trace(setting, trace_rules(min_steps=4), 20, 0)) == 4
+    with pytest.raises(InputError, match=r"trace\.min_steps=5: 4 steps or fewer"):
+        choose_trace(setting, trace_rules(min_steps=5), 20, 0)
+
+
+def test_conditions_that_say_the_same_differ_by_nothing() -> None:
+    plan = street_plan()
+    same = dict.fromkeys(("personalized", "conformant"), plan.conditions["conformant"])
+    assert difference(street_plan(conditions=same)) == 0
+    # Conformant tells everybody all four facts, personalized each of three types its own two.
+    given = [
+        explain(plan.problem, policy, SimulatedUser(labels), study_of(plan).belief).n_messages
+        for policy in study_of(plan).policies.values()
+        for labels in plan.true_labels
+    ]
+    expected = np.abs(np.subtract(given[:3], given[3:])).mean()
+    assert difference(plan) == pytest.approx(expected)
+
+
+def test_a_study_whose_conditions_are_alike_is_refused() -> None:
+    with pytest.raises(InputError, match=r"conditions=.*differ by a message"):
+        study_plan(
+            composed(
+                "study",
+                [
+                    *("seed=0", "observers.points=50", "trace.candidates=5"),
+                    "conditions.personalized={_target_: xplain.solvers.known_type.Conformant}",
+                ],
+            )
+        )
+
+
+def test_learned_types_are_found_by_their_labels_whatever_their_order(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    setting = street()
+
+    def tables(order: list[int], *unused: object) -> np.ndarray:
+        shown = np.array([[j, 0, j + 1] for j in range(4)])
+        return setting.label_table(shown)[order].astype(float)
+
+    monkeypatch.setattr(prepare, "p_explicable", tables)
+    for order in ([0, 1, 2], [2, 0, 1], [1, 0, 2]):
+        found = prepare.matched(setting, order, 0)  # type: ignore[arg-type]
+        assert [order[one] for one in found] == [0, 1, 2]
+    for unclear in ([0, 0, 2], [1, 1, 1]):
+        with pytest.raises(InputError, match="observers="):
+            prepare.matched(setting, unclear, 0)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="clusterer=2"):
+        prepare.matched(setting, [0, 1], 0)  # type: ignore[arg-type]
+
+
+def test_places_have_letters_and_numbers_and_phrases_their_words() -> None:
+    in_words = phrases_of({"first aid": "kit", "first": "1st", "north": "drives north"}, True)
+    assert in_words("picks up the first aid") == "picks up the kit"
+    assert in_words("moves to (2, 3)") == "moves to D3"
+    assert in_words("a goal in row 6, column 9") == "a goal in J7"
+    assert in_words("northern") == "northern"
+    assert phrases_of({}, False)("moves to (2, 3)") == "moves to (2, 3)"
+    assert [cell_name(0, c) for c in (0, 25, 26)] == ["A1", "Z1", "AA1"]
+
+
+def test_each_study_draws_a_seed_of_its_own() -> None:
+    cfg = composed("study", ["observers.points=50", "trace.candidates=20"])
+    assert cfg.seed is None
+    assert len({study_plan(cfg).seed for _ in range(2)}) == 2

@@ -114,6 +114,16 @@ def transition_features(domain: Domain, transitions: NDArray[np.int64]) -> NDArr
     return np.hstack([domain.state_features[s], action, domain.state_features[after]])
 
 
+def cell_name(row: int, column: int) -> str:
+    """What people call a cell: a letter for the column, then the row from 1, as in "B3"."""
+    letters = ""
+    column += 1
+    while column:
+        column, digit = divmod(column - 1, 26)
+        letters = chr(ord("A") + digit) + letters
+    return f"{letters}{row + 1}"
+
+
 def changes_of(domain: Domain, transitions: NDArray[np.int64]) -> tuple[tuple[str, ...], ...]:
     """What each transition (s, a, s') of [m, 3] changes, as short phrases that pictures list where
     there is no map. Empty where the domain has no method ``changes(transition)``."""

@@ -30,6 +30,11 @@ DONE = {
     "fire": "extinguishes the fire",
     "refuel": "refuels",
 }
+SINCE = {
+    "first_aid": "The robot has picked up the first aid.",
+    "fire": "The fire is out.",
+    "refuel": "The robot has refuelled.",
+}
 ENTERS = {"rubble": "over the rubble", "puddle": "through the puddle", "fence": "over the fence"}
 SYMBOLS = {
     SHELTER: "shelter",
@@ -165,6 +170,20 @@ class Rescue:
             if cell in self.grid.where.get(symbol, ()):
                 return f"{verb} {ENTERS[kind]} at {cell}"
         return f"{verb} into the shelter" if self._terminal[after] else f"{verb} to {cell}"
+
+    def situation(self, state: int) -> tuple[str, ...]:
+        """What has happened before this state, as sentences: nothing on the map tells it."""
+        flags = state % self._flags
+        done = [SINCE[kind] for bit, kind in enumerate(self.bonuses) if flags >> bit & 1]
+        return (*done, *(["The robot carries the victim."] if flags & self._carrying else []))
+
+    def gone(self, state: int) -> tuple[str, ...]:
+        """Names of the things on the map that are there no more in this state. A fuel station
+        stays."""
+        flags = state % self._flags
+        taken = [ITEM_NAMES[kind] for bit, kind in enumerate(self.bonuses) if flags >> bit & 1]
+        victim = [SYMBOLS[VICTIM]] if flags & self._carrying else []
+        return tuple(name for name in [*taken, *victim] if name != ITEM_NAMES["refuel"])
 
     @property
     def scene(self) -> Scene:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xplain.errors import InputError
 from xplain.message_sets import mask_of
@@ -21,7 +22,8 @@ class OwnTransitions:
     """A designer's transitions.
 
     Attributes:
-        hypotheses: a transition is labelled 0 by whoever holds one of its facts wrong.
+        hypotheses: a transition is labelled 0 by whoever holds one of its facts wrong. Its
+            features are the columns of the table that mean nothing else, if there are any.
         images: of each transition, a path or address; "" where it has none.
     """
 
@@ -32,10 +34,11 @@ class OwnTransitions:
 def read_transitions(path: str | Path) -> OwnTransitions:
     """Reads a CSV table, one row a transition: ``text``, what the robot does; optionally
     ``image``; ``inexplicable_if``, the facts joined by ``;`` of which each makes the transition
-    inexplicable to who holds it wrong.
+    inexplicable to who holds it wrong. All other columns are features: numbers, or text, which
+    becomes one column a value, as in tables of labels.
 
     Raises:
-        InputError: no such table, a row without text, or no fact in any row.
+        InputError: no such table, a row without text, a feature missing, or no fact in any row.
     """
     try:
         with Path(path).open(encoding="utf-8-sig", newline="") as file:
@@ -57,5 +60,36 @@ def read_transitions(path: str | Path) -> OwnTransitions:
         raise InputError("transitions", len(names), f"at most {MAX_MODELS.bit_length() - 1} facts")
     masks = np.array([mask_of(row, names) for row in facts], dtype=np.int64)
     held = np.arange(1 << len(names))
-    hypotheses = Hypotheses.of((held[:, None] & masks) == 0, messages=names, phrases=texts)
+    features, feature_names = _features(rows, [c for c in columns if c not in (TEXT, IMAGE, WHEN)])
+    hypotheses = Hypotheses.of(
+        (held[:, None] & masks) == 0,
+        messages=names,
+        phrases=texts,
+        features=features,
+        feature_names=feature_names,
+    )
     return OwnTransitions(hypotheses, tuple((row.get(IMAGE) or "").strip() for row in rows))
+
+
+def _features(
+    rows: list[dict[str, str]], columns: list[str]
+) -> tuple[NDArray[np.float64] | None, tuple[str, ...]]:
+    """[T, F] and their names; None where no column is a feature."""
+    parts: list[NDArray[np.float64]] = []
+    names: list[str] = []
+    for column in columns:
+        values = [(row[column] or "").strip() for row in rows]
+        if "" in values:
+            raise InputError("transitions", f"row {values.index('') + 2}", f"a value of {column}")
+        try:
+            number = np.array([float(value) for value in values])
+        except ValueError:
+            distinct = sorted(set(values))
+            parts += [np.array([value == one for value in values], float) for one in distinct]
+            names += [f"{column}={one}" for one in distinct]
+        else:
+            if not np.isfinite(number).all():
+                raise InputError("transitions", column, "finite numbers")
+            parts.append(number)
+            names.append(column)
+    return (np.stack(parts, axis=1) if parts else None), tuple(names)

@@ -9,6 +9,7 @@ optimisation; computerised adaptive tests). docs/what-to-ask.md.
 
 from __future__ import annotations
 
+import copy
 import json
 import zlib
 from dataclasses import dataclass
@@ -91,6 +92,27 @@ class Questionnaire:
         self.clip = whole_number("clip", clip, 1)
         if self.clip > MAX_CLIP:
             raise InputError("clip", clip, f"at most {MAX_CLIP} transitions")
+        self._start(prior)
+
+    def anew(self, prior: ArrayLike | None, seed: int) -> Questionnaire:
+        """One for another person: the same hypotheses and errors, nothing asked. What was worked
+        out of the hypotheses is shared.
+
+        Args:
+            prior, seed: as for the class.
+
+        Raises:
+            InputError: a value is not allowed.
+        """
+        assert self._groups, "some question separates candidates"  # worked out once, for all
+        made = copy.copy(self)
+        made.seed = whole_number("seed", seed, 0)
+        made._start(prior)
+        return made
+
+    def _start(self, prior: ArrayLike | None) -> None:
+        """Nothing asked yet."""
+        known = self.hypotheses
         self.given_prior = prior
         start = known.prior if prior is None else prior_over(prior, len(known.facts), "prior")
         self.asked: list[Asked] = []

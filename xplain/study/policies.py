@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
+import numpy as np
 from hydra.utils import instantiate
 
 from xplain.errors import XplainError
+from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.randomness import derived_seed, stream
 from xplain.study.protocol import machine
 from xplain.study.protocol.plan import Study, StudyPlan
@@ -39,6 +42,22 @@ def _at_work(plan: StudyPlan) -> Study:
         for condition, solver in plan.conditions.items()
     }
     return Study(plan, policies, instantiate(renamed(plan.belief)))
+
+
+def difference(plan: StudyPlan) -> float:
+    """How many messages more or fewer a faultless participant gets under one condition than under
+    another, on average over the types; of the two conditions that are most alike."""
+    study = _at_work(plan)
+    given = {
+        condition: [
+            explain(plan.problem, policy, SimulatedUser(labels), study.belief).n_messages
+            for labels in plan.true_labels
+        ]
+        for condition, policy in study.policies.items()
+    }
+    pairs = combinations(given.values(), 2)
+    gaps = [np.abs(np.subtract(one, other)).mean() for one, other in pairs]
+    return float(min(gaps, default=np.inf))
 
 
 def with_probes(plan: StudyPlan) -> StudyPlan:

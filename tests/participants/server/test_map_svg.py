@@ -11,7 +11,8 @@ from xplain.study.protocol.plan import Study
 
 def test_the_map_says_what_happened_and_a_domain_without_one_does_without(study: Study) -> None:
     plan = study.plan
-    assert [name for name, _ in legend(plan)] == ["bridge", "market", "school", "tunnel"]
+    way = plan.texts.words["way"]
+    assert [name for name, _ in legend(plan)] == ["bridge", "market", "school", "tunnel", way]
     for k in range(1, plan.n_steps + 1):
         svg = picture(plan, k)
         numbers = re.findall(r'font-weight="700" fill="#fff">([\d·]+)</text>', svg)

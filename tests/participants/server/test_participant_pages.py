@@ -15,6 +15,7 @@ from tests.study.stand_in import FAULTLESS, street_plan
 from xplain.errors import InputError
 from xplain.participants.server.app import create_app
 from xplain.participants.server.http import Server
+from xplain.participants.server.map_svg import CELL, picture
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import Page, visit
 from xplain.study.policies import study_of
@@ -84,7 +85,7 @@ def test_earlier_labels_stay_and_only_the_new_one_is_needed(
     assert 'name="label_0" value="0" required checked' in html
     status, html = visitor.post("/study", [*hidden.items()])
     assert status == 400
-    assert "Please label" in html
+    assert "Please say whether" in html
     status, html = visitor.post("/study", [*hidden.items(), ("label_1", "1")])
     assert status == 200
     labels = store.query("SELECT labels FROM step WHERE k = 1")
@@ -138,7 +139,7 @@ def test_sentences_of_the_domain_are_escaped(
 
 
 def test_entry_is_as_configured(store: Store) -> None:
-    closed = create_app(store, Server(entry=("prolific",))).test_client()
+    closed = create_app(store, Server(entry=("prolific",), prolific_studies=("s",))).test_client()
     html = closed.get("/").text
     visitor = field(html, "token")
     assert 'name="invitation"' not in html
@@ -180,9 +181,8 @@ def test_a_domain_without_a_map_gets_its_study(tmp_path: Path) -> None:
 def test_without_a_map_the_page_lists_what_each_step_changed(
     tmp_path: Path, person: Callable[[], Person]
 ) -> None:
-    """Up to the step that is shown, and no further; a plan with a map is stored as ever."""
+    """Up to the step that is shown, and no further."""
     plan = street_plan(map_shown=False)
-    assert '"changes"' not in plan.text
     told = tuple((f"now past place {k}", f"no longer at <{k}>") for k in range(plan.n_steps))
     plan = StudyPlan.from_text(replace(plan, changes=told).text)
     assert plan.changes == told
@@ -196,3 +196,35 @@ def test_without_a_map_the_page_lists_what_each_step_changed(
     ]
     assert shown == [[str(i) for i in range(k + 1)] for k in range(plan.n_steps)]
     opened.close()
+
+
+def test_nobody_is_a_person_by_making_up_ids(store: Store) -> None:
+    """By default invitations alone let people in; a platform's, only of the configured study."""
+    ids = {"PROLIFIC_PID": "p", "STUDY_ID": "made up", "SESSION_ID": "x"}
+    for server in (Server(), Server(entry=("prolific",), prolific_studies=("ours",))):
+        client = create_app(store, server).test_client()
+        token = field(client.get("/").text, "token")
+        assert client.post("/enter", data=ids | {"token": token}).status_code == 403
+    ours = ids | {"STUDY_ID": "ours", "token": token}
+    assert client.post("/enter", data=ours).status_code == 303
+    with pytest.raises(InputError, match=r"server\.prolific_studies"):
+        Server(entry=("prolific",))
+
+
+def test_taken_things_leave_the_map_and_places_have_names() -> None:
+    plan = street_plan()
+    gone = ("bridge", "market", "school", "tunnel")
+    taken = [picture(plan, plan.n_steps, gone[:n]) for n in range(5)]
+    assert [len(re.findall(">[BST]<|M3 12L12 4L21 12", svg)) for svg in taken] == [4, 3, 2, 1, 0]
+    rulers = re.findall(r"<text[^>]*>([^<]+)</text>", picture(plan, 0))
+    assert set("ABCDE12") <= set(rulers)
+
+
+def test_numbers_on_the_map_do_not_reach_into_the_next_cell() -> None:
+    plan = street_plan()
+    there_and_back = tuple(((0, k % 2), (0, (k + 1) % 2)) for k in range(40))
+    svg = picture(replace(plan, path=there_and_back), 40)
+    widths = [float(w) for w in re.findall(r'<rect x="1" y="1" width="([\d.]+)"', svg)]
+    assert len(widths) == 2
+    assert max(widths) < CELL - 2
+    assert "40<" in svg  # the newest is always shown

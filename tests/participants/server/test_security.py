@@ -44,10 +44,10 @@ def test_what_is_signed_is_good_for_one_purpose_one_owner_and_one_server() -> No
     assert not keys.owns_form("bert", token)
     assert not keys.owns_form("anna", cookie.partition(".")[2])
     assert not keys.owns_form("anna", "\ud800")  # half a character, as JSON may bring it
-    session = keys.researcher_cookie
-    assert keys.is_researcher_cookie(session)
-    assert not others.is_researcher_cookie(session)
-    assert not keys.is_researcher_cookie(keys.cookie("researcher"))
+    session = keys.session_cookie("one")
+    assert keys.session(session) == "one"
+    assert others.session(session) is None
+    assert keys.session(keys.cookie("one")) is None
     assert keys.is_researcher(keys.researcher)
     assert not keys.is_researcher(others.researcher)
     assert not keys.is_researcher("é")

@@ -6,20 +6,24 @@ import sqlite3
 import threading
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.participants.server.test_fuzz import records
 from tests.participants.visitors import GENEROUS, Visitor, consent
-from tests.study.stand_in import street_plan, street_study
-from xplain.errors import XplainError
+from tests.study.stand_in import FAULTLESS, street_plan, street_study
+from xplain.errors import InputError, XplainError
 from xplain.participants.server.app import create_app
 from xplain.participants.server.database import Clock
+from xplain.participants.server.http import Context, Server
 from xplain.participants.server.security import Keys
 from xplain.participants.server.slots import Full
 from xplain.participants.server.store import MAX_TAB_EVENTS, Store, Unknown
 from xplain.participants.simulation.http_client import visit
+from xplain.study.analysis.replay import replay
 from xplain.study.protocol.machine import Refused
 from xplain.study.protocol.plan import Study
 from xplain.study.simulation.participant import Habits, Person
@@ -256,6 +260,18 @@ def test_bots_and_pilots_do_not_touch_peoples_places(store: Store) -> None:
 @pytest.mark.parametrize(
     "sql",
     [
+        "INSERT OR REPLACE INTO event SELECT * FROM event WHERE kind = 'consent'",
+        "INSERT OR REPLACE INTO meta VALUES ('plan', '{}')",
+        "UPDATE meta SET value = 'x' WHERE key = 'plan_hash'",
+        "DELETE FROM meta",
+        "DELETE FROM slot",
+        "UPDATE slot SET condition = 'personalized', user_type = user_type + 1",
+        "UPDATE slot SET used = 0 WHERE used = 1",
+        "DELETE FROM step",
+        "UPDATE step SET messages = 0",
+        "DELETE FROM invitation",
+        "UPDATE invitation SET participant = NULL WHERE participant IS NOT NULL",
+        "UPDATE participant SET code = 'X'",
         "UPDATE event SET payload = '{}'",
         "DELETE FROM event",
         "UPDATE participant SET stream = 'person'",
@@ -269,6 +285,111 @@ def test_the_log_only_grows_and_a_bot_stays_a_bot(
     visit(browser(), person(), store.invite(1, "bot")[0])
     with pytest.raises(sqlite3.IntegrityError), store.transaction() as do:
         do(sql)
+
+
+def test_who_has_not_agreed_yet_is_never_timed_out(tmp_path: Path, study: Study) -> None:
+    """A link that was opened, or refused at a full study, stays good."""
+    time = Time()
+    store = Store(tmp_path / "s.sqlite", study, time.clock())
+    places = len(study.plan.cells) * study.plan.rules.per_cell
+    *first, late = (store.enter_invited(token) for token in store.invite(places + 1, "person"))
+    for who in first:
+        consent(store, who)
+    with pytest.raises(Full):
+        consent(store, late)
+    time.now += 7 * 86400
+    store.time_out_stale()
+    assert store.participant(late).state.stage == "consent"
+    assert consent(store, late).stage == "briefing"
+    store.close()
+
+
+def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
+    tmp_path: Path, study: Study
+) -> None:
+    time = Time()
+    store = Store(tmp_path / "s.sqlite", study, time.clock())
+    places = len(study.plan.cells) * study.plan.rules.per_cell
+    everybody = [store.enter_invited(token) for token in store.invite(places + 1, "person")]
+    away, other = everybody[0], everybody[-1]
+    consent(store, away)
+    before = store.submit(away, 1, "read", {})
+    time.now += 31 * 60
+    assert store.time_out_stale() == 1
+    state = store.submit(away, 3, "return", {})
+    assert (state.stage, state.user_type, state.condition) == (
+        before.stage,
+        before.user_type,
+        before.condition,
+    )
+    held = "SELECT user_type, condition FROM slot WHERE holder = ?"
+    assert store.query(held, (away,)) == [
+        {"user_type": state.user_type, "condition": state.condition}
+    ]
+    for who in everybody[1:-1]:
+        consent(store, who)
+    time.now += 31 * 60
+    for who in everybody[1:-1]:
+        store.shown(who, 1, "briefing")  # signs of life
+    consent(store, other)  # takes the only place, which was theirs
+    with pytest.raises(Full):
+        store.submit(away, 5, "return", {})
+    assert replay(store._connection, study).differences == []
+    store.close()
+
+
+def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, study: Study) -> None:
+    path = tmp_path / "s.sqlite"
+    store = Store(path, study)
+    app = create_app(store, GENEROUS)
+    someone = [Person(study.plan, FAULTLESS, np.random.default_rng(n)) for n in range(2)]
+    for person, token in zip(someone, store.invite(2, "person"), strict=True):
+        visit(Visitor(app.test_client()), person, token)
+    gone, kept = (row["id"] for row in store.query("SELECT id FROM participant ORDER BY number"))
+    store.from_tab(gone, "a" * 16, [(0, "visible", 1.0, {"what": "whatnobodyelsesaid"})])
+    (place,) = store.query("SELECT position FROM slot WHERE holder = ?", (gone,))
+    before = records(store, [kept])
+    store.erase(gone)
+    assert records(store, [kept]) == before
+    assert store.query("SELECT * FROM step WHERE participant = ?", (gone,)) == []
+    holder = "SELECT holder, used FROM slot WHERE stream = 'person' AND position = ?"
+    assert store.query(holder, (place["position"],)) == [{"holder": None, "used": 0}]
+    found = replay(store._connection, study)
+    assert (found.differences, found.participants) == ([], 1)
+    with pytest.raises(InputError, match="reference"):
+        store.erase(gone)
+    store.close()
+    content = b"".join(file.read_bytes() for file in tmp_path.glob("s.sqlite*"))
+    assert b"whatnobodyelsesaid" not in content
+    # What says that it was erased, but is not in the log as erased, is a change.
+    with sqlite3.connect(path) as connection:
+        connection.execute("DROP TRIGGER event_fixed")
+        connection.execute(
+            "UPDATE event SET kind = 'erased', payload = '{}' WHERE participant = ?", (kept,)
+        )
+    connection.close()
+    store = Store(path, study)
+    assert replay(store._connection, study).differences
+    store.close()
+
+
+def test_codes_are_letters_and_no_ending_has_that_of_another(store: Store) -> None:
+    own = Context(store, store.protocol, None, Server(), None, None, {}, None)  # type: ignore[arg-type]
+    found = [store.participant(store.enter_open()) for _ in range(20)]
+    stages = ("done", "declined", "screened_out", "ineligible", "withdrawn", "timed_out")
+    codes = [
+        own.code(replace(one, state=replace(one.state, stage=stage)))
+        for one in found
+        for stage in stages
+    ]
+    assert len(set(codes)) == len(codes)
+    assert all(code.isalpha() and len(code) == 8 for code in codes)
+    set_ = replace(own, server=Server(completion_code="ALL", codes={"screened_out": "OUT"}))
+    assert set_.code(replace(found[0], state=replace(found[0].state, stage="done"))) == "ALL"
+    out = replace(found[0], state=replace(found[0].state, stage="screened_out"))
+    assert set_.code(out) == "OUT"
+    left = replace(found[0], state=replace(found[0].state, stage="withdrawn"))
+    assert set_.code(left) not in ("ALL", "OUT")
 
 
 def test_events_of_a_page_are_kept_once_and_not_without_end(store: Store) -> None:

@@ -12,6 +12,7 @@ from tests.participants.conftest import store as store
 from xplain.cli.main import main
 from xplain.participants.server.store import Store
 from xplain.study.analysis.codebook import CODEBOOK
+from xplain.study.analysis.export import defused
 from xplain.study.protocol.plan import Study
 
 
@@ -41,6 +42,26 @@ def test_tables_say_what_their_codebook_says(
         until = own.loc[own["kind"] == "labels", "wall"].max()
         assert row["interaction_time_s"] == pytest.approx(until - shown["wall"].min(), abs=1e-3)
     assert json.loads((out / "plan.json").read_text())["seed"] == study.plan.seed
+    pages, steps = pd.read_csv(out / "pages.csv"), pd.read_csv(out / "steps.csv")
+    for who in done.index:
+        own = pages[pages["participant"] == who]
+        assert own["seconds"].iloc[:-1].notna().all()
+        in_steps = steps.loc[steps["participant"] == who, "seconds"].sum()
+        of_pages = own.loc[own["stage"] == "evaluation", "seconds"].sum()
+        assert in_steps == pytest.approx(of_pages)
+        # Pages follow one another: no more time passes on them than passed.
+        assert own["seconds"].sum() <= events.loc[events["participant"] == who, "wall"].agg(
+            lambda wall: wall.max() - wall.min()
+        )
+    codebook = pd.read_csv(out / "codebook.csv").set_index(["table", "column"])
+    for name in CODEBOOK:
+        table = pd.read_csv(out / f"{name}.csv")
+        for column in table:
+            numeric = pd.api.types.is_numeric_dtype(table[column]) and table[column].notna().any()
+            stated = codebook.loc[(name, column), "type"]
+            assert not (numeric and stated == "text" and column != "answer"), (name, column)
+    assert people["completion_code"].dropna().str.isalpha().all()
+    assert len((out / "head.txt").read_text().strip()) == 64
     everything = "".join(path.read_text() for path in out.glob("*.csv"))
     assert collected[1] not in everything
 
@@ -57,3 +78,10 @@ def test_a_database_in_use_is_not_read(
     assert ended.value.code == 2
     assert "nothing.sqlite" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_no_cell_is_a_formula() -> None:
+    for text in ("=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1"):
+        assert defused(text) == f"'{text}"
+    for harmless in ("1 + 1", "a=b", "", -1, -1.5, None, "[1, 0]"):
+        assert defused(harmless) == harmless

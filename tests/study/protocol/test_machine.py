@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -161,11 +162,19 @@ def test_pages_show_the_trace_so_far_the_messages_apart_and_questions_in_their_o
     quiz = State(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
     statements = page(study, quiz)["statements"]
     assert statements == [(i, plan.roles[1].quiz[i].text) for i in (3, 2, 1, 0)]
-    state = State(stage="evaluation", user_type=1, step=2, given=0b0111, new=0b0100, labels=(1, 0))
+    state = State(
+        stage="evaluation",
+        user_type=1,
+        step=2,
+        given=0b0111,
+        new=0b0100,
+        labels=(1, 0),
+        heard=(1, 0, 2),
+    )
     view = page(study, state)
     assert view["trace"] == plan.trace[:3]
     assert view["labels"] == (1, 0)
-    assert view["old"] == [plan.facts[0].message, plan.facts[1].message]
+    assert view["old"] == [plan.facts[1].message, plan.facts[0].message]  # as they came
     assert view["new"] == [plan.facts[2].message]
 
 
@@ -239,3 +248,59 @@ def test_persistent_belief_is_taken_from_the_configuration(study: Study) -> None
 def test_states_are_read_back_as_they_were() -> None:
     state = State(stage="evaluation", belief=(0.1 + 0.2, 1 / 3), labels=(1, 0), previous=0)
     assert State.from_text(state.text) == state
+
+
+CHECK = {"name": "blue", "label": "Choose blue", "kind": "choice", "choices": ["red", "blue"]}
+RATING = {"name": "robots", "label": "I know robots", "kind": "scale", "low": 1, "high": 7}
+RULES = {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30, "recall": True}
+
+
+def agreed(study: Study, **more: object) -> State:
+    slot = {"user_type": 0, "condition": "conformant", "orders": ORDERS}
+    payload = {"agree": 1, "text": study.plan.texts.consent_hash, **slot, **more}
+    return machine.advance(study, State(), "consent", payload).state
+
+
+def test_a_missed_attention_check_ends_the_part_before_it_begins() -> None:
+    rating = RATING | {"ends": ["not at all", "very well"], "required": True}
+    study = street_study(before=[CHECK | {"right": "blue"}, rating])
+    state = agreed(study)
+    assert state.stage == "before"
+    assert [q.name for q in page(study, state)["asked"]] == ["blue", "robots"]
+    for missing in ({}, {"blue": "blue"}, {"robots": "3"}, {"blue": "blue", "robots": "8"}):
+        with pytest.raises(Refused):
+            machine.advance(study, state, "screening", missing)
+    for blue, stage in (("blue", "briefing"), ("red", "screened_out")):
+        answers = {"blue": blue, "robots": "7"}
+        assert machine.advance(study, state, "screening", answers).state.stage == stage
+
+
+def test_a_plan_may_refuse_narrow_windows() -> None:
+    study = street_study(rules=RULES | {"min_width": 900})
+    for width in (None, 390, 899, "1280"):
+        with pytest.raises(Refused, match="900 pixels"):
+            agreed(study, width=width)
+    assert agreed(study, width=900).stage == "briefing"
+    assert agreed(street_study(), width=390).stage == "briefing"
+
+
+def test_messages_stay_in_the_order_in_which_they_came(study: Study) -> None:
+    for user_type, condition in study.plan.cells:
+        state, told = at_evaluation(study, user_type, condition), []
+        while state.stage == "evaluation":
+            view = page(study, state)
+            assert view["old"] == told
+            told += view["new"]
+            assert len(told) == state.given.bit_count()
+            labels = study.plan.true_labels[user_type, : state.step + 1, state.given].tolist()
+            state = machine.advance(study, state, "labels", {"labels": labels}).state
+
+
+def test_who_comes_back_is_where_they_were(study: Study) -> None:
+    before = at_evaluation(study, 1, "personalized")
+    away = machine.advance(study, before, "time_out", {}).state
+    assert (away.stage, away.over) == ("timed_out", True)
+    back = machine.advance(study, away, "return", {"position": 0}).state
+    assert replace(back, accepted=before.accepted) == before
+    with pytest.raises(Refused):
+        machine.advance(study, before, "return", {})

@@ -10,7 +10,11 @@ are marked as bots in the data for ever, and take nobody's place.
 
 from __future__ import annotations
 
+from argparse import Namespace
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from xplain.cli.parser import Parser
 from xplain.errors import InputError, XplainError
@@ -18,26 +22,52 @@ from xplain.errors import InputError, XplainError
 
 def main(arguments: list[str]) -> None:
     """Runs the bots and prints how far each came."""
-    parser = Parser("xplain study bots")
-    parser.add_argument("--url", default="http://127.0.0.1:8080")
-    parser.add_argument("--key", required=True)
-    parser.add_argument("--count", type=int, default=40)
-    parser.add_argument("--at-once", type=int, default=8)
-    parser.add_argument("--pace", type=float, default=0.0)
-    parser.add_argument("--leaving", type=float, default=0.0)
-    parser.add_argument("--chromium", action="store_true")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--save", type=Path)
-    given = parser.parse_args(arguments)
+    given = checked(parser("xplain study bots").parse_args(arguments))
+    from xplain.participants.simulation.bots import run
+    from xplain.study.simulation.participant import Habits
+
+    perform(given, run, Habits(leaving=given.leaving))
+
+
+def parser(name: str) -> Parser:
+    """What every kind of bot can be told."""
+    made = Parser(name)
+    made.add_argument("--url", default="http://127.0.0.1:8080")
+    made.add_argument("--key", required=True)
+    made.add_argument("--count", type=int, default=40)
+    made.add_argument("--at-once", type=int, default=8)
+    made.add_argument("--pace", type=float, default=0.0)
+    made.add_argument("--leaving", type=float, default=0.0)
+    made.add_argument("--chromium", action="store_true")
+    made.add_argument("--seed", type=int, default=0)
+    made.add_argument("--save", type=Path)
+    return made
+
+
+def checked(given: Namespace) -> Namespace:
+    """The arguments, where they can be.
+
+    Raises:
+        InputError: a number out of its range, or no browser to drive.
+    """
     for name, value in (("--count", given.count), ("--at-once", given.at_once)):
         if not 0 < value <= 10_000:
             raise InputError(name, value, "a whole number from 1 to 10000")
     from xplain.participants.simulation import chromium
-    from xplain.participants.simulation.bots import Researcher, run
-    from xplain.study.simulation.participant import Habits
 
     if given.chromium and (what := chromium.missing()):
         raise InputError("--chromium", "not here", f"install {what}")
+    return given
+
+
+def perform(given: Namespace, run: Callable[..., Counter[str]], habits: Any) -> None:
+    """Lets bots of these habits take part, prints how far each came, and saves the export.
+
+    Raises:
+        XplainError: the server went away.
+    """
+    from xplain.participants.simulation.bots import Researcher
+
     try:
         stages = run(
             given.url,
@@ -45,7 +75,7 @@ def main(arguments: list[str]) -> None:
             given.count,
             given.at_once,
             given.pace,
-            Habits(leaving=given.leaving),
+            habits,
             given.seed,
             given.chromium,
         )

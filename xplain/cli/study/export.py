@@ -19,5 +19,5 @@ def main(arguments: list[str]) -> None:
     given = parser.parse_args(arguments)
     from xplain.study.analysis.export import export
 
-    export(given.database, given.folder)
-    print(f"tables and codebook in {given.folder}")
+    head = export(given.database, given.folder)
+    print(f"tables and codebook in {given.folder}\nhead of the log: {head}")

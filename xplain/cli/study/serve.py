@@ -11,6 +11,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from omegaconf import OmegaConf
+
 from xplain.config import composed
 from xplain.errors import InputError
 from xplain.study.settings import fixed
@@ -30,14 +32,9 @@ def serve(cfg: DictConfig) -> None:
     Raises:
         XplainError: the configuration or the database cannot be used.
     """
-    from xplain.participants.server.http import Server
-
     check_address(cfg)
-    path = Path(cfg.database).absolute()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not os.access(path.parent, os.W_OK):
-        raise InputError("database", str(path), "a file in a folder that can be written to")
-    server = Server(**{key: value for key, value in cfg.server.items() if key != "_target_"})
+    path = database_of(cfg)
+    server = server_of(cfg)
     study, ignored = running_study(cfg, path)
     if ignored:
         print(
@@ -45,7 +42,29 @@ def serve(cfg: DictConfig) -> None:
             f"{', '.join(ignored)}",
             file=sys.stderr,
         )
-    _run(study, server, path, cfg)
+    run_server(study, server, path, cfg, "study")
+
+
+def database_of(cfg: DictConfig) -> Path:
+    """The database's path, in a folder that is there.
+
+    Raises:
+        InputError: it cannot be written to.
+    """
+    path = Path(cfg.database).absolute()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(path.parent, os.W_OK):
+        raise InputError("database", str(path), "a file in a folder that can be written to")
+    return path
+
+
+def server_of(cfg: DictConfig) -> Any:
+    """How the pages are served; links lead to host and port where no other address is given."""
+    from xplain.participants.server.http import Server
+
+    given: Any = OmegaConf.to_container(cfg.server, resolve=True)
+    address = given.get("address") or f"http://{cfg.host}:{cfg.port}"
+    return Server(**{k: v for k, v in given.items() if k != "_target_"} | {"address": address})
 
 
 def check_address(cfg: DictConfig) -> None:
@@ -67,11 +86,14 @@ def running_study(cfg: DictConfig, path: Path) -> tuple[Any, list[str]]:
         print("study: preparing a new study …", file=sys.stderr)
         return study_of(study_plan(cfg)), []
     now = fixed(cfg)
+    if now["seed"] is None:
+        del now["seed"]  # drawn once, at the first start
     ignored = [key for key in now if now[key] != renamed(plan.config.get(key))]
     return study_of(plan), ignored
 
 
-def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
+def run_server(study: Any, server: Any, path: Path, cfg: DictConfig, name: str) -> None:
+    """Serves until it is stopped; ``name`` of the command stands before what it prints."""
     from gunicorn.app.base import BaseApplication  # type: ignore[import-untyped]
 
     from xplain.participants.server.app import create_app
@@ -94,7 +116,7 @@ def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
                 "max_requests": 0,
                 "accesslog": None,
                 "loglevel": "warning",
-                "proc_name": "xplain-study",
+                "proc_name": f"xplain-{name}",
                 "control_socket_disable": True,
             }.items():
                 if key in self.cfg.settings:
@@ -109,8 +131,8 @@ def _run(study: Any, server: Any, path: Path, cfg: DictConfig) -> None:
     key = _researcher_key(store)
     store.close()
     print(
-        f"study: http://{cfg.host}:{cfg.port}/  ·  researcher's page: /researcher, key {key}\n"
-        f"study: database {path}, plan {study.plan.hash[:16]}",
+        f"{name}: http://{cfg.host}:{cfg.port}/  ·  researcher's page: /researcher, key {key}\n"
+        f"{name}: database {path}, plan {study.plan.hash[:16]}",
         file=sys.stderr,
         flush=True,
     )

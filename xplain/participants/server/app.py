@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import functools
 import logging
 
+import yaml
 from flask import Flask, Response, request
-from markupsafe import Markup
 from werkzeug.exceptions import HTTPException
 from werkzeug.middleware.proxy_fix import ProxyFix
 from werkzeug.wrappers import Response as AnyResponse
 
-from xplain.participants.server import map_svg, security
-from xplain.participants.server.http import Context, Server, context, error_page, owner
+from xplain.config import CONF
+from xplain.participants.server import security
+from xplain.participants.server.http import Context, Desk, Server, context, error_page, owner
 from xplain.participants.server.participant_pages import pages as participant_pages
 from xplain.participants.server.researcher_pages import pages as researcher_pages
 from xplain.participants.server.security import Keys, RateLimit
@@ -20,21 +20,11 @@ from xplain.participants.server.store import Store
 
 log = logging.getLogger(__name__)
 
-TITLES = {
-    "consent": "Before you start",
-    "briefing": "What you know about the robot",
-    "training": "Practice",
-    "eligibility": "A short check",
-    "evaluation": "Watch the robot",
-    "quiz": "What do you know now?",
-    "questions": "A few questions",
-    "done": "Thank you",
-}
-
 
 def create_app(store: Store, server: Server) -> Flask:
     """The application for one open store."""
     app = Flask(__name__)
+    words = english() | dict(getattr(store.protocol.plan.texts, "words", {}))
     app.config.update(
         MAX_CONTENT_LENGTH=security.MAX_BODY,
         MAX_FORM_MEMORY_SIZE=security.MAX_BODY,
@@ -42,20 +32,17 @@ def create_app(store: Store, server: Server) -> Flask:
     )
     app.extensions["study"] = Context(
         store,
-        store.study,
+        store.protocol,
         Keys(store.secret),
         server,
         RateLimit(server.requests_per_second, server.burst),
         RateLimit(server.visitors_per_second, server.visitor_burst),
+        words,
+        Desk(),
     )
     app.jinja_env.trim_blocks = app.jinja_env.lstrip_blocks = True
-    app.jinja_env.globals.update(
-        map=functools.cache(lambda steps: Markup(map_svg.picture(store.study.plan, steps))),
-        changes=store.study.plan.changes,
-        legend=[(name, Markup(svg)) for name, svg in map_svg.legend(store.study.plan)],
-        texts=store.study.plan.texts,
-        titles=TITLES,
-    )
+    drawn = dict(store.protocol.drawing())
+    app.jinja_env.globals.update(drawn | {"texts": store.protocol.plan.texts, "words": words})
     app.before_request(_limit)
     app.after_request(_secure)
     app.register_error_handler(HTTPException, _http_error)
@@ -69,6 +56,12 @@ def create_app(store: Store, server: Server) -> Flask:
     return app
 
 
+def english() -> dict[str, str]:
+    """The words of the pages that every protocol shares, where a plan has none of its own."""
+    text = (CONF / "words" / "en.yaml").read_text(encoding="utf-8")
+    return {str(key): str(value) for key, value in yaml.safe_load(text).items()}
+
+
 def _limit() -> AnyResponse | None:
     if request.endpoint in ("static", "alive"):
         return None
@@ -80,7 +73,7 @@ def _limit() -> AnyResponse | None:
     )
     if allowed:
         return None
-    response = error_page(429, "That was a little fast. Please wait some seconds and try again.")
+    response = error_page(429, "too_fast")
     response.headers["Retry-After"] = "5"
     return response
 
@@ -92,16 +85,12 @@ def _secure(response: Response) -> Response:
 
 def _http_error(error: HTTPException) -> AnyResponse:
     if isinstance(error.code, int) and error.code >= 400:
-        texts = {
-            404: "There is no such page.",
-            405: "That cannot be done here.",
-            413: "That was too much at once.",
-        }
-        return error_page(error.code, texts.get(error.code, "The server did not understand that."))
+        texts = {404: "no_page", 405: "not_here", 413: "too_much"}
+        return error_page(error.code, texts.get(error.code, "not_understood"))
     return error.get_response()
 
 
 def _failure(error: Exception) -> Response:
     # Whatever went wrong, the participant gets a page; the log gets the traceback.
     log.error("request failed", exc_info=error)
-    return error_page(500, "Something went wrong on our side. Your answers so far are safe.")
+    return error_page(500, "failed")

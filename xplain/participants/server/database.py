@@ -1,4 +1,4 @@
-"""The study's database file: opened by one process, through one locked connection.
+"""The database file: opened by one process, through one locked connection.
 
 What is acknowledged is on the disk (WAL, ``synchronous=FULL``).
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import os
+import re
 import secrets
 import sqlite3
 import threading
@@ -21,6 +22,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from xplain import event_log
 from xplain.errors import InputError, XplainError
 
 Do = Callable[..., sqlite3.Cursor]
@@ -67,7 +69,11 @@ class Database:
             self._connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
             os.chmod(path, 0o600)
             self._connection.row_factory = sqlite3.Row
-            for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+            for pragma in (
+                *("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"),
+                # Deletions that REPLACE makes meet the triggers, and what is erased is gone.
+                *("recursive_triggers=ON", "secure_delete=ON"),
+            ):
                 self._connection.execute(f"PRAGMA {pragma}")
             self._check()
         except sqlite3.DatabaseError as error:
@@ -119,11 +125,75 @@ class Database:
         with self._lock:
             self._connection.execute("VACUUM INTO ?", (str(path),))
 
+    def erase(self, reference: str) -> None:
+        """Erases everything that one participant did or said, and their outside ids.
+
+        The random id, the number of their events and the hashes stay, so that the log can still be
+        checked; the erasure is an event of its own. Their place is free again.
+
+        Args:
+            reference: as the participant was given it; what is no hexadecimal digit is left out.
+
+        Raises:
+            InputError: no such participant, or erased before.
+        """
+        who = "".join(re.findall(r"[0-9a-f]", reference.lower()))
+        found = self.query("SELECT 1 FROM participant WHERE id = ? AND NOT erased", (who,))
+        if not found:
+            raise InputError("reference", reference, "the reference of a participant")
+        with self.transaction() as do:
+            do("INSERT INTO meta VALUES ('erasing', ?)", (who,))
+            do("DELETE FROM step WHERE participant = ?", (who,))
+            do("UPDATE slot SET holder = NULL, used = 0 WHERE holder = ?", (who,))
+            do(
+                "UPDATE event SET kind = ?, source = 'erased', source_sequence = sequence, "
+                "wall = 0, monotonic = 0, boot = '', browser = NULL, payload = '{}' "
+                "WHERE participant = ?",
+                (event_log.ERASED, who),
+            )
+            do(
+                "UPDATE participant SET external = NULL, session = NULL, kept = '{}', entered = 0, "
+                "seen = 0, over = 1, state = '{\"stage\": \"erased\"}', code = '', salt = '', "
+                "erased = 1 WHERE id = ?",
+                (who,),
+            )
+            (sequence,) = do(
+                "SELECT max(sequence) + 1 FROM event WHERE participant = ?", (who,)
+            ).fetchone()
+            append(do, (who, sequence, "server", sequence, "erase", 0.0, 0.0, "", None, "{}"))
+            do("DELETE FROM meta WHERE key = 'erasing'")
+        with self._lock:
+            self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            self._connection.execute("VACUUM")
+
     def keyed(self, *parts: str) -> str:
         """A hash of texts that are only ever looked up (invitations, outside ids): nobody without
         the server's secret can make or reverse it."""
         message = "\x1f".join(parts).encode(errors="replace")
         return hmac.new(self.secret, message, hashlib.sha256).hexdigest()
+
+
+def append(do: Do, event: Sequence[Any]) -> None:
+    """Appends an event to the log unless its source sent it before.
+
+    Args:
+        do: of the transaction.
+        event: the values of :data:`xplain.event_log.FIELDS`.
+    """
+    (salt,) = do("SELECT salt FROM participant WHERE id = ?", (event[0],)).fetchone()
+    (head,) = do("SELECT value FROM meta WHERE key = 'head'").fetchone()
+    content = event_log.content_of(event, salt)
+    digest = event_log.linked(head, content)
+    columns = ", ".join(event_log.FIELDS)
+    done = do(
+        f"INSERT INTO event (number, {columns}, content, digest) "
+        "VALUES ((SELECT coalesce(max(number), 0) + 1 FROM event), "
+        "?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) "
+        "ON CONFLICT (participant, source, source_sequence) DO NOTHING",
+        (*event, content, digest),
+    )
+    if done.rowcount:
+        do("UPDATE meta SET value = ? WHERE key = 'head'", (digest,))
 
 
 def _secret(path: Path) -> bytes:

@@ -8,11 +8,13 @@ from typing import Any
 
 from werkzeug.datastructures import MultiDict
 
-from xplain.study.protocol.machine import Refused, State
+from xplain.errors import Refused
+from xplain.study.protocol.machine import State
 from xplain.study.protocol.plan import Study
 
 TAB_KINDS = ("visible", "hidden", "label", "recall", "retry")
 MAX_ITEMS = 50
+_WIDTH = re.compile(r"[1-9][0-9]{1,4}\Z")
 _TAB = re.compile(r"[a-z0-9]{8,32}\Z")
 
 
@@ -31,7 +33,7 @@ def sequence_of(form: Mapping[str, str]) -> int:
     """
     text = form.get("sequence", "")
     if not (0 < len(text) <= 6 and text.isascii() and text.isdigit()):
-        raise Refused("This page is not complete; please reload it.")
+        raise Refused("not_complete")
     return int(text)
 
 
@@ -49,7 +51,14 @@ def payload_of(kind: str, form: MultiDict[str, str], study: Study, state: State)
     protocol refuses with a sentence for the participant."""
     plan = study.plan
     if kind == "consent":
-        return {"agree": small(form.get("agree")), "text": form.get("text", "")[:64]}
+        width = (form.getlist("width") or [""])[-1]
+        return {
+            "agree": small(form.get("agree")),
+            "text": form.get("text", "")[:64],
+            "width": int(width) if _WIDTH.match(width) else None,
+        }
+    if kind == "screening":
+        return {asked.name: form.get(asked.name, "").strip() for asked in plan.before}
     if kind == "example":
         return {"label": small(form.get("label"))}
     if kind == "eligibility" and state.user_type is not None:
@@ -75,22 +84,22 @@ def tab_items(value: object) -> tuple[str, list[tuple[int, str, float, dict[str,
         Refused: anything else.
     """
     if not isinstance(value, dict) or not isinstance(value.get("tab"), str):
-        raise Refused("Not understood.")
+        raise Refused("not_understood")
     tab, items = value["tab"], value.get("items")
     if not _TAB.match(tab) or not isinstance(items, list) or len(items) > MAX_ITEMS:
-        raise Refused("Not understood.")
+        raise Refused("not_understood")
     found = []
     for item in items:
         if not isinstance(item, dict):
-            raise Refused("Not understood.")
+            raise Refused("not_understood")
         number, kind, what = item.get("n"), item.get("kind"), item.get("what", "")
         ms, at = _clock(item.get("ms")), _clock(item.get("at"))
         if type(number) is not int or not 0 <= number < 100_000:
-            raise Refused("Not understood.")
+            raise Refused("not_understood")
         if kind not in TAB_KINDS or ms is None or at is None:
-            raise Refused("Not understood.")
+            raise Refused("not_understood")
         if not isinstance(what, str) or len(what) > 40:
-            raise Refused("Not understood.")
+            raise Refused("not_understood")
         found.append((number, kind, ms, {"at": at, "what": what}))
     return tab, found
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from flask import Response, current_app, make_response, render_template, request
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError
+from xplain.participants.server.protocol import Protocol
 from xplain.participants.server.security import Keys, RateLimit
-from xplain.participants.server.store import Store
-from xplain.study.protocol.plan import Study
+from xplain.participants.server.store import LETTERS, Participant, Store
 
 PARTICIPANT = "participant"
 """The cookie of somebody who was let in."""
@@ -22,20 +24,28 @@ class Server:
 
     Attributes:
         entry: who may come in: "invitation", "prolific", "open" (as pilots).
+        prolific_studies: STUDY_IDs of the platform whose people may come in.
         keep_prolific_ids: whether a platform's ids are stored in clear; else only keyed hashes.
         completion_url: where finished participants may go, "" for nowhere. ``{code}`` in it is
             replaced by the completion code.
-        completion_code: one for all (platforms want that), "" for one a participant.
+        completion_code: one for all who finish (platforms want that), "" for one a participant.
+        codes: ``{how a part ended: code}``, as ``completion_code``, for the other endings.
+        address: as the outside world types it, for links; "" takes it from the server's own.
+        blinded: whether the researcher's page keeps to itself who has which type and condition.
         https: whether the outside world sees https.
         proxies: how many proxies in front add X-Forwarded-For.
         requests_per_second, burst: limit of a participant.
         visitors_per_second, visitor_burst: limit of an address, for those without a cookie.
     """
 
-    entry: tuple[str, ...] = ("invitation", "prolific")
+    entry: tuple[str, ...] = ("invitation",)
+    prolific_studies: tuple[str, ...] = ()
     keep_prolific_ids: bool = False
     completion_url: str = ""
     completion_code: str = ""
+    codes: Mapping[str, str] = field(default_factory=dict)
+    address: str = ""
+    blinded: bool = True
     https: bool = False
     proxies: int = 0
     requests_per_second: float = 5.0
@@ -44,11 +54,31 @@ class Server:
     visitor_burst: float = 300.0
 
     def __post_init__(self) -> None:
-        """Raises InputError: an unknown way to come in."""
+        """Raises InputError: an unknown way to come in, or a platform without its studies."""
         object.__setattr__(self, "entry", tuple(self.entry))
+        object.__setattr__(self, "prolific_studies", tuple(self.prolific_studies))
+        if "prolific" in self.entry and not self.prolific_studies:
+            raise InputError(
+                "server.prolific_studies",
+                [],
+                "the STUDY_IDs whose people may come in, since server.entry has prolific",
+            )
         for kind in self.entry:
             if kind not in ("invitation", "prolific", "open"):
                 raise InputError("server.entry", kind, "invitation, prolific or open")
+
+
+@dataclass
+class Desk:
+    """What the researcher's browsers share until the server ends.
+
+    Attributes:
+        sessions: of those who are logged in.
+        invitations: made lately, ``{name: tokens}``: shown again where the page is reloaded.
+    """
+
+    sessions: set[str] = field(default_factory=set)
+    invitations: dict[str, list[str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -56,11 +86,27 @@ class Context:
     """What every page needs."""
 
     store: Store
-    study: Study
+    protocol: Protocol
     keys: Keys
     server: Server
     participant_limit: RateLimit
     visitor_limit: RateLimit
+    words: Mapping[str, str]
+    desk: Desk
+
+    def say(self, key: str) -> str:
+        """The words of a key; what is no key is said as it is."""
+        return self.words.get(key, key)
+
+    def code(self, found: Participant) -> str:
+        """What a participant shows to be paid: one for each way in which a part can end, so that
+        nobody who did not finish has the code of those who did."""
+        stage = found.state.stage
+        configured = self.server.codes.get(stage, "")
+        if stage == "done":
+            return configured or self.server.completion_code or found.code
+        digest = hashlib.sha256(f"{found.code} {stage}".encode()).digest()
+        return configured or "".join(LETTERS[byte % len(LETTERS)] for byte in digest[:8])
 
 
 def context() -> Context:
@@ -80,8 +126,10 @@ def genuine(who: str) -> bool:
 
 
 def error_page(status: int, text: str) -> Response:
-    """A page that says what is wrong."""
-    return make_response(render_template("error.html", text=text, status=status), status)
+    """A page that says what is wrong, by the key of its words or in words."""
+    return make_response(
+        render_template("error.html", text=context().say(text), status=status), status
+    )
 
 
 def set_cookie(response: AnyResponse, name: str, value: str, samesite: str = "Lax") -> None:

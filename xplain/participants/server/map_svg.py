@@ -2,34 +2,68 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from html import escape
+from typing import Protocol
 
-from xplain.domains.base import Item, Scene
-from xplain.study.protocol.plan import StudyPlan
+from xplain.domains.base import Item, Scene, cell_name
 
-CELL, RULER = 48, 22
+CELL, RULER = 64, 26
 """Side of a cell, and width of the margin with the numbers of rows and columns, in SVG units."""
+BADGE_LETTERS = 7
 # Okabe and Ito's colours, which people with any colour vision can tell apart; every item also has
 # a shape or a letter, and is named in the legend.
 COLOURS = ("#0072B2", "#D55E00", "#00795A", "#A0447E", "#8A6500", "#2F7EA8", "#5B5B5B", "#704214")
 FLOOR, WALL, WAY, INK = "#FBFAF7", "#3B4252", "#1B5FA7", "#1F2933"
 
 
-def picture(plan: StudyPlan, steps: int) -> str:
+class Drawn(Protocol):
+    """What is drawn: a map, or none, the robot's way on it, and icons by the names of items."""
+
+    @property
+    def scene(self) -> Scene | None: ...
+    @property
+    def path(self) -> tuple[tuple[tuple[int, int], tuple[int, int]], ...] | None: ...
+    @property
+    def icons(self) -> Mapping[str, str]: ...
+
+
+WORDS = {
+    "map_step": "the map and the robot's way after step {step}",
+    "map_alone": "the map",
+    "map_words": "the list of steps says the same in words",
+    "wall": "wall",
+    "way": "the robot's way, with the numbers of its steps",
+}
+"""What a picture says, where a plan has no words of its own."""
+
+
+def picture(
+    plan: Drawn, steps: int, gone: Sequence[str] = (), words: Mapping[str, str] = WORDS
+) -> str:
     """The map after the first ``steps`` transitions; "" where the domain has no map.
 
     Args:
         plan: with scene and path.
         steps: how much of the way is drawn; 0 shows the map alone.
+        gone: names of items that are no longer on the map.
+        words: that it says.
     """
     scene, path = plan.scene, plan.path
     if scene is None or path is None:
         return ""
     width, height = scene.columns * CELL, scene.rows * CELL
-    where = "the map" if not steps else f"the map and the robot's way after step {steps}"
+    where = words["map_step"].format(step=steps) if steps else words["map_alone"]
+    here = path[steps - 1][1] if steps else path[0][0]
+    items = [
+        (cell, icon(plan, item, index))
+        for index, item in enumerate(scene.items)
+        if item.name not in gone
+        for cell in item.cells
+    ]
     parts = [
         f'<svg class="map" viewBox="{-RULER} {-RULER} {width + RULER} {height + RULER}" role="img" '
-        f'aria-label="{escape(where)}; the list of steps says the same in words">',
+        f'aria-label="{escape(where)}; {escape(words["map_words"])}">',
         f'<rect width="{width}" height="{height}" rx="6" fill="{FLOOR}"/>',
         *_rulers(scene),
         *_grid(scene),
@@ -38,30 +72,33 @@ def picture(plan: StudyPlan, steps: int) -> str:
             for cell in scene.walls
         ),
     ]
-    for index, item in enumerate(scene.items):
-        parts += [_cell(cell, icon(plan, item, index)) for cell in item.cells]
+    parts += [_cell(cell, drawn) for cell, drawn in items]
     if steps:
         parts += _way(path[:steps])
-    else:
-        parts.append(_robot(path[0][0]))
+    parts.append(_robot(here, aside=here in [cell for cell, _ in items]))
+    if steps:
+        parts += _badges(path[:steps])
     return "".join([*parts, "</svg>"])
 
 
-def legend(plan: StudyPlan) -> list[tuple[str, str]]:
+def legend(plan: Drawn, words: Mapping[str, str] = WORDS) -> list[tuple[str, str]]:
     """(name, small SVG) of everything on the map."""
     if plan.scene is None:
         return []
+    drawn = [(item.name, icon(plan, item, index)) for index, item in enumerate(plan.scene.items)]
+    if plan.scene.walls:
+        wall = f'<rect width="{CELL}" height="{CELL}" fill="{WALL}"/>'
+        drawn.append((words["wall"], wall))
+    if plan.path is not None:
+        way = f'<path d="M6 32H58" stroke="{WAY}" stroke-width="6"/>{_badge("1")}'
+        drawn.append((words["way"], way))
     return [
-        (
-            item.name,
-            f'<svg class="key" viewBox="0 0 {CELL} {CELL}" aria-hidden="true">'
-            f"{icon(plan, item, index)}</svg>",
-        )
-        for index, item in enumerate(plan.scene.items)
+        (name, f'<svg class="key" viewBox="0 0 {CELL} {CELL}" aria-hidden="true">{svg}</svg>')
+        for name, svg in drawn
     ]
 
 
-def icon(plan: StudyPlan, item: Item, index: int) -> str:
+def icon(plan: Drawn, item: Item, index: int) -> str:
     """A tile with the item's icon, or with its symbol where the configuration has no icon."""
     colour = COLOURS[index % len(COLOURS)]
     tile = (
@@ -70,21 +107,23 @@ def icon(plan: StudyPlan, item: Item, index: int) -> str:
     )
     if path := plan.icons.get(item.name):
         return (
-            f'{tile}<path transform="translate(12 12)" d="{escape(path)}" fill="none" '
+            f'{tile}<path transform="translate(31 29) scale(1.1)" d="{escape(path)}" fill="none" '
             f'stroke="{colour}" stroke-width="2" stroke-linecap="round" stroke-linejoin="round"/>'
         )
     return (
-        f'{tile}<text x="{CELL // 2}" y="{CELL // 2 + 7}" text-anchor="middle" font-size="20" '
+        f'{tile}<text x="44" y="50" text-anchor="middle" font-size="22" '
         f'font-weight="700" fill="{colour}">{escape(item.symbol)}</text>'
     )
 
 
 def _rulers(scene: Scene) -> list[str]:
-    """Numbers of rows and columns, which the phrases of the steps refer to."""
-    marks = [(-RULER / 2, (r + 0.5) * CELL + 5, r) for r in range(scene.rows)]
-    marks += [((c + 0.5) * CELL, -RULER / 2 + 5, c) for c in range(scene.columns)]
-    texts = [f'<text x="{x:g}" y="{y:g}">{number}</text>' for x, y, number in marks]
-    return [f'<g font-size="14" fill="#5F6C7B" text-anchor="middle">{"".join(texts)}</g>']
+    """Numbers of the rows and letters of the columns, which the phrases of the steps refer to."""
+    marks = [(-RULER / 2, (r + 0.5) * CELL + 6, f"{r + 1}") for r in range(scene.rows)]
+    marks += [
+        ((c + 0.5) * CELL, -RULER / 2 + 6, cell_name(0, c)[:-1]) for c in range(scene.columns)
+    ]
+    texts = [f'<text x="{x:g}" y="{y:g}">{mark}</text>' for x, y, mark in marks]
+    return [f'<g font-size="17" fill="#4A5763" text-anchor="middle">{"".join(texts)}</g>']
 
 
 def _grid(scene: Scene) -> list[str]:
@@ -103,40 +142,52 @@ def _centre(cell: tuple[int, int]) -> tuple[float, float]:
 
 
 def _way(path: tuple[tuple[tuple[int, int], tuple[int, int]], ...]) -> list[str]:
-    """The old way thin, the newest step thick and dashed, the step numbers where they ended."""
+    """The old way thin, the newest step thick and dashed."""
     old = " ".join(f"{x:g},{y:g}" for x, y in (_centre(a) for a, _ in path))
     (x0, y0), (x1, y1) = _centre(path[-1][0]), _centre(path[-1][1])
-    parts = [
+    return [
         f'<polyline points="{old}" fill="none" stroke="{WAY}" stroke-width="4" '
         'stroke-opacity="0.45" stroke-linejoin="round" stroke-linecap="round"/>',
         f'<path d="M{x0:g} {y0:g}L{x1:g} {y1:g}" stroke="{WAY}" stroke-width="6" '
         'stroke-dasharray="2 9" stroke-linecap="round"/>',
         f'<circle cx="{_centre(path[0][0])[0]:g}" cy="{_centre(path[0][0])[1]:g}" r="6" '
         f'fill="#fff" stroke="{WAY}" stroke-width="3"/>',
-        _robot(path[-1][1]),
     ]
+
+
+def _badges(path: tuple[tuple[tuple[int, int], tuple[int, int]], ...]) -> list[str]:
+    """The numbers of the steps where they ended, at the top of the cell, which has room for the
+    last few; two dots stand for those before."""
     ended: dict[tuple[int, int], list[int]] = {}
     for number, (_, after) in enumerate(path, 1):
         ended.setdefault(after, []).append(number)
+    parts = []
     for cell, numbers in ended.items():
-        text = "·".join(str(number) for number in numbers)
-        width = 9 + 8 * len(text)
-        parts.append(
-            _cell(
-                cell,
-                f'<rect x="1" y="1" width="{width}" height="17" rx="6" fill="{WAY}"/>'
-                f'<text x="{1 + width / 2:g}" y="14" text-anchor="middle" font-size="12.5" '
-                f'font-weight="700" fill="#fff">{text}</text>',
-            )
-        )
+        shown = [str(number) for number in numbers]
+        text = "·".join(shown)
+        while len(text) > BADGE_LETTERS:
+            shown = shown[1:]
+            text = "··" + "·".join(shown)
+        parts.append(_cell(cell, _badge(text)))
     return parts
 
 
-def _robot(cell: tuple[int, int]) -> str:
-    """A small robot's head."""
+def _badge(text: str) -> str:
+    width = 8 + 7.5 * len(text)
+    return (
+        f'<rect x="1" y="1" width="{width:g}" height="19" rx="6" fill="{WAY}"/>'
+        f'<text x="{1 + width / 2:g}" y="15.5" text-anchor="middle" font-size="13" '
+        f'font-weight="700" fill="#fff">{text}</text>'
+    )
+
+
+def _robot(cell: tuple[int, int], aside: bool) -> str:
+    """A small robot's head, below the numbers; to the left where something else is in the cell."""
+    left = -8 if aside else 8
     return _cell(
         cell,
-        f'<g stroke="{INK}" stroke-width="2" stroke-linecap="round">'
+        f'<g transform="translate({left} 24)" stroke="{INK}" stroke-width="2" '
+        'stroke-linecap="round">'
         f'<path d="M24 12V7"/><circle cx="24" cy="6" r="2" fill="{INK}"/>'
         '<rect x="11" y="13" width="26" height="21" rx="6" fill="#FFD95A"/>'
         f'<circle cx="19" cy="22" r="2.4" fill="{INK}"/><circle cx="29" cy="22" r="2.4" '

@@ -3,12 +3,14 @@ reload, back button, a second tab or a restart of the server end up at the same 
 
 from __future__ import annotations
 
+import re
 import secrets
 from typing import Any
 
 from flask import Blueprint, Response, make_response, redirect, render_template, request, url_for
 from werkzeug.wrappers import Response as AnyResponse
 
+from xplain.errors import Refused
 from xplain.participants.server import forms
 from xplain.participants.server.http import (
     PARTICIPANT,
@@ -20,15 +22,11 @@ from xplain.participants.server.http import (
 )
 from xplain.participants.server.slots import Full
 from xplain.participants.server.store import Participant, Unknown
-from xplain.study.protocol import machine
-from xplain.study.protocol.machine import Refused
-from xplain.study.protocol.view import page
 
 pages = Blueprint("participant", __name__)
 VISITOR = "visitor"
 """The cookie of somebody who has not entered yet; forms are bound to it."""
 _PROLIFIC = ("PROLIFIC_PID", "STUDY_ID", "SESSION_ID")
-_WITHOUT_QUESTIONS = tuple(stage for stage in machine.STAGES if stage != "questions")
 
 # Entry -----------------------------------------------------------------------------------------
 
@@ -59,11 +57,12 @@ def enter() -> AnyResponse:
     """Admits, or leads back to where the participant was."""
     own = context()
     if not genuine(request.cookies.get(VISITOR, "")):
-        return error_page(403, "This form is out of date. Please open your link again.")
+        return error_page(403, "old_form")
     ids = [request.form.get(key, "") for key in _PROLIFIC]
+    theirs = "prolific" in own.server.entry and ids[1] in own.server.prolific_studies
     invitation = request.form.get("invitation", "").strip()
     try:
-        if all(ids) and "prolific" in own.server.entry:
+        if all(ids) and theirs:
             if max(map(len, ids)) > 100:
                 raise Unknown
             who = own.store.enter_prolific(
@@ -76,9 +75,7 @@ def enter() -> AnyResponse:
         else:
             raise Unknown
     except Unknown:
-        return error_page(
-            403, "This invitation is not valid, or it has been used for another session."
-        )
+        return error_page(403, "not_invited")
     response = redirect(url_for("participant.show"), 303)
     set_cookie(response, PARTICIPANT, own.keys.cookie(who))
     return response
@@ -100,29 +97,29 @@ def show() -> AnyResponse:
     """The page where the participant is."""
     found = _current()
     if found is None:
-        return error_page(403, "Please open the link of your invitation to take part.")
+        return error_page(403, "no_invitation")
     return _page(found)
 
 
 def _page(found: Participant, problem: str = "", status: int = 200) -> Response:
     own = context()
-    view = page(own.study, found.state)
+    protocol = own.protocol
     stage = found.state.stage
     own.store.shown(found.id, found.state.accepted, stage)
-    code = own.server.completion_code or found.code
+    code = own.code(found)
+    ended = found.state.over and (stage == "done" or stage in protocol.ends)
     return make_response(
         render_template(
-            "ended.html" if stage in machine.ENDS else f"{stage}.html",
-            **view,
+            "ended.html" if ended else f"{stage}.html",
+            **protocol.view(found.state),
             token=own.keys.form(found.id),
-            kind=machine.KINDS.get(stage, ""),
-            problem=problem,
+            kind=protocol.kinds.get(stage, ""),
+            problem=own.say(problem),
+            reference="-".join(re.findall(".{4}", found.id)),
             code=code,
             back=own.server.completion_url.replace("{code}", code),
-            stages=machine.STAGES if own.study.plan.asked else _WITHOUT_QUESTIONS,
+            stages=protocol.stages,
             stream=found.stream,
-            recall=own.study.plan.rules.recall,
-            n_steps=own.study.plan.n_steps,
         ),
         status,
     )
@@ -133,28 +130,49 @@ def answer() -> AnyResponse:
     """Accepts an answer, once, and leads on. Says 303 only when the answer is on the disk."""
     found = _current()
     if found is None:
-        return error_page(403, "Please open the link of your invitation to take part.")
+        return error_page(403, "no_invitation")
     own, form = context(), request.form
     if not genuine(found.id):
-        return error_page(
-            403, "This page belongs to another participant or visit. Please reload it."
-        )
+        return error_page(403, "not_yours")
     kind = form.get("kind", "")[:20]
     try:
         if kind == "time_out":
-            raise Refused("There is no such answer.")
+            raise Refused("not_understood")
         own.store.submit(
             found.id,
             forms.sequence_of(form),
             kind,
-            forms.payload_of(kind, form, own.study, found.state),
+            own.protocol.payload(kind, form, found.state),
             forms.milliseconds(form.get("ms")),
         )
     except Full as error:
-        return _page(found, f"{error} Please try again later: this link stays valid.", 503)
+        return _page(found, str(error), 503)
     except Refused as error:
         return _page(own.store.participant(found.id), str(error), 400)
     return redirect(url_for("participant.show"), 303)
+
+
+@pages.get("/consent.txt")
+def consent() -> AnyResponse:
+    """A copy of the consent text to keep."""
+    texts = context().protocol.plan.texts
+    content = "\n\n".join([texts.title, *texts.consent, texts.contact, texts.consent_hash])
+    reply = make_response(content + "\n")
+    reply.headers["Content-Type"] = "text/plain; charset=utf-8"
+    reply.headers["Content-Disposition"] = "attachment; filename=consent.txt"
+    return reply
+
+
+@pages.get("/picture/<name>")
+def picture(name: str) -> AnyResponse:
+    """An image that belongs to the plan."""
+    found = context().protocol.file(name)
+    if found is None:
+        return error_page(404, "There is no such page.")
+    media, content = found
+    response = make_response(content)
+    response.headers["Content-Type"] = media
+    return response
 
 
 @pages.post("/events")

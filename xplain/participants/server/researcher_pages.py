@@ -1,8 +1,12 @@
-"""The researcher's page: who is where, which slots are left, invitations, the data."""
+"""The researcher's page: what can be done, who is where, invitations, the data.
+
+Who has which type and condition stays hidden unless the server is told otherwise.
+"""
 
 from __future__ import annotations
 
 import io
+import secrets
 import tempfile
 import zipfile
 from pathlib import Path
@@ -10,106 +14,169 @@ from pathlib import Path
 from flask import Blueprint, Response, make_response, redirect, render_template, request, url_for
 from werkzeug.wrappers import Response as AnyResponse
 
+from xplain.errors import InputError, Refused
 from xplain.participants.server import forms
-from xplain.participants.server.http import context, error_page, genuine, set_cookie
-from xplain.study.protocol import machine
+from xplain.participants.server.http import (
+    PARTICIPANT,
+    Desk,
+    context,
+    error_page,
+    genuine,
+    set_cookie,
+)
 from xplain.study.stored import STREAMS
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
-COOKIE, WHO = "researcher", "researcher"
+COOKIE = "researcher"
 MOST_INVITATIONS = 500
+MOST_BATCHES = 20
+"""Batches of invitations that can be looked at again."""
 
 
-def _known() -> bool:
-    return context().keys.is_researcher_cookie(request.cookies.get(COOKIE, ""))
+def _session() -> str | None:
+    """Of the researcher who is logged in."""
+    session = context().keys.session(request.cookies.get(COOKIE, ""))
+    return session if session in context().desk.sessions else None
 
 
 def _genuine() -> bool:
-    return _known() and genuine(WHO)
+    session = _session()
+    return session is not None and genuine(session)
+
+
+@pages.before_request
+def _only_known() -> AnyResponse | None:
+    """Nothing is done without a login and the form's token."""
+    free = request.endpoint == "researcher.login" or request.method not in ("POST", "PUT")
+    return None if free or _genuine() else error_page(403, "Please log in first.")
 
 
 @pages.get("")
 def overview() -> AnyResponse:
     """Everything at a glance, or the way in."""
-    return _overview([]) if _known() else make_response(render_template("login.html"))
-
-
-def _overview(invitations: list[str]) -> Response:
-    own = context()
+    own, session = context(), _session()
+    if session is None:
+        return make_response(render_template("login.html"))
     own.store.time_out_stale()
     people = own.store.query(
         "SELECT participant.id, stream, json_extract(state, '$.stage') AS stage, "
         "json_extract(state, '$.step') AS step, json_extract(state, '$.user_type') AS user_type, "
         "json_extract(state, '$.condition') AS condition, entered, seen, over "
-        "FROM participant ORDER BY over, seen DESC LIMIT 500"
-    )
-    now = own.store.clock.wall()
-    slots = own.store.query(
-        "SELECT stream, user_type, condition, sum(used) AS completed, "
-        "sum(used = 0 AND holder IS NOT NULL) AS held, sum(holder IS NULL) AS free "
-        "FROM slot GROUP BY stream, user_type, condition ORDER BY stream, user_type, condition"
+        "FROM participant WHERE NOT erased ORDER BY over, seen DESC LIMIT 500"
     )
     flow = own.store.query(
         "SELECT stream, json_extract(state, '$.stage') AS stage, count(*) AS number "
         "FROM participant GROUP BY 1, 2"
     )
+    address = own.server.address.rstrip("/") or request.host_url.rstrip("/")
     return make_response(
         render_template(
-            "researcher.html",
-            token=own.keys.form(WHO),
+            own.protocol.overview,
+            **own.protocol.glance(own.store.query),
+            token=own.keys.form(session),
             people=people,
-            now=now,
-            slots=slots,
-            stages=(*machine.STAGES, *machine.ENDS),
+            now=own.store.clock.wall(),
+            stages=(*own.protocol.stages, *own.protocol.ends),
             flow={(row["stream"], row["stage"]): row["number"] for row in flow},
             streams=[name for name in STREAMS if any(row["stream"] == name for row in flow)],
-            roles=own.study.plan.roles,
-            entrance=url_for("participant.entrance", _external=True),
-            invitations=invitations,
-            plan_hash=own.study.plan.hash,
+            entrance=address + url_for("participant.entrance"),
+            invitations=own.desk.invitations.get(request.args.get("made", ""), []),
+            plan_hash=own.protocol.plan.hash,
+            paused=own.store.paused,
+            blinded=own.server.blinded,
+            head=own.store.query("SELECT value FROM meta WHERE key = 'head'")[0]["value"],
         )
     )
 
 
 @pages.post("/login")
 def login() -> AnyResponse:
-    """Trades the token for a cookie."""
-    keys = context().keys
-    if not keys.is_researcher(request.form.get("key", "")):
+    """Trades the key for a session of one's own."""
+    own = context()
+    if not own.keys.is_researcher(request.form.get("key", "")):
         return error_page(403, "This is not the researcher's key. The server prints it at start.")
-    response = redirect(url_for("researcher.overview"), 303)
-    set_cookie(response, COOKIE, keys.researcher_cookie, "Strict")
+    session = secrets.token_hex(16)
+    own.desk.sessions.add(session)
+    response = _back()
+    set_cookie(response, COOKIE, own.keys.session_cookie(session), "Strict")
+    return response
+
+
+@pages.post("/logout")
+def logout() -> AnyResponse:
+    """Ends this browser's session, here and in the browser."""
+    context().desk.sessions.discard(_session() or "")
+    response = _back()
+    response.delete_cookie(COOKIE)
     return response
 
 
 @pages.post("/invitations")
 def invitations() -> AnyResponse:
-    """Makes invitations and shows them, once."""
-    if not _genuine():
-        return error_page(403, "Please log in first.")
+    """Makes invitations; the page that is led to shows them."""
     count, stream = forms.small(request.form.get("count", "")), request.form.get("stream", "")
     if not count or count > MOST_INVITATIONS or stream not in STREAMS:
         return error_page(400, f"1 to {MOST_INVITATIONS} invitations: {', '.join(STREAMS)}.")
-    return _overview(context().store.invite(count, stream))
+    name = _keep(context().desk, context().store.invite(count, stream))
+    return redirect(url_for("researcher.overview", made=name), 303)
+
+
+def _keep(desk: Desk, tokens: list[str]) -> str:
+    name = secrets.token_hex(8)
+    desk.invitations[name] = tokens
+    for old in list(desk.invitations)[:-MOST_BATCHES]:
+        del desk.invitations[old]
+    return name
+
+
+@pages.post("/pause")
+def pause() -> AnyResponse:
+    """Lets nobody new in, or lets them in again."""
+    context().store.pause(request.form.get("on") == "1")
+    return _back()
+
+
+@pages.post("/preview")
+def preview() -> AnyResponse:
+    """Makes this browser a pilot of a chosen type and condition."""
+    own, cell = context(), forms.small(request.form.get("cell", ""))
+    try:
+        who = own.store.enter_preview(-1 if cell is None else cell)
+    except Refused as error:
+        return error_page(400, str(error))
+    response = redirect(url_for("participant.show"), 303)
+    set_cookie(response, PARTICIPANT, own.keys.cookie(who))
+    return response
+
+
+@pages.post("/erase")
+def erase() -> AnyResponse:
+    """Erases the data of the participant who gave their reference."""
+    try:
+        context().store.erase(request.form.get("reference", "")[:100])
+    except InputError as error:
+        return error_page(404, f"Nobody has this reference, or no data any more: {error.value!r}")
+    return _back()
 
 
 @pages.post("/export")
 def export() -> AnyResponse:
     """All data as one archive, made from a snapshot."""
-    if not _genuine():
-        return error_page(403, "Please log in first.")
-    from xplain.study.analysis.export import export as write
-
     archive = io.BytesIO()
     with tempfile.TemporaryDirectory() as folder:
         snapshot = Path(folder) / "snapshot.sqlite"
         context().store.snapshot(snapshot)
         tables = Path(folder) / "tables"
-        write(snapshot, tables)
+        context().protocol.export(snapshot, tables)
         with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as out:
             for file in sorted([snapshot, *tables.iterdir()]):
                 out.write(file, f"study/{file.name}")
     response = make_response(archive.getvalue())
     response.headers["Content-Type"] = "application/zip"
     response.headers["Content-Disposition"] = "attachment; filename=study.zip"
+    return response
+
+
+def _back() -> Response:
+    response: Response = redirect(url_for("researcher.overview"), 303)  # type: ignore[assignment]
     return response

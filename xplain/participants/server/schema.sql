@@ -1,12 +1,20 @@
--- One study, one file. Events are never changed; every other table can be computed from them
--- and the plan, which is what `python -m xplain study replay` checks.
+-- One study or collection, one file. Events are never changed; every other table can be computed
+-- from them and the plan, which is what the command `replay` checks. The triggers hold for REPLACE
+-- too (PRAGMA recursive_triggers); only the erasure of a participant passes them.
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
+CREATE TRIGGER meta_fixed BEFORE UPDATE ON meta WHEN OLD.key != 'head' OR NEW.key != 'head'
+BEGIN SELECT RAISE(ABORT, 'the plan is never changed'); END;
+CREATE TRIGGER meta_kept BEFORE DELETE ON meta WHEN OLD.key != 'erasing'
+BEGIN SELECT RAISE(ABORT, 'the plan is never deleted'); END;
+
+-- What the researcher switches on and off.
+CREATE TABLE control (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 
 CREATE TABLE participant (
     number INTEGER PRIMARY KEY,
-    id TEXT NOT NULL UNIQUE,
+    id TEXT NOT NULL UNIQUE,            -- random; also the reference that participants are given
     stream TEXT NOT NULL CHECK (stream IN ('person', 'pilot', 'bot')),
-    entry TEXT NOT NULL,                -- invitation, prolific or open
+    entry TEXT NOT NULL,                -- invitation, prolific, open or preview
     external TEXT UNIQUE,               -- keyed hash of the outside id, against second entries
     session TEXT,                       -- keyed hash of the outside session
     kept TEXT NOT NULL,                 -- outside ids in clear, where the config keeps them (JSON)
@@ -14,10 +22,14 @@ CREATE TABLE participant (
     seen REAL NOT NULL,                 -- last sign of life, server wall clock, seconds
     over INTEGER NOT NULL DEFAULT 0,
     state TEXT NOT NULL,                -- of the protocol (JSON)
-    code TEXT NOT NULL                  -- completion code
+    code TEXT NOT NULL,                 -- completion code
+    salt TEXT NOT NULL,                 -- of the hashes of their events; gone once erased
+    erased INTEGER NOT NULL DEFAULT 0
 ) STRICT;
 CREATE INDEX participant_open ON participant (over, seen);
-CREATE TRIGGER once_a_bot BEFORE UPDATE OF number, id, stream, entry ON participant
+CREATE TRIGGER once_a_bot
+BEFORE UPDATE OF number, id, stream, entry, external, session, kept, entered, code, salt, erased
+ON participant WHEN NOT EXISTS (SELECT 1 FROM meta WHERE key = 'erasing' AND value = OLD.id)
 BEGIN SELECT RAISE(ABORT, 'who a participant is never changes'); END;
 CREATE TRIGGER participant_kept BEFORE DELETE ON participant
 BEGIN SELECT RAISE(ABORT, 'participants are never deleted'); END;
@@ -27,6 +39,11 @@ CREATE TABLE invitation (
     stream TEXT NOT NULL,
     participant TEXT REFERENCES participant (id)
 ) STRICT;
+CREATE TRIGGER invitation_fixed BEFORE UPDATE ON invitation
+WHEN OLD.participant IS NOT NULL OR NEW.token != OLD.token OR NEW.stream != OLD.stream
+BEGIN SELECT RAISE(ABORT, 'a used invitation is never changed'); END;
+CREATE TRIGGER invitation_kept BEFORE DELETE ON invitation
+BEGIN SELECT RAISE(ABORT, 'invitations are never deleted'); END;
 
 CREATE TABLE slot (
     stream TEXT NOT NULL,
@@ -38,10 +55,18 @@ CREATE TABLE slot (
     PRIMARY KEY (stream, position)
 ) STRICT;
 CREATE INDEX slot_holder ON slot (holder);
+CREATE TRIGGER slot_fixed BEFORE UPDATE ON slot
+WHEN (NEW.stream, NEW.position, NEW.user_type, NEW.condition)
+     IS NOT (OLD.stream, OLD.position, OLD.user_type, OLD.condition)
+     OR (OLD.used AND NOT EXISTS (SELECT 1 FROM meta WHERE key = 'erasing' AND value = OLD.holder))
+BEGIN SELECT RAISE(ABORT, 'what a slot is never changes'); END;
+CREATE TRIGGER slot_kept BEFORE DELETE ON slot
+BEGIN SELECT RAISE(ABORT, 'slots are never deleted'); END;
 
 CREATE TABLE event (
+    number INTEGER PRIMARY KEY,         -- order of arrival of all participants' events, 1 …
     participant TEXT NOT NULL REFERENCES participant (id),
-    sequence INTEGER NOT NULL,          -- order of arrival, 0 …
+    sequence INTEGER NOT NULL,          -- order of arrival of this participant's, 0 …
     source TEXT NOT NULL,               -- protocol, server, shown, or tab:… (a page's own events)
     source_sequence INTEGER NOT NULL,   -- order at the source; repeated deliveries are dropped
     kind TEXT NOT NULL,
@@ -50,10 +75,15 @@ CREATE TABLE event (
     boot TEXT NOT NULL,
     browser REAL,                       -- the page's performance.now, milliseconds
     payload TEXT NOT NULL,              -- JSON
-    PRIMARY KEY (participant, sequence),
+    content TEXT NOT NULL,              -- hash of this event (xplain/event_log.py)
+    digest TEXT NOT NULL,               -- hash of this event and all before it
+    UNIQUE (participant, sequence),
     UNIQUE (participant, source, source_sequence)
 ) STRICT;
 CREATE TRIGGER event_fixed BEFORE UPDATE ON event
+WHEN (NEW.number, NEW.participant, NEW.sequence, NEW.content, NEW.digest)
+     IS NOT (OLD.number, OLD.participant, OLD.sequence, OLD.content, OLD.digest)
+     OR NOT EXISTS (SELECT 1 FROM meta WHERE key = 'erasing' AND value = OLD.participant)
 BEGIN SELECT RAISE(ABORT, 'events are never changed'); END;
 CREATE TRIGGER event_kept BEFORE DELETE ON event
 BEGIN SELECT RAISE(ABORT, 'events are never deleted'); END;
@@ -69,5 +99,11 @@ CREATE TABLE step (
     belief_after TEXT,                  -- JSON [N]
     PRIMARY KEY (participant, k)
 ) STRICT;
-CREATE TRIGGER step_fixed BEFORE UPDATE ON step WHEN OLD.labels IS NOT NULL
+CREATE TRIGGER step_fixed BEFORE UPDATE ON step
+WHEN OLD.labels IS NOT NULL
+     OR (NEW.participant, NEW.k, NEW.belief_before, NEW.given, NEW.messages, NEW.action_values)
+     IS NOT (OLD.participant, OLD.k, OLD.belief_before, OLD.given, OLD.messages, OLD.action_values)
 BEGIN SELECT RAISE(ABORT, 'an answered step is never changed'); END;
+CREATE TRIGGER step_kept BEFORE DELETE ON step
+WHEN NOT EXISTS (SELECT 1 FROM meta WHERE key = 'erasing' AND value = OLD.participant)
+BEGIN SELECT RAISE(ABORT, 'steps are never deleted'); END;

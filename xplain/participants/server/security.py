@@ -143,14 +143,13 @@ class Keys:
         """Whether this is the researcher's key, compared in constant time."""
         return hmac.compare_digest(_bytes(typed), _bytes(self.researcher))
 
-    @property
-    def researcher_cookie(self) -> str:
-        """What the researcher's browser holds after the key was typed in."""
-        return self._signer(_SESSION).sign(_RESEARCHER).decode()
+    def session_cookie(self, session: str) -> str:
+        """What the researcher's browser holds after the key was typed in: the session, signed."""
+        return self._signer(_SESSION).sign(session).decode()
 
-    def is_researcher_cookie(self, cookie: str) -> bool:
-        """Whether a cookie is the researcher's and genuine."""
-        return self._signed(_SESSION, cookie) == _RESEARCHER
+    def session(self, cookie: str) -> str | None:
+        """The session of a researcher's cookie; None if it is forged."""
+        return self._signed(_SESSION, cookie)
 
     def _signer(self, purpose: str) -> Signer:
         """HMAC-SHA256 with a key of this purpose's own, compared in constant time."""

@@ -6,13 +6,16 @@ time out or are not eligible, and is used up only when they complete.
 
 from __future__ import annotations
 
-import sqlite3
+from collections.abc import Mapping
 from typing import Any
 
+from xplain.errors import Refused
 from xplain.participants.server.database import Do
 from xplain.randomness import stream
-from xplain.study.protocol.machine import Refused
 from xplain.study.protocol.plan import StudyPlan
+
+PREVIEW = "preview"
+"""Stream of the slots of pilots who see what the researcher chose."""
 
 
 class Full(Refused):
@@ -30,7 +33,7 @@ def add_block(do: Do, plan: StudyPlan, stream_name: str, block: int) -> None:
         )
 
 
-def reserve(do: Do, plan: StudyPlan, person: sqlite3.Row) -> dict[str, Any]:
+def reserve(do: Do, plan: StudyPlan, person: Mapping[str, Any]) -> dict[str, Any]:
     """Takes the first free slot of the person's stream, and draws the orders of questions:
     what the consent event carries.
 
@@ -38,21 +41,9 @@ def reserve(do: Do, plan: StudyPlan, person: sqlite3.Row) -> dict[str, Any]:
         Full: people only; pilots and bots get more slots.
     """
     own = person["stream"]
-    free = (
-        "SELECT * FROM slot WHERE stream = ? AND holder IS NULL AND used = 0 "
-        "ORDER BY position LIMIT 1"
-    )
-    slot = do(free, (own,)).fetchone()
-    if slot is None:
-        if own == "person":
-            raise Full("All places are taken at the moment.")
-        (taken,) = do("SELECT count(*) FROM slot WHERE stream = ?", (own,)).fetchone()
-        add_block(do, plan, own, taken // len(plan.cells))
-        slot = do(free, (own,)).fetchone()
-    do(
-        "UPDATE slot SET holder = ? WHERE stream = ? AND position = ?",
-        (person["id"], own, slot["position"]),
-    )
+    slot = do("SELECT * FROM slot WHERE holder = ?", (person["id"],)).fetchone()
+    if slot is None:  # not pinned
+        slot = _take(do, plan, person, "", ())
     role = plan.roles[slot["user_type"]]
     rng = stream(plan.seed, "orders", own, person["number"])
     orders = {
@@ -65,6 +56,56 @@ def reserve(do: Do, plan: StudyPlan, person: sqlite3.Row) -> dict[str, Any]:
         "condition": slot["condition"],
         "orders": orders,
     }
+
+
+def retake(do: Do, plan: StudyPlan, person: Mapping[str, Any], state: Any) -> dict[str, Any]:
+    """A slot like the one that somebody lost by being silent: the same type and condition.
+
+    Raises:
+        Full: there is none (people only).
+        Refused: they did not lose any.
+    """
+    if state.stage != "timed_out":
+        raise Refused("other_page")
+    of_cell = "AND user_type = ? AND condition = ?"
+    slot = _take(do, plan, person, of_cell, (state.user_type, state.condition))
+    return {"position": slot["position"]}
+
+
+def pin(do: Do, plan: StudyPlan, who: str, cell: int) -> None:
+    """A slot for somebody who is to see this cell of the plan.
+
+    Raises:
+        Refused: there is no such cell.
+    """
+    if not 0 <= cell < len(plan.cells):
+        raise Refused("not_understood")
+    (count,) = do("SELECT count(*) FROM slot WHERE stream = ?", (PREVIEW,)).fetchone()
+    do("INSERT INTO slot VALUES (?, ?, ?, ?, ?, 0)", (PREVIEW, count, *plan.cells[cell], who))
+
+
+def _take(
+    do: Do, plan: StudyPlan, person: Mapping[str, Any], which: str, parameters: tuple[Any, ...]
+) -> Mapping[str, Any]:
+    """The first free slot of the person's stream, now held by them."""
+    own = person["stream"]
+    free = (
+        f"SELECT * FROM slot WHERE stream = ? AND holder IS NULL AND used = 0 {which} "
+        "ORDER BY position LIMIT 1"
+    )
+    slot: Mapping[str, Any] | None = do(free, (own, *parameters)).fetchone()
+    if slot is None:
+        if own == "person":
+            raise Full("full")
+        (taken,) = do("SELECT count(*) FROM slot WHERE stream = ?", (own,)).fetchone()
+        add_block(do, plan, own, taken // len(plan.cells))
+        slot = do(free, (own, *parameters)).fetchone()
+    assert slot is not None, "a block has every cell"
+    do(
+        "UPDATE slot SET holder = ? WHERE stream = ? AND position = ?",
+        (person["id"], own, slot["position"]),
+    )
+    return slot
 
 
 def settle(do: Do, who: str, stage: str) -> None:

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xplain.errors import InputError
-from xplain.participants.server import slots
-from xplain.participants.server.database import Clock, Database, Do
-from xplain.study.protocol import machine
-from xplain.study.protocol.machine import Refused, State
-from xplain.study.protocol.plan import Study
+from xplain.errors import InputError, Refused
+from xplain.participants.server.database import Clock, Database, Do, append
+from xplain.participants.server.protocol import State
+from xplain.participants.server.protocols import Running, protocol_of
 from xplain.study.stored import STREAMS
 
+LETTERS = "BCDFGHJKLMNPQRSTVWXZ"
+"""Of completion codes: no vowels, so no words, and no digits that look like a number."""
 MAX_TAB_EVENTS = 5000
 """Events of a participant's pages that are kept; a study page makes a few dozen."""
 
@@ -42,7 +42,7 @@ class Participant:
 class Store(Database):
     """Everything the server knows. Safe to call from several threads."""
 
-    def __init__(self, path: Path, study: Study, clock: Clock | None = None) -> None:
+    def __init__(self, path: Path, study: Running, clock: Clock | None = None) -> None:
         """Opens or creates the database.
 
         Raises:
@@ -50,6 +50,7 @@ class Store(Database):
         """
         super().__init__(path)
         self.study, self.clock = study, clock or Clock()
+        self.protocol = protocol_of(study)
         plan = study.plan
         try:
             with self.transaction() as do:
@@ -57,8 +58,8 @@ class Store(Database):
                 if row is None:
                     do("INSERT INTO meta VALUES ('plan', ?)", (plan.text,))
                     do("INSERT INTO meta VALUES ('plan_hash', ?)", (plan.hash,))
-                    for block in range(plan.rules.per_cell):
-                        slots.add_block(do, plan, "person", block)
+                    do("INSERT INTO meta VALUES ('head', ?)", (plan.hash,))
+                    self.protocol.found(do)
                 elif row[0] != plan.text:
                     raise InputError("database", str(path), "belongs to another study plan")
         except BaseException:
@@ -116,6 +117,17 @@ class Store(Database):
                 raise Unknown
             return self._resume(do, row["id"])
 
+    def enter_preview(self, cell: int) -> str:
+        """A pilot whose part of the plan the researcher chose, not chance.
+
+        Raises:
+            Refused: the protocol has no such cell.
+        """
+        with self.transaction() as do:
+            who = self._enter(do, "pilot", "preview", None, None, {})
+            self.protocol.pin(do, who, cell)
+            return who
+
     def enter_open(self) -> str:
         """A new participant without an invitation, where the config allows it."""
         with self.transaction() as do:
@@ -131,9 +143,9 @@ class Store(Database):
         kept: Mapping[str, str],
     ) -> str:
         who, now = secrets.token_hex(8), self.clock.wall()
-        code = secrets.token_hex(4).upper()
+        code = "".join(secrets.choice(LETTERS) for _ in range(8))
         do(
-            "INSERT INTO participant VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, 0, ?, ?)",
+            "INSERT INTO participant VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, 0, ?, ?, ?, 0)",
             (
                 who,
                 stream_name,
@@ -143,16 +155,31 @@ class Store(Database):
                 json.dumps(kept),
                 now,
                 now,
-                State().text,
+                self.protocol.state().text,
                 code,
+                secrets.token_hex(16),
             ),
         )
-        self._record(do, who, "server", None, "enter", {"entry": entry})
+        about = {"entry": entry, "stream": stream_name, "code": code}
+        self._record(do, who, "server", None, "enter", about)
         return who
 
     def _resume(self, do: Do, who: str) -> str:
         self._record(do, who, "server", None, "resume", {})
         return who
+
+    @property
+    def paused(self) -> bool:
+        """Whether nobody new is let in."""
+        return bool(self.query("SELECT 1 FROM control WHERE key = 'paused'"))
+
+    def pause(self, on: bool) -> None:
+        """Lets nobody new in, or lets them in again. Who has begun goes on."""
+        with self.transaction() as do:
+            if on:
+                do("INSERT INTO control VALUES ('paused', '1') ON CONFLICT DO NOTHING")
+            else:
+                do("DELETE FROM control WHERE key = 'paused'")
 
     # The participant's way ---------------------------------------------------------------------
 
@@ -162,11 +189,14 @@ class Store(Database):
         Raises:
             Unknown: there is none.
         """
-        rows = self.query("SELECT id, stream, state, code FROM participant WHERE id = ?", (who,))
+        rows = self.query("SELECT * FROM participant WHERE id = ?", (who,))
         if not rows:
             raise Unknown
         (row,) = rows
-        return Participant(row["id"], row["stream"], State.from_text(row["state"]), row["code"])
+        if row["erased"]:
+            raise Unknown
+        state = self.protocol.state(row["state"])
+        return Participant(row["id"], row["stream"], state, row["code"])
 
     def submit(
         self,
@@ -195,16 +225,21 @@ class Store(Database):
             row = do("SELECT * FROM participant WHERE id = ?", (who,)).fetchone()
             if row is None:
                 raise Unknown
-            state = State.from_text(row["state"])
+            state = self.protocol.state(row["state"])
             if sequence < state.accepted:
                 return state
             if sequence > state.accepted:
-                raise Refused("This page is not yours to answer yet.")
-            if state.over:
+                raise Refused("not_yet")
+            if state.over and kind != "return":
                 return state
             if kind == "consent" and payload.get("agree"):
+                if row["stream"] == "person" and self.paused:
+                    raise Refused("paused")
                 self._time_out_stale(do)
-                payload = {**payload, **slots.reserve(do, self.study.plan, row)}
+                payload = {**payload, **self.protocol.admit(do, row)}
+            elif kind == "return":
+                self._time_out_stale(do)
+                payload = self.protocol.readmit(do, row, state)
             return self._accept(do, who, state, kind, payload, browser)
 
     def _accept(
@@ -216,7 +251,7 @@ class Store(Database):
         payload: Mapping[str, Any],
         browser: float | None,
     ) -> State:
-        outcome = machine.advance(self.study, state, kind, payload)
+        outcome = self.protocol.advance(state, kind, payload)
         after = outcome.state
         self._record(do, who, "protocol", state.accepted, kind, payload, browser)
         if answer := outcome.answer:
@@ -235,8 +270,8 @@ class Store(Database):
             "UPDATE participant SET state = ?, over = ? WHERE id = ?",
             (after.text, after.over, who),
         )
-        if after.over:
-            slots.settle(do, who, after.stage)
+        if after.over and not state.over:
+            self.protocol.settle(do, who, after.stage)
         return after
 
     def shown(self, who: str, sequence: int, stage: str) -> None:
@@ -268,7 +303,7 @@ class Store(Database):
             if row["id"] is None:
                 raise Unknown
             if row["c"] + len(items) > MAX_TAB_EVENTS:
-                raise Refused("Too many events from this page.")
+                raise Refused("too_much")
             for number, kind, browser, payload in items:
                 self._record(do, who, f"tab:{tab}", number, kind, payload, browser)
 
@@ -287,9 +322,8 @@ class Store(Database):
             "SELECT coalesce(max(sequence) + 1, 0) FROM event WHERE participant = ?", (who,)
         ).fetchone()
         now = self.clock.wall()
-        do(
-            "INSERT INTO event VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) "
-            "ON CONFLICT (participant, source, source_sequence) DO NOTHING",
+        append(
+            do,
             (
                 who,
                 sequence,
@@ -306,15 +340,19 @@ class Store(Database):
         do("UPDATE participant SET seen = ? WHERE id = ?", (now, who))
 
     def time_out_stale(self) -> int:
-        """Ends the part of everybody silent for too long; returns how many."""
+        """Gives the places of everybody silent for too long to others; returns how many. They may
+        come back while places are free. Nobody's time runs before they have agreed to take part."""
         with self.transaction() as do:
             return self._time_out_stale(do)
 
     def _time_out_stale(self, do: Do) -> int:
         limit = self.clock.wall() - 60 * self.study.plan.rules.timeout_minutes
         stale = do(
-            "SELECT id, state FROM participant WHERE over = 0 AND seen < ?", (limit,)
+            "SELECT id, state FROM participant WHERE over = 0 AND seen < ? "
+            "AND json_extract(state, '$.stage') != 'consent'",
+            (limit,),
         ).fetchall()
         for row in stale:
-            self._accept(do, row["id"], State.from_text(row["state"]), "time_out", {}, None)
+            state = self.protocol.state(row["state"])
+            self._accept(do, row["id"], state, "time_out", {}, None)
         return len(stale)

@@ -10,17 +10,20 @@ from __future__ import annotations
 import http.client
 import io
 import re
+import sqlite3
 import tempfile
 import time
 import zipfile
 from collections import Counter
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urlencode, urlsplit
 
 from xplain.errors import InputError
 from xplain.participants.simulation import chromium
-from xplain.participants.simulation.http_client import Browser, Page, visit
+from xplain.participants.simulation.http_client import Browser, Fill, Page, Visitor, fill, visit
 from xplain.randomness import stream
 from xplain.study.protocol.plan import StudyPlan
 from xplain.study.simulation.participant import Habits, Person
@@ -65,13 +68,19 @@ class Researcher:
         connection.close()
         return content
 
-    def plan(self) -> StudyPlan:
-        """The study's plan, from a snapshot."""
+    @contextmanager
+    def snapshot(self) -> Iterator[sqlite3.Connection]:
+        """A snapshot of the server's database, to be read."""
         with tempfile.TemporaryDirectory() as folder:
             with zipfile.ZipFile(io.BytesIO(self.archive())) as archive:
                 path = Path(archive.extract("study/snapshot.sqlite", folder))
             with opened(path) as connection:
-                return plan_of(connection)
+                yield connection
+
+    def plan(self) -> StudyPlan:
+        """The study's plan, from a snapshot."""
+        with self.snapshot() as connection:
+            return plan_of(connection)
 
 
 def run(
@@ -98,16 +107,41 @@ def run(
     researcher = Researcher(url, key)
     plan = researcher.plan()
 
+    def person(number: int) -> Person:
+        return Person(plan, habits, stream(seed, "bots", number))
+
+    return crowd(researcher, count, at_once, pace, person, fill, in_chromium)
+
+
+def crowd(
+    researcher: Researcher,
+    count: int,
+    at_once: int,
+    pace: float,
+    person_of: Callable[[int], Visitor],
+    fill: Fill,
+    in_chromium: bool,
+) -> Counter[str]:
+    """Lets simulated people of any protocol take part; how many ended at which stage.
+
+    Args:
+        researcher: makes the invitations.
+        count, at_once, pace, in_chromium: as in :func:`run`.
+        person_of: the person with a number.
+        fill: how they answer a page.
+    """
+    url = researcher.browser.url
+
     def think(seconds: float) -> None:
         time.sleep(pace * seconds)
 
     def one(number: int, invitation: str) -> str:
-        person = Person(plan, habits, stream(seed, "bots", number))
+        person = person_of(number)
         if not in_chromium:
-            return visit(Browser(url), person, invitation, think)
+            return visit(Browser(url), person, invitation, think, fill)
         with chromium.browser() as driver:
             chromium.go_in(driver, url, invitation)
-            return chromium.take_part(driver, person, think)
+            return chromium.take_part(driver, person, think, fill=fill)
 
     invitations: list[str] = []
     while len(invitations) < count:

@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from xplain.errors import InputError
-from xplain.participants.simulation.http_client import Page, fill
-from xplain.study.simulation.participant import Person
+from xplain.participants.simulation.http_client import Fill, Page, Visitor, fill
 
 FLAGS = (
     "--headless=new",
@@ -119,9 +118,10 @@ def go_in(driver: Driver, url: str, invitation: str) -> None:
 
 def take_part(
     driver: Driver,
-    person: Person,
+    person: Visitor,
     think: Callable[[float], None] = lambda seconds: None,
     look: Callable[[Page], None] = lambda page: None,
+    fill: Fill = fill,
 ) -> str:
     """From the page that is open to the end.
 
@@ -130,6 +130,7 @@ def take_part(
         person: who answers.
         think: called with the seconds that a person would take before each answer.
         look: called with every page.
+        fill: how such a person answers a page.
 
     Returns:
         The last stage; "left" for somebody who dropped out.

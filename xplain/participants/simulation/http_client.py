@@ -7,9 +7,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
+from typing import Any, Protocol
 from urllib.parse import urlencode, urlsplit
 
 from xplain.study.simulation.participant import Person
+
+WIDTH = {"width": "1280"}
+"""Of the window that a client without scripts says it has."""
 
 
 @dataclass
@@ -30,6 +34,7 @@ class Page(HTMLParser):
         choices: its radio buttons and checkboxes.
         messages, facts: the sentences on the page.
         headings: texts of h1.
+        steps: ``data-step`` of the list's items: which transitions a clip shows.
     """
 
     def __init__(self, html: str) -> None:
@@ -40,6 +45,7 @@ class Page(HTMLParser):
         self.messages: list[str] = []
         self.facts: list[str] = []
         self.headings: list[str] = []
+        self.steps: list[str] = []
         self._text: list[str] | None = None
         self._skip = False
         self._inside: list[str] = []
@@ -55,13 +61,16 @@ class Page(HTMLParser):
             self._skip = self._skip or tag == "details"
         elif tag == "input" and not self._skip:
             if kind == "hidden":
-                self.hidden[found["name"]] = found.get("value", "")
+                # Scripts would fill in the width of the window.
+                self.hidden[found["name"]] = found.get("value") or WIDTH.get(found["name"], "")
             elif kind in ("radio", "checkbox"):
                 self.choices.append(Choice(found["name"], found["value"]))
         elif tag == "ul" and "facts" in classes:
             self._inside.append("facts")
         elif tag == "div" and "message" in classes:
             self._start("message")
+        elif tag == "li" and "data-step" in found:
+            self.steps.append(found["data-step"])
         elif tag == "li" and self._inside[-1:] == ["facts"]:
             self._start("fact")
         elif tag == "label":
@@ -109,11 +118,25 @@ class Page(HTMLParser):
         return found
 
 
+class Visitor(Protocol):
+    """Somebody simulated."""
+
+    def leaves(self) -> bool:
+        """Whether this page is where they drop out."""
+        ...
+
+
+Fill = Callable[[Any, Page], tuple[list[tuple[str, str]], float]]
+"""What such a person fills in on a page, and the seconds that it takes them."""
+
+
 def fill(person: Person, page: Page) -> tuple[list[tuple[str, str]], float]:
     """The fields that a person fills in, and how long it took them, in seconds."""
     groups = page.groups()
     if page.stage == "consent":
         return [("agree", "1")], 0.0
+    if page.stage == "before":
+        return list(person.asked().items()), 0.0
     if page.stage == "briefing":
         person.briefed(page.facts)
     elif page.stage == "training":
@@ -214,9 +237,10 @@ class Refusal(Exception):
 
 def visit(
     browser: Browser,
-    person: Person,
+    person: Visitor,
     invitation: str,
     think: Callable[[float], None] = lambda seconds: None,
+    fill: Fill = fill,
 ) -> str:
     """Takes part from the invitation to the end.
 
@@ -225,6 +249,7 @@ def visit(
         person: who answers.
         invitation: the token.
         think: called with the seconds a person would take before each answer.
+        fill: how such a person answers a page.
 
     Returns:
         The last stage; "left" for somebody who dropped out.
@@ -234,13 +259,17 @@ def visit(
         OSError: the server was away for longer than the browser's patience.
     """
     try:
-        return _visit(browser, person, invitation, think)
+        return _visit(browser, person, invitation, think, fill)
     finally:
         browser.close()
 
 
 def _visit(
-    browser: Browser, person: Person, invitation: str, think: Callable[[float], None]
+    browser: Browser,
+    person: Visitor,
+    invitation: str,
+    think: Callable[[float], None],
+    fill: Fill,
 ) -> str:
     _, html = browser.get(f"/?invitation={invitation}")
     page = Page(html)

@@ -12,7 +12,8 @@ CODEBOOK = {
         "eligible": "1 if the test was passed",
         "steps_labelled": "steps of the trace with a label",
         "messages_given": "messages that the robot gave (of the policy, until the last step)",
-        "inexplicable_transitions": "labels 'unexpected' at the last step, 0 … m; paper: measure 2",
+        "inexplicable_transitions": "labels 'makes no sense' at the last step, 0 … m; paper: "
+        "measure 2",
         "quiz_score": "statements judged correctly, 0 … 4; paper: measure 3",
         "interaction_time_s": "seconds, server's wall clock, first rendering of step 1 to the "
         "last accepted label; paper: measure 1",
@@ -24,7 +25,10 @@ CODEBOOK = {
         "entered": "server's wall clock, seconds since 1970-01-01 UTC",
         "last_seen": "server's wall clock, seconds since 1970-01-01 UTC",
         "consent_hash": "SHA-256 of the consent text agreed to (or declined)",
-        "completion_code": "of those who finished",
+        "timed_out": "times that they were silent for too long, and came back or not",
+        "window_width": "of the window at the consent, CSS pixels; empty without JavaScript",
+        "attention_missed": "attention checks after the quiz that were answered wrongly",
+        "completion_code": "of those who finished; letters only",
         "outside_ids": "ids of the recruiting platform (JSON), only if the config keeps them",
     },
     "steps": {
@@ -37,7 +41,17 @@ CODEBOOK = {
         "belief_after": "the same after the labels of the step",
         "action_values": "the policy's value of each next message set (JSON, bitmask: value; "
         "0 = explain at once; larger is better)",
-        "labels": "labels of transitions 0 … k (JSON list), 1 = expected",
+        "labels": "labels of transitions 0 … k (JSON list), 1 = makes sense",
+        "seconds": "from the first rendering of the step to its accepted labels, server's clock",
+    },
+    "pages": {
+        "participant": "key",
+        "sequence": "number of the answer that the page was for",
+        "stage": "which page",
+        "step": "k, of the evaluation's pages",
+        "shown": "first rendering, server's wall clock, seconds since 1970-01-01 UTC",
+        "seconds": "until its answer was accepted, server's clock; empty if it never was",
+        "browser_ms": "the same by the page's performance.now when the answer was sent",
     },
     "labels": {
         "participant": "key",
@@ -45,7 +59,7 @@ CODEBOOK = {
         "i": "transition that was labelled, 0 … k",
         "transition": "what the robot did, as shown",
         "messages_shown": "all messages on the page, joined by ;",
-        "label": "1 = expected, 0 = unexpected",
+        "label": "1 = makes sense, 0 = makes no sense",
     },
     "eligibility": {
         "participant": "key",
@@ -78,11 +92,43 @@ CODEBOOK = {
         "monotonic": "server's monotonic clock, seconds; comparable where boot is the same",
         "boot": "id of the machine's boot",
         "browser": "the page's performance.now, milliseconds since the page began to load",
+        "number": "order of arrival of all participants' events",
+        "content": "hash of the event (xplain/event_log.py)",
+        "digest": "hash of the event and all before it",
         "payload": "JSON; of a tab: at = browser's wall clock in ms, what = detail",
     },
     "codebook": {
         "table": "name of the file",
         "column": "name of the column",
+        "type": "text, whole number, number or JSON",
+        "unit": "s, ms or px; empty where there is none",
         "meaning": "this text",
     },
 }
+
+_WHOLE = {
+    *("eligibility_attempts", "eligible", "steps_labelled", "messages_given", "attempt", "true"),
+    *("inexplicable_transitions", "quiz_score", "timed_out", "window_width", "attention_missed"),
+    *("k", "i", "label", "step", "sequence", "source_sequence", "number", "correct", "ticked"),
+}
+_JSON = {"belief_before", "belief_after", "action_values", "labels", "payload", "outside_ids"}
+_UNITS = {
+    "s": {"entered", "last_seen", "shown", "seconds", "wall", "monotonic"},
+    "ms": {"browser", "browser_ms"},
+    "px": {"window_width"},
+}
+
+
+def unit_of(column: str) -> str:
+    """The unit of a column's numbers; "" where they have none."""
+    own = [unit for unit, columns in _UNITS.items() if column in columns]
+    return own[0] if own else "s" if column.endswith("_s") else ""
+
+
+def kind_of(column: str) -> str:
+    """What a column holds."""
+    if column in _WHOLE:
+        return "whole number"
+    if column in _JSON:
+        return "JSON"
+    return "number" if unit_of(column) else "text"

@@ -13,9 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xplain.event_log import head_of
 from xplain.message_sets import names_of
-from xplain.study.analysis.codebook import CODEBOOK
-from xplain.study.analysis.timing import Interaction, interaction
+from xplain.study.analysis.codebook import CODEBOOK, kind_of, unit_of
+from xplain.study.analysis.timing import Interaction, interaction, pages
 from xplain.study.protocol.machine import State
 from xplain.study.protocol.plan import StudyPlan
 from xplain.study.stored import plan_of, reading
@@ -24,21 +25,35 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def export(database: Path, folder: Path) -> None:
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+
+
+def export(database: Path, folder: Path) -> str:
     """Writes all tables of a database (better: of a snapshot) into a folder.
+
+    Returns:
+        The head of the log: with it a replay can tell whether anything before was changed since.
 
     Raises:
         InputError: it is no study's database.
     """
     with reading(database) as connection:
         plan, found = plan_of(connection), tables(connection)
+        head = head_of(connection)
     folder.mkdir(parents=True, exist_ok=True)
     for name, table in found.items():
-        table.to_csv(folder / f"{name}.csv", index=False)
+        table.map(defused).to_csv(folder / f"{name}.csv", index=False)
         table.to_parquet(folder / f"{name}.parquet", index=False)
     (folder / "plan.json").write_text(
         json.dumps(json.loads(plan.text), indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
     )
+    (folder / "head.txt").write_text(f"{head}\n", encoding="ascii")
+    return head
+
+
+def defused(cell: Any) -> Any:
+    """A text that a spreadsheet would run as a formula, with an apostrophe before it."""
+    return f"'{cell}" if isinstance(cell, str) and cell[:1] in _FORMULA else cell
 
 
 def tables(connection: sqlite3.Connection) -> dict[str, pd.DataFrame]:
@@ -46,21 +61,34 @@ def tables(connection: sqlite3.Connection) -> dict[str, pd.DataFrame]:
     import pandas as pd
 
     plan = plan_of(connection)
-    people = [dict(r) for r in connection.execute("SELECT * FROM participant ORDER BY number")]
+    kept = "participant WHERE NOT erased"
+    people = [dict(r) for r in connection.execute(f"SELECT * FROM {kept} ORDER BY number")]
     events = [
-        dict(r) for r in connection.execute("SELECT * FROM event ORDER BY participant, sequence")
+        dict(r)
+        for r in connection.execute(
+            f"SELECT * FROM event WHERE participant IN (SELECT id FROM {kept}) "
+            "ORDER BY participant, sequence"
+        )
     ]
     steps = [dict(r) for r in connection.execute("SELECT * FROM step ORDER BY participant, k")]
     of: dict[str, list[dict[str, Any]]] = {person["id"]: [] for person in people}
     for event in events:
         of[event["participant"]].append(event | {"payload": json.loads(event["payload"])})
+    shown = {person["id"]: pages(of[person["id"]]) for person in people}
+    seconds = {
+        (page["participant"], page["step"]): page["seconds"]
+        for own in shown.values()
+        for page in own
+        if page["stage"] == "evaluation"
+    }
     states = {person["id"]: State.from_text(person["state"]) for person in people}
     rows = {
         "participants": [
             _participant(plan, person, states[person["id"]], interaction(of[person["id"]]))
             for person in people
         ],
-        "steps": [_step(plan, step) for step in steps],
+        "steps": [_step(plan, step, seconds) for step in steps],
+        "pages": [row for person in people for row in shown[person["id"]]],
         "labels": [row for step in steps for row in _labels(plan, step)],
         "eligibility": [r for p in people for r in _eligibility(plan, states, p["id"], of)],
         "quiz": [row for p in people for row in _quiz(plan, states, p["id"], of)],
@@ -68,12 +96,18 @@ def tables(connection: sqlite3.Connection) -> dict[str, pd.DataFrame]:
             {"participant": e["participant"], "question": name, "answer": value}
             for p in people
             for e in of[p["id"]]
-            if e["kind"] == "answers" and e["source"] == "protocol"
+            if e["kind"] in ("screening", "answers") and e["source"] == "protocol"
             for name, value in e["payload"].items()
         ],
         "events": events,
         "codebook": [
-            {"table": table, "column": column, "meaning": meaning}
+            {
+                "table": table,
+                "column": column,
+                "type": kind_of(column),
+                "unit": unit_of(column),
+                "meaning": meaning,
+            }
             for table, columns in CODEBOOK.items()
             for column, meaning in columns.items()
         ],
@@ -86,6 +120,7 @@ def _participant(
 ) -> dict[str, Any]:
     role = None if state.user_type is None else plan.roles[state.user_type].name
     finished = state.stage in ("quiz", "questions", "done")
+    given = took.answers
     return {
         "participant": person["id"],
         "stream": person["stream"],
@@ -106,12 +141,19 @@ def _participant(
         "entered": person["entered"],
         "last_seen": person["seen"],
         "consent_hash": took.consent_hash,
+        "timed_out": took.timed_out,
+        "window_width": took.width,
+        "attention_missed": sum(
+            bool(q.right) and given.get(q.name, "") != q.right for q in plan.asked if given
+        ),
         "completion_code": person["code"] if state.stage == "done" else None,
         "outside_ids": person["kept"] if person["kept"] != "{}" else None,
     }
 
 
-def _step(plan: StudyPlan, step: dict[str, Any]) -> dict[str, Any]:
+def _step(
+    plan: StudyPlan, step: dict[str, Any], seconds: dict[tuple[str, int], float | None]
+) -> dict[str, Any]:
     names = plan.problem.message_names
     return {
         "participant": step["participant"],
@@ -123,6 +165,7 @@ def _step(plan: StudyPlan, step: dict[str, Any]) -> dict[str, Any]:
         "belief_after": step["belief_after"],
         "action_values": step["action_values"],
         "labels": step["labels"],
+        "seconds": seconds.get((step["participant"], step["k"])),
     }
 
 

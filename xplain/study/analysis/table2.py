@@ -112,6 +112,9 @@ def analyse(
     others = set(done["condition"]) - set(CONDITIONS)
     if others:
         raise InputError("condition", min(others), " or ".join(CONDITIONS))
+    if "attention_missed" in done.columns:
+        missed = done.loc[done["attention_missed"] > 0, "participant"]
+        excluded = dict.fromkeys(missed, "attention check missed") | dict(excluded)
     reasons = [excluded[p] for p in done["participant"] if p in excluded]
     kept = done[~done["participant"].isin(list(excluded))]
     if any((kept["condition"] == condition).sum() < 2 for condition in CONDITIONS):

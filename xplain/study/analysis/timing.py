@@ -8,19 +8,29 @@ the study was visible, by the browser's clock.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 
 @dataclass(frozen=True)
 class Interaction:
-    """Seconds; None where they are not known."""
+    """Seconds; None where they are not known. Beside them what else the events alone tell.
+
+    Attributes:
+        consent_hash: of the text that was agreed to, or declined.
+        timed_out: how often they were silent for too long.
+        width: of the window at the consent, in CSS pixels; None without scripts.
+        answers: to the questions after the quiz, by name.
+    """
 
     wall: float | None
     monotonic: float | None
     hidden: float | None
     consent_hash: str | None
+    timed_out: int = 0
+    width: int | None = None
+    answers: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def visible(self) -> float | None:
@@ -36,18 +46,52 @@ def interaction(events: Sequence[dict[str, Any]]) -> Interaction:
     Args:
         events: rows of the event table in order, payloads decoded.
     """
-    consent = next((e["payload"].get("text") for e in events if e["kind"] == "consent"), None)
+    first_of = {e["kind"]: e["payload"] for e in reversed(events) if e["source"] == "protocol"}
+    agreed = first_of.get("consent", {})
+    about: dict[str, Any] = {
+        "consent_hash": agreed.get("text"),
+        "timed_out": sum(e["kind"] == "time_out" for e in events),
+        "width": agreed.get("width"),
+        "answers": first_of.get("answers", {}),
+    }
     first = next(
         (e for e in events if e["kind"] == "shown" and e["payload"]["stage"] == "evaluation"), None
     )
     labels = [e for e in events if e["kind"] == "labels" and e["source"] == "protocol"]
     if first is None or not labels:
-        return Interaction(None, None, None, consent)
+        return Interaction(None, None, None, **about)
     last = labels[-1]
     monotonic = None
     if first["boot"] == last["boot"]:
         monotonic = last["monotonic"] - first["monotonic"]
-    return Interaction(last["wall"] - first["wall"], monotonic, hidden(events), consent)
+    return Interaction(last["wall"] - first["wall"], monotonic, hidden(events), **about)
+
+
+def pages(events: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Every page that was shown, in order, with the time until its answer was accepted.
+
+    Args:
+        events: of one participant, as for :func:`interaction`.
+    """
+    answered = {e["source_sequence"]: e for e in events if e["source"] == "protocol"}
+    rows, step = [], 0
+    for event in events:
+        if event["kind"] != "shown":
+            continue
+        answer, stage = answered.get(event["source_sequence"]), event["payload"]["stage"]
+        rows.append(
+            {
+                "participant": event["participant"],
+                "sequence": event["source_sequence"],
+                "stage": stage,
+                "step": step if stage == "evaluation" else None,
+                "shown": event["wall"],
+                "seconds": answer["wall"] - event["wall"] if answer else None,
+                "browser_ms": answer["browser"] if answer else None,
+            }
+        )
+        step += stage == "evaluation" and answer is not None and answer["kind"] == "labels"
+    return rows
 
 
 def hidden(events: Sequence[dict[str, Any]]) -> float | None:

@@ -7,6 +7,7 @@ the sentences that its parameters carry anyway.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,11 @@ from numpy.typing import NDArray
 from xplain.domains.base import Parameter
 from xplain.errors import InputError
 from xplain.message_sets import indices
-from xplain.study.protocol.plan import Fact, Question, Role, Statement
+from xplain.study.protocol.plan import Fact, Known, Question, Role, Statement
 from xplain.users.setting import UserType
 
-REWARD_OPTIONS = ("0 or more", "less than 0")
-TRUE_STATEMENTS, FALSE_STATEMENTS = 2, 2
+STATEMENTS = 2
+"""Of the quiz about what a type had to have corrected, and as many about something else."""
 
 
 def facts_of(parameters: Sequence[Parameter]) -> tuple[Fact, ...]:
@@ -55,7 +56,7 @@ def roles_of(
     parameters: Sequence[Parameter],
     types: Sequence[UserType],
     labels: NDArray[np.uint8],
-    rewards: Mapping[str, str],
+    wording: Mapping[str, Any],
 ) -> tuple[Role, ...]:
     """What each type is told and asked.
 
@@ -63,51 +64,77 @@ def roles_of(
         parameters: of the domain.
         types: N user types.
         labels: [N, m, 2^n] their true labels of the trace.
-        rewards: for parameters that are the reward of an action, a phrase for that action; the
-            eligibility test then asks the paper's question (is the reward ≥ 0?), and for the
-            others which of two sentences the participant was told.
+        wording: of the study. ``rewards``: for parameters that are the reward of an action, a
+            phrase for that action; the eligibility test then asks the paper's question (is the
+            reward ≥ 0?), and for the others which of two sentences the participant was told.
+            ``known``: what everybody is told. ``words``: of the questions.
     """
     facts = facts_of(parameters)
-    return tuple(
-        _role(parameters, facts, user_type, labels[t], rewards) for t, user_type in enumerate(types)
-    )
+    known = tuple(Known(**one) for one in wording["known"])
+    roles = []
+    for t, user_type in enumerate(types):
+        wrong = tuple(j for j, fact in enumerate(facts) if fact.name in user_type.inaccurate)
+        roles.append(
+            Role(
+                user_type.name,
+                wrong,
+                tuple(f.belief if j in wrong else f.message for j, f in enumerate(facts)),
+                _eligibility(parameters, facts, user_type, wording),
+                _quiz(facts, known, wrong, needed(labels[t]), t),
+            )
+        )
+    return tuple(roles)
 
 
-def _role(
+def _eligibility(
     parameters: Sequence[Parameter],
     facts: Sequence[Fact],
     user_type: UserType,
-    labels: NDArray[np.uint8],
-    rewards: Mapping[str, str],
-) -> Role:
-    wrong = tuple(j for j, fact in enumerate(facts) if fact.name in user_type.inaccurate)
-    known = tuple(f.belief if j in wrong else f.message for j, f in enumerate(facts))
-    questions = []
-    for j, parameter in enumerate(parameters):
+    wording: Mapping[str, Any],
+) -> tuple[Question, ...]:
+    """A question a fact, with the answer of somebody who knows what this type was told."""
+    words, rewards, questions = wording["words"], wording["rewards"], []
+    for fact, parameter in zip(facts, parameters, strict=True):
         value = user_type.inaccurate.get(parameter.name, parameter.accurate)
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if parameter.name in rewards and number:
-            text = f"{rewards[parameter.name]}: what does the robot get for it?"
-            questions.append(Question(text, REWARD_OPTIONS, 0 if value >= 0 else 1))
+            text = words["reward_question"].format(action=rewards[parameter.name])
+            options = (words["reward_good"], words["reward_bad"])
+            questions.append(Question(text, options, 0 if value >= 0 else 1))
         else:
             # The two sentences in an order that does not give the answer away.
-            pair = sorted((facts[j].message, facts[j].belief))
-            questions.append(
-                Question("Which of these were you told?", tuple(pair), pair.index(known[j]))
-            )
-    return Role(user_type.name, wrong, known, tuple(questions), _quiz(facts, wrong, needed(labels)))
+            pair = sorted((fact.message, fact.belief))
+            told = fact.belief if parameter.name in user_type.inaccurate else fact.message
+            questions.append(Question(words["which_told"], tuple(pair), pair.index(told)))
+    return tuple(questions)
 
 
-def _quiz(facts: Sequence[Fact], wrong: tuple[int, ...], need: int) -> tuple[Statement, ...]:
-    """Two true statements: the facts that the type had to have corrected (then its other wrong
-    ones, then any); two untrue ones about other facts, as far as there are any."""
-    order = [*indices(need), *wrong, *range(len(facts))]
-    true = list(dict.fromkeys(order))[:TRUE_STATEMENTS]
-    others = [j for j in range(len(facts)) if j not in wrong and j not in true]
-    rest = [j for j in [*wrong, *range(len(facts))] if j not in true and j not in others]
-    # Untrue about facts the type held right from the start, so that no statement denies another.
-    false = [*others, *rest, *true][:FALSE_STATEMENTS]
-    return (
-        *(Statement(facts[j].name, facts[j].message, True) for j in true),
-        *(Statement(facts[j].name, facts[j].belief, False) for j in false),
-    )
+def _quiz(
+    facts: Sequence[Fact], known: Sequence[Known], wrong: tuple[int, ...], need: int, number: int
+) -> tuple[Statement, ...]:
+    """Two statements about facts that the type had to have corrected (then its other wrong ones,
+    then any), and two about something else: what everybody was told, or facts that it held right.
+
+    Of either two, one is true and one is not. What everybody was told sounds the other way round
+    (a true sentence is bad news there), so that going by how a sentence sounds is right as often
+    as not.
+
+    Args:
+        facts, known: of the plan.
+        wrong: facts that the type holds wrong.
+        need: bitmask of the facts that it had to have corrected.
+        number: of the type; odd ones get the other one of two for true.
+    """
+    order = list(dict.fromkeys([*indices(need), *wrong, *range(len(facts))]))
+    about = [(facts[j].name, facts[j].message, facts[j].belief) for j in order]
+    chosen, rest = about[:STATEMENTS], [about[i] for i, j in enumerate(order) if j not in wrong]
+    common = [(f"known_{i}", one.right, one.wrong) for i, one in enumerate(known)]
+    turned = common[number % len(common) :] + common[: number % len(common)] if common else []
+    every = dict.fromkeys([*turned, *rest, *about[::-1]])
+    others = [one for one in every if one not in chosen][:STATEMENTS]
+    statements = []
+    for group in (chosen, others):
+        for i, (name, right, false) in enumerate(group):
+            true = (i + number) % 2 == 0
+            statements.append(Statement(name, right if true else false, true))
+    return tuple(sorted(statements, key=lambda statement: not statement.true))

@@ -4,26 +4,30 @@
 is passed in (the slot and the orders of questions come with the consent event). The same events
 give the same states, which is what the replay checks.
 
-    consent → briefing → training → eligibility → evaluation → quiz → questions → done
-                  ↑__________________|  (a failed attempt, while some are left)
+    consent → before → briefing → training → eligibility → evaluation → quiz → questions → done
+                           ↑__________________|  (a failed attempt, while some are left)
 
-and from anywhere to an end: declined, ineligible, withdrawn, timed_out.
+and from anywhere to an end: declined, screened_out, ineligible, withdrawn, timed_out. From the
+last of these a participant may return to where they were.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from xplain.errors import Refused as Refused
 from xplain.explanation import belief as beliefs
-from xplain.study.protocol.plan import Study
+from xplain.message_sets import indices
+from xplain.study.protocol.plan import Asked, Study
 
 STAGES = (
     "consent",
+    "before",
     "briefing",
     "training",
     "eligibility",
@@ -32,21 +36,19 @@ STAGES = (
     "questions",
     "done",
 )
-ENDS = ("declined", "ineligible", "withdrawn", "timed_out")
+ENDS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out")
 KINDS = {
     "consent": "consent",
+    "before": "screening",
     "briefing": "read",
     "training": "example",
     "eligibility": "eligibility",
     "evaluation": "labels",
     "quiz": "quiz",
     "questions": "answers",
+    "timed_out": "return",
 }
 """The kind of event that each stage waits for; ``withdraw`` and ``time_out`` are always heard."""
-
-
-class Refused(Exception):
-    """An event that the protocol does not accept here; the text is for the participant."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,8 @@ class State:
         previous: bitmask of the messages at the step before; None at the first.
         belief: [N].
         labels: of the transitions 0 … k − 1, as answered last.
+        heard: the messages given, by number, in the order of their arrival.
+        left: the stage at which somebody was timed out.
         score: of the quiz.
     """
 
@@ -85,6 +89,8 @@ class State:
     belief: tuple[float, ...] = ()
     labels: tuple[int, ...] = ()
     score: int | None = None
+    heard: tuple[int, ...] = ()
+    left: str | None = None
 
     @property
     def slot_type(self) -> int:
@@ -112,6 +118,7 @@ class State:
             | {
                 "belief": tuple(value["belief"]),
                 "labels": tuple(value["labels"]),
+                "heard": tuple(value["heard"]),
                 "orders": orders and {key: tuple(order) for key, order in orders.items()},
             }
         )
@@ -175,14 +182,17 @@ def advance(study: Study, state: State, kind: str, payload: Mapping[str, Any]) -
     Raises:
         Refused: the event does not fit the stage, or its payload is not what the stage asks for.
     """
+    words = study.plan.texts.words
+    if state.stage == "timed_out" and kind == "return":
+        return _to(state, stage=state.left, left=None)
     if state.over:
-        raise Refused("Your part in this study has ended.")
+        raise Refused(words["ended"])
     if kind == "withdraw":
         return _to(state, stage="withdrawn")
     if kind == "time_out":
-        return _to(state, stage="timed_out")
+        return _to(state, stage="timed_out", left=state.stage)
     if kind != KINDS[state.stage]:
-        raise Refused("This answer belongs to another page.")
+        raise Refused(words["other_page"])
     return _STEPS[state.stage](study, state, payload)
 
 
@@ -191,19 +201,29 @@ def _to(state: State, **changes: Any) -> Outcome:
 
 
 def _consent(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
-    agreed = _choice(payload.get("agree"), 2, "Please choose whether you want to take part.")
+    words, least = study.plan.texts.words, study.plan.rules.min_width
+    agreed = _choice(payload.get("agree"), 2, words["consent_missing"])
     if payload.get("text") != study.plan.texts.consent_hash:
-        raise Refused("The consent text has changed; please read it again.")
+        raise Refused(words["consent_changed"])
     if not agreed:
         return _to(state, stage="declined")
+    width = payload.get("width")
+    if least and (not isinstance(width, int) or width < least):
+        raise Refused(words["too_narrow"].format(width=least))
     orders = {name: tuple(order) for name, order in payload["orders"].items()}
     return _to(
         state,
-        stage="briefing",
+        stage="before" if study.plan.before else "briefing",
         user_type=payload["user_type"],
         condition=payload["condition"],
         orders=orders,
     )
+
+
+def _before(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
+    _check(study.plan.before, payload, study.plan.texts.words)
+    missed = any(q.right and payload.get(q.name) != q.right for q in study.plan.before)
+    return _to(state, stage="screened_out" if missed else "briefing")
 
 
 def _briefing(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
@@ -212,7 +232,7 @@ def _briefing(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome
 
 
 def _training(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
-    label = _choice(payload.get("label"), 2, "Please choose expected or unexpected.")
+    label = _choice(payload.get("label"), 2, study.plan.texts.words["label_missing"])
     right = label == state.part  # unexpected without the message, expected with it
     if not right:
         return _to(state, wrong=True)
@@ -224,10 +244,11 @@ def _training(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome
 def _eligibility(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
     questions = study.plan.roles[state.slot_type].eligibility
     answers = payload.get("answers")
+    missing = study.plan.texts.words["answer_all"]
     if not isinstance(answers, list) or len(answers) != len(questions):
-        raise Refused("Please answer every question.")
+        raise Refused(missing)
     chosen = [
-        _choice(answer, len(question.options), "Please answer every question.")
+        _choice(answer, len(question.options), missing)
         for answer, question in zip(answers, questions, strict=True)
     ]
     attempts = state.attempts + 1
@@ -241,7 +262,7 @@ def _eligibility(study: Study, state: State, payload: Mapping[str, Any]) -> Outc
 
 def _evaluation(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
     labels = payload.get("labels")
-    missing = "Please label the robot's new step as expected or unexpected."
+    missing = study.plan.texts.words["label_missing"]
     if not isinstance(labels, list) or len(labels) != state.step + 1:
         raise Refused(missing)
     chosen = tuple(_choice(label, 2, missing) for label in labels)
@@ -271,34 +292,46 @@ def _decide(study: Study, state: State, answer: Answer | None) -> Outcome:
         for mask, value in policy.values(state.step, state.given, belief).items()
     }
     decision = Decision(state.step, state.belief, state.given, new, values)
-    outcome = _to(state, stage="evaluation", given=state.given | new, new=new)
+    heard = (*state.heard, *indices(new & ~state.given))
+    outcome = _to(state, stage="evaluation", given=state.given | new, new=new, heard=heard)
     return replace(outcome, decision=decision, answer=answer)
 
 
 def _quiz(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
     statements = study.plan.roles[state.slot_type].quiz
+    missing = study.plan.texts.words["quiz_missing"]
     chosen = payload.get("chosen")
     if not isinstance(chosen, list) or len(chosen) > len(statements):
-        raise Refused("Please tick the statements that are true.")
-    ticked = {_choice(c, len(statements), "There is no such statement.") for c in chosen}
+        raise Refused(missing)
+    ticked = {_choice(c, len(statements), missing) for c in chosen}
     score = sum(statement.true == (i in ticked) for i, statement in enumerate(statements))
     return _to(state, stage="questions" if study.plan.asked else "done", score=score)
 
 
 def _questions(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
-    for asked in study.plan.asked:
-        value = payload.get(asked.name, "")
+    _check(study.plan.asked, payload, study.plan.texts.words)
+    return _to(state, stage="done")
+
+
+def _check(
+    questions: Sequence[Asked], payload: Mapping[str, Any], words: Mapping[str, str]
+) -> None:
+    """Raises Refused: an answer that its question does not allow."""
+    for asked in questions:
+        value, label = payload.get(asked.name, ""), asked.label
         if not isinstance(value, str) or len(value) > asked.max_length:
-            raise Refused(f"{asked.label}: at most {asked.max_length} characters, please.")
-        if value and asked.kind == "choice" and value not in asked.choices:
-            raise Refused(f"{asked.label}: please choose one of the answers given.")
+            raise Refused(words["too_long"].format(label=label, most=asked.max_length))
+        if asked.needed and not value:
+            raise Refused(words["answer_this"].format(label=label))
+        if value and asked.options and value not in asked.options:
+            raise Refused(words["choose_one"].format(label=label))
         if value and asked.kind == "number":
             whole = value.isascii() and value.isdigit() and len(value) < 10
             if not whole or not asked.low <= int(value) <= asked.high:
-                raise Refused(f"{asked.label}: a whole number from {asked.low} to {asked.high}.")
-    if payload.keys() - {asked.name for asked in study.plan.asked}:
-        raise Refused("There is no such question.")
-    return _to(state, stage="done")
+                text = words["whole_number"]
+                raise Refused(text.format(label=label, low=asked.low, high=asked.high))
+    if payload.keys() - {asked.name for asked in questions}:
+        raise Refused(words["not_understood"])
 
 
 def _choice(value: object, count: int, otherwise: str) -> int:
@@ -310,6 +343,7 @@ def _choice(value: object, count: int, otherwise: str) -> int:
 
 _STEPS = {
     "consent": _consent,
+    "before": _before,
     "briefing": _briefing,
     "training": _training,
     "eligibility": _eligibility,

@@ -24,7 +24,7 @@ from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
 from xplain.storage import decode, encode
 
-VERSION = 1
+VERSION = 2
 """Of the stored form; a database of another version is refused."""
 
 
@@ -41,6 +41,14 @@ class Fact:
     name: str
     message: str
     belief: str
+
+
+@dataclass(frozen=True)
+class Known:
+    """What everybody is told and nobody holds wrong: a sentence, and what would be wrong."""
+
+    right: str
+    wrong: str
 
 
 @dataclass(frozen=True)
@@ -91,15 +99,18 @@ class Training:
 
 @dataclass(frozen=True)
 class Asked:
-    """One optional question about the participant, after the quiz.
+    """One question to the participant, before the briefing or after the quiz.
 
     Attributes:
         name: the column in the data.
         label: what the participant reads.
-        kind: "number", "choice" or "text".
+        kind: "number", "choice", "text" or "scale".
         choices: of a choice.
-        low, high: bounds of a number.
+        low, high: bounds of a number, ends of a scale.
         max_length: of a text, in characters.
+        ends: what the two ends of a scale mean; or none.
+        required: whether it has to be answered.
+        right: the one answer of those who read; others end here, if it is asked before. "" is none.
     """
 
     name: str
@@ -109,25 +120,54 @@ class Asked:
     low: int = 0
     high: int = 120
     max_length: int = 500
+    ends: tuple[str, ...] = ()
+    required: bool = False
+    right: str = ""
 
     def __post_init__(self) -> None:
-        """Raises InputError: an unknown kind, or a choice without choices."""
-        if self.kind not in ("number", "choice", "text"):
-            raise InputError(f"questions.{self.name}.kind", self.kind, "number, choice or text")
+        """Raises InputError: an unknown kind, or what the kind needs is not there."""
+        key = f"questions.{self.name}"
+        if self.kind not in ("number", "choice", "text", "scale"):
+            raise InputError(f"{key}.kind", self.kind, "number, choice, text or scale")
         if self.kind == "choice" and not self.choices:
-            raise InputError(f"questions.{self.name}.choices", [], "at least one choice")
+            raise InputError(f"{key}.choices", [], "at least one choice")
+        if self.kind == "scale" and not 1 <= self.high - self.low <= 10:
+            raise InputError(f"{key}.high", self.high, "at most 10 above low")
+        if len(self.ends) not in (0, 2):
+            raise InputError(f"{key}.ends", list(self.ends), "two words, for low and high")
+        if self.right and self.options and self.right not in self.options:
+            raise InputError(f"{key}.right", self.right, ", ".join(self.options))
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """What can be chosen, of a choice or a scale."""
+        if self.kind == "scale":
+            return tuple(str(point) for point in range(self.low, self.high + 1))
+        return self.choices
+
+    @property
+    def needed(self) -> bool:
+        """Whether it has to be answered."""
+        return self.required or bool(self.right)
 
 
 @dataclass(frozen=True)
 class Texts:
-    """The words of the pages, from config; paragraphs as tuples."""
+    """What the pages say, from config; paragraphs as tuples.
+
+    Attributes:
+        title, contact, consent, introduction, task: as their names say.
+        debriefing: shown wherever a part ends.
+        words: everything else, by key.
+    """
 
     title: str
     consent: tuple[str, ...]
     introduction: tuple[str, ...]
     task: tuple[str, ...]
-    goodbye: tuple[str, ...]
+    debriefing: tuple[str, ...]
     contact: str
+    words: Mapping[str, str]
 
     @property
     def consent_hash(self) -> str:
@@ -144,12 +184,14 @@ class Rules:
         max_attempts: how often the eligibility test may be taken.
         timeout_minutes: without a sign of life after which a participant's slot is freed.
         recall: whether the briefing can be opened again during the evaluation.
+        min_width: of the window, in CSS pixels, to take part; 0 lets phones in.
     """
 
     per_cell: int
     max_attempts: int
     timeout_minutes: float
     recall: bool
+    min_width: int = 0
 
     def __post_init__(self) -> None:
         """Raises InputError: a number that is not positive."""
@@ -165,7 +207,8 @@ class StudyPlan:
     Attributes:
         seed: of assignment and the orders of questions.
         domain: its name.
-        texts, training, rules, asked: see their types.
+        texts, training, rules: see their types.
+        before, asked: questions before the briefing and after the quiz.
         facts: [n].
         roles: [N].
         trace: [m] what the robot does, as phrases.
@@ -179,6 +222,8 @@ class StudyPlan:
         icons: {name of an item on the map: path of its icon in a box of 24}; may lack some.
         config: the configuration that it was made from, for the record.
         changes: [m] what each transition changes, for domains without a map; or none.
+        known: what everybody is told.
+        taken: [m + 1] names of the items that are off the map after each number of steps; or none.
     """
 
     seed: int
@@ -200,6 +245,9 @@ class StudyPlan:
     icons: Mapping[str, str]
     config: Mapping[str, Any]
     changes: tuple[tuple[str, ...], ...] = ()
+    known: tuple[Known, ...] = ()
+    taken: tuple[tuple[str, ...], ...] = ()
+    before: tuple[Asked, ...] = ()
 
     @property
     def n_steps(self) -> int:
@@ -215,8 +263,6 @@ class StudyPlan:
     def text(self) -> str:
         """The plan as canonical JSON; floats survive to the last bit."""
         value = encode(self) | {"version": VERSION}
-        if not self.changes:
-            del value["changes"]  # plans with a map are stored as they always were
         return json.dumps(value, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
 
     @property

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from xplain.message_sets import indices
 from xplain.study.protocol.machine import State
 from xplain.study.protocol.plan import Study
 
@@ -19,9 +18,10 @@ def page(study: Study, state: State) -> dict[str, Any]:
     if state.stage in ("briefing", "evaluation"):
         view["briefing"] = plan.roles[state.slot_type].briefing
     if state.stage == "briefing":
+        view["known"] = [known.right for known in plan.known]
         view["attempts_left"] = plan.rules.max_attempts - state.attempts
     elif state.stage == "training":
-        view |= {"training": plan.training, "part": state.part}
+        view |= {"training": plan.training, "part": state.part, "slots": len(plan.facts)}
     elif state.stage == "eligibility":
         questions = plan.roles[state.slot_type].eligibility
         view["questions"] = [(i, questions[i]) for i in (state.orders or {})["eligibility"]]
@@ -30,12 +30,13 @@ def page(study: Study, state: State) -> dict[str, Any]:
             "step": state.step,
             "trace": plan.trace[: state.step + 1],
             "labels": state.labels,
-            "old": [plan.facts[j].message for j in indices(state.given & ~state.new)],
-            "new": [plan.facts[j].message for j in indices(state.new)],
+            "slots": len(plan.facts),
+            "old": [plan.facts[j].message for j in state.heard if not state.new >> j & 1],
+            "new": [plan.facts[j].message for j in state.heard if state.new >> j & 1],
         }
     elif state.stage == "quiz":
         statements = plan.roles[state.slot_type].quiz
         view["statements"] = [(i, statements[i].text) for i in (state.orders or {})["quiz"]]
-    elif state.stage == "questions":
-        view["asked"] = plan.asked
+    elif state.stage in ("before", "questions"):
+        view["asked"] = plan.before if state.stage == "before" else plan.asked
     return view

@@ -84,6 +84,16 @@ class Person:
         """Whether this page is where they drop out."""
         return self._chance(self.habits.leaving)
 
+    def asked(self) -> dict[str, str]:
+        """What they answer before the briefing: what is right, else the first that is allowed, to
+        questions that need an answer."""
+        answers = {}
+        for q in self.plan.before:
+            first = q.options[0] if q.options else str(q.low) if q.kind == "number" else "–"
+            if q.needed:
+                answers[q.name] = q.right or first
+        return answers
+
     def briefed(self, sentences: Sequence[str]) -> None:
         """Takes over what the briefing says."""
         told = [role.briefing for role in self.plan.roles]
@@ -141,7 +151,7 @@ class Person:
         true = {
             fact.belief if j in role.wrong and not self.known >> j & 1 else fact.message
             for j, fact in enumerate(self.plan.facts)
-        }
+        } | {known.right for known in self.plan.known}
         return [
             i
             for i, sentence in enumerate(sentences)

@@ -27,7 +27,7 @@
         });
         if (reply.status < 500 && reply.status !== 429 || reply.status === 503) return reply;
       } catch { /* no network; try again */ }
-      connection.textContent = "No connection. Your answer is kept here and will be sent again …";
+      connection.textContent = body.dataset.lost;
       note("retry", String(item.sequence));
       await wait(pause);
     }
@@ -58,7 +58,9 @@
     if (leaving) return;
     leaving = true;
     for (const button of document.querySelectorAll("button")) button.disabled = true;
-    form.elements.ms.value = performance.now().toFixed(1);
+    if (form.elements.ms) form.elements.ms.value = performance.now().toFixed(1);
+    if (form.elements.width) form.elements.width.value = String(window.innerWidth);
+    form.querySelector("button").after(connection); // where the eye is
     flush();
     const fields = [...new FormData(form)].map(([name, value]) => [name, String(value)]);
     send({ action: form.action, fields, sequence: Number(sequence) });

@@ -1,0 +1,291 @@
+"""The pure protocol: its way, what it asks and in which order, what it lets nobody see."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.collect.stand_in import FAULTLESS, street_collection, telling
+from xplain.collect.protocol import machine
+from xplain.collect.protocol.asking import belief, questionnaire, schedule, shared
+from xplain.collect.protocol.plan import Collection, CollectPlan
+from xplain.collect.protocol.state import ATTENTION, QUESTION, REPEAT, State
+from xplain.collect.protocol.view import page
+from xplain.collect.simulation.observer import Habits, Observer, answers, take_part
+from xplain.errors import InputError, Refused
+from xplain.questions.designs import Battery
+
+COLLECTION = street_collection()
+numbers = st.integers(0, 10_000)
+
+
+def somebody(
+    collection: Collection, held: int, number: int = 0, habits: Habits = FAULTLESS
+) -> State:
+    """An observer in the bare protocol, to the end."""
+    person = Observer(collection.plan, held, habits, np.random.default_rng(number))
+    return take_part(collection, person, number, {})
+
+
+def consent(collection: Collection, **changes: Any) -> dict[str, Any]:
+    text = collection.plan.texts.consent_hash
+    return {"agree": 1, "text": text, "number": 5, "role": None, "others": {}} | changes
+
+
+def states(collection: Collection, held: int = 3, number: int = 5) -> list[State]:
+    """Every state on the way."""
+    person = Observer(collection.plan, held, FAULTLESS, np.random.default_rng(number))
+    found = [State()]
+    kind, payload = "consent", consent(collection, number=number)
+    while not found[-1].over:
+        found.append(machine.advance(collection, found[-1], kind, payload).state)
+        if not found[-1].over:
+            kind, payload = answers(person, page(collection, found[-1]))
+    return found
+
+
+def test_the_way_from_consent_to_done() -> None:
+    seen = [state.stage for state in states(COLLECTION)]
+    clips = 12 + 2 + 1
+    assert seen == [
+        *("consent", "task", "practice", "practice"),
+        *["clips"] * clips,
+        *("beliefs", "questions", "done"),
+    ]
+
+
+@settings(deadline=None)
+@given(numbers)
+def test_a_schedule_has_every_question_one_obvious_step_and_looks_back(number: int) -> None:
+    tasks = schedule(COLLECTION.plan, number)
+    purposes = [task.purpose for task in tasks]
+    assert purposes.count(QUESTION) == 12
+    assert purposes.count(ATTENTION) == 1
+    again = [task.again for task in tasks if task.purpose == REPEAT]
+    assert len(set(again)) == 2  # two different questions
+    for place, task in enumerate(tasks):
+        if task.purpose == REPEAT:
+            # Long enough after the first time, which was a question that had been asked.
+            asked = purposes[:place].count(QUESTION)
+            assert asked - task.again >= 3
+        if task.purpose == ATTENTION:
+            assert 3 < place < len(tasks) - 3
+
+
+def test_schedules_and_questions_differ_between_people() -> None:
+    assert len({schedule(COLLECTION.plan, number) for number in range(20)}) > 10
+
+
+def test_a_repeated_question_is_the_same_question() -> None:
+    for number in range(5):
+        state = somebody(COLLECTION, held=5, number=number)
+        questions = {(clip.transitions, clip.told) for clip in state.questions()}
+        repeats = [clip for clip in state.answered if clip.purpose == REPEAT]
+        assert len(repeats) == 2
+        assert {(clip.transitions, clip.told) for clip in repeats} <= questions
+
+
+@pytest.mark.parametrize("design", [None, Battery(redundancy=2)])
+def test_whoever_never_errs_is_found_consistent_and_attentive(design: Battery | None) -> None:
+    collection = COLLECTION if design is None else street_collection(design, points=16)
+    known = collection.plan.hypotheses
+    for row, held in enumerate(known.facts.tolist()):
+        state = somebody(collection, held, number=row)
+        assert state.attentive is True
+        assert state.consistency == 1.0
+        likeliest = max((f for f in state.belief if f != "none"), key=lambda f: state.belief[f])
+        assert int(likeliest) == known.essential[row]
+        assert state.belief[likeliest] > 0.9
+
+
+def test_whoever_tosses_coins_is_neither() -> None:
+    habits = Habits(error=0.5, mistake=0.0)
+    found = [somebody(COLLECTION, 3, number, habits) for number in range(40)]
+    # 80 repeated labels, 40 obvious steps: both are fair coins.
+    assert 0.35 < np.mean([state.consistency for state in found]) < 0.65
+    assert 0.25 < np.mean([state.attentive for state in found]) < 0.75
+
+
+def test_a_list_is_the_same_for_everybody_in_an_order_of_their_own() -> None:
+    collection = street_collection(Battery(redundancy=1), points=10)
+    asked = [
+        [(clip.transitions, clip.told) for clip in somebody(collection, 2, number).questions()]
+        for number in range(4)
+    ]
+    assert len(asked[0]) == 10
+    assert all(sorted(one) == sorted(asked[0]) for one in asked)
+    assert any(one != asked[0] for one in asked)
+
+
+@settings(max_examples=25, deadline=None)
+@given(numbers, st.integers(0, 15))
+def test_the_posterior_is_one_and_depends_on_the_answers_alone(number: int, held: int) -> None:
+    habits = Habits(error=0.2, mistake=0.0)
+    state = somebody(COLLECTION, held, number, habits)
+    assert abs(sum(state.belief.values()) - 1) < 1e-4  # but for what is not written down
+    assert belief(questionnaire(COLLECTION, state)) == state.belief
+
+
+@settings(max_examples=25, deadline=None)
+@given(numbers)
+def test_states_survive_as_text(number: int) -> None:
+    for state in states(COLLECTION, held=number % 16, number=number):
+        assert State.from_text(state.text) == state
+
+
+def test_nothing_of_what_is_behind_a_clip_is_on_its_page() -> None:
+    collection = telling()
+    plan = collection.plan
+    for state in states(collection):
+        view = page(collection, state)
+        text = json.dumps(view, default=str)
+        for hidden in (QUESTION + '"', ATTENTION, REPEAT, 'belief"', "posterior", "bits"):
+            assert hidden not in text
+        if state.stage == "clips" and state.clip is not None:
+            assert len(view["told"]) == state.clip.told.bit_count()
+            assert set(view["told"]) <= {fact.message for fact in plan.facts}
+
+
+def test_refusals_say_what_is_missing_and_change_nothing() -> None:
+    for state in states(COLLECTION):
+        if state.over:
+            with pytest.raises(Refused):
+                machine.advance(COLLECTION, state, "withdraw", {})
+            continue
+        for kind in (*machine.KINDS.values(), "nonsense"):
+            if kind != machine.KINDS[state.stage]:
+                with pytest.raises(Refused):
+                    machine.advance(COLLECTION, state, kind, consent(COLLECTION))
+        if state.stage in ("task", "questions"):
+            continue  # reading and answering nothing are both allowed
+        for wrong in ({}, {"labels": [2]}, {"labels": [None]}, {"labels": [1] * 9, "stated": [0]}):
+            with pytest.raises(Refused):
+                machine.advance(COLLECTION, state, machine.KINDS[state.stage], wrong)
+
+
+@pytest.mark.parametrize(
+    "answer", [{"age": "17"}, {"age": "old"}, {"comment": "x" * 201}, {"name": "Ann"}]
+)
+def test_the_labs_own_questions_have_bounds(answer: dict[str, str]) -> None:
+    state = next(one for one in states(COLLECTION) if one.stage == "questions")
+    with pytest.raises(Refused):
+        machine.advance(COLLECTION, state, "answers", answer)
+
+
+def test_practice_needs_the_right_answers() -> None:
+    task = machine.advance(COLLECTION, State(), "consent", consent(COLLECTION)).state
+    state = machine.advance(COLLECTION, task, "read", {}).state
+    wrong = machine.advance(COLLECTION, state, "example", {"label": 1}).state
+    assert (wrong.stage, wrong.part, wrong.wrong) == ("practice", 0, True)
+    right = machine.advance(COLLECTION, wrong, "example", {"label": 0}).state
+    assert (right.stage, right.part, right.wrong) == ("practice", 1, False)
+    assert machine.advance(COLLECTION, right, "example", {"label": 1}).state.stage == "clips"
+
+
+def test_who_declines_leaves_or_is_silent_ends() -> None:
+    text = COLLECTION.plan.texts.consent_hash
+    ended = machine.advance(COLLECTION, State(), "consent", {"agree": 0, "text": text}).state
+    assert (ended.stage, ended.number) == ("declined", None)
+    with pytest.raises(Refused, match="changed"):
+        machine.advance(COLLECTION, State(), "consent", consent(COLLECTION, text="another"))
+    for kind, stage in (("withdraw", "withdrawn"), ("time_out", "timed_out")):
+        assert machine.advance(COLLECTION, State(), kind, {}).state.stage == stage
+
+
+def test_half_of_a_prior_is_what_others_hold_wrong() -> None:
+    """By hand: half the prior of 16 equally likely sets, half on {0, 1} and {2} as 3 to 1."""
+    first = State(number=0, others={"3": 0.75, "4": 0.25})
+    prior = questionnaire(COLLECTION, first).posterior / (1 - 0.01)
+    known = COLLECTION.plan.hypotheses
+    expected = np.full(16, 0.5 / 16)
+    expected[known.row(np.array(3))] += 0.5 * 0.75
+    expected[known.row(np.array(4))] += 0.5 * 0.25
+    np.testing.assert_allclose(prior, expected, atol=1e-12)
+
+
+@given(st.permutations(range(4)))
+def test_what_is_shared_is_a_mean_in_any_order(order: list[int]) -> None:
+    posteriors = [
+        {"0": 0.5, "3": 0.25, "none": 0.25},
+        {"3": 0.9, "none": 0.1},
+        {"3": 1.0, "none": 0.0},
+        {"5": 0.0001, "0": 0.9999, "none": 0.0},
+    ]
+    found = shared([posteriors[i] for i in order])
+    # By hand: 3 has 1/3, 1, 1, 0 of those that some hypothesis fits; 5 is too little to keep.
+    assert found == {"0": round((2 / 3 + 0.9999) / 4, 6), "3": round((1 / 3 + 2) / 4, 6)}
+    assert shared([]) == {}
+
+
+def test_later_people_need_fewer_questions() -> None:
+    """What everybody before holds wrong is believed of the next one sooner."""
+    held = 6
+
+    def needed(others: dict[str, float]) -> int:
+        person = Observer(COLLECTION.plan, held, FAULTLESS, np.random.default_rng(0))
+        state = take_part(COLLECTION, person, 0, others)
+        asking = questionnaire(COLLECTION, State(number=0, others=others))
+        for count, clip in enumerate(state.questions()):
+            if asking.posterior[COLLECTION.plan.hypotheses.row(np.array(held))] > 0.9:
+                return count
+            asking.answer(list(clip.labels), (list(clip.transitions), clip.told))
+        return 99
+
+    assert needed({str(held): 1.0}) < needed({})
+
+
+def test_assigned_briefings_tell_what_a_role_knows_and_it_is_found_again() -> None:
+    collection = street_collection(briefing="assigned")
+    plan = collection.plan
+    for index, role in enumerate(plan.roles):
+        # Nothing is known of them but what they read.
+        person = Observer(plan, 0, FAULTLESS, np.random.default_rng(index))
+        state = take_part(collection, person, index, {}, role=index)
+        row = int(plan.hypotheses.row(np.array(role.held)))
+        assert state.belief[str(plan.hypotheses.essential[row])] > 0.9
+        assert [state.stated[j] for j in range(len(plan.facts))] == [
+            role.held >> j & 1 for j in range(len(plan.facts))
+        ]
+
+
+def test_people_as_they_are_get_no_briefing() -> None:
+    for state in states(COLLECTION):
+        assert "briefing" not in page(COLLECTION, state)
+
+
+def test_a_plan_is_what_its_text_says() -> None:
+    plan = COLLECTION.plan
+    assert CollectPlan.from_text(plan.text).text == plan.text
+    with pytest.raises(InputError, match="not of a study"):
+        CollectPlan.from_text('{"version": 1}')
+
+
+@pytest.mark.parametrize(
+    ("rules", "key"),
+    [
+        ({"repeats": 4}, "rules.repeats"),
+        ({"people": 1}, "rules.people"),
+        ({"timeout_minutes": 0}, "rules.timeout_minutes"),
+        ({"points": 0, "repeats": 0}, "points"),
+    ],
+)
+def test_rules_that_cannot_be_are_named(rules: dict[str, Any], key: str) -> None:
+    with pytest.raises(InputError, match=key):
+        street_collection(**rules)
+
+
+def test_changed_code_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    from xplain.collect.probes import collection_of
+    from xplain.collect.protocol import asking
+    from xplain.errors import XplainError
+
+    plan = COLLECTION.plan
+    collection_of(plan)
+    monkeypatch.setattr(asking, "derived_seed", lambda *names: 7)
+    with pytest.raises(XplainError, match="asks differently"):
+        collection_of(plan)

@@ -1,0 +1,160 @@
+"""Every word of the pages comes from files: in a made-up language nothing of English is left."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.participants.visitors import GENEROUS, Visitor, enter, pages
+from tests.study.stand_in import CONFIG, FAULTLESS, english_words, street_plan
+from xplain.errors import InputError
+from xplain.participants.server.app import create_app
+from xplain.participants.server.store import Store
+from xplain.participants.simulation.http_client import Page
+from xplain.study.policies import study_of
+from xplain.study.simulation.participant import Person
+
+PLACES = ("bridge", "market", "school", "tunnel")
+
+
+def made_up(text: str) -> str:
+    """Every word with Q before it, what is filled in as it is."""
+    return re.sub(r"\{\w+\}|[^\W\d_]+", lambda m: m[0] if m[0][0] == "{" else f"Q{m[0]}", text)
+
+
+def translated(value: Any) -> Any:
+    if isinstance(value, str):
+        return made_up(value)
+    if isinstance(value, dict):
+        return {key: translated(item) for key, item in value.items()}
+    return [translated(item) for item in value] if isinstance(value, list) else value
+
+
+class Words(HTMLParser):
+    """Every word that somebody may see or hear."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.found: set[str] = set()
+        self.feed(html)
+
+    def handle_data(self, data: str) -> None:
+        self.found |= set(re.findall(r"[^\W\d_]+", data))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if name in ("alt", "aria-label", "title", "placeholder", "data-lost"):
+                self.handle_data(value or "")
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> Iterator[Store]:
+    wording = CONFIG["wording"]
+    sentences = {
+        place: {"message": f"The {place} is fine", "belief": f"The {place} is bad"}
+        for place in PLACES
+    }
+    phrases = ("goes", "straight", "around", "at", "the", *PLACES)
+    keep = {"words", "rewards", "icons", "hide", "phrases", "facts"}
+    own = {key: translated(value) for key, value in wording.items() if key not in keep}
+    choice = {"kind": "choice", "choices": ["one", "two"], "required": True}
+    plan = street_plan(
+        wording=wording
+        | own
+        | {
+            "words": translated(english_words()) | {"language": "q"},
+            "facts": translated(sentences),
+            "rewards": translated(wording["rewards"]),
+            "icons": {},
+            "phrases": {word: made_up(word) for word in phrases},
+        },
+        before=[{"name": "a", "label": made_up("first"), **translated(choice), "kind": "choice"}],
+        questions=[
+            {"name": "b", "label": made_up("scale"), "kind": "scale", "low": 1, "high": 5}
+            | {"ends": [made_up("no"), made_up("yes")]}
+        ],
+    )
+    store = Store(tmp_path / "s.sqlite", study_of(plan))
+    yield store
+    store.close()
+
+
+def left_over(html: str) -> set[str]:
+    """Words of no made-up language; letters of the map and its items are none."""
+    return {
+        word for word in Words(html).found if word[0] != "Q" and not re.fullmatch("[A-Z]", word)
+    }
+
+
+def test_nothing_of_english_is_left_in_another_language(foreign: Store) -> None:
+    app = create_app(foreign, GENEROUS)
+    person = Person(foreign.study.plan, FAULTLESS, np.random.default_rng(0))
+    (token,) = foreign.invite(1, "person")
+    code = {foreign.participant(foreign.enter_invited(token)).code}
+    stages = []
+    for html, page in pages(Visitor(app.test_client()), person, token):
+        stages.append(page.stage)
+        reference = re.findall(r'id="reference">([^<]*)<', html)
+        assert left_over(html.replace(reference[0], "") if reference else html) <= code, page.stage
+        assert '<html lang="q">' in html
+    assert {"before", "evaluation", "quiz", "questions", "done"} <= set(stages)
+
+
+def test_what_cannot_be_done_is_said_in_that_language_too(foreign: Store) -> None:
+    app = create_app(foreign, GENEROUS)
+    visitor = Visitor(app.test_client())
+    assert left_over(visitor.get("/")[1]) == set()
+    assert left_over(visitor.get("/nowhere")[1]) == set()
+    assert left_over(visitor.get("/study")[1]) == set()
+    (token,) = foreign.invite(1, "person")
+    html = enter(visitor, token)
+    for fields in ([("agree", "7")], [("agree", "1"), ("text", "another")], [("kind", "read")]):
+        hidden = {**Page(html).hidden, **dict(fields)}
+        status, answer = visitor.post("/study", list(hidden.items()))
+        assert status == 400
+        assert left_over(answer) == set(), fields
+
+
+def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(
+    foreign: Store, person: Callable[..., Person]
+) -> None:
+    """However a part ends; and in the other language, again."""
+    app = create_app(foreign, GENEROUS)
+    codes = set()
+    for ending in ("declined", "screened_out", "ineligible", "withdrawn", "timed_out", "done"):
+        (token,) = foreign.invite(1, "bot")
+        who = foreign.enter_invited(token)
+        state = f"""'{{"stage": "{ending}"}}'"""
+        with foreign.transaction() as do:
+            do(
+                f"UPDATE participant SET over = 1, state = json_patch(state, {state}) WHERE id = ?",
+                (who,),
+            )
+        visitor = Visitor(app.test_client())
+        enter(visitor, token)
+        html = visitor.get("/study")[1]
+        for paragraph in foreign.study.plan.texts.debriefing:
+            assert paragraph in html, ending
+        reference = "-".join(re.findall("....", who))
+        assert reference in html, ending
+        (code,) = re.findall(r'id="code">([A-Z]{8})<', html)
+        codes.add(code)
+        assert left_over(html.replace(reference, "").replace(code, "")) == set(), ending
+        assert 'href="/consent.txt"' in html
+    assert len(codes) == 6
+    copy = app.test_client().get("/consent.txt").text
+    assert all(paragraph in copy for paragraph in foreign.study.plan.texts.consent)
+    assert foreign.study.plan.texts.consent_hash in copy
+
+
+def test_a_language_without_all_its_words_is_refused() -> None:
+    words = english_words()
+    del words["quiz_hint"]
+    with pytest.raises(InputError, match=r"wording\.words\.quiz_hint"):
+        street_plan(wording=CONFIG["wording"] | {"words": words})

@@ -1,0 +1,34 @@
+"""A document to register before the first participant, from the plan: hypotheses, design,
+measures, exclusions, analysis and sample size.
+
+    xplain study preregister DATABASE [--out FILE]
+
+DATABASE holds a study that was started once: what is registered is what runs.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from xplain.cli.parser import Parser
+
+
+def main(arguments: list[str]) -> None:
+    """Prints the document, or writes it into a file."""
+    parser = Parser("xplain study preregister")
+    parser.add_argument("database", type=Path)
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args(arguments)
+    from xplain.errors import InputError
+    from xplain.study.preregistration import document
+    from xplain.study.stored import read_plan
+
+    plan = read_plan(given.database)
+    if plan is None:
+        raise InputError("database", str(given.database), "one in which a study was started")
+    text = document(plan)
+    if given.out is None:
+        print(text, end="")
+        return
+    given.out.write_text(text, encoding="utf-8")
+    print(f"preregistration in {given.out}")

@@ -1,0 +1,217 @@
+"""The plan of a collection: everything a participant may meet, fixed before the first one comes.
+
+As a study's plan (:mod:`xplain.study.protocol.plan`), it is stored in the database at the first
+start and read from there ever after.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from xplain.domains.base import Scene
+from xplain.errors import InputError, number, whole_number
+from xplain.questions.designs import Adaptive
+from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.questionnaire import Questionnaire
+from xplain.storage import decode, encode
+from xplain.study.protocol.plan import Asked, Fact
+
+VERSION = "collect 1"
+"""Of the stored form; a database of another version is refused."""
+
+
+@dataclass(frozen=True)
+class Example:
+    """The practice: an action that does not occur later, once under each of two messages.
+
+    Attributes:
+        action: what the robot does.
+        against: a sentence under which the action makes no sense.
+        speaks_for: one under which it does.
+    """
+
+    action: str
+    against: str
+    speaks_for: str
+
+
+@dataclass(frozen=True)
+class Texts:
+    """The words of the pages, from config; paragraphs as tuples.
+
+    Attributes:
+        title, contact: on every page.
+        consent, introduction, task, goodbye: paragraphs.
+        words: every other sentence of the pages by name.
+    """
+
+    title: str
+    contact: str
+    consent: tuple[str, ...]
+    introduction: tuple[str, ...]
+    task: tuple[str, ...]
+    goodbye: tuple[str, ...]
+    words: Mapping[str, str]
+
+    @property
+    def consent_hash(self) -> str:
+        """SHA-256 of the consent text: what exactly was agreed to."""
+        return hashlib.sha256("\n".join(self.consent).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Numbers of the protocol.
+
+    Attributes:
+        people: wanted; the page stays open when more come.
+        points: labels a person, those for consistency and attention not counted.
+        repeats: questions asked a second time, for consistency.
+        attention: whether an obvious step is among them.
+        timeout_minutes: without a sign of life after which a participant's part ends.
+    """
+
+    people: int
+    points: int
+    repeats: int
+    attention: bool
+    timeout_minutes: float
+
+    def __post_init__(self) -> None:
+        """Raises InputError: a number out of its range."""
+        whole_number("rules.people", self.people, 2)
+        whole_number("points", self.points, 1)
+        most = self.points // 4
+        if whole_number("rules.repeats", self.repeats, 0) > most:
+            raise InputError("rules.repeats", self.repeats, f"at most a quarter of points: {most}")
+        if not number("rules.timeout_minutes", self.timeout_minutes) > 0:
+            raise InputError("rules.timeout_minutes", self.timeout_minutes, "a number above 0")
+
+
+@dataclass(frozen=True)
+class Role:
+    """Somebody who holds certain facts wrong: simulated people are one of several, and with
+    assigned briefings real ones are told what one knows, to see whether it is found again.
+
+    Attributes:
+        name: of the user type.
+        held: bitmask of the facts that it holds wrong.
+        briefing: one sentence a fact, as this type knows it.
+    """
+
+    name: str
+    held: int
+    briefing: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image of a transition: its media type, and its bytes in base 64."""
+
+    media: str
+    content: str
+
+
+@dataclass(frozen=True)
+class CollectPlan:
+    """A collection about T transitions and n facts.
+
+    Attributes:
+        seed: of the questions' choice and order.
+        domain: name of the task.
+        texts, example, rules, asked: see their types.
+        facts: [n], as people meet them.
+        roles: of simulated people.
+        assigned: whether each participant is told what one of the roles knows.
+        hypotheses: what people might hold wrong, with phrases.
+        subject: who does what the phrases say; "" where they are whole sentences.
+        questions: the list that everybody is asked, as (transition, message set); empty where
+            each question depends on the answers before.
+        design: of these adaptive questions; of a list, how its answers are weighed.
+        situations: [T] what is so when the transition begins, as sentences; or none.
+        gone: [T] names of the items that are on the map no more when it begins; or none.
+        paths: [T] (cell before, cell after) on the map; or none.
+        changes: [T] what each transition changes, for domains without a map; or none.
+        scene: the map, or None.
+        icons: {name of an item on the map: path of its icon in a box of 24}; may lack some.
+        pictures: [T] of own transitions, None where one has no image; or none.
+        attention: the obvious step that does not make sense.
+        expectation: what simulated observers let one expect, by figure.
+        probes: what is asked of simulated people, to notice changed code.
+        config: the configuration that it was made from, for the record.
+    """
+
+    seed: int
+    domain: str
+    texts: Texts
+    example: Example
+    rules: Rules
+    asked: tuple[Asked, ...]
+    facts: tuple[Fact, ...]
+    roles: tuple[Role, ...]
+    assigned: bool
+    hypotheses: Hypotheses
+    subject: str
+    questions: tuple[tuple[int, int], ...]
+    design: Adaptive
+    situations: tuple[tuple[str, ...], ...]
+    gone: tuple[tuple[str, ...], ...]
+    paths: tuple[tuple[tuple[int, int], tuple[int, int]], ...]
+    changes: tuple[tuple[str, ...], ...]
+    scene: Scene | None
+    icons: Mapping[str, str]
+    pictures: tuple[Picture | None, ...]
+    attention: str
+    expectation: Mapping[str, float]
+    probes: tuple[str, ...]
+    config: Mapping[str, Any]
+
+    @cached_property
+    def text(self) -> str:
+        """The plan as canonical JSON; floats survive to the last bit."""
+        value = encode(self) | {"version": VERSION}
+        return json.dumps(value, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of :attr:`text`; names the plan in the data."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+    @classmethod
+    def from_text(cls, text: str) -> CollectPlan:
+        """Reads what :attr:`text` wrote.
+
+        Raises:
+            InputError: another version of the stored form, or the plan of something else.
+        """
+        value = json.loads(text)
+        if value.pop("version", None) != VERSION:
+            allowed = f"that of a collection of labels ({VERSION}), not of a study"
+            raise InputError("database", "its plan", allowed)
+        plan: CollectPlan = decode(cls, value)
+        return plan
+
+
+@dataclass(frozen=True)
+class Collection:
+    """A plan with its questionnaire at work; what the protocol needs to go on."""
+
+    plan: CollectPlan
+
+    @cached_property
+    def blank(self) -> Questionnaire:
+        """The questionnaire before anybody was asked."""
+        design = self.plan.design
+        return Questionnaire(
+            self.plan.hypotheses,
+            design.error,
+            None,
+            design.clip,
+            none=design.none,
+            misread=design.misread,
+        )
