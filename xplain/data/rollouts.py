@@ -55,7 +55,6 @@ def expected_visits(
     here: NDArray[np.float64] = np.bincount(starts, minlength=model.n_states) / len(starts)
     visits = np.zeros(len(transitions))
     for _ in range(max_length):
-        here[model.terminal] = 0.0
         made = here[before] * share
         visits += made
         here = np.bincount(after, made, model.n_states).astype(np.float64)
