@@ -225,7 +225,7 @@ def test_a_labeler_that_looks_at_too_many_messages_is_refused(rng: np.random.Gen
     tree = DecisionTreeClassifier(random_state=0).fit(x, rng.integers(0, 2, 4000))
     with pytest.raises(TooLargeError, match="labeler=pruned"):
         Labeler(tree, n, 0.9, 0.9, 1, 1).relevant_table(features[:1])
-    with pytest.raises(TooLargeError, match="use a decision tree"):
+    with pytest.raises(TooLargeError, match="labeler=pruned"):
         Labeler(LogisticRegression().fit(x, x[:, 1]), n, 0.9, 0.9, 1, 1).relevant_table(
             features[:1]
         )

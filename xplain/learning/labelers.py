@@ -99,7 +99,7 @@ class Labeler:
         if not hasattr(self.classifier, "tree_"):
             raise TooLargeError(
                 f"labeler: a classifier that is no tree may look at any of {self.n_messages} "
-                f"messages, more than {DENSE}; use a decision tree"
+                f"messages, more than {DENSE}; labeler=pruned is a tree that looks at few"
             )
         found = cubes(self.classifier.tree_, features, self.n_messages)
         relevant = indices(int(np.bitwise_or.reduce(found.ones | found.zeros, initial=0)))
