@@ -3,8 +3,8 @@
     python benchmarks/labelers.py            some minutes
     python benchmarks/labelers.py --quick    some seconds, nothing written
     python benchmarks/labelers.py --maps random --seeds 8
-                                             what the default was chosen by: maps drawn at random per
-                                             seed (from 8110), 2 to 5 random types; nothing written
+        what the default was chosen by: maps drawn at random per seed (from 8110), with 2 to 5 types
+        drawn at random; nothing written
 
 The true types are given (perfect clustering), so that labelers alone differ. Questions differ from
 observer to observer, three observers a type. ``right`` and ``brier`` are of questions asked as the
