@@ -11,6 +11,7 @@ from scipy.special import logsumexp
 from tests.questions.tables import random_hypotheses
 from xplain.data.dataset import Dataset
 from xplain.questions.fact_sets import partition
+from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.known_transitions import MATTERS, UNWRITTEN, KnownTransitions
 from xplain.questions.labeler import FactSetClassifier, HypothesisTrainer
 from xplain.questions.likelihood import (
@@ -229,6 +230,24 @@ def test_somebody_may_hold_wrong_what_no_hypothesis_does():
     assert np.array_equal(h.labels[8:16], h.labels[:8])
     assert (known.essential[8:16] == known.essential[:8] | 8).all()
     assert known_of(3, facts=3).unwritten == 0
+    # No two of these transitions share their features.
+    assert not known.ambiguous.any()
+
+
+def test_the_prior_of_what_nobody_wrote_down_is_of_those_who_hold_it():
+    """Fact 0 is in no hypothesis, facts 1 and 2 are, one likelier than the other."""
+    rows = np.arange(3.0)[:, None]
+    labels = [[1, 1, 1], [0, 1, 1], [1, 0, 1], [0, 0, 1]]
+    prior = [0.4, 0.3, 0.2, 0.1]
+    h = Hypotheses.of(labels, [0, 2, 4, 6], ("a", "b", "c"), prior, features=rows)
+    known = KnownTransitions.of(h)
+    assert known.unwritten == 1
+    assert known.hypotheses.facts.tolist() == list(range(8))
+    for held, weight in zip(range(8), np.repeat(prior, 2), strict=True):
+        share = UNWRITTEN if held & 1 else 1 - UNWRITTEN
+        assert known.hypotheses.prior[held] == pytest.approx(share * weight)
+        said = np.array(labels[held >> 1]) * (1 - MATTERS if held & 1 else 1)
+        assert known.share[0, held] == pytest.approx(said)
 
 
 def odd_people(known, facts, count, rng, odd):

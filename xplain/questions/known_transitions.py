@@ -71,7 +71,8 @@ class KnownTransitions:
     @cached_property
     def ambiguous(self) -> NDArray[np.bool_]:
         """[U] whether transitions that share the features are labelled differently."""
-        return np.asarray(((self.share > 0) & (self.share < 1)).any(axis=(0, 1)))
+        written = self.share[:, self.hypotheses.facts & self.unwritten == 0]
+        return np.asarray(((written > 0) & (written < 1)).any(axis=(0, 1)))
 
     @cached_property
     def _exact(self) -> dict[bytes, int]:
@@ -115,9 +116,8 @@ def _with_unwritten(hypotheses: Hypotheses) -> tuple[Hypotheses, int]:
     facts = np.concatenate([hypotheses.facts | more for more in (0, *open_facts)])
     order = np.argsort(facts)
     like = np.tile(np.arange(candidates), 1 + len(open_facts))[order]
-    share = np.repeat(
-        [1 - UNWRITTEN, UNWRITTEN / len(open_facts)], candidates * np.array([1, len(open_facts)])
-    )
+    each = [1 - UNWRITTEN, *[UNWRITTEN / len(open_facts)] * len(open_facts)]
+    share = np.repeat(each, candidates)[order]
     extended = replace(
         hypotheses,
         labels=hypotheses.labels[like],
