@@ -37,15 +37,16 @@ def main() -> None:
     """Prints the table."""
     quick = "--quick" in sys.argv[1:]
     rounds = 1 if quick else 5
+    run = [*RUN, "traces=2", "certify.traces=1"] if quick else RUN
     with tempfile.TemporaryDirectory() as folder:
         kernels = {} if quick else {"NUMBA_CACHE_DIR": str(Path(folder) / "kernels")}
         seconds(["-c", BARE], folder, {})  # makes the store
         bare, warm = [], []
-        first = seconds(RUN, folder, kernels)
+        first = seconds(run, folder, kernels)
         for _ in range(rounds):
-            warm.append(seconds(RUN, folder, kernels))
+            warm.append(seconds(run, folder, kernels))
             bare.append(seconds(["-c", BARE], folder, {}))
-        imported = imports(folder, kernels)
+        imported = imports(run, folder, kernels)
     ratios = [one / other for one, other in zip(warm, bare, strict=True)]
     print(f"user + system seconds, {rounds} later runs in turn with the bare script, median\n")
     print(f"bare script   {median(bare):6.1f}")
@@ -70,10 +71,10 @@ def seconds(arguments: list[str], folder: str, environment: dict[str, str]) -> f
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def imports(folder: str, environment: dict[str, str]) -> dict[str, float]:
+def imports(run: list[str], folder: str, environment: dict[str, str]) -> dict[str, float]:
     """Wall seconds of imports by top-level package, the dearest first."""
     done = subprocess.run(
-        [sys.executable, "-X", "importtime", *RUN],
+        [sys.executable, "-X", "importtime", *run],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)} | environment,
         check=True,
