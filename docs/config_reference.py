@@ -26,7 +26,7 @@ GROUPS = {
     "belief": "which labels are evidence",
     "tracking": "where results go besides the disk",
 }
-COMMANDS = ("discover", "observe", "questions", "plan", "export")
+COMMANDS = ("discover", "observe", "questions", "plan", "export", "collect")
 """Commands with keys of their own."""
 UNTOLD = ("defaults", "hydra", "_convert_")
 """Sections that are no settings of an experiment."""
@@ -68,8 +68,7 @@ def page() -> str:
         "`group=choice` takes another file, `+group=...` is never needed. "
         "`python -m xplain --cfg job` prints what a run would be given, "
         "`python -m xplain --keys` every key and choice. Commands have keys of their own: "
-        f"{', '.join(f'[{name}](#the-command-{name}-conf{name}yaml)' for name in COMMANDS)}, "
-        "[collect](#collecting-labels-confcollectyaml) and "
+        f"{', '.join(f'[{name}](#the-command-{name}-conf{name}yaml)' for name in COMMANDS)} and "
         "[study](#the-user-study-confstudyyaml).\n",
         "## The experiment (`conf/config.yaml`)\n",
         section(CONF / "config.yaml", ""),
@@ -82,7 +81,6 @@ def page() -> str:
     for command in COMMANDS:
         parts.append(f"## The command `{command}` (`conf/{command}.yaml`)\n")
         parts.append(section(CONF / f"{command}.yaml", ""))
-    parts += ["## Collecting labels (`conf/collect.yaml`)\n", section(CONF / "collect.yaml", "")]
     parts += ["## The user study (`conf/study.yaml`)\n", section(CONF / "study.yaml", "")]
     return "\n".join(parts)
 

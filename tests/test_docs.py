@@ -109,7 +109,7 @@ def test_commands_that_are_not_run_are_configurations_all_the_same(page, words, 
 def test_no_command_hides_in_a_block_that_no_test_reads():
     """Commands of ours stand in `console` blocks (run) or `sh` blocks (composed)."""
     for page in PAGES:
-        if page.name != "study.md":  # it has a test of its own
+        if page.name not in ("study.md", "collect.md"):  # they have tests of their own
             for fence in run.FENCE.finditer(page.read_text(encoding="utf-8")):
                 if fence[1] not in ("console", "sh", "python", "yaml"):
                     assert "python -m xplain" not in fence[2], f"{page.name}: {fence[2][:60]}"
@@ -296,3 +296,42 @@ def test_the_study_runs_as_its_page_says(tmp_path):
             server.terminate()
         server.wait(60)
         server.stdout.close()
+
+
+@pytest.mark.slow
+def test_labels_are_collected_as_their_page_says(tmp_path):
+    """The commands of docs/collect.md from the server's start on, of bots in place of people."""
+    text = (ROOT / "docs" / "collect.md").read_text(encoding="utf-8")
+    env = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    where = {"cwd": tmp_path, "env": env, "text": True}
+    for made in re.findall(r"^\$ (printf .*)$", text, re.MULTILINE):
+        subprocess.run(made, shell=True, check=True, **where)
+    lines = [line for line in text.splitlines() if line.startswith("python -m xplain")]
+    start, bots, *others = lines
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    words = start.replace("8080", port).split()[1:]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    server = subprocess.Popen([sys.executable, *words], **pipes, **where)
+    try:
+        said = ""
+        while "plan " not in said:  # the last line of a start
+            line = server.stdout.readline()
+            assert line, said
+            said += line
+        key = re.search(r"key (\w+)", said).group(1)
+        words = bots.replace("6f6c…", key).split()[1:]
+        subprocess.run([sys.executable, *words, "--url", f"http://127.0.0.1:{port}"], **where)
+    finally:
+        server.terminate()
+        server.wait(60)
+        server.stdout.close()
+    assert len(others) == 3
+    for command in others:
+        words = command.replace("labels.csv", "labels_bot.csv").split()[1:]
+        done = subprocess.run([sys.executable, *words], capture_output=True, **where)
+        assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+    (tmp_path / "robot.py").write_text(re.search(r"```py\n(.*?)```", text, re.DOTALL).group(1))
+    done = subprocess.run([sys.executable, "robot.py"], capture_output=True, **where)
+    assert done.returncode == 0, done.stderr
