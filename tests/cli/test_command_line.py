@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import re
 import subprocess
 import sys
 from importlib.metadata import version
@@ -296,9 +297,18 @@ def test_help_fits_a_screen_and_names_every_command(capsys):
     out = capsys.readouterr().out
     assert len(out.splitlines()) <= 24
     assert max(map(len, out.splitlines())) <= 100
+    lines = [line.split() for line in out.replace(",", "").splitlines()]
+    for name in COMMANDS:
+        group, _, own = name.rpartition(" ")
+        assert any(line[:1] == [group or own] and own in line for line in lines), name
+
+
+def test_the_help_of_a_command_tells_of_those_below_it(capsys):
+    main(["study", "--help"])
+    out = capsys.readouterr().out
     for name, command in COMMANDS.items():
-        assert f"  {name} " in out
-        assert command.meaning in out
+        shown = re.search(rf"^  {name} +{re.escape(command.meaning)}$", out, re.MULTILINE)
+        assert bool(shown) == name.startswith("study "), name
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -67,6 +67,8 @@ def _run(given: list[str]) -> None:
     module = import_module(f"xplain.cli.{command.module}")
     if any(word in ("--help", "-h") for word in rest):
         print(module.__doc__)
+        if below := _commands(name):
+            print("\n".join(below) + "\n")
         if command.config:
             print((CONF / f"{command.config}.yaml").read_text(encoding="utf-8"))
         return
@@ -91,6 +93,16 @@ def split(words: list[str]) -> tuple[str | None, list[str]]:
 
 
 def _help() -> str:
-    return HELP.format(
-        commands="\n".join(f"  {name:14} {command.meaning}" for name, command in COMMANDS.items())
-    )
+    return HELP.format(commands="\n".join(_commands("")))
+
+
+def _commands(group: str) -> list[str]:
+    """A line a command of the group, in whose line its own are named."""
+    own = {name: command for name, command in COMMANDS.items() if name.rpartition(" ")[0] == group}
+    lines = []
+    for name, command in own.items():
+        below = [other.rpartition(" ")[2] for other in COMMANDS if other.startswith(f"{name} ")]
+        lines.append(f"  {name:{18 if group else 11}} {command.meaning}")
+        if below:
+            lines.append(f"  {name} ...".ljust(14) + ", ".join(below))
+    return lines
