@@ -81,3 +81,32 @@ def _is_itself(event: Mapping[str, Any], salt: str | None, gone: bool) -> bool:
     if gone and event["kind"] == ERASED:
         return True
     return salt is not None and event["content"] == content_of([event[f] for f in FIELDS], salt)
+
+
+def step_differences(
+    connection: sqlite3.Connection, who: str, steps: Mapping[int, Mapping[str, Any]], name: str
+) -> tuple[int, list[str]]:
+    """A participant's rows of ``step`` against what was computed again from the events.
+
+    Args:
+        connection: to the database; its rows are mappings.
+        who: the participant's id.
+        steps: by step k, its columns.
+        name: what the protocol calls a step.
+
+    Returns:
+        How many steps were compared, and what differs, a sentence each.
+    """
+    rows = connection.execute("SELECT * FROM step WHERE participant = ?", (who,))
+    stored = {row["k"]: row for row in rows}
+    differences = []
+    if stored.keys() != steps.keys():
+        differences.append(f"{who}: {name}s {sorted(stored)} are stored, not {sorted(steps)}")
+    both = stored.keys() & steps.keys()
+    differences += [
+        f"{who}: {name} {k}: {column} is {stored[k][column]}, replayed {value}"
+        for k in both
+        for column, value in steps[k].items()
+        if stored[k][column] != value
+    ]
+    return len(both), differences

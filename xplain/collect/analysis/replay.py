@@ -84,27 +84,10 @@ def _replay_one(
         state = outcome.state
     if state.text != person["state"] or state.over != bool(person["over"]):
         found.differences.append(f"{who}: the stored state differs")
-    _compare_steps(connection, who, steps, found)
+    compared, differences = event_log.step_differences(connection, who, steps, "clip")
+    found.steps += compared
+    found.differences += differences
     return Replayed(who, person["stream"], state, consent)
-
-
-def _compare_steps(
-    connection: sqlite3.Connection,
-    who: str,
-    steps: dict[int, dict[str, str | int | None]],
-    found: Findings,
-) -> None:
-    rows = connection.execute("SELECT * FROM step WHERE participant = ?", (who,))
-    stored = {row["k"]: row for row in rows}
-    if stored.keys() != steps.keys():
-        found.differences.append(f"{who}: clips {sorted(stored)} are stored, not {sorted(steps)}")
-    for k in stored.keys() & steps.keys():
-        found.steps += 1
-        for column, value in steps[k].items():
-            if stored[k][column] != value:
-                found.differences.append(
-                    f"{who}: clip {k}: {column} is {stored[k][column]}, replayed {value}"
-                )
 
 
 def _compare_others(collection: Collection, people: dict[int, Replayed], found: Findings) -> None:

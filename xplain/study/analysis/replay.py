@@ -89,16 +89,6 @@ def _replay_one(
         state = outcome.state
     if state.text != person["state"] or state.over != bool(person["over"]):
         found.differences.append(f"{who}: the stored state differs")
-    stored = {
-        row["k"]: row
-        for row in connection.execute("SELECT * FROM step WHERE participant = ?", (who,))
-    }
-    if stored.keys() != steps.keys():
-        found.differences.append(f"{who}: steps {sorted(stored)} are stored, not {sorted(steps)}")
-    for k in stored.keys() & steps.keys():
-        found.steps += 1
-        for column, value in steps[k].items():
-            if stored[k][column] != value:
-                found.differences.append(
-                    f"{who}: step {k}: {column} is {stored[k][column]}, replayed {value}"
-                )
+    compared, differences = event_log.step_differences(connection, who, steps, "step")
+    found.steps += compared
+    found.differences += differences
