@@ -30,6 +30,8 @@ class Listener(Protocol):
 
 POLL = 0.5
 """Seconds between looks, at least."""
+SLOWEST = 3.0
+"""Seconds between looks, at most."""
 SAY = 15.0
 """Seconds between lines where there is no terminal."""
 
@@ -75,10 +77,10 @@ class Watch:
         self._listener.start()  # takes seconds, while the jobs run already
         pause = POLL
         while not self._stop.wait(pause):
-            before = time.process_time()
+            before = time.thread_time()
             self._look()
-            # Looking must not take a core from the jobs.
-            pause = max(POLL, 2 * (time.process_time() - before))
+            # A hundredth of a core is enough: a look at a thousand jobs takes long.
+            pause = min(max(POLL, 100 * (time.thread_time() - before)), SLOWEST)
 
     def _look(self) -> None:
         for job in self._jobs:
