@@ -64,6 +64,7 @@ def test_a_file_of_hypotheses_takes_the_domains_place(tmp_path):
     [
         ("text\nhello\n", "inexplicable_if"),
         ("text,inexplicable_if\n,cable\n", "row 2"),
+        ("text,inexplicable_if\n", "no rows"),
         ("text,inexplicable_if\nhello,\n", "a fact in some row"),
     ],
 )
@@ -104,3 +105,83 @@ def test_answers_to_chosen_questions_find_types_that_a_file_keeps(tmp_path, comm
         mask = sum(1 << known.messages.index(name) for name in facts)
         truth = known.labels[known.row(mask & ~np.arange(64))].T
         assert ((table > 0.5) == truth).mean(axis=(1, 2)).max() > 0.98
+
+
+STEPS = "text\n" + "".join(f"step {t}\n" for t in range(6))
+WITHOUT = ("queries=adaptive", "queries.hypotheses=none", "messages=[m0,m1]")
+
+
+def next_form(tmp_path, *changes):
+    """The next screen for bob, as it is written."""
+    (tmp_path / "own.csv").write_text(STEPS)
+    table, output = f"transitions={tmp_path}/own.csv", f"output={tmp_path}/form.csv"
+    said = questions([table, output, "observer=bob", *WITHOUT, *changes])
+    return said, rows_of(tmp_path / "form.csv")
+
+
+def answers_file(tmp_path, rows):
+    lines = [f"{who},{told},step {t},{label}" for who, t, told, label in rows]
+    path = tmp_path / "answers.csv"
+    path.write_text("\n".join(["observer,messages,text,label", *lines]) + "\n")
+    return f"data={path}"
+
+
+def test_without_hypotheses_the_answers_so_far_say_what_to_ask(tmp_path):
+    """Steps 0 to 4 were explicable whatever was told, step 5 not when nothing was."""
+    told = ("", "m0", "m1", "m0;m1")
+    rows = [(who, t, m, 1) for who in ("ann", "bob") for t in range(5) for m in told] * 3
+    rows += [(who, 5, "", 0) for who in ("ann", "bob")] * 3
+    data, firsts = answers_file(tmp_path, rows), []
+    for seed in range(20):
+        said, form = next_form(tmp_path, data, "queries.screen=1", f"seed={seed}")
+        assert said["answers"] == len(rows)
+        firsts += [(row["text"], row["messages"]) for row in form]
+    odd = [messages for text, messages in firsts if text == "step 5"]
+    assert len(odd) > 14
+    assert sum(messages != "" for messages in odd) > 0.7 * len(odd)
+
+
+def test_a_screen_is_a_form_whose_answers_go_back(tmp_path):
+    said, form = next_form(tmp_path, "queries.screen=4")
+    assert (said["questions"], said["answers"]) == (4, 0)
+    assert len({row["text"] for row in form}) == 4
+    rows = [(who, int(r["text"][-1]), r["messages"], 1) for who in ("ann", "bob") for r in form]
+    said, again = next_form(tmp_path, answers_file(tmp_path, rows), "observer=new")
+    assert said["answers"] == 8
+    assert {row["observer"] for row in again} == {"new"}
+    assert {row["label"] for row in again} == {""}
+    assert len(again) == 6  # a screen asks about each transition once
+
+
+def test_a_domains_screen_is_a_table_that_discover_reads(tmp_path):
+    form = tmp_path / "form.csv"
+    asked = ("domain=rescue", "queries=adaptive", "queries.hypotheses=none", f"output={form}")
+    questions([*asked, "observer=ann"])
+    filled = [{**row, "label": int(row["told"] == "")} for row in rows_of(form)]
+    filled += [{**row, "observer": "bob"} for row in filled]
+    answers = tmp_path / "answers.csv"
+    with answers.open("w", newline="") as file:
+        writer = csv.DictWriter(file, filled[0])
+        writer.writeheader()
+        writer.writerows(filled)
+    assert questions([*asked, "observer=cleo", f"data={answers}"])["answers"] == len(filled)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (("observer=null",), "observer=None"),
+        (("messages=null",), "names of what people can be told"),
+        (("save=h.npz",), "save="),
+        (("ROWS", ("bob", 7, "m0", 1)), "step 7"),
+        (("ROWS", ("bob", 1, "m7", 1)), "m7"),
+        (("ROWS", ("bob", 1, "m0", 2)), "label"),
+    ],
+)
+def test_what_no_screen_can_be_made_from_is_one_line(tmp_path, changes, said):
+    if changes[0] == "ROWS":
+        changes = (answers_file(tmp_path, [changes[1]]),)
+    with pytest.raises(InputError, match=said) as caught:
+        next_form(tmp_path, *changes)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "form.csv").exists()

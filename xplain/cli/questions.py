@@ -5,6 +5,12 @@ Prints one list of questions that tells apart all that people might hold wrong, 
 ``messages`` (names joined by ``;``), ``told`` (the same in words), and the features, if any.
 The last line on standard output is one JSON object: ``output``, ``questions``, ``transitions``,
 ``candidates`` (that behave differently).
+
+Where nobody knows what people might hold wrong (``queries=adaptive queries.hypotheses=none``), it
+is the next screen of questions to one ``observer``, by the answers so far (``data``). Its columns
+``observer`` and ``label`` (empty) make it a form: filled in and put below the answers so far, it is
+the ``data`` of the next screen, and of ``xplain discover``. The JSON object then has ``output``,
+``questions``, ``transitions``, ``observer``, ``answers`` (so far).
 """
 
 from __future__ import annotations
@@ -21,6 +27,8 @@ from xplain.config import composed, require_seed
 from xplain.errors import InputError
 
 if TYPE_CHECKING:
+    from xplain.questions.committee import Pool
+    from xplain.questions.designs import Adaptive, Battery
     from xplain.questions.hypotheses import Hypotheses
 
 Row = dict[str, Any]
@@ -29,20 +37,28 @@ Row = dict[str, Any]
 def questions(arguments: list[str]) -> Row:
     """Writes the list; returns what the command prints. ``arguments`` override
     conf/questions.yaml."""
-    import numpy as np
-
-    from xplain.questions.battery import battery
-    from xplain.questions.designs import Battery
+    from xplain.questions.designs import WITHOUT, Battery
 
     cfg = composed("questions", arguments, with_hydra=True)
     require_seed(cfg)
     design = instantiate(cfg.queries)
-    if not isinstance(design, Battery):
-        raise InputError(
-            "queries",
-            cfg.hydra.runtime.choices.queries,
-            "battery; other questions depend on answers (from xplain import Questionnaire)",
-        )
+    if isinstance(design, Battery):
+        return _battery(cfg, design)
+    if getattr(design, "hypotheses", None) == WITHOUT:
+        return _screen(cfg, design)
+    raise InputError(
+        "queries",
+        cfg.hydra.runtime.choices.queries,
+        "battery, or adaptive with queries.hypotheses=none, a screen at a time; with hypotheses "
+        "each question depends on the answer before (from xplain import Questionnaire)",
+    )
+
+
+def _battery(cfg: DictConfig, design: Battery) -> Row:
+    import numpy as np
+
+    from xplain.questions.battery import battery
+
     known, images, sentences = _known(cfg)
     transitions, told = battery(known, design.redundancy, cfg.seed)
     rows = [
@@ -59,6 +75,82 @@ def questions(arguments: list[str]) -> Row:
         "transitions": known.n_transitions,
         "candidates": len(np.unique(known.classes)),
     }
+
+
+def _screen(cfg: DictConfig, design: Adaptive) -> Row:
+    from xplain.data.label_table import align, read_table
+    from xplain.message_sets import names_of
+    from xplain.questions.committee import next_screen_of
+    from xplain.randomness import stream
+
+    for key in ("hypotheses", "save"):
+        if cfg[key] is not None:
+            raise InputError(key, cfg[key], "null; queries.hypotheses=none does without them")
+    if not cfg.observer:
+        raise InputError("observer", cfg.observer, "the name of who is asked next")
+    pool, texts, images, sentences = _pool(cfg)
+    # A column of text is a feature a value: action=up, action=down.
+    columns = list(dict.fromkeys(name.split("=", 1)[0] for name in pool.feature_names))
+    answers = pool.unanswered(tuple(sentences))
+    if cfg.data is not None:
+        read = read_table(cfg.data, tuple(sentences), columns, under_way=True)
+        answers = pool.answered(align(read, pool.feature_names))
+    rng = stream(cfg.seed, "queries", "committee", cfg.observer, len(answers))
+    transitions, told = next_screen_of(pool, answers, cfg.observer, design.screen, rng)
+    rows: list[Row] = []
+    for number, (t, mask) in enumerate(zip(transitions.tolist(), told.tolist(), strict=True), 1):
+        names = names_of(mask, tuple(sentences))
+        row: Row = {"question": number, "transition": t, "text": texts[t], "image": images[t]}
+        row |= {"messages": ";".join(names), "told": " ".join(sentences[name] for name in names)}
+        row |= {column: value for column, value in _described(pool, t).items() if column != "text"}
+        rows.append(row | {"observer": cfg.observer, "label": ""})
+    _write(rows, Path(cfg.output))
+    _show(rows)
+    return {
+        "output": str(cfg.output),
+        "questions": len(rows),
+        "transitions": len(pool.features),
+        "observer": cfg.observer,
+        "answers": len(answers),
+    }
+
+
+def _pool(cfg: DictConfig) -> tuple[Pool, tuple[str, ...], tuple[str, ...], dict[str, str]]:
+    """What can be asked about, in words, its images, and what to say for each message."""
+    import numpy as np
+
+    from xplain.questions.committee import Pool
+    from xplain.questions.own_transitions import read_transitions
+    from xplain.randomness import stream
+    from xplain.users.setting import Setting
+
+    if cfg.transitions is None:
+        domain = instantiate(cfg.domain)
+        types = instantiate(cfg.users).types(domain, stream(cfg.seed, "users"))
+        setting = Setting.build(domain, types)
+        texts = tuple(domain.describe(transition) for transition in setting.reachable)
+        said = {p.name: p.message for p in domain.parameters}
+        return Pool.of_setting(setting), texts, ("",) * len(texts), said
+    own = read_transitions(cfg.transitions)
+    names = list(cfg.messages or (own.hypotheses.messages if own.facts else ()))
+    if not names:
+        raise InputError("messages", cfg.messages, "names of what people can be told")
+    features, feature_names = own.told_apart()
+    pool = Pool.of(features, feature_names, np.ones(len(own.texts)))
+    return pool, own.texts, own.images, {name: name for name in names}
+
+
+def _described(pool: Pool, transition: int) -> Row:
+    """The columns of a table of labels that describe a transition."""
+    row: Row = {}
+    values = pool.features[pool.which[transition]].tolist()
+    for name, value in zip(pool.feature_names, values, strict=True):
+        column, is_text, text = name.partition("=")
+        if not is_text:
+            row[column] = value
+        elif value == 1:
+            row[column] = text
+    return row
 
 
 def _known(cfg: DictConfig) -> tuple[Hypotheses, tuple[str, ...], dict[str, str]]:

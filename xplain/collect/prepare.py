@@ -28,7 +28,7 @@ from xplain.message_sets import mask_of, names_of
 from xplain.questions.battery import battery
 from xplain.questions.designs import Adaptive, Battery, hypotheses_of
 from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.own_transitions import read_transitions
+from xplain.questions.own_transitions import read_transitions, with_features
 from xplain.randomness import derived_seed, stream
 from xplain.study.protocol.content import facts_of
 from xplain.study.protocol.plan import Asked, Fact
@@ -182,16 +182,6 @@ def own_source(table: Path, facts: str | None, seed: int) -> Source:
         roles=drawn_roles(known, seed),
         pictures=pictures if any(pictures) else (),
     )
-
-
-def with_features(known: Hypotheses) -> Hypotheses:
-    """Hypotheses whose transitions have features; where they have none, the text is one."""
-    if known.features is not None:
-        return known
-    texts = sorted(set(known.phrases))
-    place = np.array([texts.index(phrase) for phrase in known.phrases])
-    names = tuple(f"text={text}" for text in texts)
-    return replace(known, features=np.eye(len(texts))[place], feature_names=names)
 
 
 def read_facts(path: str | None, names: Sequence[str]) -> tuple[Fact, ...]:

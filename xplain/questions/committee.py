@@ -21,7 +21,7 @@ from xplain.data.dataset import Dataset, inputs
 from xplain.data.queries import Answer, Answered
 from xplain.data.rollouts import expected_visits
 from xplain.domains.base import transition_feature_names, transition_features
-from xplain.errors import whole_number
+from xplain.errors import InputError, whole_number
 from xplain.learning.fact_model.counts import REACH
 from xplain.learning.fact_model.gibbs import sample
 from xplain.learning.fact_model.model import (
@@ -183,6 +183,101 @@ def _depth(n: int) -> int:
 
 
 @dataclass(frozen=True)
+class Pool:
+    """What can be asked about: T transitions, of which those that share their features are one, as
+    no labeler tells them apart.
+
+    Attributes:
+        features: [U, F] all different.
+        feature_names: F names.
+        visits: [T] how often the robot makes each transition, in any unit.
+        which: [T] the row of ``features`` of each transition.
+    """
+
+    features: NDArray[np.float64]
+    feature_names: tuple[str, ...]
+    visits: NDArray[np.float64]
+    which: NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls,
+        features: NDArray[np.float64],
+        feature_names: tuple[str, ...],
+        visits: NDArray[np.float64],
+    ) -> Pool:
+        """From the features [T, F] of all transitions."""
+        distinct, which = np.unique(features, axis=0, return_inverse=True)
+        return cls(distinct, feature_names, visits, which.ravel())
+
+    @classmethod
+    def of_setting(cls, setting: Setting) -> Pool:
+        """All that the robot can do, in the order of ``setting.reachable``."""
+        reachable = setting.reachable
+        visits = RARE + expected_visits(
+            setting.models[0], setting.optimal[0], setting.domain.starts, reachable, LONGEST
+        )
+        names = transition_feature_names(setting.domain)
+        return cls.of(transition_features(setting.domain, reachable), names, visits)
+
+    @property
+    def weight(self) -> NDArray[np.float64]:
+        """[U] visits of all transitions that share the features."""
+        return np.bincount(self.which, self.visits, len(self.features)).astype(np.float64)
+
+    def draw(self, chosen: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:
+        """A transition for each of the features ``chosen`` [Q], by how often the robot makes it."""
+        drawn = []
+        for u in chosen.tolist():
+            alike = np.flatnonzero(self.which == u)
+            share = self.visits[alike] / self.visits[alike].sum()
+            drawn.append(int(rng.choice(alike, p=share)))
+        return np.array(drawn, dtype=np.int64)
+
+    def unanswered(self, messages: tuple[str, ...]) -> Dataset:
+        """A dataset of these transitions without observers and labels."""
+        none = np.zeros(0, dtype=np.int64)
+        named = self.features, self.feature_names, messages, ()
+        return Dataset(*named, none, none, none, none.astype(np.uint8))
+
+    def answered(self, dataset: Dataset) -> Dataset:
+        """The same labels, their transitions numbered as here.
+
+        Raises:
+            InputError: a label is of no transition of the pool.
+        """
+        place = {row.tobytes(): u for u, row in enumerate(self.features)}
+        found = [place.get(row.tobytes(), -1) for row in dataset.features + 0.0]
+        if -1 in found:
+            values = dataset.features[found.index(-1)].tolist()
+            wrong = dict(zip(dataset.feature_names, values, strict=True))
+            raise InputError("data", wrong, "features of a transition that can be asked about")
+        number = np.array(found, dtype=np.int64)
+        return replace(dataset, features=self.features, transition=number[dataset.transition])
+
+
+def next_screen_of(
+    pool: Pool, answers: Dataset, observer: str, count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """What to ask somebody next by the answers so far, who may have given none yet.
+
+    Args:
+        pool: what can be asked about.
+        answers: numbered as in the pool (:meth:`Pool.answered`).
+        observer: who is asked, by name.
+        count: questions wanted; at most one a row of the pool's features.
+        rng: of every draw.
+
+    Returns:
+        Transitions of the pool [Q] and message sets [Q].
+    """
+    if observer not in answers.observers:
+        answers = replace(answers, observers=(*answers.observers, observer))
+    asked = next_screen(answers, answers.observers.index(observer), pool.weight, count, rng)
+    return pool.draw(asked.transition, rng), asked.message_set
+
+
+@dataclass(frozen=True)
 class Committee:
     """Each observer is asked screen by screen, by all answers so far, their own and those of the
     observers before; nothing is known of what they might hold wrong.
@@ -203,16 +298,8 @@ class Committee:
         share their features, which no labeler tells apart, the one asked about is drawn by how
         often the robot makes it."""
         rng = stream(seed, "queries", "committee")
-        reachable = setting.reachable
-        visits = RARE + expected_visits(
-            setting.models[0], setting.optimal[0], setting.domain.starts, reachable, LONGEST
-        )
-        features, which = np.unique(
-            transition_features(setting.domain, reachable), axis=0, return_inverse=True
-        )
-        alike = [np.flatnonzero(which.ravel() == u) for u in range(len(features))]
-        weight = np.asarray(np.bincount(which.ravel(), visits), np.float64)
-        data = _no_labels(features, setting)
+        reachable, pool = setting.reachable, Pool.of_setting(setting)
+        data = pool.unanswered(setting.message_names)
         shown: list[list[int]] = []
         facts = np.zeros(0, dtype=np.int64)
         for o, size in enumerate(sizes.tolist()):
@@ -221,28 +308,17 @@ class Committee:
             shown.append([])
             while len(shown[o]) < size:
                 count = min(self.screen, size - len(shown[o]))
-                asked = next_screen(data, o, weight, count, rng, facts)
+                asked = next_screen(data, o, pool.weight, count, rng, facts)
                 facts = asked.facts
-                chosen = [
-                    int(rng.choice(alike[u], p=visits[alike[u]] / visits[alike[u]].sum()))
-                    for u in asked.transition
-                ]
+                chosen = pool.draw(asked.transition, rng)
                 labels = answer(o, reachable[chosen], asked.message_set)
-                shown[o] += chosen
+                shown[o] += chosen.tolist()
                 data = _with(data, o, asked, labels)
         return [
             Answered(reachable[own], rows.message_set, rows.label)
             for o, own in enumerate(shown)
             for rows in [data.of(np.array([o]))]
         ]
-
-
-def _no_labels(features: NDArray[np.float64], setting: Setting) -> Dataset:
-    none = np.zeros(0, dtype=np.int64)
-    names = transition_feature_names(setting.domain)
-    return Dataset(
-        *(features, names, setting.message_names, ()), none, none, none, none.astype(np.uint8)
-    )
 
 
 def _with(data: Dataset, observer: int, asked: Screen, labels: NDArray[np.uint8]) -> Dataset:

@@ -1,9 +1,10 @@
-"""Hypotheses written as a table of one's own transitions: real robots are no grids."""
+"""A table of one's own transitions: real robots are no grids."""
 
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -19,26 +20,82 @@ TEXT, IMAGE, WHEN = "text", "image", "inexplicable_if"
 
 @dataclass(frozen=True)
 class OwnTransitions:
-    """A designer's transitions.
+    """A designer's T transitions.
 
     Attributes:
-        hypotheses: a transition is labelled 0 by whoever holds one of its facts wrong. Its
-            features are the columns of the table that mean nothing else, if there are any.
+        path: of the table.
+        texts: of each transition, what the robot does.
         images: of each transition, a path or address; "" where it has none.
+        features: [T, F] the columns of the table that mean nothing else; None without any.
+        feature_names: F names.
+        facts: of each transition, the facts of which each makes it inexplicable to who holds it
+            wrong; None where nobody wrote them down.
     """
 
-    hypotheses: Hypotheses
+    path: str
+    texts: tuple[str, ...]
     images: tuple[str, ...]
+    features: NDArray[np.float64] | None
+    feature_names: tuple[str, ...]
+    facts: tuple[tuple[str, ...], ...] | None
+
+    @cached_property
+    def hypotheses(self) -> Hypotheses:
+        """All sets of the facts; a transition is labelled 0 by whoever holds one of its own wrong.
+
+        Raises:
+            InputError: nobody wrote facts down, or too many.
+        """
+        if self.facts is None:
+            raise InputError("transitions", self.path, f"lacks the column {WHEN}")
+        names = tuple(sorted({name for row in self.facts for name in row}))
+        if not names:
+            raise InputError("transitions", self.path, f"a fact in some row of {WHEN}")
+        if 1 << len(names) > MAX_MODELS:
+            raise InputError(
+                "transitions", len(names), f"at most {MAX_MODELS.bit_length() - 1} facts"
+            )
+        masks = np.array([mask_of(row, names) for row in self.facts], dtype=np.int64)
+        held = np.arange(1 << len(names))
+        return Hypotheses.of(
+            (held[:, None] & masks) == 0,
+            messages=names,
+            phrases=self.texts,
+            features=self.features,
+            feature_names=self.feature_names,
+        )
+
+    def told_apart(self) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+        """Features [T, F] and their names; where the table has none, the text is one."""
+        if self.features is not None:
+            return self.features, self.feature_names
+        return text_features(self.texts)
+
+
+def text_features(texts: tuple[str, ...]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """One feature a text: [T, different texts], and their names."""
+    different = sorted(set(texts))
+    place = np.array([different.index(one) for one in texts])
+    return np.eye(len(different))[place], tuple(f"{TEXT}={one}" for one in different)
+
+
+def with_features(known: Hypotheses) -> Hypotheses:
+    """Hypotheses whose transitions have features; where they have none, the text is one."""
+    if known.features is not None:
+        return known
+    features, names = text_features(known.phrases)
+    return replace(known, features=features, feature_names=names)
 
 
 def read_transitions(path: str | Path) -> OwnTransitions:
     """Reads a CSV table, one row a transition: ``text``, what the robot does; optionally
     ``image``; ``inexplicable_if``, the facts joined by ``;`` of which each makes the transition
-    inexplicable to who holds it wrong. All other columns are features: numbers, or text, which
-    becomes one column a value, as in tables of labels.
+    inexplicable to who holds it wrong (not needed where one asks without hypotheses). All other
+    columns are features: numbers, or text, which becomes one column a value, as in tables of
+    labels.
 
     Raises:
-        InputError: no such table, a row without text, a feature missing, or no fact in any row.
+        InputError: no such table, a row without text, or a feature missing.
     """
     try:
         with Path(path).open(encoding="utf-8-sig", newline="") as file:
@@ -47,28 +104,26 @@ def read_transitions(path: str | Path) -> OwnTransitions:
             columns = reader.fieldnames or []
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError("transitions", str(path), f"a .csv file ({error})") from None
-    if missing := {TEXT, WHEN} - set(columns):
-        raise InputError("transitions", str(path), f"lacks the column {min(missing)}")
+    if TEXT not in columns:
+        raise InputError("transitions", str(path), f"lacks the column {TEXT}")
+    if not rows:
+        raise InputError("transitions", str(path), "has no rows")
     texts = tuple((row[TEXT] or "").strip() for row in rows)
     if "" in texts:
         raise InputError("transitions", f"row {texts.index('') + 2}", "a text in every row")
-    facts = [[one.strip() for one in (row[WHEN] or "").split(";") if one.strip()] for row in rows]
-    names = tuple(sorted({name for row in facts for name in row}))
-    if not names:
-        raise InputError("transitions", str(path), f"a fact in some row of {WHEN}")
-    if 1 << len(names) > MAX_MODELS:
-        raise InputError("transitions", len(names), f"at most {MAX_MODELS.bit_length() - 1} facts")
-    masks = np.array([mask_of(row, names) for row in facts], dtype=np.int64)
-    held = np.arange(1 << len(names))
-    features, feature_names = _features(rows, [c for c in columns if c not in (TEXT, IMAGE, WHEN)])
-    hypotheses = Hypotheses.of(
-        (held[:, None] & masks) == 0,
-        messages=names,
-        phrases=texts,
+    facts = [
+        tuple(one.strip() for one in (row.get(WHEN) or "").split(";") if one.strip())
+        for row in rows
+    ]
+    features, names = _features(rows, [c for c in columns if c not in (TEXT, IMAGE, WHEN)])
+    return OwnTransitions(
+        path=str(path),
+        texts=texts,
+        images=tuple((row.get(IMAGE) or "").strip() for row in rows),
         features=features,
-        feature_names=feature_names,
+        feature_names=names,
+        facts=tuple(facts) if WHEN in columns else None,
     )
-    return OwnTransitions(hypotheses, tuple((row.get(IMAGE) or "").strip() for row in rows))
 
 
 def _features(
