@@ -11,7 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from xplain.report import tables
+from xplain.report import decomposition, tables
 from xplain.report.claims import claims
 from xplain.report.combinations import heading
 from xplain.report.layout import shown_keys
@@ -148,6 +148,9 @@ def _table1(summary: Summary) -> dict[str, Any]:
         "caption": tables.caption(summary),
         "claims": list(_claims(summary)),
         "verdicts": list(_verdicts(summary)),
+        "parts": decomposition.rows(summary),
+        "parts_heads": decomposition.HEADS,
+        "parts_caption": decomposition.caption(summary),
         "ranges": list(_ranges(summary, keys)),
     }
 

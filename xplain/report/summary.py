@@ -169,6 +169,7 @@ class Summary:
                         "cost": episode.cost,
                         "oracle": costs.get(("oracle", *key), np.nan),
                         "clairvoyant": costs.get(("clairvoyant", *key), np.nan),
+                        "true labels": costs.get(("true_labels", *key), np.nan),
                         "messages": episode.messages,
                         "inexplicable labels": episode.inexplicable_labels,
                         "steps until sure": episode.steps_until_sure,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from xplain.report import claims, regret_table, tables
+from xplain.report import claims, decomposition, regret_table, tables
 from xplain.report.combinations import differences_csv, regret_csv
 from xplain.report.page import Picture, Pictures, page
 from xplain.report.paper import title
@@ -41,14 +41,15 @@ def write_report(folder: Path) -> tuple[Summary, Path]:
 
 
 def _write_more_of_table1(summary: Summary, report: Path) -> None:
-    """Beside the paper's table: a row a setting, regret to the clairvoyant, and what the paper
-    claims."""
+    """Beside the paper's table: a row a setting, regret to the clairvoyant, what the paper claims,
+    and what costs are made of."""
     to_floor = "regret to clairvoyant"
     write_text(report / "table1_by_setting.md", tables.markdown(summary, by_setting=True))
     write_text(report / "table1_clairvoyant.md", tables.markdown(summary, measure=to_floor))
     write_text(report / "table1_clairvoyant.csv", tables.as_csv(summary, to_floor))
     tested = claims.claims(summary.episodes, summary.types_found())
     write_text(report / "claims.md", claims.markdown(tested))
+    write_text(report / "decomposition.md", decomposition.markdown(summary))
 
 
 def draw(summary: Summary, report: Path) -> Pictures:
