@@ -336,8 +336,8 @@ def main() -> None:
     )
     parser.add_argument("--methods", nargs="+", default=["dirichlet", "kmeans"], help="of the grid")
     arguments = parser.parse_args()
-    quick, jobs = arguments.quick, arguments.jobs
-    seeds = 2 if quick else arguments.seeds
+    quick = arguments.quick
+    seeds, jobs = (1, 1) if quick else (arguments.seeds, arguments.jobs)
     traces = 1 if quick else arguments.traces
     compared = ["dirichlet"] if quick else ["dirichlet", "em", "kmeans"]
     parts: dict[str, tuple[Callable[[], pd.DataFrame], list[str], list[str]]] = {

@@ -21,6 +21,7 @@ from pathlib import Path
 from statistics import median
 
 RUN = ["-m", "xplain", "solver=pomcp", "domain=rescue", "lambda=1.5", "clusterer=dirichlet"]
+SHORT = ["traces=1", "certify.traces=1", "points=20", "labeler=tree"]
 BARE = """
 import mlflow
 from sklearn.tree import DecisionTreeClassifier
@@ -37,7 +38,7 @@ def main() -> None:
     """Prints the table."""
     quick = "--quick" in sys.argv[1:]
     rounds = 1 if quick else 5
-    run = [*RUN, "traces=2", "certify.traces=1"] if quick else RUN
+    run = [*RUN, *SHORT] if quick else RUN
     with tempfile.TemporaryDirectory() as folder:
         kernels = {} if quick else {"NUMBA_CACHE_DIR": str(Path(folder) / "kernels")}
         seconds(["-c", BARE], folder, {})  # makes the store

@@ -186,7 +186,7 @@ def main() -> None:
         names,
         range(first, first + seeds),
     )
-    found = Parallel(n_jobs=arguments.jobs)(
+    found = Parallel(n_jobs=1 if arguments.quick else arguments.jobs)(
         delayed(measure)(
             *domain, points, noise, name, seed, 1 if arguments.quick else arguments.traces
         )

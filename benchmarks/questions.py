@@ -478,10 +478,11 @@ def main() -> None:
     parser.add_argument("--maps", nargs="+", default=list(MAPS))
     parser.add_argument("--ways", nargs="+", default=list(WAYS))
     given = parser.parse_args()
-    people, each = WRONG, 1
+    people, each, asked = WRONG, 1, 40
     if given.quick:
-        given.seeds, given.traces, given.points, given.errors = 1, 8, [10], [0.05]
-        given.maps, people, each = ["random rescue"], ("unwritten", "misread clips"), 16
+        given.seeds, given.traces, given.points, given.errors = 1, 2, [10], [0.05]
+        given.maps, people, each = ["random rescue"], ("unwritten", "misread clips"), 32
+        asked = 10
     every = range(FIRST_SEED, FIRST_SEED + given.seeds)
     if given.part in ("identify", None):
         rows = identify(given.seeds, given.maps, each)
@@ -501,12 +502,12 @@ def main() -> None:
             picture(rows)
     if given.part in ("wrong", None):
         cells = [
-            (name, way, 40, 0.05, who, seed)
+            (name, way, asked, 0.05, who, seed)
             for seed, who, name in product(every, people, given.maps[2:] or given.maps)
             for way in (FITTED, ALONE)[: 2 if who == "unwritten" else 1]
         ]
         rows = grid(cells, given.traces, given.quick)
-        rows = rows[(rows["people"] != "as assumed") & (rows["points"] == 40)]
+        rows = rows[(rows["people"] != "as assumed") & (rows["points"] == asked)]
         written(summary(rows, ["people", "way", "map"]), "questions_wrong", given.quick)
     if given.part in ("plot", "grid") and not given.quick and ROWS.exists():
         picture(pd.read_csv(ROWS)).savefig(RESULTS / "questions_grid.png", dpi=150)

@@ -24,6 +24,7 @@ from pathlib import Path
 
 CONTROL = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]|[\r\x07]")
 RUN = ["-m", "xplain", "solver=pomcp", "domain=rescue", "lambda=1.5"]
+SHORT = ["traces=1", "certify.traces=1", "points=20", "labeler=tree", "clusterer=perfect"]
 
 
 def main() -> int:
@@ -34,7 +35,7 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("command", nargs="*")
     given = parser.parse_args()
-    short = ["traces=2", "certify.traces=1", "tracking=none"] if given.quick else []
+    short = [*SHORT, "tracking=none"] if given.quick else []
     with tempfile.TemporaryDirectory() as outputs:
         command = [sys.executable, *RUN, f"outputs={outputs}", *short]
         pieces, code = recorded(given.command or command)

@@ -1,7 +1,7 @@
 """Load on the study's server: many participants at once, on this machine.
 
     python benchmarks/study_load.py            200 participants, thinking 2 to 10 s between pages
-    python benchmarks/study_load.py --quick    20 participants, thinking 0.2 to 1 s
+    python benchmarks/study_load.py --quick    8 participants, thinking 0.05 to 0.2 s
     python benchmarks/study_load.py --slow 50  beside 50 connections that send a byte a second
 
 Prints percentiles of the time that a page takes, from the click to the last byte of the next page
@@ -174,7 +174,7 @@ def main() -> None:
     parser.add_argument("--slow", type=int, default=0)
     given = parser.parse_args()
     if given.quick:
-        sys.exit(measure(20, (0.2, 1.0), 1.0, given.slow) > 0)
+        sys.exit(measure(8, (0.05, 0.2), 0.5, given.slow) > 0)
     sys.exit(measure(given.people, (2.0, 10.0), 8.0, given.slow) > 0)
 
 
