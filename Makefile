@@ -11,6 +11,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready
+# A process a core and a file at a time, in the order of tests/conftest.py: the longest first.
+SPREAD = --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 .PHONY: run test test-docs test-slow browser-test mutants lint docs outputs bench bench-quick study ui clean
 
@@ -18,7 +20,7 @@ run: $(READY)
 	$(BIN)/python -m xplain solver=pomcp domain=rescue lambda=1.5
 
 test: lint
-	$(BIN)/python -m pytest -q -m "not browser and not slow" --numprocesses auto --dist loadfile
+	$(BIN)/python -m pytest -q -m "not browser and not slow" $(SPREAD)
 
 test-docs: $(READY)
 	$(BIN)/python -m pytest -q -m slow tests/test_docs.py tests/test_examples.py
@@ -27,7 +29,7 @@ test-slow: $(READY)
 	$(BIN)/python -m pytest -q -m "slow and not browser"
 
 browser-test: $(READY)
-	$(BIN)/python -m pytest -q -m browser
+	$(BIN)/python -m pytest -q -m browser $(SPREAD)
 
 # Interrupted, it goes on where it was; another SEED is another sample.
 SAMPLE ?= 60
@@ -55,7 +57,7 @@ outputs: $(READY)
 	for page in README.md docs/*.md; do $(BIN)/python docs/run.py --write $$page || exit 1; done
 
 bench-quick: $(READY)
-	for file in benchmarks/[a-z]*.py; do $(BIN)/python $$file --quick || exit 1; done
+	ls benchmarks/[a-z]*.py | xargs -P 2 -I {} $(BIN)/python {} --quick
 
 bench: $(READY)
 	for file in benchmarks/[a-z]*.py; do $(BIN)/python $$file || exit 1; done

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import logging
-import os
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from tests import forked
 
 ROOT = Path(__file__).parent.parent
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -19,6 +19,21 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
+
+LONGEST = (
+    "runs/test_sweep.py",
+    "runs/test_kill.py",
+    "participants/test_browser.py",
+    "participants/test_dry_runs.py",
+    "participants/test_collect_dry_runs.py",
+)
+"""Files that take half a minute and more."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files begin first: none is left to one core at the end."""
+    first = {ROOT / "tests" / file: place for place, file in enumerate(LONGEST)}
+    items.sort(key=lambda item: first.get(item.path, len(first)))
 
 
 @pytest.fixture(autouse=True)
@@ -35,22 +50,11 @@ def logging_left_alone() -> Iterator[None]:
 
 @pytest.fixture
 def command(tmp_path: Path) -> Command:
-    """``command("xplain plan", "seed=2")`` runs ``python -m xplain plan seed=2`` in an empty
-    folder."""
+    """``command("xplain plan", "seed=2")`` runs ``xplain plan seed=2`` in an empty folder, in a
+    process of its own."""
 
-    def run(words: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-        paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
-        env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))} | environment
-        env.pop("MLFLOW_TRACKING_URI", None)
-        env |= environment
-        return subprocess.run(
-            [sys.executable, "-m", *words.split(), *arguments],
-            cwd=tmp_path,
-            env=env,
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
+    def run(words: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+        return forked.captured(tmp_path, *words.split()[1:], *arguments)
 
     return run
 

@@ -6,9 +6,13 @@ that are started as a user starts them.
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
+import subprocess
 import sys
+import tempfile
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 _PROCESSES = multiprocessing.get_context("forkserver")
@@ -18,13 +22,18 @@ _PROCESSES.set_forkserver_preload(
         "xplain.cli.run",
         "xplain.runs.job",
         "xplain.runs.sweep",
+        "xplain.report.sweep_plots",
+        "xplain.report.write",
         "mlflow.store.tracking.sqlalchemy_store",
         "alembic.command",
+        "pyarrow",
         "sklearn.tree",
         "matplotlib.backends.backend_agg",
     ]
 )
 _SECONDS = 300
+OUTPUT = "output.txt"
+_WRITTEN = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
 def run(folder: Path, *arguments: str) -> tuple[int, str]:
@@ -33,24 +42,69 @@ def run(folder: Path, *arguments: str) -> tuple[int, str]:
     Raises:
         TimeoutError: it has not ended by itself; then it is killed.
     """
+    return wait(folder, start(folder, *arguments))
+
+
+def captured(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """As :func:`run`, standard output and standard error each on its own."""
+    with tempfile.TemporaryDirectory() as own:
+        out, error = Path(own, "out"), Path(own, "error")
+        process = _start(folder, arguments, out, error)
+        code, said = _wait(process, out)
+        return subprocess.CompletedProcess(arguments, code, said, error.read_text())
+
+
+def start(folder: Path, *arguments: str) -> BaseProcess:
+    """``xplain …`` in this folder, for :func:`wait`."""
     folder.mkdir(parents=True, exist_ok=True)
-    output = folder / "output.txt"
-    process = _PROCESSES.Process(target=_main, args=(folder, output, arguments))
+    return _start(folder, arguments, folder / OUTPUT, folder / OUTPUT)
+
+
+def _start(folder: Path, arguments: tuple[str, ...], out: Path, error: Path) -> BaseProcess:
+    process = _PROCESSES.Process(target=_main, args=(folder, arguments, out, error))
     process.start()
+    return process
+
+
+def wait(folder: Path, process: BaseProcess) -> tuple[int, str]:
+    """Exit code and all output, once it has ended by itself.
+
+    Raises:
+        TimeoutError: it has not; then it is killed.
+    """
+    return _wait(process, folder / OUTPUT)
+
+
+def _wait(process: BaseProcess, output: Path) -> tuple[int, str]:
     process.join(_SECONDS)
     if process.exitcode is None:
         process.kill()
-        raise TimeoutError(" ".join(arguments))
+        raise TimeoutError(output.read_text())
     return process.exitcode, output.read_text()
 
 
-def _main(folder: Path, output: Path, arguments: tuple[str, ...]) -> None:
+def make_store(path: Path) -> None:
+    """An SQLite database with MLflow's tables and nothing in them: four seconds of work."""
+    process = _PROCESSES.Process(target=_make_store, args=(path,))
+    process.start()
+    process.join(_SECONDS)
+    assert process.exitcode == 0
+
+
+def _make_store(path: Path) -> None:
+    from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
+
+    logging.getLogger("alembic").setLevel(logging.ERROR)
+    SqlAlchemyStore(f"sqlite:///{path}", path.with_suffix(".artifacts").as_uri()).engine.dispose()
+
+
+def _main(folder: Path, arguments: tuple[str, ...], out: Path, error: Path) -> None:
     os.chdir(folder)
+    sys.path.insert(0, str(folder))  # as ``python -m`` does
     os.environ.pop("MLFLOW_TRACKING_URI", None)
-    file = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    for here, there in ((nothing, 0), (file, 1), (file, 2)):
-        os.dup2(here, there)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    for path, there in ((out, 1), (error, 2)):
+        os.dup2(os.open(path, _WRITTEN, 0o666), there)
     from xplain.cli.main import main
 
     try:

@@ -22,7 +22,7 @@ from xplain.message_sets import mask_of
 from xplain.participants.simulation.chromium import missing
 from xplain.solvers.qmdp import QMDP
 
-QUICK = ["points=150", "lambda=1.5", "clusterer=dirichlet"]
+QUICK = ["points=150", "lambda=1.5", "clusterer=dirichlet", "labeler=tree"]
 
 
 @pytest.fixture(scope="module")
@@ -155,14 +155,14 @@ def test_the_page_is_written_where_it_was_asked_for(demo, tmp_path):
         (["--trace", "x"], ["--trace", "x"]),
         (["--bogus"], ["--bogus"]),
         (["--me", "--user", "A"], ["--user", "--me"]),
-        (["--user", "Q"], ["--user", "Q", "A, B"]),
+        (["--user", "Q", *QUICK], ["--user", "Q", "A, B"]),
         (["lamda=2"], ["lamda", "lambda"]),
         (["lambda=-1"], ["lambda", "-1"]),
         (["lambda"], ["lambda", "key=value"]),
         (["solver=oracle"], ["solver", "oracle"]),
         (["domain=mars"], ["domain", "mars", "rescue"]),
         (["--html", "absent/session.html"], ["--html", "absent"]),
-        (["--me"], ["--me", "end of input"]),
+        (["--me", *QUICK], ["--me", "end of input"]),
     ],
     ids=lambda value: " ".join(value)[:30],
 )

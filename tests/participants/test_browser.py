@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filelock import FileLock
 
 from tests.participants.server_process import ROOT, ServerProcess
 from tests.study.stand_in import FAULTLESS, street_study
@@ -63,14 +64,14 @@ def axe(request: pytest.FixtureRequest) -> str:
     """axe-core's script, fetched from npm once and kept in pytest's cache, not in the project."""
     assert request.config.cache is not None
     folder = Path(request.config.cache.mkdir("axe-core"))
-    if not list(folder.glob("axe-core-*.tgz")):
-        if not shutil.which("npm"):
-            pytest.skip("no npm here to fetch axe-core with")
-        done = subprocess.run(
-            ["npm", "pack", "axe-core@4"], cwd=folder, capture_output=True, text=True, timeout=120
-        )
-        if done.returncode:
-            pytest.skip(f"npm could not fetch axe-core: {done.stderr.strip()[-200:]}")
+    with FileLock(folder / ".lock"):  # tests run in several processes
+        if not list(folder.glob("axe-core-*.tgz")):
+            if not shutil.which("npm"):
+                pytest.skip("no npm here to fetch axe-core with")
+            fetch = ["npm", "pack", "axe-core@4"]
+            done = subprocess.run(fetch, cwd=folder, capture_output=True, text=True, timeout=120)
+            if done.returncode:
+                pytest.skip(f"npm could not fetch axe-core: {done.stderr.strip()[-200:]}")
     (archive,) = folder.glob("axe-core-*.tgz")
     with tarfile.open(archive) as content:
         script = content.extractfile("package/axe.min.js")
@@ -214,24 +215,32 @@ def preview(driver: Driver, server: ServerProcess, cell: int) -> None:
     wait(lambda: sequence(driver) is not None)
 
 
+# At once: a call of the driver for each of the thousands of clicks takes minutes.
+FILLED = """
+let y = 0, total = 0;
+for (const selector of arguments[0]) {
+  const found = document.querySelector(selector);
+  if (found.checked) continue;
+  found.scrollIntoView({block: 'nearest'});
+  total += Math.abs(window.scrollY - y);
+  y = window.scrollY;
+  if (found.matches('input')) found.click();
+}
+return total;
+"""
+
+
 def scrolled(driver: Driver, person: Person) -> float:
     """Pixels that a participant scrolls in the evaluation: to every answer that they click, and to
     the button, no further than they have to."""
     total = 0.0
     while (page := Page(driver.page_source)).hidden:
-        fields, at = fill(person, page)[0], 0.0
+        fields = fill(person, page)[0]
         targets = [f'input[name="{name}"][value="{value}"]' for name, value in fields]
-        for selector in [*targets[::-1], "main form button"]:
-            found = driver.find_element(By.CSS_SELECTOR, selector)
-            if selector in targets and found.is_selected():
-                continue
-            script = "arguments[0].scrollIntoView({block: 'nearest'}); return window.scrollY"
-            y = driver.execute_script(script, found)
-            if page.stage == "evaluation":
-                total += abs(y - at)
-            at = y
-            found.click()
-        wait(lambda before=page.hidden["sequence"]: moved_on(driver, before))  # type: ignore[misc]
+        pixels = driver.execute_script(FILLED, [*targets[::-1], "main form button"])
+        if page.stage == "evaluation":
+            total += pixels
+        answer(driver, page, [])
     assert page.stage == "done"
     return total
 

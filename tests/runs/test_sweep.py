@@ -14,6 +14,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 
+from tests import forked
 from tests.runs import sweeps
 from xplain.cli import hydra_plugins
 from xplain.config import CONF, SWEEPS, register
@@ -23,6 +24,9 @@ from xplain.runs.sweep import Run
 
 QUICK = (*sweeps.TINY[:-1], "lambda=1", sweeps.SERIAL)
 """Two jobs in one process."""
+
+SINGLE = (*(word for word in QUICK[1:-1] if word != "solver=qmdp,qhr"), "solver=qhr")
+"""One of them, on its own."""
 
 
 def results(folder):
@@ -136,16 +140,16 @@ def test_only_what_is_missing_or_damaged_runs(finished):
     assert {n: c for n, (_, c) in after.items()} == {n: c for n, (_, c) in before.items()}
 
 
-def test_all_anew_on_demand(tmp_path):
-    code, output = sweeps.run(tmp_path, *QUICK)
-    assert code == 0, output
-    before, tables = results(tmp_path), sweeps.tables(tmp_path)
-    code, output = sweeps.run(tmp_path, *QUICK, "resume=none")
+def test_all_anew_on_demand(finished, tmp_path):
+    shutil.copytree(finished.folder, tmp_path, dirs_exist_ok=True)
+    before, tables, runs = results(tmp_path), sweeps.tables(tmp_path), sweeps.runs(tmp_path)
+    code, output = sweeps.run(tmp_path, *sweeps.TINY, sweeps.SERIAL, "resume=none")
     assert code == 0, output
     after = results(tmp_path)
     assert all(after[name][0] != before[name][0] for name in before)
     assert sweeps.tables(tmp_path) == tables
-    assert len(sweeps.runs(tmp_path)) == 3
+    assert [name for name, *_ in sweeps.runs(tmp_path)] == [name for name, *_ in runs]
+    assert len(runs) == 1 + 6
 
 
 @pytest.mark.parametrize(
@@ -172,10 +176,10 @@ def without_tracking(finished, folder):
     )
 
 
-def test_a_sweep_that_grows_runs_what_is_new_and_shows_all_of_it(finished, tmp_path):
+def test_a_sweep_that_grows_runs_what_is_new_and_shows_all_of_it(finished, tmp_path, empty_store):
     without_tracking(finished, tmp_path)
     before = {name: content for name, (_, content) in results(finished.folder).items()}
-    wider = (*sweeps.TINY[:-1], "lambda=0.5,1,2,3")
+    wider = (*sweeps.TINY[:-1], "lambda=0.5,1,2,3", sweeps.SERIAL)
     code, output = sweeps.run(tmp_path, *wider, "dry_run=true")
     assert code == 0, output
     assert "8 jobs: 0 done, 6 done elsewhere (to be copied), 2 to run" in output
@@ -183,6 +187,7 @@ def test_a_sweep_that_grows_runs_what_is_new_and_shows_all_of_it(finished, tmp_p
     assert len(list((tmp_path / "outputs" / "sweeps").iterdir())) == 1
     assert not (tmp_path / "outputs" / "mlflow.db").exists()
 
+    shutil.copy(empty_store, tmp_path / "outputs" / "mlflow.db")
     code, output = sweeps.run(tmp_path, *wider)
     assert code == 0, output
     assert "2 jobs to run, 6 copied from finished runs and sweeps" in output
@@ -204,17 +209,17 @@ def test_a_sweep_that_grows_runs_what_is_new_and_shows_all_of_it(finished, tmp_p
     assert len(names) == len(set(names)) == 8
 
 
-def test_a_run_on_its_own_is_taken_into_a_sweep(tmp_path):
-    single = [word for word in QUICK if word not in ("-m", sweeps.SERIAL)]
-    single[single.index("solver=qmdp,qhr")] = "solver=qhr"
-    code, output = sweeps.run(tmp_path, *single)
+def test_a_run_on_its_own_is_taken_into_a_sweep(folder):
+    code, output = forked.run(folder, *SINGLE)
     assert code == 0, output
     assert "folder: outputs/runs/" in output
+    (picture,) = (folder / "outputs" / "runs").rglob("trace.png")
+    assert picture.read_bytes().startswith(b"\x89PNG")
     assert re.search(r"MLflow: http://127.0.0.1:5000/#/experiments/\d+/runs/[0-9a-f]{32}", output)
-    code, output = sweeps.run(tmp_path, *QUICK)
+    code, output = sweeps.run(folder, *QUICK)
     assert code == 0, output
     assert "1 jobs to run, 1 copied" in output
-    assert len(sweeps.runs(tmp_path)) == 1 + (1 + 2)
+    assert len(sweeps.runs(folder)) == 1 + (1 + 2)
 
 
 def test_every_launcher_gives_the_same_table(finished, tmp_path):
@@ -240,8 +245,8 @@ def test_launchers_of_the_extras_give_the_same_table(finished, tmp_path, package
     assert sweeps.tables(tmp_path) == sweeps.tables(folder)
 
 
-def test_a_job_that_raises_lets_the_others_go_on(tmp_path):
-    (tmp_path / "failing.py").write_text(
+def test_a_job_that_raises_lets_the_others_go_on(folder):
+    (folder / "failing.py").write_text(
         "from dataclasses import dataclass\n"
         "from xplain.errors import InputError\n"
         "from xplain.solvers.qmdp import QMDP\n"
@@ -253,36 +258,36 @@ def test_a_job_that_raises_lets_the_others_go_on(tmp_path):
         "            raise InputError('fails', True, 'false')\n"
         "        return super().plan(problem, seed)\n"
     )
-    group = tmp_path / "conf" / "solver"
+    group = folder / "conf" / "solver"
     group.mkdir(parents=True)
     (group / "failing.yaml").write_text("_target_: failing.Failing\nfails: false\n")
     arguments = (
-        f"--config-dir={tmp_path / 'conf'}",
+        f"--config-dir={folder / 'conf'}",
         *QUICK[:-3],
         "solver=failing",
         "solver.fails=true,false",
         "lambda=0.5,1",
         sweeps.SERIAL,
     )
-    code, output = sweeps.run_command(tmp_path, "xplain", *arguments)
+    code, output = sweeps.run(folder, *arguments)
     assert code == 1
     assert "2 of 4 jobs finished" in output
     summary = output[output.index("2 of 4 jobs finished") :]
     assert "InputError: fails=True: false" in summary
-    states = {name: status for name, status, _ in sweeps.runs(tmp_path)}
+    states = {name: status for name, status, _ in sweeps.runs(folder)}
     assert {s for name, s in states.items() if "fails=true" in name} == {"FAILED"}
     assert {s for name, s in states.items() if "fails=false" in name} == {"FINISHED"}
     assert {s for name, s in states.items() if name.startswith("multirun")} == {"FAILED"}
 
     # Only what failed runs again; jobs that were lost besides do not.
-    jobs = sweeps.sweep_folder(tmp_path) / "jobs"
+    jobs = sweeps.sweep_folder(folder) / "jobs"
     (lost,) = jobs.glob("*fails=false*lambda=1/results.json")
     lost.unlink()
-    code, output = sweeps.run_command(tmp_path, "xplain", *arguments, "resume=failed")
+    code, output = sweeps.run(folder, *arguments, "resume=failed")
     assert code == 1
     assert "2 jobs to run" in output
     assert not lost.exists()
-    assert len(sweeps.runs(tmp_path)) == 5
+    assert len(sweeps.runs(folder)) == 5
 
 
 def test_a_worker_that_always_dies_fails_its_job_alone(tmp_path):
@@ -318,20 +323,20 @@ def test_a_worker_that_always_dies_fails_its_job_alone(tmp_path):
     assert "deadly=False" not in summary.split("report:")[0]
 
 
-def test_ctrl_c_leaves_no_run_open(tmp_path):
-    process = sweeps.start(tmp_path, *sweeps.TINY[:-1], "lambda=range(0,15)", sweeps.SERIAL)
+def test_ctrl_c_leaves_no_run_open(folder):
+    process = sweeps.start(folder, *sweeps.TINY[:-1], "lambda=range(0,15)", sweeps.SERIAL)
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline:
         try:
-            if any(status == "FINISHED" for _, status, _ in sweeps.runs(tmp_path)):
+            if any(status == "FINISHED" for _, status, _ in sweeps.runs(folder)):
                 break
         except sqlite3.OperationalError:
             pass
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
-    code, output = sweeps.wait(tmp_path, process)
+    code, output = sweeps.wait(folder, process)
     assert code == 130, output
-    states = {name: status for name, status, _ in sweeps.runs(tmp_path)}
+    states = {name: status for name, status, _ in sweeps.runs(folder)}
     assert {s for name, s in states.items() if name.startswith("multirun")} == {"KILLED"}
     assert set(states.values()) <= {"FINISHED", "KILLED"}
     assert "Traceback" not in output
@@ -343,14 +348,13 @@ def test_ctrl_c_leaves_no_run_open(tmp_path):
 
 def test_four_at_once_on_an_empty_folder(tmp_path):
     """Two of one sweep, one of another, and a single run."""
-    single = ("domain=four_rooms", "users.count=2", "traces=1", "max_steps=5", "certify.traces=0")
-    commands = [QUICK, QUICK, (*QUICK, "seed=1"), single]
+    commands = [QUICK, QUICK, (*QUICK, "seed=1"), (*SINGLE, "seed=2")]
     processes = []
     for index, arguments in enumerate(commands):
         own = tmp_path / str(index)
-        processes.append((own, sweeps.start(own, *arguments, f"outputs={tmp_path / 'outputs'}")))
+        processes.append((own, forked.start(own, *arguments, f"outputs={tmp_path / 'outputs'}")))
     for own, process in processes:
-        code, output = sweeps.wait(own, process)
+        code, output = forked.wait(own, process)
         assert code == 0, output
         assert "MLflow d" not in output  # it did take everything
     found = sweeps.runs(tmp_path)
@@ -360,17 +364,14 @@ def test_four_at_once_on_an_empty_folder(tmp_path):
         assert database.execute("pragma integrity_check").fetchone() == ("ok",)
 
 
-def test_sync_sends_a_sweep_once(finished, tmp_path):
-    folder = finished.folder
-    reference = sweeps.runs(folder)
-    outputs = f"outputs={tmp_path / 'outputs'}"
+def test_sync_sends_a_sweep_once(finished, folder):
+    reference = sweeps.runs(finished.folder)
+    sweep, outputs = sweeps.sweep_folder(finished.folder), f"outputs={folder / 'outputs'}"
     for _ in range(2):
-        code, output = sweeps.run_command(
-            tmp_path, "xplain sync", str(sweeps.sweep_folder(folder)), outputs
-        )
+        code, output = forked.run(folder, "sync", str(sweep), outputs)
         assert code == 0, output
         assert "6 results in MLflow" in output
-    sent = sweeps.runs(tmp_path)
+    sent = sweeps.runs(folder)
     assert [(n, s, p is None) for n, s, p in sent] == [(n, s, p is None) for n, s, p in reference]
 
 
