@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import random
-import re
 import tomllib
 from collections import defaultdict
 from dataclasses import dataclass
@@ -14,8 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from tests.mutants import operators
-
-KERNEL = re.compile(r"\bnumba\b|\binlined\b")
 
 
 @dataclass(frozen=True)
@@ -96,38 +93,19 @@ class Areas:
         raise SystemExit(f"{area} is none of {', '.join(self.table['areas'])}")
 
     def stages(self, area: str, path: str) -> list[Stage]:
-        """The tests that a mutant of this module meets, the quickest and nearest first: those
-        that run its kernels uncompiled, its mirror's, those that import it, the area's."""
+        """The tests that a mutant of this module meets, the nearest first: those that run its
+        kernels uncompiled; its mirror's; those that import it and the area's."""
         plain = tuple(self.table.get("uncompiled", {}).get(path, ()))
         module = Path(path)
         mirror = Path("tests", *module.parts[1:-1], f"test_{module.name}")
         near = [str(mirror)] if (self.root / mirror).exists() else []
-        importers = sorted(
-            (test for test, names in self._imports.items() if _dotted(path) in names),
-            key=lambda test: (Path(test).parent != mirror.parent, test),
-        )
+        importers = [test for test, names in self._imports.items() if _dotted(path) in names]
         left_out = set(self.table.get("left_out", ()))
         wider = dict.fromkeys(chain(importers, self.table["areas"][area].get("tests", ())))
         further = [test for test in wider if test not in {*left_out, *near, *plain}]
         near = [test for test in near if test not in plain]
-        stages = [Stage(plain, compiled=False), Stage(tuple(near))]
-        if self.kernels_behind(path):  # at once: they are compiled anew for every stage
-            stages.append(Stage(tuple(further)))
-        else:
-            stages += [Stage((test,)) for test in further]
+        stages = [Stage(plain, compiled=False), Stage(tuple(near)), Stage(tuple(further))]
         return [stage for stage in stages if stage.tests]
-
-    def kernels_behind(self, path: str) -> list[str]:
-        """The modules whose compiled kernels may hold code of this one, itself among them."""
-        importers = self._kernel_importers
-        if path not in importers:
-            return []
-        found, pending = {path}, [path]
-        while pending:
-            new = importers[pending.pop()] - found
-            found |= new
-            pending += new
-        return sorted(found)
 
     @cached_property
     def _imports(self) -> dict[str, set[str]]:
@@ -136,23 +114,6 @@ class Areas:
             str(path.relative_to(self.root)): _imported(path)
             for path in sorted(self.root.glob("tests/**/test_*.py"))
             if "mutants" not in path.parts
-        }
-
-    @cached_property
-    def _kernel_importers(self) -> dict[str, set[str]]:
-        """Per module with kernels, those with kernels that import it."""
-        package = {
-            Path(path).parts[0] for area in self.table["areas"] for path in self.sources(area)
-        }
-        kernels = {
-            str(path.relative_to(self.root)): _imported(path)
-            for name in package
-            for path in self.root.glob(f"{name}/**/*.py")
-            if KERNEL.search(path.read_text("utf-8"))
-        }
-        return {
-            path: {other for other, names in kernels.items() if _dotted(path) in names}
-            for path in kernels
         }
 
     def draw(self, sample: int, seed: int, only: list[str]) -> list[Mutant]:

@@ -7,10 +7,11 @@ goes on where it was.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from queue import SimpleQueue
@@ -22,6 +23,9 @@ from tests.mutants.scratch import SURVIVED, Copy
 SLACK = 60
 """Seconds of processor time that a mutant may take beyond four times what the tests take without
 one: as much as to compile the kernels."""
+
+TOGETHER = 20
+"""Seconds of processor time of the tests that one process runs: to start one takes a few."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,24 +139,30 @@ class Campaign:
         )
 
     def _try(self, mutant: Mutant, copy: Copy) -> Outcome:
-        kernels = self.areas.kernels_behind(mutant.path)
         total = 0.0
         for stage in self.areas.stages(mutant.area, mutant.path):
-            sound = {
-                test: limits for test in stage.tests if (limits := self._limits(test, stage, copy))
-            }
-            if not sound:
-                continue
-            cpu, wall = map(sum, zip(*sound.values(), strict=True))
-            with copy.mutated(mutant, kernels):
-                run = copy.run(
-                    Stage(tuple(sound), stage.compiled), SLACK + 4 * cpu, 5 * SLACK + 10 * wall
-                )
-            self._go_on()
-            total += run.cpu
-            if run.outcome != SURVIVED:
-                return Outcome(mutant, run.outcome, run.failed, total)
+            for part, cpu, wall in self._quickest_first(stage, copy):
+                with copy.mutated(mutant):
+                    run = copy.run(part, SLACK + 4 * cpu, 5 * SLACK + 10 * wall)
+                self._go_on()
+                total += run.cpu
+                if run.outcome != SURVIVED:
+                    return Outcome(mutant, run.outcome, run.failed, total)
         return Outcome(mutant, SURVIVED, "", total)
+
+    def _quickest_first(self, stage: Stage, copy: Copy) -> Iterator[tuple[Stage, float, float]]:
+        """The stage's tests that pass without a mutant, as many as take seconds in one process,
+        with the processor time and the waiting that they take."""
+        sound = {
+            test: limits for test in stage.tests if (limits := self._limits(test, stage, copy))
+        }
+        left = sorted(sound, key=lambda test: sound[test])
+        while left:
+            sums = list(itertools.accumulate(sound[test][0] for test in left))
+            count = max(1, sum(cpu <= TOGETHER for cpu in sums))
+            part, left = left[:count], left[count:]
+            cpu, wall = map(sum, zip(*(sound[test] for test in part), strict=True))
+            yield Stage(tuple(part), stage.compiled), cpu, wall
 
     def _limits(self, test: str, stage: Stage, copy: Copy) -> tuple[float, float] | None:
         """Seconds of processor time and of waiting that a test of the stage takes without a

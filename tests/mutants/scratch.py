@@ -47,7 +47,6 @@ class Copy:
 
     def __init__(self, root: Path, folder: Path) -> None:
         self.root, self.folder = folder / "repository", folder
-        # With times of change and __pycache__: kernels compiled in the work tree stay good.
         shutil.copytree(root, self.root, ignore=shutil.ignore_patterns(*_LEFT_BEHIND))
         (self.root / "outputs").mkdir()
         (folder / "tmp").mkdir()
@@ -55,17 +54,13 @@ class Copy:
         self._ended = False
 
     @contextlib.contextmanager
-    def mutated(self, mutant: Mutant, kernels: list[str]) -> Iterator[None]:
-        """With the mutant in the copy. Kernels compiled from ``kernels`` are put aside: numba
-        does not notice a change in what it inlined from another file."""
+    def mutated(self, mutant: Mutant) -> Iterator[None]:
+        """With the mutant in the copy. Kernels that are compiled with it are removed after it."""
         path = self.root / mutant.path
         source, times = path.read_text("utf-8"), path.stat()
         mutated = operators.mutate(source, mutant.operator, mutant.occurrence)
         assert mutated is not None
-        aside = self.folder / "compiled"
-        aside.mkdir()
-        for compiled in self._compiled(kernels):
-            compiled.rename(aside / str(compiled.relative_to(self.root)).replace("/", "!"))
+        compiled = self._compiled()
         try:
             path.write_text(mutated, "utf-8")
             self._forget(path)
@@ -74,11 +69,8 @@ class Copy:
             path.write_text(source, "utf-8")
             os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
             self._forget(path)
-            for compiled in self._compiled(kernels):
-                compiled.unlink()
-            for compiled in aside.iterdir():
-                compiled.rename(self.root / compiled.name.replace("!", "/"))
-            aside.rmdir()
+            for new in self._compiled() - compiled:
+                shutil.rmtree(new)
 
     def run(self, stage: Stage, cpu: float | None = None, wall: float | None = None) -> Run:
         """The stage's tests.
@@ -94,6 +86,7 @@ class Copy:
         environment = os.environ | {
             "PYTHONPATH": str(self.root),
             "TMPDIR": str(self.folder / "tmp"),
+            "NUMBA_CACHE_DIR": str(self.folder / "compiled"),
             "COLUMNS": "1000",
         }
         if not stage.compiled:
@@ -164,14 +157,9 @@ class Copy:
         self._ended = True
         self._kill()
 
-    def _compiled(self, modules: list[str]) -> list[Path]:
-        return [
-            found
-            for module in modules
-            for found in (self.root / module).parent.glob(
-                f"__pycache__/{Path(module).stem}.*.nb[ic]"
-            )
-        ]
+    def _compiled(self) -> set[Path]:
+        # Each in a folder that is named by all kernels' sources: those of a mutant in its own.
+        return set(self.folder.glob("compiled/xplain/kernels/*"))
 
     def _forget(self, path: Path) -> None:
         # A .pyc tells a change by size and second alone.

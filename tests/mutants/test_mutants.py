@@ -248,35 +248,32 @@ def test_mistakes(source: str, mutants: set[str]) -> None:
     }
 
 
-def test_kernels_that_hold_a_mutant_are_compiled_anew_and_come_back(
-    toy: Areas, tmp_path: Path
-) -> None:
-    for name, text in {
-        "inner": "from numba import njit\nK = 1 + 2\n",
-        "outer": "from numba import njit\nfrom box.inner import K\n",
-        "outmost": "from numba import njit\nfrom box import outer\n",
-        "apart": "from numba import njit\n",
-        "plain": "from box.inner import K\n",
-    }.items():
-        (toy.root / f"box/{name}.py").write_text(text)
-    areas = Areas(toy.root, TABLE)
-    held = areas.kernels_behind("box/inner.py")
-    assert held == ["box/inner.py", "box/outer.py", "box/outmost.py"]
-    assert areas.kernels_behind("box/plain.py") == []
-    caches = toy.root / "box/__pycache__"
-    caches.mkdir()
-    for name in ("inner", "outer", "outmost", "apart"):
-        for suffix in ("nbi", "1.nbc"):
-            (caches / f"{name}.f-1.py311.{suffix}").write_text(name)
-    mutant = next(mutant for mutant in _all(areas) if mutant.path == "box/inner.py")
-    copy = Copy(toy.root, tmp_path)
-    before = _state(copy.root)
-    with copy.mutated(mutant, held):
+def test_kernels_of_a_mutant_are_gone_after_it(toy: Areas, tmp_path: Path) -> None:
+    mutant = next(iter(_all(toy)))
+    copy = Copy(toy.root, tmp_path / "scratch")
+    kernels = copy.folder / "compiled/xplain/kernels"
+    (kernels / "sound").mkdir(parents=True)
+    before = _state(copy.folder)
+    with copy.mutated(mutant):
         assert mutant.after in (copy.root / mutant.path).read_text()
-        left = {path.name.partition(".")[0] for path in copy.root.glob("box/__pycache__/*.nb?")}
-        assert left == {"apart"}
-        (copy.root / "box/__pycache__/outer.f-1.py311.2.nbc").write_text("of the mutant")
-    assert _state(copy.root) == before
+        (kernels / "mutant").mkdir()
+        (kernels / "mutant" / "clamp.nbc").touch()
+    assert _state(copy.folder) == before
+    assert [folder.name for folder in kernels.iterdir()] == ["sound"]
+
+
+def test_the_quickest_tests_come_first_but_for_the_modules_own(toy: Areas, tmp_path: Path) -> None:
+    own = toy.root / "tests/test_lid.py"
+    text = own.read_text()
+    own.write_text("import box.lid\n\ndef test_nothing():\n    pass\n")
+    session = Session(tmp_path / "session")
+    session.add("baseline", test="tests/test_lid.py", compiled=True, cpu=50, wall=50)
+    for name, cpu in (("b", 9), ("c", 1), ("d", 30)):
+        (toy.root / f"tests/test_{name}.py").write_text(text)
+        session.add("baseline", test=f"tests/test_{name}.py", compiled=True, cpu=cpu, wall=cpu)
+    mistake = _one(toy, "if x <= LIMIT:")
+    Campaign(toy, session, say=str).run([mistake], jobs=1)
+    assert session.outcomes()[mistake.key].killer == "tests/test_c.py::test_clamp"
 
 
 def test_stages_are_near_before_wide(tmp_path: Path) -> None:
@@ -297,13 +294,7 @@ def test_stages_are_near_before_wide(tmp_path: Path) -> None:
     }
     assert Areas(tmp_path, table).stages("box", "box/lid/a.py") == [
         Stage(("tests/lid/test_a.py",)),
-        Stage(("tests/lid/test_b.py",)),
-        Stage(("tests/test_c.py",)),
-        Stage(("tests/test_d.py",)),
-    ]
-    (tmp_path / "box/lid/a.py").write_text("from numba import njit")
-    assert Areas(tmp_path, table).stages("box", "box/lid/a.py")[1:] == [
-        Stage(("tests/lid/test_b.py", "tests/test_c.py", "tests/test_d.py"))
+        Stage(("tests/lid/test_b.py", "tests/test_c.py", "tests/test_d.py")),
     ]
     table["uncompiled"] = {"box/lid/a.py": ["tests/lid/test_a.py"]}
     assert Areas(tmp_path, table).stages("box", "box/lid/a.py")[0] == Stage(

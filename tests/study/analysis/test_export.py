@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -41,6 +42,8 @@ def test_tables_say_what_their_codebook_says(
         shown = own[(own["kind"] == "shown") & own["payload"].str.contains("evaluation")]
         until = own.loc[own["kind"] == "labels", "wall"].max()
         assert row["interaction_time_s"] == pytest.approx(until - shown["wall"].min(), abs=1e-3)
+    shown_for = done["interaction_time_s"] - done["hidden_s"]
+    np.testing.assert_allclose(done["visible_time_s"], shown_for, atol=1e-3)
     assert json.loads((out / "plan.json").read_text())["seed"] == study.plan.seed
     pages, steps = pd.read_csv(out / "pages.csv"), pd.read_csv(out / "steps.csv")
     for who in done.index:
