@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import deepcopy
+from functools import cache
 from typing import Any
 
 from hydra import compose, initialize_config_dir
@@ -42,7 +44,12 @@ CHOICES = (
 
 
 def composed(*overrides: str) -> DictConfig:
-    """What a run is given: ``composed("solver=pomcp", "lambda=2")``."""
+    """What a run is given, to change at will: ``composed("solver=pomcp", "lambda=2")``."""
+    return deepcopy(_composed(overrides))
+
+
+@cache
+def _composed(overrides: tuple[str, ...]) -> DictConfig:
     register()
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base="1.3"):

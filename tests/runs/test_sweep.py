@@ -15,9 +15,10 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 
 from tests import forked
+from tests.configurations import composed
 from tests.runs import sweeps
 from xplain.cli import hydra_plugins
-from xplain.config import CONF, SWEEPS, register
+from xplain.config import CONF, SWEEPS
 from xplain.runs.folder import SweepFolder
 from xplain.runs.plan import make_plan
 from xplain.runs.sweep import Run
@@ -377,11 +378,10 @@ def test_sync_sends_a_sweep_once(finished, folder):
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in SWEEPS.glob("*.yaml")))
 def test_sweep_files_set_known_keys_and_open_with_their_command(name):
-    register()
+    plain = composed()
     hydra_plugins.register()
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        plain = compose("config")
         chosen = compose("config", [f"sweeps={name}"], return_hydra_config=True)
     assert set(chosen) - {"hydra"} == set(plain)
     assert set(chosen.certify) == set(plain.certify)
