@@ -11,7 +11,6 @@ import os
 import shutil
 import subprocess
 import tarfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -124,7 +123,8 @@ def photograph(driver: Driver, name: str) -> None:
         driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         height = driver.execute_script("return document.documentElement.scrollHeight")
         driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size | {"height": height})
-        time.sleep(0.6)  # new messages fade in
+        # New messages fade in.
+        driver.execute_script("document.getAnimations().forEach(one => one.finish())")
         driver.save_screenshot(str(SCREENSHOTS / f"{name}-{width}.png"))
         assert driver.execute_script("return document.documentElement.scrollWidth") <= width, name
     driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
