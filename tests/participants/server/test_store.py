@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import threading
 from collections import Counter
@@ -326,6 +327,10 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
     assert store.query(held, (away,)) == [
         {"user_type": state.user_type, "condition": state.condition}
     ]
+    # The log says which place they hold now.
+    said = "SELECT payload FROM event WHERE participant = ? AND kind = 'return'"
+    (place,) = store.query("SELECT position FROM slot WHERE holder = ?", (away,))
+    assert [json.loads(row["payload"]) for row in store.query(said, (away,))] == [place]
     for who in everybody[1:-1]:
         consent(store, who)
     time.now += 31 * 60
