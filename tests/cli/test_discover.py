@@ -149,7 +149,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.csv", "good.csv"]
 
 
-def test_help_needs_no_library(command: Command) -> None:
+def test_help_tells_of_the_json_line(command: Command) -> None:
     for module in ("xplain discover", "xplain observe"):
         done = command(module, "--help")
         assert done.returncode == 0
