@@ -32,8 +32,8 @@ EXPECTED = {
 
 def wording(**changes: Any) -> dict[str, Any]:
     """The texts that every task has."""
-    texts = OmegaConf.to_container(OmegaConf.load(CONF / "collect" / "texts.yaml"))
-    assert isinstance(texts, dict)
+    texts: Any = OmegaConf.to_container(OmegaConf.load(CONF / "collect" / "texts" / "en.yaml"))
+    texts["words"] |= OmegaConf.to_container(OmegaConf.load(CONF / "words" / "en.yaml"))
     questions = [
         {"name": "age", "label": "Your age", "kind": "number", "low": 18, "high": 110},
         {"name": "comment", "label": "Anything else?", "kind": "text", "max_length": 200},

@@ -17,9 +17,11 @@ from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.participants.server.app import create_app
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import visit
+from xplain.participants.wording import phrases_of
 from xplain.study import prepare
 from xplain.study.policies import difference, study_of
-from xplain.study.prepare import choose_trace, phrases_of, study_plan
+from xplain.study.prepare import choose_trace, study_plan
+from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Person
 from xplain.users.setting import Setting
 
@@ -57,7 +59,7 @@ def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) ->
     for role in plan.roles:
         assert len(role.quiz) == 4
     study = study_of(plan)
-    store = Store(tmp_path / "s.sqlite", study)
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study))
     client = Visitor(create_app(store, GENEROUS).test_client())
     person = Person(plan, FAULTLESS, np.random.default_rng(0))
     assert visit(client, person, store.invite(1, "bot")[0]) == "done"

@@ -10,10 +10,10 @@ from hydra.utils import instantiate
 
 from xplain.errors import XplainError
 from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.participants.stored import renamed
 from xplain.randomness import derived_seed, stream
 from xplain.study.protocol import machine
 from xplain.study.protocol.plan import Study, StudyPlan
-from xplain.study.stored import renamed
 
 PROBES = 16
 """Walks with random labels, a condition, that a changed code would have to repeat."""

@@ -2,39 +2,37 @@
 
 from __future__ import annotations
 
-import re
 import secrets
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from xplain.by_type import ByType, LabelTable
 from xplain.config import CONF
 from xplain.data.rollouts import sample_trace
-from xplain.domains.base import Domain, Parameter, Scene, cell_name, changes_of, transition_features
+from xplain.domains.base import Domain, changes_of, transition_features
 from xplain.errors import InputError, whole_number
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import learn, observe
 from xplain.learning.clustering import Perfect
 from xplain.learning.labelers import Labeler
 from xplain.learning.user_types import p_explicable
+from xplain.participants.protocol.plan import Asked, facts_of
+from xplain.participants.settings import fixed
+from xplain.participants.wording import InWords, named, phrases_of, texts_of, worded
 from xplain.randomness import stream
 from xplain.study.policies import difference, with_probes
 from xplain.study.protocol import content
-from xplain.study.protocol.plan import Asked, Known, Rules, StudyPlan, Texts, Training
-from xplain.study.settings import fixed
+from xplain.study.protocol.plan import Known, Rules, StudyPlan, Training
 from xplain.users.setting import Setting
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-InWords = Callable[[str], str]
 LEAST_DIFFERENCE = 1.0
 """Messages by which the conditions differ, a participant, on average."""
 LEAST_AGREEMENT = 0.8
@@ -209,7 +207,7 @@ def assemble(
     """
     domain, types, wording = setting.domain, setting.types, config["wording"]
     in_words = phrases_of(wording["phrases"], domain.scene is not None)
-    parameters = _worded(domain.parameters, wording["facts"], in_words)
+    parameters = worded(domain.parameters, wording["facts"], in_words)
     labels = setting.label_table(transitions)
     costs = Costs(trade_off=config["lambda"], **{key: config[key] for key in COSTS})
     names = tuple(user_type.name for user_type in types)
@@ -217,17 +215,17 @@ def assemble(
     plan = StudyPlan(
         seed=config["seed"],
         domain=domain.name,
-        texts=_texts(wording, in_words),
+        texts=texts_of(wording, CONF / "study" / "texts" / "en.yaml", in_words),
         known=tuple(Known(**one) for one in wording["known"]),
         training=Training(**wording["training"]),
         rules=Rules(**config["rules"]),
-        before=tuple(_asked(question) for question in config["before"]),
-        asked=tuple(_asked(question) for question in config["questions"]),
-        facts=content.facts_of(parameters),
+        before=tuple(map(Asked.of, config["before"])),
+        asked=tuple(map(Asked.of, config["questions"])),
+        facts=facts_of(parameters),
         roles=content.roles_of(parameters, types, labels, wording),
         trace=tuple(in_words(domain.describe(transition)) for transition in transitions),
         path=_path(domain, transitions),
-        scene=domain.scene and _named(_without(domain.scene, wording["hide"]), in_words),
+        scene=domain.scene and named(domain.scene, wording["hide"], in_words),
         problem=costs.problem(p_explicable, setting.message_names, names, uniform),
         true_labels=labels,
         conditions=config["conditions"],
@@ -242,80 +240,6 @@ def assemble(
     )
     # What is stored is what runs, from the first participant on.
     return StudyPlan.from_text(with_probes(plan).text)
-
-
-def _texts(wording: Mapping[str, Any], in_words: InWords) -> Texts:
-    """Raises InputError: the words of a page are missing."""
-    words = wording["words"]
-    for key in known_words():
-        if not str(words.get(key) or "").strip():
-            raise InputError(f"wording.words.{key}", words.get(key), "what the page says here")
-    paragraphs = ("consent", "introduction", "task", "debriefing")
-    return Texts(
-        title=wording["title"],
-        contact=wording["contact"],
-        words=words,
-        **{key: tuple(in_words(text) for text in wording[key]) for key in paragraphs},
-    )
-
-
-def known_words() -> list[str]:
-    """Keys of everything that the study's pages say, as the English files have them."""
-    files = ("words/en.yaml", "study/texts/en.yaml")
-    shared, own = (yaml.safe_load((CONF / file).read_text(encoding="utf-8")) for file in files)
-    return [*shared, *own["words"]]
-
-
-def _asked(question: Mapping[str, Any]) -> Asked:
-    lists = {key: tuple(question.get(key, ())) for key in ("choices", "ends")}
-    return Asked(**{**question, **lists})
-
-
-def phrases_of(phrases: Mapping[str, str], on_a_map: bool) -> InWords:
-    """Turns a domain's phrases into what people read.
-
-    Args:
-        phrases: parts of phrases, and what they become; the longest that fits is taken.
-        on_a_map: whether (row, column) and "row r, column c", from 0, become a letter and a number
-            as on the map.
-    """
-    parts = sorted(phrases, key=len, reverse=True)
-    pattern = re.compile("|".join(rf"(?<!\w){re.escape(part)}(?!\w)" for part in parts))
-
-    def cell(found: re.Match[str]) -> str:
-        row, column = (int(number) for number in found.groups())
-        return cell_name(row, column)
-
-    def in_words(text: str) -> str:
-        if parts:
-            text = pattern.sub(lambda found: phrases[found[0]], text)
-        if on_a_map:
-            text = re.sub(r"\((\d+), (\d+)\)", cell, text)
-            text = re.sub(r"row (\d+), column (\d+)", cell, text)
-        return text
-
-    return in_words
-
-
-def _worded(
-    parameters: Sequence[Parameter], facts: Mapping[str, Mapping[str, str]], in_words: InWords
-) -> tuple[Parameter, ...]:
-    """The parameters with the study's own sentences.
-
-    Raises:
-        InputError: sentences for a parameter that there is not.
-    """
-    names = [parameter.name for parameter in parameters]
-    for name in facts:
-        if name not in names:
-            raise InputError(f"wording.facts.{name}", name, ", ".join(names))
-    worded = [replace(parameter, **facts.get(parameter.name, {})) for parameter in parameters]
-    return tuple(replace(p, message=in_words(p.message), belief=in_words(p.belief)) for p in worded)
-
-
-def _named(scene: Scene, in_words: InWords) -> Scene:
-    items = tuple(replace(item, name=in_words(item.name)) for item in scene.items)
-    return replace(scene, items=items)
 
 
 def _changes(
@@ -344,16 +268,3 @@ def _path(
     if domain.scene is None or len(cells) < len(states):
         return None
     return tuple(pairwise(cells))
-
-
-def _without(scene: Scene, hide: Sequence[str]) -> Scene:
-    """The map without the items of these symbols.
-
-    Raises:
-        InputError: there is no such symbol on the map.
-    """
-    symbols = [item.symbol for item in scene.items]
-    for symbol in hide:
-        if symbol not in symbols:
-            raise InputError("wording.hide", symbol, f"symbols on the map: {', '.join(symbols)}")
-    return replace(scene, items=tuple(i for i in scene.items if i.symbol not in hide))

@@ -18,6 +18,7 @@ from xplain.participants.server.app import create_app
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import Page
 from xplain.study.policies import study_of
+from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Person
 
 PLACES = ("bridge", "market", "school", "tunnel")
@@ -80,7 +81,7 @@ def foreign(tmp_path: Path) -> Iterator[Store]:
             | {"ends": [made_up("no"), made_up("yes")]}
         ],
     )
-    store = Store(tmp_path / "s.sqlite", study_of(plan))
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study_of(plan)))
     yield store
     store.close()
 
@@ -94,7 +95,7 @@ def left_over(html: str) -> set[str]:
 
 def test_nothing_of_english_is_left_in_another_language(foreign: Store) -> None:
     app = create_app(foreign, GENEROUS)
-    person = Person(foreign.study.plan, FAULTLESS, np.random.default_rng(0))
+    person = Person(foreign.protocol.plan, FAULTLESS, np.random.default_rng(0))
     (token,) = foreign.invite(1, "person")
     code = {foreign.participant(foreign.enter_invited(token)).code}
     stages = []
@@ -139,7 +140,7 @@ def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(
         visitor = Visitor(app.test_client())
         enter(visitor, token)
         html = visitor.get("/study")[1]
-        for paragraph in foreign.study.plan.texts.debriefing:
+        for paragraph in foreign.protocol.plan.texts.debriefing:
             assert paragraph in html, ending
         reference = "-".join(re.findall("....", who))
         assert reference in html, ending
@@ -149,8 +150,8 @@ def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(
         assert 'href="/consent.txt"' in html
     assert len(codes) == 6
     copy = app.test_client().get("/consent.txt").text
-    assert all(paragraph in copy for paragraph in foreign.study.plan.texts.consent)
-    assert foreign.study.plan.texts.consent_hash in copy
+    assert all(paragraph in copy for paragraph in foreign.protocol.plan.texts.consent)
+    assert foreign.protocol.plan.texts.consent_hash in copy
 
 
 def test_a_language_without_all_its_words_is_refused() -> None:

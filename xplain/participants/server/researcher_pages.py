@@ -24,7 +24,7 @@ from xplain.participants.server.http import (
     genuine,
     set_cookie,
 )
-from xplain.study.stored import STREAMS
+from xplain.participants.stored import STREAMS
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
 COOKIE = "researcher"
@@ -76,7 +76,7 @@ def overview() -> AnyResponse:
             token=own.keys.form(session),
             people=people,
             now=own.store.clock.wall(),
-            stages=(*own.protocol.stages, *own.protocol.ends),
+            stages=(*own.protocol.stages, *own.protocol.state().ENDS),
             flow={(row["stream"], row["stage"]): row["number"] for row in flow},
             streams=[name for name in STREAMS if any(row["stream"] == name for row in flow)],
             entrance=address + url_for("participant.entrance"),

@@ -1,18 +1,14 @@
 """The plan of a study: everything a participant may meet, fixed before the first one comes.
 
 A plan is a value: texts, trace, label probabilities, the participants' types, which solver serves
-which condition. It is stored in the study's database at the first start and read from there ever
-after, so that neither a restart nor a change of code or configuration changes a running study.
+which condition.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,26 +17,8 @@ from xplain.domains.base import Scene
 from xplain.errors import InputError
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
+from xplain.participants.protocol.plan import Asked, Fact, StoredPlan, Texts
 from xplain.solvers.base import Policy
-from xplain.storage import decode, encode
-
-VERSION = 2
-"""Of the stored form; a database of another version is refused."""
-
-
-@dataclass(frozen=True)
-class Fact:
-    """A parameter of the domain, as people meet it.
-
-    Attributes:
-        name: of the parameter and of its message.
-        message: the sentence that tells the robot's value.
-        belief: the sentence of someone who holds it wrong.
-    """
-
-    name: str
-    message: str
-    belief: str
 
 
 @dataclass(frozen=True)
@@ -98,84 +76,6 @@ class Training:
 
 
 @dataclass(frozen=True)
-class Asked:
-    """One question to the participant, before the briefing or after the quiz.
-
-    Attributes:
-        name: the column in the data.
-        label: what the participant reads.
-        kind: "number", "choice", "text" or "scale".
-        choices: of a choice.
-        low, high: bounds of a number, ends of a scale.
-        max_length: of a text, in characters.
-        ends: what the two ends of a scale mean; or none.
-        required: whether it has to be answered.
-        right: the one answer of those who read; others end here, if it is asked before. "" is none.
-    """
-
-    name: str
-    label: str
-    kind: str = "text"
-    choices: tuple[str, ...] = ()
-    low: int = 0
-    high: int = 120
-    max_length: int = 500
-    ends: tuple[str, ...] = ()
-    required: bool = False
-    right: str = ""
-
-    def __post_init__(self) -> None:
-        """Raises InputError: an unknown kind, or what the kind needs is not there."""
-        key = f"questions.{self.name}"
-        if self.kind not in ("number", "choice", "text", "scale"):
-            raise InputError(f"{key}.kind", self.kind, "number, choice, text or scale")
-        if self.kind == "choice" and not self.choices:
-            raise InputError(f"{key}.choices", [], "at least one choice")
-        if self.kind == "scale" and not 1 <= self.high - self.low <= 10:
-            raise InputError(f"{key}.high", self.high, "at most 10 above low")
-        if len(self.ends) not in (0, 2):
-            raise InputError(f"{key}.ends", list(self.ends), "two words, for low and high")
-        if self.right and self.options and self.right not in self.options:
-            raise InputError(f"{key}.right", self.right, ", ".join(self.options))
-
-    @property
-    def options(self) -> tuple[str, ...]:
-        """What can be chosen, of a choice or a scale."""
-        if self.kind == "scale":
-            return tuple(str(point) for point in range(self.low, self.high + 1))
-        return self.choices
-
-    @property
-    def needed(self) -> bool:
-        """Whether it has to be answered."""
-        return self.required or bool(self.right)
-
-
-@dataclass(frozen=True)
-class Texts:
-    """What the pages say, from config; paragraphs as tuples.
-
-    Attributes:
-        title, contact, consent, introduction, task: as their names say.
-        debriefing: shown wherever a part ends.
-        words: everything else, by key.
-    """
-
-    title: str
-    consent: tuple[str, ...]
-    introduction: tuple[str, ...]
-    task: tuple[str, ...]
-    debriefing: tuple[str, ...]
-    contact: str
-    words: Mapping[str, str]
-
-    @property
-    def consent_hash(self) -> str:
-        """SHA-256 of the consent text: what exactly was agreed to."""
-        return hashlib.sha256("\n".join(self.consent).encode()).hexdigest()
-
-
-@dataclass(frozen=True)
 class Rules:
     """Numbers of the protocol.
 
@@ -201,7 +101,7 @@ class Rules:
 
 
 @dataclass(frozen=True)
-class StudyPlan:
+class StudyPlan(StoredPlan):
     """A study of N types, a trace of m transitions, n facts (and messages).
 
     Attributes:
@@ -225,6 +125,10 @@ class StudyPlan:
         known: what everybody is told.
         taken: [m + 1] names of the items that are off the map after each number of steps; or none.
     """
+
+    VERSION: ClassVar[int | str] = 2
+    OF: ClassVar[str] = "a study"
+    COMMAND: ClassVar[str] = "study"
 
     seed: int
     domain: str
@@ -258,30 +162,6 @@ class StudyPlan:
     def cells(self) -> tuple[tuple[int, str], ...]:
         """Every (type, condition): what the slots are balanced over."""
         return tuple((t, c) for t in range(len(self.roles)) for c in self.conditions)
-
-    @cached_property
-    def text(self) -> str:
-        """The plan as canonical JSON; floats survive to the last bit."""
-        value = encode(self) | {"version": VERSION}
-        return json.dumps(value, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
-
-    @property
-    def hash(self) -> str:
-        """SHA-256 of :attr:`text`; names the plan in the data."""
-        return hashlib.sha256(self.text.encode()).hexdigest()
-
-    @classmethod
-    def from_text(cls, text: str) -> StudyPlan:
-        """Reads what :attr:`text` wrote.
-
-        Raises:
-            InputError: another version of the stored form.
-        """
-        value = json.loads(text)
-        if value.pop("version", None) != VERSION:
-            raise InputError("database", "its plan", f"made by another version (not {VERSION})")
-        plan: StudyPlan = decode(cls, value)
-        return plan
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import numpy as np
 
 from xplain.errors import InputError
 from xplain.message_sets import indices
+from xplain.participants.simulation.http_client import Page
 from xplain.study.protocol import machine
 from xplain.study.protocol.plan import Study, StudyPlan
 
@@ -157,6 +158,31 @@ class Person:
             for i, sentence in enumerate(sentences)
             if (sentence in true) ^ self._chance(self.habits.label_noise)
         ]
+
+    def fill(self, page: Page) -> tuple[list[tuple[str, str]], float]:
+        """The fields that they fill in on a page, and how long it took them, in seconds."""
+        groups = page.groups()
+        if page.stage == "consent":
+            return [("agree", "1")], 0.0
+        if page.stage == "before":
+            return list(self.asked().items()), 0.0
+        if page.stage == "briefing":
+            self.briefed(page.facts)
+        elif page.stage == "training":
+            return [("label", str(self.practises(len(page.messages))))], 0.0
+        elif page.stage == "eligibility":
+            names = sorted(groups, key=lambda name: int(name[1:]))
+            answers = self.checked([[c.text for c in groups[name]] for name in names])
+            pairs = zip(names, answers, strict=True)
+            return [(name, groups[name][answer].value) for name, answer in pairs], 0.0
+        elif page.stage == "evaluation":
+            labels, seconds = self.labels(len(groups), page.messages)
+            return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], seconds
+        elif page.stage == "quiz":
+            statements = groups["true"]
+            ticked = self.quiz([choice.text for choice in statements])
+            return [("true", statements[i].value) for i in ticked], 0.0
+        return [], 0.0
 
 
 @dataclass(frozen=True)
