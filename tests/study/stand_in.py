@@ -110,6 +110,7 @@ CONFIG: dict[str, Any] = {
     },
     "belief": {"_target_": "xplain.explanation.belief.Independent"},
     "rules": {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30, "recall": True},
+    "briefing": "assigned",
     "before": [],
     "questions": [
         {"name": "age", "label": "Your age", "kind": "number", "low": 18, "high": 110},
@@ -120,6 +121,8 @@ CONFIG: dict[str, Any] = {
         "contact": "nobody",
         "consent": ["Do you want to?"],
         "introduction": ["A robot walks."],
+        "introduction_natural": [],
+        "briefed": {"consent": ["Not all is right."], "debriefing": ["On purpose."]},
         "task": ["Label."],
         "debriefing": ["Bye."],
         "known": [],

@@ -18,7 +18,7 @@ from xplain.participants.server.app import create_app
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import visit
 from xplain.participants.wording import phrases_of
-from xplain.study import prepare
+from xplain.study import known_types
 from xplain.study.policies import difference, study_of
 from xplain.study.prepare import choose_trace, study_plan
 from xplain.study.server.protocol import StudyProtocol
@@ -121,15 +121,19 @@ def test_learned_types_are_found_by_their_labels_whatever_their_order(
         shown = np.array([[j, 0, j + 1] for j in range(4)])
         return setting.label_table(shown)[order].astype(float)
 
-    monkeypatch.setattr(prepare, "p_explicable", tables)
+    def learned(order: list[int]) -> known_types.Learned:
+        names = tuple(str(one) for one in order)
+        return known_types.Learned(names, order, np.ones(len(order)), (0, 1, 2, 3, 4), "types")  # type: ignore[arg-type]
+
+    monkeypatch.setattr(known_types, "p_explicable", tables)
     for order in ([0, 1, 2], [2, 0, 1], [1, 0, 2]):
-        found = prepare.matched(setting, order, 0)  # type: ignore[arg-type]
+        found = known_types.matched(setting, learned(order), 0)
         assert [order[one] for one in found] == [0, 1, 2]
     for unclear in ([0, 0, 2], [1, 1, 1]):
-        with pytest.raises(InputError, match="observers="):
-            prepare.matched(setting, unclear, 0)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="clusterer=2"):
-        prepare.matched(setting, [0, 1], 0)  # type: ignore[arg-type]
+        with pytest.raises(InputError, match="types="):
+            known_types.matched(setting, learned(unclear), 0)
+    with pytest.raises(InputError, match="types=2"):
+        known_types.matched(setting, learned([0, 1]), 0)
 
 
 def test_places_have_letters_and_numbers_and_phrases_their_words() -> None:

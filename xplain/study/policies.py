@@ -76,9 +76,11 @@ def probes(study: Study) -> dict[str, tuple[str, ...]]:
 
 def _walk(study: Study, condition: str, number: int) -> str:
     rng = stream(0, "probes", number)
-    state = machine.State(stage="eligibility", user_type=0, condition=condition)
-    right = [question.answer for question in study.plan.roles[0].eligibility]
-    state = machine.advance(study, state, "eligibility", {"answers": right}).state
+    state = machine.State(stage="training", part=1, user_type=0, condition=condition)
+    state = machine.advance(study, state, "example", {"label": 1}).state
+    if state.stage == "eligibility":
+        right = [question.answer for question in study.plan.roles[0].eligibility]
+        state = machine.advance(study, state, "eligibility", {"answers": right}).state
     messages = [state.new]
     while state.stage == "evaluation":
         # Mostly 1, so that beliefs stay apart rather than settle at once.

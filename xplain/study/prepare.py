@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
-from xplain.by_type import ByType, LabelTable
+from xplain.by_type import LabelTable
 from xplain.config import CONF
 from xplain.data.rollouts import sample_trace
 from xplain.domains.base import Domain, changes_of, transition_features
 from xplain.errors import InputError, whole_number
 from xplain.experiment.explanations import Costs
-from xplain.experiment.pipeline import learn, observe
-from xplain.learning.clustering import Perfect
-from xplain.learning.labelers import Labeler
 from xplain.learning.user_types import p_explicable
 from xplain.participants.protocol.plan import Asked, facts_of
 from xplain.participants.settings import fixed
 from xplain.participants.wording import InWords, named, phrases_of, texts_of, worded
 from xplain.randomness import stream
+from xplain.study.known_types import Learned, learned_types, matched
 from xplain.study.policies import difference, with_probes
 from xplain.study.protocol import content
 from xplain.study.protocol.plan import Known, Rules, StudyPlan, Training
@@ -35,9 +32,6 @@ if TYPE_CHECKING:
 
 LEAST_DIFFERENCE = 1.0
 """Messages by which the conditions differ, a participant, on average."""
-LEAST_AGREEMENT = 0.8
-"""Share of labels in which a learned type is the true one."""
-MATCHING_TRACES, MATCHING_STEPS = 50, 40
 COSTS = ("message_cost", "inexplicability_cost", "discount", "discount_per", "prior")
 """Keys of the configuration that the explanation problem takes as they are."""
 
@@ -51,37 +45,21 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     Raises:
         XplainError: the configuration cannot be used; the text says what to change.
     """
-    from hydra.utils import instantiate
 
     if cfg.seed is None:
         cfg = cfg.copy()
         cfg.seed = secrets.randbelow(2**31)
     config = fixed(cfg)
     Rules(**config["rules"])  # refused before the work, not after it
-    observed = observe(
-        instantiate(cfg.domain),
-        instantiate(cfg.users),
-        instantiate(cfg.observers),
-        instantiate(cfg.queries),
-        cfg.seed,
-    )
-    setting = observed.setting
+    if config["briefing"] not in ("assigned", "none"):
+        raise InputError("briefing", config["briefing"], "assigned or none")
+    setting, learned = learned_types(cfg)
+    if config["briefing"] == "assigned" and learned.key:
+        learned = learned.ordered(matched(setting, learned, cfg.seed))
     transitions = choose_trace(setting, config["trace"], config["max_steps"], cfg.seed)
-    clusterer = instantiate(cfg.clusterer)
-    learned = learn(
-        observed.dataset,
-        instantiate(cfg.labeler),
-        clusterer,
-        cfg.seed,
-        observed.truth,
-    )
-    order = list(range(len(setting.types)))
-    if not isinstance(clusterer, Perfect):  # which finds the types in their order
-        order = matched(setting, learned.labelers, cfg.seed)
-    features = transition_features(setting.domain, transitions)
-    labelers = [learned.labelers[one] for one in order]
-    table = p_explicable(labelers, features, setting.n_messages)
-    plan = assemble(setting, transitions, table, config)
+    features = transition_features(setting.domain, transitions)[:, learned.columns]
+    table = p_explicable(learned.labelers, features, setting.n_messages)
+    plan = assemble(setting, transitions, table, config, learned)
     if (gap := difference(plan)) < LEAST_DIFFERENCE:
         raise InputError(
             "conditions",
@@ -90,58 +68,6 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
             f"trace these differ by {gap:.1f}: another seed, other types, or trace.min_steps",
         )
     return plan
-
-
-def matched(setting: Setting, labelers: Sequence[Labeler], seed: int) -> list[int]:
-    """Which labeler is that of each type: found by their labels, never by their order.
-
-    Labels of transitions of the robot, with every message set, are compared. Labelers and types
-    are paired so that as few labels as can be differ.
-
-    Args:
-        setting: with N types.
-        labelers: found in data, in any order.
-        seed: of the draws of transitions.
-
-    Raises:
-        InputError: not N labelers, or one that fits no type, or two types as well.
-    """
-    if len(labelers) != len(setting.types):
-        wanted = f"as many learned types as the study has: {len(setting.types)}"
-        raise InputError("clusterer", len(labelers), wanted)
-    shown = np.unique(
-        np.concatenate(
-            [
-                sample_trace(
-                    setting.models[0],
-                    setting.optimal[0],
-                    setting.domain.starts,
-                    stream(seed, "matching", index),
-                    MATCHING_STEPS,
-                )
-                for index in range(MATCHING_TRACES)
-            ]
-        ),
-        axis=0,
-    )
-    features = transition_features(setting.domain, shown)
-    table = p_explicable(labelers, features, setting.n_messages)
-    assert not isinstance(table, ByType), "a study has few messages"
-    learned = table > 0.5
-    true = setting.label_table(shown).astype(bool)
-    agreement = np.array([[(one == own).mean() for one in learned] for own in true])
-    _, order = linear_sum_assignment(-agreement)
-    for t, user_type in enumerate(setting.types):
-        own = agreement[t, order[t]]
-        others = np.delete(agreement[t], order[t])
-        if own < LEAST_AGREEMENT or (len(others) and own <= others.max()):
-            raise InputError(
-                "observers",
-                f"{user_type.name}: {100 * own:.0f} % of labels agree",
-                f"labels in which each type of the study is found again: at least "
-                f"{100 * LEAST_AGREEMENT:.0f} % agree, and with no other type as many",
-            )
-    return [int(one) for one in order]
 
 
 def choose_trace(
@@ -193,6 +119,7 @@ def assemble(
     transitions: NDArray[np.int64],
     p_explicable: LabelTable,
     config: Mapping[str, Any],
+    learned: Learned | None = None,
 ) -> StudyPlan:
     """A plan from its parts.
 
@@ -201,32 +128,38 @@ def assemble(
         transitions: [m, 3] the evaluation trace.
         p_explicable: [N, m, 2^n] of the labelers.
         config: the study's resolved configuration (the keys of conf/study.yaml).
+        learned: names and shares of the types of the table; None: those of the setting.
 
     Raises:
         XplainError: a part contradicts another.
     """
-    domain, types, wording = setting.domain, setting.types, config["wording"]
+    domain, types, natural = setting.domain, setting.types, config["briefing"] == "none"
+    wording = _worded(config["wording"], natural)
     in_words = phrases_of(wording["phrases"], domain.scene is not None)
     parameters = worded(domain.parameters, wording["facts"], in_words)
     labels = setting.label_table(transitions)
     costs = Costs(trade_off=config["lambda"], **{key: config[key] for key in COSTS})
-    names = tuple(user_type.name for user_type in types)
-    uniform = np.full(len(types), 1 / len(types))
+    # Roles and types have the same names; people as they are may be of any types that were found.
+    names = tuple(one.name for one in types) if learned is None or not natural else learned.names
+    shares = np.full(len(names), 1 / len(names)) if learned is None else learned.shares
+    facts, known = facts_of(parameters), tuple(Known(**one) for one in wording["known"])
+    roles = content.roles_of(parameters, types, labels, wording)
     plan = StudyPlan(
         seed=config["seed"],
         domain=domain.name,
         texts=texts_of(wording, CONF / "study" / "texts" / "en.yaml", in_words),
-        known=tuple(Known(**one) for one in wording["known"]),
+        known=known,
         training=Training(**wording["training"]),
         rules=Rules(**config["rules"]),
         before=tuple(map(Asked.of, config["before"])),
         asked=tuple(map(Asked.of, config["questions"])),
-        facts=facts_of(parameters),
-        roles=content.roles_of(parameters, types, labels, wording),
+        facts=facts,
+        roles=(content.natural_role(facts, known, labels),) if natural else roles,
+        kinds=tuple(role.wrong for role in roles) if natural else (),
         trace=tuple(in_words(domain.describe(transition)) for transition in transitions),
         path=_path(domain, transitions),
         scene=domain.scene and named(domain.scene, wording["hide"], in_words),
-        problem=costs.problem(p_explicable, setting.message_names, names, uniform),
+        problem=costs.problem(p_explicable, setting.message_names, names, shares),
         true_labels=labels,
         conditions=config["conditions"],
         belief=config["belief"],
@@ -240,6 +173,17 @@ def assemble(
     )
     # What is stored is what runs, from the first participant on.
     return StudyPlan.from_text(with_probes(plan).text)
+
+
+def _worded(wording: Mapping[str, Any], natural: bool) -> Mapping[str, Any]:
+    """The texts for people who are briefed, or for people as they are."""
+    if natural:
+        return {
+            **wording,
+            "introduction": wording["introduction_natural"] or wording["introduction"],
+        }
+    told = {key: [*wording[key], *wording["briefed"][key]] for key in ("consent", "debriefing")}
+    return {**wording, **told}
 
 
 def _changes(

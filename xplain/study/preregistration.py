@@ -24,6 +24,7 @@ MEANING = {
     "inexplicable_transitions": "steps labelled as making no sense, in the labels at the last step",
     "quiz_score": "statements judged rightly in the last test",
     "visible_time_s": "the first measure less the time in which no page of the study was visible",
+    "messages_given": "messages that the robot sent",
 }
 
 

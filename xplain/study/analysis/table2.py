@@ -25,7 +25,10 @@ MEASURES = {
     "inexplicable_transitions": "Inexplicable transitions",
     "quiz_score": "Quiz score",
 }
-SECONDARY = {"visible_time_s": "Interaction time while visible (s)"}
+SECONDARY = {
+    "visible_time_s": "Interaction time while visible (s)",
+    "messages_given": "Messages",
+}
 STAGES = ("entered", "consented", "eligible", "evaluated", "completed")
 NEEDED = ("participant", "stream", "stage", "type", "condition", "eligible", *MEASURES, *SECONDARY)
 

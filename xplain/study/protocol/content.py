@@ -18,6 +18,8 @@ from xplain.participants.protocol.plan import Fact, facts_of
 from xplain.study.protocol.plan import Known, Question, Role, Statement
 from xplain.users.setting import UserType
 
+NATURAL = "natural"
+"""Name of the role of people who are not briefed."""
 STATEMENTS = 2
 """Of the quiz about what a type had to have corrected, and as many about something else."""
 
@@ -68,6 +70,17 @@ def roles_of(
             )
         )
     return tuple(roles)
+
+
+def natural_role(facts: Sequence[Fact], known: Sequence[Known], labels: NDArray[np.uint8]) -> Role:
+    """The one role of people as they are: no briefing, and a quiz about what simulated people need.
+
+    Args:
+        facts, known: of the plan.
+        labels: [M, m, 2^n] true labels of the trace, of the kinds of simulated people.
+    """
+    need = int(np.bitwise_or.reduce([needed(of_kind) for of_kind in labels]))
+    return Role(NATURAL, (), (), (), _quiz(facts, known, (), need, 0))
 
 
 def _eligibility(

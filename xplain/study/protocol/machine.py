@@ -7,6 +7,8 @@ give the same states, which is what the replay checks.
     consent → before → briefing → training → eligibility → evaluation → quiz → questions → done
                            ↑__________________|  (a failed attempt, while some are left)
 
+People who come as they are have no eligibility test, for they are told nothing to be tested on;
+
 and from anywhere to an end: declined, screened_out, ineligible, withdrawn, timed_out. From the
 last of these a participant may return to where they were.
 """
@@ -172,6 +174,8 @@ def _training(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome
         return state.to(wrong=True)
     if state.part == 0:
         return state.to(part=1, wrong=False)
+    if study.plan.kinds:  # nobody was told anything that could be checked
+        return _begin(study, state)
     return state.to(stage="eligibility", wrong=False)
 
 
@@ -183,11 +187,16 @@ def _eligibility(study: Study, state: State, payload: Mapping[str, Any]) -> Outc
     )
     attempts = state.attempts + 1
     if all(c == question.answer for c, question in zip(chosen, questions, strict=True)):
-        belief = tuple(study.plan.problem.prior.tolist())
-        return _decide(study, replace(state, attempts=attempts, wrong=False, belief=belief), None)
+        return _begin(study, replace(state, attempts=attempts))
     if attempts >= study.plan.rules.max_attempts:
         return state.to(stage="ineligible", attempts=attempts)
     return state.to(stage="briefing", attempts=attempts, wrong=True)
+
+
+def _begin(study: Study, state: State) -> Outcome:
+    """The first step of the evaluation."""
+    belief = tuple(study.plan.problem.prior.tolist())
+    return _decide(study, replace(state, wrong=False, belief=belief), None)
 
 
 def _evaluation(study: Study, state: State, payload: Mapping[str, Any]) -> Outcome:

@@ -54,8 +54,8 @@ class Role:
     Attributes:
         name: of the user type.
         wrong: positions of the facts that this type holds wrong.
-        briefing: one sentence a fact, as this type knows it.
-        eligibility: one question a fact, answered as this type knows it.
+        briefing: one sentence a fact, as this type knows it; none for people as they are.
+        eligibility: one question a fact, answered as this type knows it; or none.
         quiz: the statements of the last test, true ones first.
     """
 
@@ -115,7 +115,8 @@ class StudyPlan(StoredPlan):
         path: [m] (cell before, cell after) on the map, or None without a map.
         scene: the map, or None.
         problem: label probabilities and costs behind the policies.
-        true_labels: [N, m, 2^n] uint8, what a faultless participant would answer.
+        true_labels: [M, m, 2^n] uint8, what a faultless participant would answer: of the M = N
+            roles, or of the kinds.
         conditions: {condition: configuration of its solver}.
         belief: configuration of the belief update.
         probes: {condition: decisions for random labels}, to notice changed code.
@@ -123,10 +124,12 @@ class StudyPlan(StoredPlan):
         config: the configuration that it was made from, for the record.
         changes: [m] what each transition changes, for domains without a map; or none.
         known: what everybody is told.
+        kinds: [M] facts that each kind of simulated people holds wrong, where participants come as
+            they are: then there is one role, which nobody is briefed for. None otherwise.
         taken: [m + 1] names of the items that are off the map after each number of steps; or none.
     """
 
-    VERSION: ClassVar[int | str] = 2
+    VERSION: ClassVar[int | str] = 3
     OF: ClassVar[str] = "a study"
     COMMAND: ClassVar[str] = "study"
 
@@ -152,11 +155,17 @@ class StudyPlan(StoredPlan):
     known: tuple[Known, ...] = ()
     taken: tuple[tuple[str, ...], ...] = ()
     before: tuple[Asked, ...] = ()
+    kinds: tuple[tuple[int, ...], ...] = ()
 
     @property
     def n_steps(self) -> int:
         """m, the number of transitions of the trace."""
         return len(self.trace)
+
+    @property
+    def wrong(self) -> tuple[tuple[int, ...], ...]:
+        """[M] positions of the facts that people of each role, or kind, hold wrong."""
+        return self.kinds or tuple(role.wrong for role in self.roles)
 
     @property
     def cells(self) -> tuple[tuple[int, str], ...]:

@@ -40,7 +40,11 @@ class StudyProtocol:
     @property
     def stages(self) -> tuple[str, ...]:
         """Without questions where the plan asks none."""
-        without = {"before": not self.plan.before, "questions": not self.plan.asked}
+        without = {
+            "before": not self.plan.before,
+            "eligibility": bool(self.plan.kinds),
+            "questions": not self.plan.asked,
+        }
         return tuple(stage for stage in machine.STAGES if not without.get(stage))
 
     def state(self, text: str | None = None) -> State:
@@ -119,7 +123,8 @@ class StudyProtocol:
             "map": drawn,
             "legend": [(name, Markup(svg)) for name, svg in map_svg.legend(plan, words)],
             "changes": plan.changes,
-            "titles": {stage: plan.texts.words[stage] for stage in machine.STAGES[:-1]},
+            "titles": {stage: words[stage] for stage in machine.STAGES[:-1]}
+            | {"briefing": words["briefing_natural" if plan.kinds else "briefing"]},
         }
 
     def glance(self, query: Callable[[str], list[dict[str, Any]]]) -> dict[str, Any]:

@@ -67,7 +67,8 @@ class Person:
 
     def __init__(self, plan: StudyPlan, habits: Habits, rng: np.random.Generator) -> None:
         self.plan, self.habits, self.rng = plan, habits, rng
-        self.user_type = 0
+        # As they are, until a briefing tells them what to know.
+        self.user_type = int(rng.integers(len(plan.kinds))) if plan.kinds else 0
         self.known = 0
         self._heard: set[str] = set()
         self._judged: int | None = None
@@ -96,7 +97,9 @@ class Person:
         return answers
 
     def briefed(self, sentences: Sequence[str]) -> None:
-        """Takes over what the briefing says."""
+        """Takes over what the briefing says, if anything."""
+        if not sentences:
+            return
         told = [role.briefing for role in self.plan.roles]
         self.user_type = told.index(tuple(sentences))
 
@@ -145,12 +148,12 @@ class Person:
 
     def quiz(self, sentences: Sequence[str]) -> list[int]:
         """The statements that they hold true, as positions."""
-        role = self.plan.roles[self.user_type]
+        wrong = self.plan.wrong[self.user_type]
         for j in indices(self.known):
-            if j in role.wrong and self._chance(self.habits.fading):
+            if j in wrong and self._chance(self.habits.fading):
                 self.known &= ~(1 << j)
         true = {
-            fact.belief if j in role.wrong and not self.known >> j & 1 else fact.message
+            fact.belief if j in wrong and not self.known >> j & 1 else fact.message
             for j, fact in enumerate(self.plan.facts)
         } | {known.right for known in self.plan.known}
         return [
@@ -201,14 +204,17 @@ def take_part(
     """One simulated participant in the bare protocol; None if they did not get to the end."""
     plan = study.plan
     person = Person(plan, habits, rng)
-    person.briefed(plan.roles[user_type].briefing)
+    role = plan.roles[user_type]
+    person.briefed(role.briefing)
     state = machine.State(
-        stage="eligibility",
+        stage="training",
+        part=1,
         user_type=user_type,
         condition=condition,
-        orders={"quiz": tuple(range(len(plan.roles[user_type].quiz))), "eligibility": ()},
+        orders={"quiz": tuple(range(len(role.quiz))), "eligibility": ()},
     )
-    questions = [question.options for question in plan.roles[user_type].eligibility]
+    state = machine.advance(study, state, "example", {"label": 1}).state
+    questions = [question.options for question in role.eligibility]
     while state.stage in ("eligibility", "briefing"):
         kind: str = "read"
         payload: dict[str, object] = {}
@@ -225,7 +231,7 @@ def take_part(
         state = machine.advance(study, state, "labels", {"labels": labels}).state
     if state.stage != "quiz":
         return None
-    sentences = [statement.text for statement in plan.roles[user_type].quiz]
+    sentences = [statement.text for statement in role.quiz]
     after = machine.advance(study, state, "quiz", {"chosen": person.quiz(sentences)}).state
     assert after.score is not None, "a quiz has a score"
     return Measures(seconds, state.labels.count(0), after.score, state.given.bit_count())
