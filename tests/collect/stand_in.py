@@ -46,11 +46,12 @@ def street_plan(
     points: int = 12,
     briefing: str = "none",
     seed: int = 3,
+    words: dict[str, Any] | None = None,
     **rules: Any,
 ) -> CollectPlan:
     """A plan for the street, expectation made up."""
     users = Explicit({one.name: list(one.inaccurate) for one in TYPES})
-    config = {"seed": seed, "briefing": briefing, "wording": wording(), "points": points}
+    config = {"seed": seed, "briefing": briefing, "wording": words or wording(), "points": points}
     plan = assemble(
         domain_source(STREET, users, seed),
         design or Adaptive(),
