@@ -61,7 +61,7 @@ def found_types(plan: CollectPlan, folder: Path, seed: int) -> tuple[Path, float
     states = crowd(plan, PEOPLE, Observing(error=ERROR, mistake=0.0), seed)
     kept = {f"{i:03d}": state for i, state in enumerate(states) if not why_left_out(state)}
     write_table(dataset_of(plan, kept), folder / "labels.csv")
-    plan.hypotheses.save(folder / "hypotheses.npz")
+    (plan.whole or plan.hypotheses).save(folder / "hypotheses.npz")
     data = [f"data={folder}/labels.csv", f"hypotheses={folder}/hypotheses.npz"]
     row = discover([*data, "labeler=hypotheses", "held_out=false", f"output={folder}/found"])
     truth = truth_of(plan, PEOPLE)[[int(who) for who in kept]]

@@ -18,9 +18,10 @@ from xplain.participants.server.app import create_app
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import visit
 from xplain.participants.wording import phrases_of
-from xplain.study import known_types
+from xplain.study import known_types, prepare
 from xplain.study.policies import difference, study_of
-from xplain.study.prepare import choose_trace, study_plan
+from xplain.study.prepare import ranked_traces, study_plan
+from xplain.study.protocol.plan import StudyPlan
 from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Person
 from xplain.users.setting import Setting
@@ -80,9 +81,9 @@ def trace_rules(**changes: object) -> dict[str, object]:
 
 def test_a_trace_has_the_steps_that_are_asked_for() -> None:
     setting = street()
-    assert len(choose_trace(setting, trace_rules(min_steps=4), 20, 0)) == 4
+    assert len(ranked_traces(setting, trace_rules(min_steps=4), 20, 0)[0]) == 4
     with pytest.raises(InputError, match=r"trace\.min_steps=5: 4 steps or fewer"):
-        choose_trace(setting, trace_rules(min_steps=5), 20, 0)
+        ranked_traces(setting, trace_rules(min_steps=5), 20, 0)
 
 
 def test_conditions_that_say_the_same_differ_by_nothing() -> None:
@@ -110,6 +111,22 @@ def test_a_study_whose_conditions_are_alike_is_refused() -> None:
                 ],
             )
         )
+
+
+def test_the_first_trace_on_which_the_conditions_differ_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of the best traces by what types need, the first is passed over where nothing differs."""
+    cfg = composed("study", ["seed=0", "observers.points=50", "trace.candidates=20"])
+    tried: list[tuple[str, ...]] = []
+
+    def gap(plan: StudyPlan) -> float:
+        tried.append(plan.trace)
+        return 0.0 if len(tried) < 3 else 1.0
+
+    monkeypatch.setattr(prepare, "difference", gap)
+    assert study_plan(cfg).trace == tried[2]
+    assert len(set(tried)) == 3
 
 
 def test_learned_types_are_found_by_their_labels_whatever_their_order(

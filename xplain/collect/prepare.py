@@ -58,6 +58,7 @@ class Source:
     Attributes:
         name: of the task.
         hypotheses: T transitions with phrases and features.
+        whole: see :class:`CollectPlan`.
         facts: [n] sentences.
         roles: {name: bitmask of what it holds wrong}, of simulated people.
         situations, gone, paths, changes, scene, pictures: see :class:`CollectPlan`.
@@ -74,6 +75,7 @@ class Source:
     changes: tuple[tuple[str, ...], ...] = ()
     scene: Scene | None = None
     pictures: tuple[Picture | None, ...] = field(default_factory=tuple)
+    whole: Hypotheses | None = None
     domain: Domain | None = None
     users: TypeSource | None = None
 
@@ -122,7 +124,8 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
     Raises:
         InputError: a parameter lacks a sentence.
     """
-    known = hypotheses_of(domain, None).told_apart_by_features()
+    whole = hypotheses_of(domain, None)
+    known = whole.told_apart_by_features()
     types = users.types(domain, stream(seed, "users"))
     names = known.messages
     assert known.states is not None, "hypotheses of a domain know states"
@@ -135,6 +138,7 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
     return Source(
         name=domain.name,
         hypotheses=known,
+        whole=whole,
         facts=facts_of(domain.parameters),
         roles={one.name: mask_of(one.inaccurate, names) for one in types},
         situations=_at_start(domain, "situation", known),
@@ -270,6 +274,7 @@ def assemble(
         roles=tuple(_role(name, held, facts) for name, held in source.roles.items()),
         assigned=config["briefing"] == "assigned",
         hypotheses=known,
+        whole=source.whole,
         subject=wording["words"]["robot"] if source.domain else "",
         questions=listed,
         design=design if isinstance(design, Adaptive) else Adaptive(),

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 LEAST_DIFFERENCE = 1.0
 """Messages by which the conditions differ, a participant, on average."""
+TRIED = 20
+"""Traces on which the conditions are compared, the best ones first."""
 COSTS = ("message_cost", "inexplicability_cost", "discount", "discount_per", "prior")
 """Keys of the configuration that the explanation problem takes as they are."""
 
@@ -56,24 +58,28 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     setting, learned = learned_types(cfg)
     if config["briefing"] == "assigned" and learned.key:
         learned = learned.ordered(matched(setting, learned, cfg.seed))
-    transitions = choose_trace(setting, config["trace"], config["max_steps"], cfg.seed)
-    features = transition_features(setting.domain, transitions)[:, learned.columns]
-    table = p_explicable(learned.labelers, features, setting.n_messages)
-    plan = assemble(setting, transitions, table, config, learned)
-    if (gap := difference(plan)) < LEAST_DIFFERENCE:
-        raise InputError(
-            "conditions",
-            " and ".join(plan.conditions),
-            f"conditions that differ by a message a participant or more, on average; on the best "
-            f"trace these differ by {gap:.1f}: another seed, other types, or trace.min_steps",
-        )
-    return plan
+    traces = ranked_traces(setting, config["trace"], config["max_steps"], cfg.seed)[:TRIED]
+    gaps = []
+    for transitions in traces:
+        features = transition_features(setting.domain, transitions)[:, learned.columns]
+        table = p_explicable(learned.labelers, features, setting.n_messages, transitions)
+        plan = drafted(setting, transitions, table, config, learned)
+        gaps.append(difference(plan))
+        if gaps[-1] >= LEAST_DIFFERENCE:
+            return stored(plan)
+    raise InputError(
+        "conditions",
+        " and ".join(config["conditions"]),
+        f"conditions that differ by a message a participant or more, on average; on the best of "
+        f"{len(gaps)} traces these differ by {max(gaps):.1f}: another seed than {cfg.seed}, more "
+        "trace.candidates, a smaller trace.min_steps, other users or another lambda",
+    )
 
 
-def choose_trace(
+def ranked_traces(
     setting: Setting, trace: Mapping[str, Any], max_steps: int, seed: int
-) -> NDArray[np.int64]:
-    """The one trace that every participant evaluates: [m, 3].
+) -> list[NDArray[np.int64]]:
+    """Traces [m, 3] that every participant could evaluate, the best first, none twice.
 
     Of ``candidates`` random ones of at least ``min_steps``, the shortest of those for which the
     types need the most facts corrected: a trace that most types understand anyway would measure
@@ -111,17 +117,24 @@ def choose_trace(
     if not long:
         longest = max(len(one) for one in drawn)
         raise InputError("trace.min_steps", trace["min_steps"], f"{longest} steps or fewer here")
-    return max(long, key=worth)
+    distinct = {one.tobytes(): one for one in long}
+    return sorted(distinct.values(), key=worth, reverse=True)
 
 
-def assemble(
+def stored(plan: StudyPlan) -> StudyPlan:
+    """A draft with what its policies decide, as it comes from the database: what is stored is what
+    runs, from the first participant on."""
+    return StudyPlan.from_text(with_probes(plan).text)
+
+
+def drafted(
     setting: Setting,
     transitions: NDArray[np.int64],
     p_explicable: LabelTable,
     config: Mapping[str, Any],
     learned: Learned | None = None,
 ) -> StudyPlan:
-    """A plan from its parts.
+    """A plan from its parts, without probes.
 
     Args:
         setting: domain and types.
@@ -144,7 +157,7 @@ def assemble(
     shares = np.full(len(names), 1 / len(names)) if learned is None else learned.shares
     facts, known = facts_of(parameters), tuple(Known(**one) for one in wording["known"])
     roles = content.roles_of(parameters, types, labels, wording)
-    plan = StudyPlan(
+    return StudyPlan(
         seed=config["seed"],
         domain=domain.name,
         texts=texts_of(wording, CONF / "study" / "texts" / "en.yaml", in_words),
@@ -171,8 +184,6 @@ def assemble(
             tuple(in_words(name) for name in names) for names in _taken(domain, transitions)
         ),
     )
-    # What is stored is what runs, from the first participant on.
-    return StudyPlan.from_text(with_probes(plan).text)
 
 
 def _worded(wording: Mapping[str, Any], natural: bool) -> Mapping[str, Any]:

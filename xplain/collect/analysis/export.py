@@ -83,7 +83,7 @@ def export(database: Path, folder: Path) -> str:
             write_table(dataset_of(plan, kept), folder / name)
     for name, table in tables(plan, people, steps).items():
         table.to_csv(folder / f"{name}.csv", index=False)
-    plan.hypotheses.save(folder / "hypotheses.npz")
+    (plan.whole or plan.hypotheses).save(folder / "hypotheses.npz")
     text = json.dumps(json.loads(plan.text), indent=1, ensure_ascii=False)
     (folder / "plan.json").write_text(text + "\n", encoding="utf-8")
     (folder / "head.txt").write_text(f"{head}\n", encoding="ascii")

@@ -95,6 +95,8 @@ class CollectPlan(StoredPlan):
         roles: of simulated people.
         assigned: whether each participant is told what one of the roles knows.
         hypotheses: what people might hold wrong, with phrases.
+        whole: the same of all transitions, also those that nobody is asked about because others
+            have the same features: what types are learned with. None where these are all.
         subject: who does what the phrases say; "" where they are whole sentences.
         questions: the list that everybody is asked, as (transition, message set); empty where
             each question depends on the answers before.
@@ -126,6 +128,7 @@ class CollectPlan(StoredPlan):
     roles: tuple[Role, ...]
     assigned: bool
     hypotheses: Hypotheses
+    whole: Hypotheses | None
     subject: str
     questions: tuple[tuple[int, int], ...]
     design: Adaptive

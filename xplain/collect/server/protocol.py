@@ -196,7 +196,13 @@ class CollectProtocol:
             "found": self._found[key],
             "facts": {fact.name: fact.message for fact in self.plan.facts},
             "expectation": self.plan.expectation,
+            "data": "Labels for xplain discover, observers and every answer as CSV tables",
         }
+
+    def about(self, state: State, blinded: bool) -> dict[str, str]:
+        """Stage and clip."""
+        clip = f", page {len(state.answered) + 1}" if state.stage == "clips" else ""
+        return {"Stage": state.stage.replace("_", " ") + clip}
 
     def export(self, snapshot: Path, folder: Path) -> None:
         """Labels, observers, and all that belongs to them."""

@@ -106,7 +106,17 @@ class Protocol(Interface):
         ...
 
     def glance(self, query: Query) -> dict[str, Any]:
-        """What the researcher's page shows besides participants and stages."""
+        """What the researcher's page shows besides participants and stages; ``data`` names the
+        tables of the export."""
+        ...
+
+    def about(self, state: Any, blinded: bool) -> dict[str, str]:
+        """What the researcher's page says of a participant, by column.
+
+        Args:
+            state: of the participant.
+            blinded: whether that may tell who gets what.
+        """
         ...
 
     def export(self, snapshot: Path, folder: Path) -> None:

@@ -136,7 +136,21 @@ class StudyProtocol:
         )
         roles = [role.name for role in self.plan.roles]
         cells = [f"{roles[t]}, {condition}" for t, condition in self.plan.cells]
-        return {"slots": left, "roles": self.plan.roles, "cells": cells}
+        return {
+            "slots": left,
+            "roles": self.plan.roles,
+            "cells": cells,
+            "data": "CSV and Parquet tables",
+        }
+
+    def about(self, state: State, blinded: bool) -> dict[str, str]:
+        """Stage and step; type and condition."""
+        step = f", step {state.step + 1}" if state.stage == "evaluation" else ""
+        found = {"Stage": state.stage.replace("_", " ") + step}
+        if blinded:
+            return found
+        role = "" if state.user_type is None else self.plan.roles[state.user_type].name
+        return found | {"Type": role, "Condition": state.condition or ""}
 
     def export(self, snapshot: Path, folder: Path) -> None:
         """The tidy tables."""
