@@ -29,10 +29,11 @@ from tests.participants.server_process import ServerProcess
 from xplain.config import composed
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
-from xplain.participants.simulation.http_client import Browser, Page, fill
+from xplain.participants.simulation.http_client import Browser, Page
 from xplain.study.policies import study_of
 from xplain.study.prepare import study_plan
 from xplain.study.protocol.plan import StudyPlan
+from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Habits, Person
 
 Times = list[float]
@@ -79,7 +80,7 @@ class Participant(threading.Thread):
             self._report(page, number)
             number += 1
             time.sleep(self.rng.uniform(*self.think))
-            fields = [*page.hidden.items(), *fill(self.person, page)[0]]
+            fields = [*page.hidden.items(), *self.person.fill(page)[0]]
             status, html = self._page("POST", "/study", fields)
             assert status == 200, f"{status} at {page.stage}"
         assert page.stage == "done", page.stage
@@ -134,7 +135,7 @@ def measure(people: int, think: tuple[float, float], ramp: float, slow: int = 0)
     plan = study_plan(composed("study", ["seed=0", "observers.points=150", "trace.candidates=40"]))
     with tempfile.TemporaryDirectory() as folder:
         database = Path(folder) / "study.sqlite"
-        Store(database, study_of(plan)).close()
+        Store(database, StudyProtocol(study_of(plan))).close()
         with ServerProcess(database) as server:  # with the limits that it has by default
             invitations = Researcher(server.url, server.key).invite(people)
             rng = np.random.default_rng(0)

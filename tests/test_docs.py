@@ -329,6 +329,7 @@ def test_labels_are_collected_as_their_page_says(tmp_path):
         server.stdout.close()
     assert len(others) == 3
     for command in others:
+        command = command.replace("people.sqlite", "outputs/collect/collect.sqlite")
         words = command.replace("labels.csv", "labels_bot.csv").split()[1:]
         done = subprocess.run([sys.executable, *words], capture_output=True, **where)
         assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"

@@ -122,7 +122,8 @@ def composed(name: str, overrides: Sequence[str], with_hydra: bool = False) -> D
             key, equals, _ = override.partition("=")
             if not equals:
                 raise InputError("argument", override, f"key=value; keys: {', '.join(known)}")
-            if key.lstrip("+~").split(".")[0].split("/")[0] not in (*known, "hydra"):
+            group, at, package = key.lstrip("+~").partition("@")  # such as study/texts@wording
+            if (package if at else group).split(".")[0].split("/")[0] not in (*known, "hydra"):
                 near = difflib.get_close_matches(key, known, 1)
                 hint = f"did you mean {near[0]}? " if near else ""
                 raise InputError(key, override, f"no such key; {hint}keys: {', '.join(known)}")

@@ -32,8 +32,8 @@ EXPECTED = {
 
 def wording(**changes: Any) -> dict[str, Any]:
     """The texts that every task has."""
-    texts = OmegaConf.to_container(OmegaConf.load(CONF / "collect" / "texts.yaml"))
-    assert isinstance(texts, dict)
+    texts: Any = OmegaConf.to_container(OmegaConf.load(CONF / "collect" / "texts" / "en.yaml"))
+    texts["words"] |= OmegaConf.to_container(OmegaConf.load(CONF / "words" / "en.yaml"))
     questions = [
         {"name": "age", "label": "Your age", "kind": "number", "low": 18, "high": 110},
         {"name": "comment", "label": "Anything else?", "kind": "text", "max_length": 200},
@@ -46,11 +46,12 @@ def street_plan(
     points: int = 12,
     briefing: str = "none",
     seed: int = 3,
+    words: dict[str, Any] | None = None,
     **rules: Any,
 ) -> CollectPlan:
     """A plan for the street, expectation made up."""
     users = Explicit({one.name: list(one.inaccurate) for one in TYPES})
-    config = {"seed": seed, "briefing": briefing, "wording": wording(), "points": points}
+    config = {"seed": seed, "briefing": briefing, "wording": words or wording(), "points": points}
     plan = assemble(
         domain_source(STREET, users, seed),
         design or Adaptive(),

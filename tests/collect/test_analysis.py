@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import pandas as pd
 import pytest
 
 from tests.collect.stand_in import FAULTLESS, street_collection
+from xplain.cli.main import main
 from xplain.collect.analysis.export import export
 from xplain.collect.analysis.labels import (
     dataset_of,
@@ -21,14 +23,15 @@ from xplain.collect.analysis.labels import (
 )
 from xplain.collect.analysis.replay import replay
 from xplain.collect.protocol import machine
-from xplain.collect.protocol.plan import Collection
+from xplain.collect.protocol.plan import Collection, CollectPlan
 from xplain.collect.protocol.state import ATTENTION, State
+from xplain.collect.server.protocol import CollectProtocol
 from xplain.collect.simulation.observer import Habits, observer, take_part
-from xplain.collect.stored import plan_of
 from xplain.data.label_table import read_table, write_table
 from xplain.errors import InputError
 from xplain.participants.server.store import Store
-from xplain.study.stored import opened
+from xplain.participants.stored import opened, plan_of
+from xplain.study.server.protocol import StudyProtocol
 
 COLLECTION = street_collection()
 
@@ -126,7 +129,7 @@ Fill = Callable[[Store, int], str]
 
 def filled(path: Path, collection: Collection, count: int = 4) -> list[str]:
     """A database in which people answered: all but the last, who withdraws amid the clips."""
-    store, found = Store(path, collection), []
+    store, found = Store(path, CollectProtocol(collection)), []
     for number in range(count):
         who = store.enter_invited(store.invite(1, "person")[0])
         someone = observer(collection.plan, Habits(mistake=0), 1, number)
@@ -183,8 +186,19 @@ def test_a_replay_agrees_to_the_bit_and_tampering_does_not(tmp_path: Path) -> No
     with opened(path) as connection:
         found = replay(connection, COLLECTION)
         assert found.differences == []
-        assert (found.participants, plan_of(connection).hash) == (4, COLLECTION.plan.hash)
+        assert plan_of(connection, CollectPlan).hash == COLLECTION.plan.hash
+        assert found.participants == 4
         assert found.steps == 3 * 15 + 6  # the sixth clip was on the page when the last one left
+
+
+def tampered(path: Path, *statements: str) -> None:
+    """Does what nobody may, with every trigger out of the way."""
+    with sqlite3.connect(path) as connection:
+        for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'"):
+            connection.execute(f"DROP TRIGGER {name}")
+        for statement in statements:
+            assert connection.execute(statement).rowcount > 0, statement
+    connection.close()
 
 
 @pytest.mark.parametrize(
@@ -204,23 +218,52 @@ def test_a_replay_agrees_to_the_bit_and_tampering_does_not(tmp_path: Path) -> No
     ],
 )
 def test_what_was_changed_is_found(tmp_path: Path, tamper: str) -> None:
-    import sqlite3
-
     path = tmp_path / "c.sqlite"
     filled(path, COLLECTION, 3)
-    with sqlite3.connect(path) as connection:
-        for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'"):
-            connection.execute(f"DROP TRIGGER {name}")
-        assert connection.execute(tamper).rowcount > 0
-    connection.close()
+    tampered(path, tamper)
     with opened(path) as reading:
         assert replay(reading, COLLECTION).differences
+
+
+GONE = (
+    "UPDATE invitation SET participant = NULL WHERE participant = '{who}'",
+    "DELETE FROM event WHERE participant = '{who}'",
+    "DELETE FROM step WHERE participant = '{who}'",
+    "DELETE FROM participant WHERE id = '{who}'",
+)
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_a_participant_who_is_gone_from_every_table_is_missed(tmp_path: Path, place: int) -> None:
+    path = tmp_path / "c.sqlite"
+    who = filled(path, COLLECTION, 3)[place]
+    tampered(path, *(statement.format(who=who) for statement in GONE))
+    with opened(path) as reading:
+        assert replay(reading, COLLECTION).differences
+
+
+def test_who_kept_the_head_misses_a_participant_whom_a_forged_log_never_had(
+    tmp_path: Path,
+) -> None:
+    """The last one is cut off and the log closed behind them: it is right in itself."""
+    path = tmp_path / "c.sqlite"
+    last = filled(path, COLLECTION, 3)[-1]
+    head = export(path, tmp_path / "out")
+    assert (tmp_path / "out" / "head.txt").read_text().strip() == head
+    end = "SELECT digest FROM event ORDER BY number DESC LIMIT 1"
+    close = f"UPDATE meta SET value = ({end}) WHERE key = 'head'"
+    tampered(path, *(statement.format(who=last) for statement in GONE), close)
+    with opened(path) as reading:
+        assert replay(reading, COLLECTION).differences == []
+        assert replay(reading, COLLECTION, head).differences
+    with pytest.raises(SystemExit):
+        main(["collect", "replay", str(path), "--head", head])
 
 
 def test_priors_come_from_those_who_had_finished_before(tmp_path: Path) -> None:
     path = tmp_path / "c.sqlite"
     everybody = filled(path, COLLECTION)
-    store = Store(path, COLLECTION)
+    store = Store(path, CollectProtocol(COLLECTION))
     states = [store.participant(who).state for who in everybody]
     assert states[0].others == {}
     assert states[1].others == machine.asking.shared([states[0].belief])
@@ -235,13 +278,14 @@ def test_priors_come_from_those_who_had_finished_before(tmp_path: Path) -> None:
 def test_a_studys_database_is_not_a_collections(tmp_path: Path) -> None:
     from tests.study.stand_in import street_study
     from xplain.errors import XplainError
-    from xplain.study.stored import read_plan
+    from xplain.participants.stored import read_plan
+    from xplain.study.protocol.plan import StudyPlan
 
-    Store(tmp_path / "s.sqlite", street_study()).close()
+    Store(tmp_path / "s.sqlite", StudyProtocol(street_study())).close()
     with pytest.raises(XplainError, match="another study plan"):
-        Store(tmp_path / "s.sqlite", COLLECTION)
-    with pytest.raises(InputError, match="not of a study"):
+        Store(tmp_path / "s.sqlite", CollectProtocol(COLLECTION))
+    with pytest.raises(InputError, match="that of a collection"):
         export(tmp_path / "s.sqlite", tmp_path / "out")
-    Store(tmp_path / "c.sqlite", COLLECTION).close()
-    with pytest.raises(InputError, match="another version"):
-        read_plan(tmp_path / "c.sqlite")
+    Store(tmp_path / "c.sqlite", CollectProtocol(COLLECTION)).close()
+    with pytest.raises(InputError, match="that of a study"):
+        read_plan(tmp_path / "c.sqlite", StudyPlan)

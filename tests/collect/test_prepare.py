@@ -125,7 +125,7 @@ def test_what_is_wrong_is_one_line(
     with pytest.raises(SystemExit) as ended:
         main(["collect", *arguments])
     assert ended.value.code == 2
-    told = [line for line in capsys.readouterr().err.splitlines() if "simulated" not in line]
+    told = [line for line in capsys.readouterr().err.splitlines() if "preparing" not in line]
     assert len(told) == 1
     assert said in told[0]
     assert not (tmp_path / "outputs" / "collect" / "collect.sqlite").exists()
@@ -165,7 +165,7 @@ def test_24_people_and_20_questions_find_the_types(domain: str, types: int) -> N
 
     from xplain.collect.prepare import source_of
     from xplain.config import composed
-    from xplain.study.settings import fixed
+    from xplain.participants.settings import fixed
 
     cfg = composed("collect", [f"domain={domain}"])
     config: dict[str, Any] = fixed(cfg)

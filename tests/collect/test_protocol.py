@@ -157,15 +157,15 @@ def test_refusals_say_what_is_missing_and_change_nothing() -> None:
             with pytest.raises(Refused):
                 machine.advance(COLLECTION, state, "withdraw", {})
             continue
-        for kind in (*machine.KINDS.values(), "nonsense"):
-            if kind != machine.KINDS[state.stage]:
+        for kind in (*state.KINDS.values(), "nonsense"):
+            if kind != State.KINDS[state.stage]:
                 with pytest.raises(Refused):
                     machine.advance(COLLECTION, state, kind, consent(COLLECTION))
         if state.stage in ("task", "questions"):
             continue  # reading and answering nothing are both allowed
         for wrong in ({}, {"labels": [2]}, {"labels": [None]}, {"labels": [1] * 9, "stated": [0]}):
             with pytest.raises(Refused):
-                machine.advance(COLLECTION, state, machine.KINDS[state.stage], wrong)
+                machine.advance(COLLECTION, state, State.KINDS[state.stage], wrong)
 
 
 @pytest.mark.parametrize(
@@ -261,7 +261,7 @@ def test_people_as_they_are_get_no_briefing() -> None:
 def test_a_plan_is_what_its_text_says() -> None:
     plan = COLLECTION.plan
     assert CollectPlan.from_text(plan.text).text == plan.text
-    with pytest.raises(InputError, match="not of a study"):
+    with pytest.raises(InputError, match="that of a collection"):
         CollectPlan.from_text('{"version": 1}')
 
 

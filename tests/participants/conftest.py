@@ -15,11 +15,12 @@ from tests.study.conftest import study as study
 from xplain.participants.server.app import create_app
 from xplain.participants.server.store import Store
 from xplain.study.protocol.plan import Study
+from xplain.study.server.protocol import StudyProtocol
 
 
 @pytest.fixture
 def store(tmp_path: Path, study: Study) -> Iterator[Store]:
-    opened = Store(tmp_path / "study.sqlite", study)
+    opened = Store(tmp_path / "study.sqlite", StudyProtocol(study))
     yield opened
     opened.close()
 

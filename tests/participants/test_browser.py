@@ -35,10 +35,11 @@ from xplain.participants.simulation.chromium import (
     take_part,
     wait,
 )
-from xplain.participants.simulation.http_client import Page, fill
+from xplain.participants.simulation.http_client import Page
 from xplain.study.policies import study_of
 from xplain.study.prepare import study_plan
 from xplain.study.protocol.plan import Study
+from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Habits, Person
 
 By = pytest.importorskip("selenium.webdriver.common.by", reason="selenium is not installed").By
@@ -92,7 +93,7 @@ def rescue() -> Study:
 
 
 def serving(path: Path, study: Study) -> ServerProcess:
-    Store(path, study).close()
+    Store(path, StudyProtocol(study)).close()
     return ServerProcess(path, "server.burst=1e6", "server.visitor_burst=1e6")
 
 
@@ -172,7 +173,7 @@ def test_every_page_is_accessible_and_is_photographed(
             page = Page(driver.page_source)
             if not page.hidden:
                 break
-            fields = fill(forgetful, page)[0]
+            fields = forgetful.fill(page)[0]
             if page.stage == "training":
                 fields = [("label", str(len(page.messages)))]
             if "Not all of your answers" in driver.page_source:
@@ -235,7 +236,7 @@ def scrolled(driver: Driver, person: Person) -> float:
     the button, no further than they have to."""
     total = 0.0
     while (page := Page(driver.page_source)).hidden:
-        fields = fill(person, page)[0]
+        fields = person.fill(page)[0]
         targets = [f'input[name="{name}"][value="{value}"]' for name, value in fields]
         pixels = driver.execute_script(FILLED, [*targets[::-1], "main form button"])
         if page.stage == "evaluation":
@@ -278,7 +279,7 @@ def test_bots_in_chromium_take_part_and_replay_agrees(
             assert "Simulated participant" in driver.page_source
     main(["study", "replay", str(path)])
     assert "all equal" in capsys.readouterr().out
-    store = Store(path, study)
+    store = Store(path, StudyProtocol(study))
     (times,) = store.query(
         "SELECT count(*) AS n, min(browser) AS low FROM event WHERE kind = 'labels'"
     )
@@ -299,7 +300,7 @@ def test_the_keyboard_is_enough(driver: Driver, study: Study, tmp_path: Path) ->
         wait(lambda: moved_on(driver, "none"))
         person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
         while (page := Page(driver.page_source)).hidden:
-            wanted = dict(fill(person, page)[0])
+            wanted = dict(person.fill(page)[0])
             for name, value in wanted.items():
                 _tab_to(driver, f'input[name="{name}"]')
                 for _ in range(4):  # arrows move within a group of radio buttons
@@ -338,13 +339,13 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
         for _ in range(5):
             page = Page(driver.page_source)
-            choose(driver, fill(person, page)[0])
+            choose(driver, person.fill(page)[0])
             button = driver.find_element(By.CSS_SELECTOR, "main form button")
             driver.execute_script("arguments[0].click(); arguments[0].click()", button)
             wait(lambda before=page.hidden["sequence"]: moved_on(driver, before))  # type: ignore[misc]
         page = Page(driver.page_source)
         assert page.stage == "evaluation"
-        choose(driver, fill(person, page)[0])
+        choose(driver, person.fill(page)[0])
         server.kill()
         press(driver)
         wait(lambda: "No connection" in driver.find_element(By.ID, "connection").text)
@@ -372,7 +373,7 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         driver.refresh()
         wait(lambda: moved_on(driver, here))
         assert len(Page(driver.page_source).groups()) == 3
-    store = Store(path, study)
+    store = Store(path, StudyProtocol(study))
     kinds = [row["kind"] for row in store.query("SELECT kind FROM event WHERE source = 'protocol'")]
     assert kinds == ["consent", "read", "example", "example", "eligibility", "labels", "labels"]
     store.close()

@@ -16,11 +16,11 @@ from tests.participants.test_browser import axe as axe
 from tests.participants.test_browser import driver as driver
 from xplain.cli.main import main
 from xplain.collect.protocol.plan import Collection, Rules
+from xplain.collect.server.protocol import CollectProtocol
 from xplain.collect.simulation.observer import observer
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
 from xplain.participants.simulation.chromium import Driver, answer, go_in, press, take_part, wait
-from xplain.participants.simulation.collect_bots import fill
 from xplain.participants.simulation.http_client import Page
 from xplain.questions.designs import Adaptive
 
@@ -38,7 +38,7 @@ def rescue() -> Collection:
     time."""
     from xplain.collect.prepare import assemble, source_of
     from xplain.config import composed
-    from xplain.study.settings import fixed
+    from xplain.participants.settings import fixed
 
     questions = (
         "wording.questions=[{name: age, label: Your age, kind: number, low: 18, high: 110},"
@@ -52,7 +52,7 @@ def rescue() -> Collection:
 
 
 def serving(path: Path, collection: Collection) -> ServerProcess:
-    Store(path, collection).close()
+    Store(path, CollectProtocol(collection)).close()
     limits = ("server.burst=1e6", "server.visitor_burst=1e6")
     return ServerProcess(path, *limits, command="collect")
 
@@ -71,7 +71,7 @@ def test_every_page_is_accessible_and_is_photographed(
 
         go_in(driver, server.url, researcher.invite(1, "pilot")[0])
         person = observer(rescue.plan, FAULTLESS, 0, 0)
-        assert take_part(driver, person, look=look, fill=fill) == "done"
+        assert take_part(driver, person, look=look) == "done"
         assert set(seen) == {*rescue_stages(rescue)}
         assert complaints(driver) == []
 
@@ -79,7 +79,7 @@ def test_every_page_is_accessible_and_is_photographed(
         go_in(driver, server.url, researcher.invite(1, "pilot")[0])
         for _ in range(2):
             page = Page(driver.page_source)
-            answer(driver, page, fill(person, page)[0])
+            answer(driver, page, person.fill(page)[0])
         answer(driver, Page(driver.page_source), [("label", "1")])
         look_at(driver, axe, "practice-wrong")
         driver.find_element(By.CSS_SELECTOR, "details.leave summary").click()
@@ -110,7 +110,7 @@ def test_bots_in_a_browser_answer_as_those_without(
         assert "3 done" in capsys.readouterr().out
     main(["collect", "replay", str(path)])
     assert "all equal" in capsys.readouterr().out
-    store = Store(path, collection)
+    store = Store(path, CollectProtocol(collection))
     plan = collection.plan
     for number, row in enumerate(store.query("SELECT state FROM participant ORDER BY number")):
         state = store.protocol.state(row["state"])
@@ -126,11 +126,11 @@ def test_a_lost_network_loses_no_label(driver: Driver, tmp_path: Path) -> None:
         go_in(driver, server.url, Researcher(server.url, server.key).invite(1)[0])
         person = observer(collection.plan, FAULTLESS, 0, 0)
         while (page := Page(driver.page_source)).stage != "clips":
-            answer(driver, page, fill(person, page)[0])
+            answer(driver, page, person.fill(page)[0])
         server.kill()
         from xplain.participants.simulation.chromium import choose
 
-        choose(driver, fill(person, page)[0])
+        choose(driver, person.fill(page)[0])
         press(driver)
         wait(lambda: "kept here" in driver.find_element(By.ID, "connection").text)
         server.start()

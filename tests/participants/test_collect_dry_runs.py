@@ -16,12 +16,12 @@ from tests.collect.stand_in import FAULTLESS, street_collection
 from tests.participants.server_process import ServerProcess
 from xplain.cli.main import main
 from xplain.collect.protocol.plan import Collection
+from xplain.collect.server.protocol import CollectProtocol
 from xplain.collect.simulation.observer import Observer, observer
 from xplain.learning.saved_types import LearnedTypes
 from xplain.message_sets import names_of
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
-from xplain.participants.simulation.collect_bots import fill
 from xplain.participants.simulation.http_client import Browser, Page
 
 RATE = ("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6")
@@ -36,7 +36,7 @@ def collection() -> Collection:
 def database(tmp_path: Path, collection: Collection) -> Path:
     """With a plan in it."""
     path = tmp_path / "collect.sqlite"
-    Store(path, collection).close()
+    Store(path, CollectProtocol(collection)).close()
     return path
 
 
@@ -102,7 +102,7 @@ class Careful:
         page = Page(self.browser.post("/enter", fields)[1])
         while page.hidden:
             time.sleep(0.1)
-            answer = [*page.hidden.items(), *fill(self.person, page)[0]]
+            answer = [*page.hidden.items(), *self.person.fill(page)[0]]
             status, html = self.browser.post("/study", answer)
             assert status == 200, html
             self.acknowledged.append(int(page.hidden["sequence"]))
@@ -139,7 +139,7 @@ def survive(database: Path, collection: Collection, kills: int, people: int) -> 
         ended.set()
         visitors = [visitor for future in futures for visitor in future.result()]
     server.stop()
-    store, stored = Store(database, collection), 0
+    store, stored = Store(database, CollectProtocol(collection)), 0
     for visitor in visitors:
         who = store.enter_invited(visitor.invitation)
         rows = store.query(
@@ -177,9 +177,9 @@ def test_a_kill_loses_nothing_that_was_acknowledged(
 
 
 def test_a_running_collection_keeps_its_plan(database: Path, collection: Collection) -> None:
-    from xplain.participants.simulation.collect_bots import plan
+    from xplain.collect.protocol.plan import CollectPlan
 
     with ServerProcess(database, "points=30", "queries=battery", command="collect") as server:
         assert "are ignored" in server.log()
         assert "points" in server.log()
-        assert plan(Researcher(server.url, server.key)).hash == collection.plan.hash
+        assert Researcher(server.url, server.key).plan(CollectPlan).hash == collection.plan.hash

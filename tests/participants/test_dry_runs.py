@@ -19,9 +19,10 @@ from tests.study.stand_in import FAULTLESS, street_study
 from xplain.cli.main import main
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
-from xplain.participants.simulation.http_client import Browser, Page, Refusal, fill, visit
+from xplain.participants.simulation.http_client import Browser, Page, Refusal, visit
 from xplain.study.analysis.export import export
-from xplain.study.protocol.plan import Study
+from xplain.study.protocol.plan import Study, StudyPlan
+from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Habits, Person
 
 RATE = ("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6")
@@ -31,7 +32,7 @@ RATE = ("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_bu
 def database(tmp_path: Path, study: Study) -> Path:
     """With a plan in it."""
     path = tmp_path / "study.sqlite"
-    Store(path, study).close()
+    Store(path, StudyProtocol(study)).close()
     return path
 
 
@@ -74,7 +75,7 @@ class Careful:
         page = Page(html)
         while page.hidden:
             time.sleep(0.15)
-            answer = [*page.hidden.items(), *fill(self.person, page)[0]]
+            answer = [*page.hidden.items(), *self.person.fill(page)[0]]
             status, html = self.browser.post("/study", answer)
             assert status == 200, html
             self.acknowledged.append((int(page.hidden["sequence"]), page.stage))
@@ -116,7 +117,7 @@ def survive(database: Path, study: Study, kills: int, people: int) -> tuple[int,
 
 
 def _compare(database: Path, study: Study, visitors: list[Careful]) -> tuple[int, int]:
-    store = Store(database, study)
+    store = Store(database, StudyProtocol(study))
     stored: dict[str, list[tuple[int, str]]] = {}
     for visitor in visitors:
         who = store.enter_invited(visitor.invitation)
@@ -164,7 +165,7 @@ def test_kill_9_twenty_times_under_eight_participants(
 
 def fill_every_place(study: Study, path: Path, habits: Habits) -> Counter[str]:
     """People's places, filled over HTTP by simulated people some of whom drop out for good."""
-    Store(path, study).close()
+    Store(path, StudyProtocol(study)).close()
     places = len(study.plan.cells) * study.plan.rules.per_cell
     stages: Counter[str] = Counter()
     with ServerProcess(path, *RATE) as server:
@@ -240,5 +241,5 @@ def test_a_running_study_keeps_its_plan(database: Path, study: Study) -> None:
     with ServerProcess(database, "rules.per_cell=99", "lambda=2") as server:
         assert "are ignored" in server.log()
         assert "lambda" in server.log()
-        plan = Researcher(server.url, server.key).plan()
+        plan = Researcher(server.url, server.key).plan(StudyPlan)
     assert plan.hash == study.plan.hash

@@ -10,7 +10,7 @@ from flask.testing import FlaskClient
 
 from xplain.participants.server.http import Server
 from xplain.participants.server.store import Store
-from xplain.participants.simulation.http_client import Browser, Page, fill
+from xplain.participants.simulation.http_client import Browser, Page
 from xplain.study.simulation.participant import Person
 
 GENEROUS = Server(
@@ -49,7 +49,7 @@ def enter(visitor: Visitor, invitation: str) -> str:
 
 def consent(store: Store, who: str) -> Any:
     """Agrees, straight at the store."""
-    payload = {"agree": 1, "text": store.study.plan.texts.consent_hash}
+    payload = {"agree": 1, "text": store.protocol.plan.texts.consent_hash}
     return store.submit(who, 0, "consent", payload)
 
 
@@ -61,5 +61,5 @@ def pages(visitor: Visitor, person: Person, invitation: str) -> Iterator[tuple[s
         yield html, page
         if not page.hidden:
             return
-        status, html = visitor.post("/study", [*page.hidden.items(), *fill(person, page)[0]])
+        status, html = visitor.post("/study", [*page.hidden.items(), *person.fill(page)[0]])
         assert status == 200

@@ -16,7 +16,7 @@ from xplain.config import CONF
 from xplain.domains.base import Item, Parameter, Scene
 from xplain.domains.mdp import MDP
 from xplain.study.policies import study_of
-from xplain.study.prepare import assemble
+from xplain.study.prepare import drafted, stored
 from xplain.study.protocol.plan import Study, StudyPlan
 from xplain.study.simulation.participant import Habits
 from xplain.users.setting import Setting, UserType
@@ -110,6 +110,7 @@ CONFIG: dict[str, Any] = {
     },
     "belief": {"_target_": "xplain.explanation.belief.Independent"},
     "rules": {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30, "recall": True},
+    "briefing": "assigned",
     "before": [],
     "questions": [
         {"name": "age", "label": "Your age", "kind": "number", "low": 18, "high": 110},
@@ -120,6 +121,8 @@ CONFIG: dict[str, Any] = {
         "contact": "nobody",
         "consent": ["Do you want to?"],
         "introduction": ["A robot walks."],
+        "introduction_natural": [],
+        "briefed": {"consent": ["Not all is right."], "debriefing": ["On purpose."]},
         "task": ["Label."],
         "debriefing": ["Bye."],
         "known": [],
@@ -139,7 +142,7 @@ def street_plan(map_shown: bool = True, **changes: Any) -> StudyPlan:
     setting = Setting.build(Street(map_shown), TYPES)
     trace = np.array([[j, 0, j + 1] for j in range(len(PLACES))])
     labels = setting.label_table(trace)
-    return assemble(setting, trace, 0.02 + 0.96 * labels, CONFIG | changes)
+    return stored(drafted(setting, trace, 0.02 + 0.96 * labels, CONFIG | changes))
 
 
 def street_study(**changes: Any) -> Study:

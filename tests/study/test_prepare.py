@@ -17,9 +17,12 @@ from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.participants.server.app import create_app
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import visit
-from xplain.study import prepare
+from xplain.participants.wording import phrases_of
+from xplain.study import known_types, prepare
 from xplain.study.policies import difference, study_of
-from xplain.study.prepare import choose_trace, phrases_of, study_plan
+from xplain.study.prepare import ranked_traces, study_plan
+from xplain.study.protocol.plan import StudyPlan
+from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Person
 from xplain.users.setting import Setting
 
@@ -57,7 +60,7 @@ def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) ->
     for role in plan.roles:
         assert len(role.quiz) == 4
     study = study_of(plan)
-    store = Store(tmp_path / "s.sqlite", study)
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study))
     client = Visitor(create_app(store, GENEROUS).test_client())
     person = Person(plan, FAULTLESS, np.random.default_rng(0))
     assert visit(client, person, store.invite(1, "bot")[0]) == "done"
@@ -78,9 +81,9 @@ def trace_rules(**changes: object) -> dict[str, object]:
 
 def test_a_trace_has_the_steps_that_are_asked_for() -> None:
     setting = street()
-    assert len(choose_trace(setting, trace_rules(min_steps=4), 20, 0)) == 4
+    assert len(ranked_traces(setting, trace_rules(min_steps=4), 20, 0)[0]) == 4
     with pytest.raises(InputError, match=r"trace\.min_steps=5: 4 steps or fewer"):
-        choose_trace(setting, trace_rules(min_steps=5), 20, 0)
+        ranked_traces(setting, trace_rules(min_steps=5), 20, 0)
 
 
 def test_conditions_that_say_the_same_differ_by_nothing() -> None:
@@ -110,6 +113,22 @@ def test_a_study_whose_conditions_are_alike_is_refused() -> None:
         )
 
 
+def test_the_first_trace_on_which_the_conditions_differ_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of the best traces by what types need, the first is passed over where nothing differs."""
+    cfg = composed("study", ["seed=0", "observers.points=50", "trace.candidates=20"])
+    tried: list[tuple[str, ...]] = []
+
+    def gap(plan: StudyPlan) -> float:
+        tried.append(plan.trace)
+        return 0.0 if len(tried) < 3 else 1.0
+
+    monkeypatch.setattr(prepare, "difference", gap)
+    assert study_plan(cfg).trace == tried[2]
+    assert len(set(tried)) == 3
+
+
 def test_learned_types_are_found_by_their_labels_whatever_their_order(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -119,15 +138,19 @@ def test_learned_types_are_found_by_their_labels_whatever_their_order(
         shown = np.array([[j, 0, j + 1] for j in range(4)])
         return setting.label_table(shown)[order].astype(float)
 
-    monkeypatch.setattr(prepare, "p_explicable", tables)
+    def learned(order: list[int]) -> known_types.Learned:
+        names = tuple(str(one) for one in order)
+        return known_types.Learned(names, order, np.ones(len(order)), (0, 1, 2, 3, 4), "types")  # type: ignore[arg-type]
+
+    monkeypatch.setattr(known_types, "p_explicable", tables)
     for order in ([0, 1, 2], [2, 0, 1], [1, 0, 2]):
-        found = prepare.matched(setting, order, 0)  # type: ignore[arg-type]
+        found = known_types.matched(setting, learned(order), 0)
         assert [order[one] for one in found] == [0, 1, 2]
     for unclear in ([0, 0, 2], [1, 1, 1]):
-        with pytest.raises(InputError, match="observers="):
-            prepare.matched(setting, unclear, 0)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="clusterer=2"):
-        prepare.matched(setting, [0, 1], 0)  # type: ignore[arg-type]
+        with pytest.raises(InputError, match="types="):
+            known_types.matched(setting, learned(unclear), 0)
+    with pytest.raises(InputError, match="types=2"):
+        known_types.matched(setting, learned([0, 1]), 0)
 
 
 def test_places_have_letters_and_numbers_and_phrases_their_words() -> None:

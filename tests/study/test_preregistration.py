@@ -10,6 +10,7 @@ from tests.study.stand_in import street_plan, street_study
 from xplain.cli.main import main
 from xplain.participants.server.store import Store
 from xplain.study.preregistration import document
+from xplain.study.server.protocol import StudyProtocol
 
 RULES = {"per_cell": 7, "max_attempts": 3, "timeout_minutes": 45, "recall": True, "min_width": 900}
 CHECK = {"name": "blue", "label": "Choose blue", "kind": "choice", "choices": ["red", "blue"]}
@@ -54,7 +55,7 @@ def test_the_command_reads_a_study_that_was_started(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study = street_study()
-    Store(tmp_path / "s.sqlite", study).close()
+    Store(tmp_path / "s.sqlite", StudyProtocol(study)).close()
     main(["study", "preregister", str(tmp_path / "s.sqlite"), "--out", str(tmp_path / "p.md")])
     assert (tmp_path / "p.md").read_text() == document(study.plan)
     with pytest.raises(SystemExit):

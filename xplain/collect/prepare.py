@@ -20,19 +20,19 @@ from xplain.collect.protocol.plan import (
     Picture,
     Role,
     Rules,
-    Texts,
 )
+from xplain.config import CONF
 from xplain.domains.base import Domain, Scene, changes_of
 from xplain.errors import InputError, number
 from xplain.message_sets import mask_of, names_of
+from xplain.participants.protocol.plan import Asked, Fact, facts_of
+from xplain.participants.settings import fixed
+from xplain.participants.wording import InWords, named, phrases_of, texts_of, worded
 from xplain.questions.battery import battery
 from xplain.questions.designs import Adaptive, Battery, hypotheses_of
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.own_transitions import read_transitions, with_features
 from xplain.randomness import derived_seed, stream
-from xplain.study.protocol.content import facts_of
-from xplain.study.protocol.plan import Asked, Fact
-from xplain.study.settings import fixed
 from xplain.users.types import TypeSource
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ class Source:
     Attributes:
         name: of the task.
         hypotheses: T transitions with phrases and features.
+        whole: see :class:`CollectPlan`.
         facts: [n] sentences.
         roles: {name: bitmask of what it holds wrong}, of simulated people.
         situations, gone, paths, changes, scene, pictures: see :class:`CollectPlan`.
@@ -74,6 +75,7 @@ class Source:
     changes: tuple[tuple[str, ...], ...] = ()
     scene: Scene | None = None
     pictures: tuple[Picture | None, ...] = field(default_factory=tuple)
+    whole: Hypotheses | None = None
     domain: Domain | None = None
     users: TypeSource | None = None
 
@@ -122,7 +124,8 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
     Raises:
         InputError: a parameter lacks a sentence.
     """
-    known = hypotheses_of(domain, None).told_apart_by_features()
+    whole = hypotheses_of(domain, None)
+    known = whole.told_apart_by_features()
     types = users.types(domain, stream(seed, "users"))
     names = known.messages
     assert known.states is not None, "hypotheses of a domain know states"
@@ -135,6 +138,7 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
     return Source(
         name=domain.name,
         hypotheses=known,
+        whole=whole,
         facts=facts_of(domain.parameters),
         roles={one.name: mask_of(one.inaccurate, names) for one in types},
         situations=_at_start(domain, "situation", known),
@@ -240,43 +244,36 @@ def assemble(
         XplainError: a part contradicts another.
     """
     known, wording = source.hypotheses, config["wording"]
+    in_words = phrases_of(wording["phrases"], source.scene is not None)
+    known = replace(known, phrases=tuple(map(in_words, known.phrases)))
+    facts = worded(source.facts, wording["facts"], in_words)
     listed: tuple[tuple[int, int], ...] = ()
     if isinstance(design, Battery):
         own = derived_seed(config["seed"], "queries")
         which, told = battery(known, design.redundancy, own, rules.points)
         pairs = zip(which.tolist(), told.tolist(), strict=True)
         listed = tuple(pairs)[: rules.points]
-    symbols = [item.symbol for item in source.scene.items] if source.scene else []
-    hide = [symbol for symbol in wording["hide"] if source.scene]
-    for symbol in hide:
-        if symbol not in symbols:
-            raise InputError("wording.hide", symbol, f"symbols on the map: {', '.join(symbols)}")
     return CollectPlan(
         seed=config["seed"],
         domain=source.name,
-        texts=_texts(wording),
+        texts=texts_of(wording, CONF / "collect" / "texts" / "en.yaml", in_words),
         example=Example(**wording["example"]),
         rules=rules,
-        asked=tuple(
-            Asked(**{**one, "choices": tuple(one.get("choices", ()))})
-            for one in wording["questions"]
-        ),
-        facts=source.facts,
-        roles=tuple(_role(name, held, source.facts) for name, held in source.roles.items()),
+        asked=tuple(map(Asked.of, wording["questions"])),
+        facts=facts,
+        roles=tuple(_role(name, held, facts) for name, held in source.roles.items()),
         assigned=config["briefing"] == "assigned",
         hypotheses=known,
+        whole=source.whole,
         subject=wording["words"]["robot"] if source.domain else "",
         questions=listed,
         design=design if isinstance(design, Adaptive) else Adaptive(),
-        situations=source.situations,
-        gone=source.gone,
+        situations=_each(source.situations, in_words),
+        gone=_each(source.gone, in_words),
         paths=source.paths,
-        changes=source.changes,
-        scene=source.scene
-        and replace(
-            source.scene, items=tuple(i for i in source.scene.items if i.symbol not in hide)
-        ),
-        icons=wording["icons"],
+        changes=_each(source.changes, in_words),
+        scene=source.scene and named(source.scene, wording["hide"], in_words),
+        icons={in_words(name): path for name, path in wording["icons"].items()},
         pictures=source.pictures,
         attention=wording["attention"],
         expectation={},
@@ -293,16 +290,10 @@ def with_expectation(plan: CollectPlan, source: Source, error: float) -> Collect
     return CollectPlan.from_text(plan.text)
 
 
+def _each(sentences: tuple[tuple[str, ...], ...], in_words: InWords) -> tuple[tuple[str, ...], ...]:
+    return tuple(tuple(map(in_words, of_one)) for of_one in sentences)
+
+
 def _role(name: str, held: int, facts: Sequence[Fact]) -> Role:
     briefing = tuple(f.belief if held >> j & 1 else f.message for j, f in enumerate(facts))
     return Role(name, held, briefing)
-
-
-def _texts(wording: Mapping[str, Any]) -> Texts:
-    paragraphs = ("consent", "introduction", "task", "goodbye")
-    return Texts(
-        title=wording["title"],
-        contact=wording["contact"],
-        words=wording["words"],
-        **{key: tuple(wording[key]) for key in paragraphs},
-    )

@@ -10,10 +10,10 @@ from hydra.utils import instantiate
 
 from xplain.errors import XplainError
 from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.participants.stored import renamed
 from xplain.randomness import derived_seed, stream
 from xplain.study.protocol import machine
 from xplain.study.protocol.plan import Study, StudyPlan
-from xplain.study.stored import renamed
 
 PROBES = 16
 """Walks with random labels, a condition, that a changed code would have to repeat."""
@@ -76,9 +76,11 @@ def probes(study: Study) -> dict[str, tuple[str, ...]]:
 
 def _walk(study: Study, condition: str, number: int) -> str:
     rng = stream(0, "probes", number)
-    state = machine.State(stage="eligibility", user_type=0, condition=condition)
-    right = [question.answer for question in study.plan.roles[0].eligibility]
-    state = machine.advance(study, state, "eligibility", {"answers": right}).state
+    state = machine.State(stage="training", part=1, user_type=0, condition=condition)
+    state = machine.advance(study, state, "example", {"label": 1}).state
+    if state.stage == "eligibility":
+        right = [question.answer for question in study.plan.roles[0].eligibility]
+        state = machine.advance(study, state, "eligibility", {"answers": right}).state
     messages = [state.new]
     while state.stage == "evaluation":
         # Mostly 1, so that beliefs stay apart rather than settle at once.

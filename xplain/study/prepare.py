@@ -2,44 +2,38 @@
 
 from __future__ import annotations
 
-import re
 import secrets
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
-from xplain.by_type import ByType, LabelTable
+from xplain.by_type import LabelTable
 from xplain.config import CONF
 from xplain.data.rollouts import sample_trace
-from xplain.domains.base import Domain, Parameter, Scene, cell_name, changes_of, transition_features
+from xplain.domains.base import Domain, changes_of, transition_features
 from xplain.errors import InputError, whole_number
 from xplain.experiment.explanations import Costs
-from xplain.experiment.pipeline import learn, observe
-from xplain.learning.clustering import Perfect
-from xplain.learning.labelers import Labeler
 from xplain.learning.user_types import p_explicable
+from xplain.participants.protocol.plan import Asked, facts_of
+from xplain.participants.settings import fixed
+from xplain.participants.wording import InWords, named, phrases_of, texts_of, worded
 from xplain.randomness import stream
+from xplain.study.known_types import Learned, learned_types, matched
 from xplain.study.policies import difference, with_probes
 from xplain.study.protocol import content
-from xplain.study.protocol.plan import Asked, Known, Rules, StudyPlan, Texts, Training
-from xplain.study.settings import fixed
+from xplain.study.protocol.plan import Known, Rules, StudyPlan, Training
 from xplain.users.setting import Setting
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-InWords = Callable[[str], str]
 LEAST_DIFFERENCE = 1.0
 """Messages by which the conditions differ, a participant, on average."""
-LEAST_AGREEMENT = 0.8
-"""Share of labels in which a learned type is the true one."""
-MATCHING_TRACES, MATCHING_STEPS = 50, 40
+TRIED = 20
+"""Traces on which the conditions are compared, the best ones first."""
 COSTS = ("message_cost", "inexplicability_cost", "discount", "discount_per", "prior")
 """Keys of the configuration that the explanation problem takes as they are."""
 
@@ -53,103 +47,39 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     Raises:
         XplainError: the configuration cannot be used; the text says what to change.
     """
-    from hydra.utils import instantiate
 
     if cfg.seed is None:
         cfg = cfg.copy()
         cfg.seed = secrets.randbelow(2**31)
     config = fixed(cfg)
     Rules(**config["rules"])  # refused before the work, not after it
-    observed = observe(
-        instantiate(cfg.domain),
-        instantiate(cfg.users),
-        instantiate(cfg.observers),
-        instantiate(cfg.queries),
-        cfg.seed,
+    if config["briefing"] not in ("assigned", "none"):
+        raise InputError("briefing", config["briefing"], "assigned or none")
+    setting, learned = learned_types(cfg)
+    if config["briefing"] == "assigned" and learned.key:
+        learned = learned.ordered(matched(setting, learned, cfg.seed))
+    traces = ranked_traces(setting, config["trace"], config["max_steps"], cfg.seed)[:TRIED]
+    gaps = []
+    for transitions in traces:
+        features = transition_features(setting.domain, transitions)[:, learned.columns]
+        table = p_explicable(learned.labelers, features, setting.n_messages, transitions)
+        plan = drafted(setting, transitions, table, config, learned)
+        gaps.append(difference(plan))
+        if gaps[-1] >= LEAST_DIFFERENCE:
+            return stored(plan)
+    raise InputError(
+        "conditions",
+        " and ".join(config["conditions"]),
+        f"conditions that differ by a message a participant or more, on average; on the best of "
+        f"{len(gaps)} traces these differ by {max(gaps):.1f}: another seed than {cfg.seed}, more "
+        "trace.candidates, a smaller trace.min_steps, other users or another lambda",
     )
-    setting = observed.setting
-    transitions = choose_trace(setting, config["trace"], config["max_steps"], cfg.seed)
-    clusterer = instantiate(cfg.clusterer)
-    learned = learn(
-        observed.dataset,
-        instantiate(cfg.labeler),
-        clusterer,
-        cfg.seed,
-        observed.truth,
-    )
-    order = list(range(len(setting.types)))
-    if not isinstance(clusterer, Perfect):  # which finds the types in their order
-        order = matched(setting, learned.labelers, cfg.seed)
-    features = transition_features(setting.domain, transitions)
-    labelers = [learned.labelers[one] for one in order]
-    table = p_explicable(labelers, features, setting.n_messages)
-    plan = assemble(setting, transitions, table, config)
-    if (gap := difference(plan)) < LEAST_DIFFERENCE:
-        raise InputError(
-            "conditions",
-            " and ".join(plan.conditions),
-            f"conditions that differ by a message a participant or more, on average; on the best "
-            f"trace these differ by {gap:.1f}: another seed, other types, or trace.min_steps",
-        )
-    return plan
 
 
-def matched(setting: Setting, labelers: Sequence[Labeler], seed: int) -> list[int]:
-    """Which labeler is that of each type: found by their labels, never by their order.
-
-    Labels of transitions of the robot, with every message set, are compared. Labelers and types
-    are paired so that as few labels as can be differ.
-
-    Args:
-        setting: with N types.
-        labelers: found in data, in any order.
-        seed: of the draws of transitions.
-
-    Raises:
-        InputError: not N labelers, or one that fits no type, or two types as well.
-    """
-    if len(labelers) != len(setting.types):
-        wanted = f"as many learned types as the study has: {len(setting.types)}"
-        raise InputError("clusterer", len(labelers), wanted)
-    shown = np.unique(
-        np.concatenate(
-            [
-                sample_trace(
-                    setting.models[0],
-                    setting.optimal[0],
-                    setting.domain.starts,
-                    stream(seed, "matching", index),
-                    MATCHING_STEPS,
-                )
-                for index in range(MATCHING_TRACES)
-            ]
-        ),
-        axis=0,
-    )
-    features = transition_features(setting.domain, shown)
-    table = p_explicable(labelers, features, setting.n_messages)
-    assert not isinstance(table, ByType), "a study has few messages"
-    learned = table > 0.5
-    true = setting.label_table(shown).astype(bool)
-    agreement = np.array([[(one == own).mean() for one in learned] for own in true])
-    _, order = linear_sum_assignment(-agreement)
-    for t, user_type in enumerate(setting.types):
-        own = agreement[t, order[t]]
-        others = np.delete(agreement[t], order[t])
-        if own < LEAST_AGREEMENT or (len(others) and own <= others.max()):
-            raise InputError(
-                "observers",
-                f"{user_type.name}: {100 * own:.0f} % of labels agree",
-                f"labels in which each type of the study is found again: at least "
-                f"{100 * LEAST_AGREEMENT:.0f} % agree, and with no other type as many",
-            )
-    return [int(one) for one in order]
-
-
-def choose_trace(
+def ranked_traces(
     setting: Setting, trace: Mapping[str, Any], max_steps: int, seed: int
-) -> NDArray[np.int64]:
-    """The one trace that every participant evaluates: [m, 3].
+) -> list[NDArray[np.int64]]:
+    """Traces [m, 3] that every participant could evaluate, the best first, none twice.
 
     Of ``candidates`` random ones of at least ``min_steps``, the shortest of those for which the
     types need the most facts corrected: a trace that most types understand anyway would measure
@@ -187,48 +117,62 @@ def choose_trace(
     if not long:
         longest = max(len(one) for one in drawn)
         raise InputError("trace.min_steps", trace["min_steps"], f"{longest} steps or fewer here")
-    return max(long, key=worth)
+    distinct = {one.tobytes(): one for one in long}
+    return sorted(distinct.values(), key=worth, reverse=True)
 
 
-def assemble(
+def stored(plan: StudyPlan) -> StudyPlan:
+    """A draft with what its policies decide, as it comes from the database: what is stored is what
+    runs, from the first participant on."""
+    return StudyPlan.from_text(with_probes(plan).text)
+
+
+def drafted(
     setting: Setting,
     transitions: NDArray[np.int64],
     p_explicable: LabelTable,
     config: Mapping[str, Any],
+    learned: Learned | None = None,
 ) -> StudyPlan:
-    """A plan from its parts.
+    """A plan from its parts, without probes.
 
     Args:
         setting: domain and types.
         transitions: [m, 3] the evaluation trace.
         p_explicable: [N, m, 2^n] of the labelers.
         config: the study's resolved configuration (the keys of conf/study.yaml).
+        learned: names and shares of the types of the table; None: those of the setting.
 
     Raises:
         XplainError: a part contradicts another.
     """
-    domain, types, wording = setting.domain, setting.types, config["wording"]
+    domain, types, natural = setting.domain, setting.types, config["briefing"] == "none"
+    wording = _worded(config["wording"], natural)
     in_words = phrases_of(wording["phrases"], domain.scene is not None)
-    parameters = _worded(domain.parameters, wording["facts"], in_words)
+    parameters = worded(domain.parameters, wording["facts"], in_words)
     labels = setting.label_table(transitions)
     costs = Costs(trade_off=config["lambda"], **{key: config[key] for key in COSTS})
-    names = tuple(user_type.name for user_type in types)
-    uniform = np.full(len(types), 1 / len(types))
-    plan = StudyPlan(
+    # Roles and types have the same names; people as they are may be of any types that were found.
+    names = tuple(one.name for one in types) if learned is None or not natural else learned.names
+    shares = np.full(len(names), 1 / len(names)) if learned is None else learned.shares
+    facts, known = facts_of(parameters), tuple(Known(**one) for one in wording["known"])
+    roles = content.roles_of(parameters, types, labels, wording)
+    return StudyPlan(
         seed=config["seed"],
         domain=domain.name,
-        texts=_texts(wording, in_words),
-        known=tuple(Known(**one) for one in wording["known"]),
+        texts=texts_of(wording, CONF / "study" / "texts" / "en.yaml", in_words),
+        known=known,
         training=Training(**wording["training"]),
         rules=Rules(**config["rules"]),
-        before=tuple(_asked(question) for question in config["before"]),
-        asked=tuple(_asked(question) for question in config["questions"]),
-        facts=content.facts_of(parameters),
-        roles=content.roles_of(parameters, types, labels, wording),
+        before=tuple(map(Asked.of, config["before"])),
+        asked=tuple(map(Asked.of, config["questions"])),
+        facts=facts,
+        roles=(content.natural_role(facts, known, labels),) if natural else roles,
+        kinds=tuple(role.wrong for role in roles) if natural else (),
         trace=tuple(in_words(domain.describe(transition)) for transition in transitions),
         path=_path(domain, transitions),
-        scene=domain.scene and _named(_without(domain.scene, wording["hide"]), in_words),
-        problem=costs.problem(p_explicable, setting.message_names, names, uniform),
+        scene=domain.scene and named(domain.scene, wording["hide"], in_words),
+        problem=costs.problem(p_explicable, setting.message_names, names, shares),
         true_labels=labels,
         conditions=config["conditions"],
         belief=config["belief"],
@@ -240,82 +184,17 @@ def assemble(
             tuple(in_words(name) for name in names) for names in _taken(domain, transitions)
         ),
     )
-    # What is stored is what runs, from the first participant on.
-    return StudyPlan.from_text(with_probes(plan).text)
 
 
-def _texts(wording: Mapping[str, Any], in_words: InWords) -> Texts:
-    """Raises InputError: the words of a page are missing."""
-    words = wording["words"]
-    for key in known_words():
-        if not str(words.get(key) or "").strip():
-            raise InputError(f"wording.words.{key}", words.get(key), "what the page says here")
-    paragraphs = ("consent", "introduction", "task", "debriefing")
-    return Texts(
-        title=wording["title"],
-        contact=wording["contact"],
-        words=words,
-        **{key: tuple(in_words(text) for text in wording[key]) for key in paragraphs},
-    )
-
-
-def known_words() -> list[str]:
-    """Keys of everything that the study's pages say, as the English files have them."""
-    files = ("words/en.yaml", "study/texts/en.yaml")
-    shared, own = (yaml.safe_load((CONF / file).read_text(encoding="utf-8")) for file in files)
-    return [*shared, *own["words"]]
-
-
-def _asked(question: Mapping[str, Any]) -> Asked:
-    lists = {key: tuple(question.get(key, ())) for key in ("choices", "ends")}
-    return Asked(**{**question, **lists})
-
-
-def phrases_of(phrases: Mapping[str, str], on_a_map: bool) -> InWords:
-    """Turns a domain's phrases into what people read.
-
-    Args:
-        phrases: parts of phrases, and what they become; the longest that fits is taken.
-        on_a_map: whether (row, column) and "row r, column c", from 0, become a letter and a number
-            as on the map.
-    """
-    parts = sorted(phrases, key=len, reverse=True)
-    pattern = re.compile("|".join(rf"(?<!\w){re.escape(part)}(?!\w)" for part in parts))
-
-    def cell(found: re.Match[str]) -> str:
-        row, column = (int(number) for number in found.groups())
-        return cell_name(row, column)
-
-    def in_words(text: str) -> str:
-        if parts:
-            text = pattern.sub(lambda found: phrases[found[0]], text)
-        if on_a_map:
-            text = re.sub(r"\((\d+), (\d+)\)", cell, text)
-            text = re.sub(r"row (\d+), column (\d+)", cell, text)
-        return text
-
-    return in_words
-
-
-def _worded(
-    parameters: Sequence[Parameter], facts: Mapping[str, Mapping[str, str]], in_words: InWords
-) -> tuple[Parameter, ...]:
-    """The parameters with the study's own sentences.
-
-    Raises:
-        InputError: sentences for a parameter that there is not.
-    """
-    names = [parameter.name for parameter in parameters]
-    for name in facts:
-        if name not in names:
-            raise InputError(f"wording.facts.{name}", name, ", ".join(names))
-    worded = [replace(parameter, **facts.get(parameter.name, {})) for parameter in parameters]
-    return tuple(replace(p, message=in_words(p.message), belief=in_words(p.belief)) for p in worded)
-
-
-def _named(scene: Scene, in_words: InWords) -> Scene:
-    items = tuple(replace(item, name=in_words(item.name)) for item in scene.items)
-    return replace(scene, items=items)
+def _worded(wording: Mapping[str, Any], natural: bool) -> Mapping[str, Any]:
+    """The texts for people who are briefed, or for people as they are."""
+    if natural:
+        return {
+            **wording,
+            "introduction": wording["introduction_natural"] or wording["introduction"],
+        }
+    told = {key: [*wording[key], *wording["briefed"][key]] for key in ("consent", "debriefing")}
+    return {**wording, **told}
 
 
 def _changes(
@@ -344,16 +223,3 @@ def _path(
     if domain.scene is None or len(cells) < len(states):
         return None
     return tuple(pairwise(cells))
-
-
-def _without(scene: Scene, hide: Sequence[str]) -> Scene:
-    """The map without the items of these symbols.
-
-    Raises:
-        InputError: there is no such symbol on the map.
-    """
-    symbols = [item.symbol for item in scene.items]
-    for symbol in hide:
-        if symbol not in symbols:
-            raise InputError("wording.hide", symbol, f"symbols on the map: {', '.join(symbols)}")
-    return replace(scene, items=tuple(i for i in scene.items if i.symbol not in hide))

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from xplain.participants.protocol.plan import Asked
 from xplain.study.analysis.statistics import d_from_p, t_power
 from xplain.study.analysis.table2 import CONDITIONS, MEASURES, SECONDARY, paper_table
 from xplain.study.policies import difference
-from xplain.study.protocol.plan import Asked, StudyPlan
+from xplain.study.protocol.plan import StudyPlan
 
 DIRECTION = {
     "interaction_time_s": "less time",
@@ -23,6 +24,7 @@ MEANING = {
     "inexplicable_transitions": "steps labelled as making no sense, in the labels at the last step",
     "quiz_score": "statements judged rightly in the last test",
     "visible_time_s": "the first measure less the time in which no page of the study was visible",
+    "messages_given": "messages that the robot sent",
 }
 
 

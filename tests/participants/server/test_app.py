@@ -14,6 +14,7 @@ from xplain.participants.server.http import Server
 from xplain.participants.server.security import Keys
 from xplain.participants.server.store import Store
 from xplain.study.protocol.plan import Study
+from xplain.study.server.protocol import StudyProtocol
 
 
 def test_headers_keep_browsers_strict(client: FlaskClient, store: Store) -> None:
@@ -59,7 +60,7 @@ def _only(store: Store) -> str:
 
 
 def test_requests_are_limited_by_participant_and_by_address(tmp_path: Path, study: Study) -> None:
-    store = Store(tmp_path / "s.sqlite", study)
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study))
     slow = {
         "requests_per_second": 1e-6,
         "visitors_per_second": 1e-6,

@@ -17,11 +17,11 @@ from tests.participants.server import test_fuzz
 from tests.participants.visitors import GENEROUS, Visitor, enter, field
 from xplain.collect.analysis.replay import replay
 from xplain.collect.protocol.plan import Collection, Picture
+from xplain.collect.server.protocol import CollectProtocol
 from xplain.collect.simulation.observer import Habits, observer
 from xplain.participants.server.app import create_app
 from xplain.participants.server.security import Keys
 from xplain.participants.server.store import Store
-from xplain.participants.simulation.collect_bots import fill
 from xplain.participants.simulation.http_client import Page, visit
 
 
@@ -32,7 +32,7 @@ def collection() -> Collection:
 
 @pytest.fixture
 def store(tmp_path: Path, collection: Collection) -> Iterator[Store]:
-    opened = Store(tmp_path / "c.sqlite", collection)
+    opened = Store(tmp_path / "c.sqlite", CollectProtocol(collection))
     yield opened
     opened.close()
 
@@ -47,14 +47,14 @@ def walk(
     visitor: Visitor, store: Store, number: int = 0, **habits: Any
 ) -> Iterator[tuple[str, Page]]:
     """Every page of one observer's way, before it is answered."""
-    person = observer(store.study.plan, replace(FAULTLESS, **habits), 0, number)
+    person = observer(store.protocol.plan, replace(FAULTLESS, **habits), 0, number)
     html = enter(visitor, store.invite(1, "person")[0])
     while True:
         page = Page(html)
         yield html, page
         if not page.hidden:
             return
-        fields = [*page.hidden.items(), *fill(person, page)[0]]
+        fields = [*page.hidden.items(), *person.fill(page)[0]]
         status, html = visitor.post("/study", fields)
         assert status == 200
 
@@ -81,7 +81,7 @@ def test_the_way_from_entrance_to_code(
     ]
     (row,) = store.query("SELECT code FROM participant")
     assert row["code"] in seen[-1][0]
-    for paragraph in collection.plan.texts.goodbye:
+    for paragraph in collection.plan.texts.debriefing:
         assert paragraph.split("'")[0] in seen[-1][0]  # debriefed
     agrees(store, collection)
 
@@ -89,7 +89,7 @@ def test_the_way_from_entrance_to_code(
 def test_a_clip_shows_just_what_is_told_there(tmp_path: Path) -> None:
     collection = telling()
     plan, told = collection.plan, set()
-    store = Store(tmp_path / "t.sqlite", collection)
+    store = Store(tmp_path / "t.sqlite", CollectProtocol(collection))
     for html, page in walk(Visitor(create_app(store, GENEROUS).test_client()), store, 1):
         if page.stage != "clips":
             continue
@@ -171,7 +171,7 @@ def test_the_researcher_sees_labels_types_and_what_more_people_bring(
 
 def test_assigned_briefings_are_balanced_and_shown_again(tmp_path: Path) -> None:
     collection = street_collection(briefing="assigned")
-    store = Store(tmp_path / "a.sqlite", collection)
+    store = Store(tmp_path / "a.sqlite", CollectProtocol(collection))
     app = create_app(store, GENEROUS)
     for number in range(6):
         for _, page in walk(Visitor(app.test_client()), store, number):
@@ -194,7 +194,7 @@ def test_images_of_own_transitions_are_served(tmp_path: Path) -> None:
     plan = street_plan()
     picture = Picture("image/png", base64.b64encode(content).decode())
     plan = replace(plan, pictures=(picture, *[None] * (plan.hypotheses.n_transitions - 1)))
-    store = Store(tmp_path / "p.sqlite", Collection(plan))
+    store = Store(tmp_path / "p.sqlite", CollectProtocol(Collection(plan)))
     client = create_app(store, GENEROUS).test_client()
     reply = client.get("/picture/0")
     assert (reply.status_code, reply.data) == (200, content)
@@ -242,7 +242,7 @@ def test_hostile_requests_harm_nothing(
         (token,) = store.invite(1, "bot")
         visitor = Visitor(app.test_client())
         person = observer(collection.plan, Habits(leaving=0.1), 0, number)
-        visit(visitor, person, token, fill=fill)
+        visit(visitor, person, token)
         who = store.enter_invited(token)
         if number % 2:
             others.append(who)

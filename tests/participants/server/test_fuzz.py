@@ -21,9 +21,10 @@ from xplain.participants.server.app import create_app
 from xplain.participants.server.security import Keys
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
-from xplain.participants.simulation.http_client import Page, fill
+from xplain.participants.simulation.http_client import Page
 from xplain.study.analysis import replay
 from xplain.study.protocol.plan import Study
+from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Person
 
 Send = Callable[[str, str, dict[str, str], bytes], int]
@@ -148,7 +149,7 @@ def prey(store: Store) -> tuple[list[tuple[str, str]], list[str]]:
     for number in range(20):
         (invitation,) = store.invite(1, "bot")
         visitor = Visitor(app.test_client())
-        person = Person(store.study.plan, FAULTLESS, np.random.default_rng(number))
+        person = Person(store.protocol.plan, FAULTLESS, np.random.default_rng(number))
         for index, page in enumerate(_way(visitor, person, invitation)):
             if index >= number // 2 or not page.hidden:
                 break
@@ -166,7 +167,7 @@ def _way(visitor: Visitor, person: Person, invitation: str) -> Iterator[Page]:
     page = Page(enter(visitor, invitation))
     while True:
         yield page
-        fields = [*page.hidden.items(), *fill(person, page)[0]]
+        fields = [*page.hidden.items(), *person.fill(page)[0]]
         page = Page(visitor.post("/study", fields)[1])
 
 
@@ -188,12 +189,12 @@ def unharmed(store: Store, who: list[str], before: dict[str, Any]) -> None:
     """Nobody else's data has changed, the file is sound, and every answer was a legal one."""
     assert records(store, who) == before
     assert store.query("PRAGMA integrity_check") == [{"integrity_check": "ok"}]
-    found = replay.replay(store._connection, store.study)
+    found = replay.replay(store._connection, store.protocol.study)  # type: ignore[attr-defined]
     assert found.differences == []
 
 
 def test_a_thousand_hostile_requests(tmp_path: Path, study: Study) -> None:
-    store = Store(tmp_path / "s.sqlite", study)
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study))
     cookies, others = prey(store)
     before = records(store, others)
     app = create_app(store, GENEROUS)
@@ -216,7 +217,7 @@ def test_ten_thousand_hostile_requests_to_the_real_server(
     tmp_path: Path, study: Study, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "s.sqlite"
-    store = Store(path, study)
+    store = Store(path, StudyProtocol(study))
     cookies, others = prey(store)
     before = records(store, others)
     store.close()
@@ -249,7 +250,7 @@ def test_ten_thousand_hostile_requests_to_the_real_server(
     with capsys.disabled():
         print(f"\n{dict(sorted(statuses.items()))}")
     assert statuses[499] < 300
-    store = Store(path, study)
+    store = Store(path, StudyProtocol(study))
     unharmed(store, others, before)
     consent(store, store.enter_invited(store.invite(1, "person")[0]))
     store.close()

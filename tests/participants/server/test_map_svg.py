@@ -11,13 +11,20 @@ from xplain.study.protocol.plan import Study
 
 def test_the_map_says_what_happened_and_a_domain_without_one_does_without(study: Study) -> None:
     plan = study.plan
-    way = plan.texts.words["way"]
-    assert [name for name, _ in legend(plan)] == ["bridge", "market", "school", "tunnel", way]
+    words = plan.texts.words
+    way = words["way"]
+    assert [name for name, _ in legend(plan, words)] == [
+        "bridge",
+        "market",
+        "school",
+        "tunnel",
+        way,
+    ]
     for k in range(1, plan.n_steps + 1):
-        svg = picture(plan, k)
+        svg = picture(plan, k, words)
         numbers = re.findall(r'font-weight="700" fill="#fff">([\d·]+)</text>', svg)
         assert [int(n) for text in numbers for n in text.split("·")] == list(range(1, k + 1))
         assert "style=" not in svg
-    assert ">B<" in picture(plan, 1)  # a letter where there is no icon
-    assert plan.icons["market"] in picture(plan, 1)
-    assert picture(street_plan(map_shown=False), 1) == ""
+    assert ">B<" in picture(plan, 1, words)  # a letter where there is no icon
+    assert plan.icons["market"] in picture(plan, 1, words)
+    assert picture(street_plan(map_shown=False), 1, words) == ""

@@ -20,6 +20,7 @@ from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import Page, visit
 from xplain.study.policies import study_of
 from xplain.study.protocol.plan import StudyPlan
+from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Person
 
 
@@ -28,7 +29,7 @@ def test_the_way_from_entrance_to_code(
 ) -> None:
     (token,) = store.invite(1, "person")
     seen = [page.stage for _, page in pages(browser(), person(), token)]
-    m = store.study.plan.n_steps
+    m = store.protocol.plan.n_steps
     assert seen == [
         *("consent", "briefing", "training", "training", "eligibility"),
         *["evaluation"] * m,
@@ -63,7 +64,7 @@ def test_reload_back_second_tab_and_double_click_change_nothing(
     kinds = [e["kind"] for e in store.query("SELECT kind FROM event WHERE source = 'protocol'")]
     assert kinds == [
         *("consent", "read", "example", "example", "eligibility"),
-        *["labels"] * store.study.plan.n_steps,
+        *["labels"] * store.protocol.plan.n_steps,
         *("quiz", "answers"),
     ]
 
@@ -171,7 +172,7 @@ def test_a_domain_without_a_map_gets_its_study(tmp_path: Path) -> None:
     from xplain.study.policies import study_of
 
     study = study_of(street_plan(map_shown=False, questions=[]))
-    store = Store(tmp_path / "s.sqlite", study)
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study))
     visitor = Visitor(create_app(store, GENEROUS).test_client())
     person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
     assert visit(visitor, person, store.invite(1, "bot")[0]) == "done"
@@ -186,7 +187,7 @@ def test_without_a_map_the_page_lists_what_each_step_changed(
     told = tuple((f"now past place {k}", f"no longer at <{k}>") for k in range(plan.n_steps))
     plan = StudyPlan.from_text(replace(plan, changes=told).text)
     assert plan.changes == told
-    opened = Store(tmp_path / "listed.sqlite", study_of(plan))
+    opened = Store(tmp_path / "listed.sqlite", StudyProtocol(study_of(plan)))
     (token,) = opened.invite(1, "person")
     visitor = Visitor(create_app(opened, GENEROUS).test_client())
     shown = [
@@ -214,7 +215,7 @@ def test_nobody_is_a_person_by_making_up_ids(store: Store) -> None:
 def test_taken_things_leave_the_map_and_places_have_names() -> None:
     plan = street_plan()
     gone = ("bridge", "market", "school", "tunnel")
-    taken = [picture(plan, plan.n_steps, gone[:n]) for n in range(5)]
+    taken = [picture(plan, plan.n_steps, plan.texts.words, gone[:n]) for n in range(5)]
     assert [len(re.findall('font-size="22"|M3 12L12 4L21 12', svg)) for svg in taken] == [
         4,
         3,
@@ -222,14 +223,14 @@ def test_taken_things_leave_the_map_and_places_have_names() -> None:
         1,
         0,
     ]
-    rulers = re.findall(r"<text[^>]*>([^<]+)</text>", picture(plan, 0))
+    rulers = re.findall(r"<text[^>]*>([^<]+)</text>", picture(plan, 0, plan.texts.words))
     assert set("ABCDE12") <= set(rulers)
 
 
 def test_numbers_on_the_map_do_not_reach_into_the_next_cell() -> None:
     plan = street_plan()
     there_and_back = tuple(((0, k % 2), (0, (k + 1) % 2)) for k in range(40))
-    svg = picture(replace(plan, path=there_and_back), 40)
+    svg = picture(replace(plan, path=there_and_back), 40, plan.texts.words)
     widths = [float(w) for w in re.findall(r'<rect x="1" y="1" width="([\d.]+)"', svg)]
     assert len(widths) == 2
     assert max(widths) < CELL - 2

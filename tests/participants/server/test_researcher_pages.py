@@ -66,7 +66,7 @@ def test_the_researcher_is_blinded_unless_they_want_it_otherwise(
 ) -> None:
     consent(store, store.enter_invited(store.invite(1, "person")[0]))
     logged_in(client, store)
-    names = [role.name for role in store.study.plan.roles]
+    names = [role.name for role in store.protocol.plan.roles]
     cell = re.compile(rf"<td>({'|'.join([*names, 'personalized', 'conformant'])})</td>")
     assert cell.search(client.get("/researcher").text)
     blind = create_app(store, replace(GENEROUS, blinded=True)).test_client()
@@ -92,7 +92,7 @@ def test_links_come_from_the_configured_address_not_from_the_request(store: Stor
 
 
 def test_any_type_and_condition_can_be_looked_at(store: Store, app: Flask) -> None:
-    plan = store.study.plan
+    plan = store.protocol.plan
     people = store.query("SELECT * FROM slot WHERE stream = 'person'")
     for cell, (user_type, condition) in enumerate(plan.cells):
         client = app.test_client()

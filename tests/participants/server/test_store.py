@@ -20,15 +20,16 @@ from xplain.errors import InputError, XplainError
 from xplain.participants.server.app import create_app
 from xplain.participants.server.database import Clock
 from xplain.participants.server.http import Context, Server
+from xplain.participants.server.protocol import Full
 from xplain.participants.server.security import Keys
-from xplain.participants.server.slots import Full
 from xplain.participants.server.store import MAX_TAB_EVENTS, Store, Unknown
 from xplain.participants.simulation.http_client import visit
+from xplain.participants.stored import read_plan
 from xplain.study.analysis.replay import replay
 from xplain.study.protocol.machine import Refused
-from xplain.study.protocol.plan import Study
+from xplain.study.protocol.plan import Study, StudyPlan
+from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Habits, Person
-from xplain.study.stored import read_plan
 
 
 class Time:
@@ -120,7 +121,7 @@ def test_a_refusal_leaves_the_database_as_it_was(
 ) -> None:
     time = Time()
     path = tmp_path / "s.sqlite"
-    store = Store(path, study, time.clock())
+    store = Store(path, StudyProtocol(study), time.clock())
     silent, who = (store.enter_invited(token) for token in store.invite(2, "person"))
     consent(store, silent)
     store.enter_prolific("P", "S", "X", keep=True)
@@ -130,13 +131,13 @@ def test_a_refusal_leaves_the_database_as_it_was(
         refused(store, who)
     assert whole(store) == before
     store.close()
-    store = Store(path, study, time.clock())  # nor did anything reach the disk
+    store = Store(path, StudyProtocol(study), time.clock())  # nor did anything reach the disk
     assert whole(store) == before
     store.close()
 
 
 def test_who_finds_no_place_leaves_the_database_as_it_was(store: Store) -> None:
-    places = len(store.study.plan.cells) * store.study.plan.rules.per_cell
+    places = len(store.protocol.plan.cells) * store.protocol.plan.rules.per_cell
     everybody = [store.enter_invited(token) for token in store.invite(places + 1, "person")]
     for who in everybody[:-1]:
         consent(store, who)
@@ -148,7 +149,7 @@ def test_who_finds_no_place_leaves_the_database_as_it_was(store: Store) -> None:
 
 def test_everybody_gets_an_order_of_questions_of_their_own(tmp_path: Path, study: Study) -> None:
     def orders(name: str) -> list[dict[str, tuple[int, ...]]]:
-        store = Store(tmp_path / name, study)
+        store = Store(tmp_path / name, StudyProtocol(study))
         found = []
         for token in store.invite(10, "person"):
             state = consent(store, store.enter_invited(token))
@@ -189,7 +190,7 @@ def test_places_are_blocks_with_every_cell_once(store: Store, study: Study) -> N
 
 def test_only_completion_uses_a_place_up(tmp_path: Path, study: Study) -> None:
     time = Time()
-    store = Store(tmp_path / "s.sqlite", study, time.clock())
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study), time.clock())
     everybody = [store.enter_invited(token) for token in store.invite(14, "person")]
     places = len(study.plan.cells) * study.plan.rules.per_cell
     for who in everybody[:places]:
@@ -220,7 +221,7 @@ def test_cells_are_balanced_in_spite_of_drop_outs(tmp_path: Path) -> None:
         rules={"per_cell": 4, "max_attempts": 2, "timeout_minutes": 30, "recall": True}
     )
     time = Time()
-    store = Store(tmp_path / "s.sqlite", study, time.clock())
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study), time.clock())
     app = create_app(store, GENEROUS)
     stages: Counter[str] = Counter()
     for number in range(400):
@@ -291,7 +292,7 @@ def test_the_log_only_grows_and_a_bot_stays_a_bot(
 def test_who_has_not_agreed_yet_is_never_timed_out(tmp_path: Path, study: Study) -> None:
     """A link that was opened, or refused at a full study, stays good."""
     time = Time()
-    store = Store(tmp_path / "s.sqlite", study, time.clock())
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study), time.clock())
     places = len(study.plan.cells) * study.plan.rules.per_cell
     *first, late = (store.enter_invited(token) for token in store.invite(places + 1, "person"))
     for who in first:
@@ -309,7 +310,7 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
     tmp_path: Path, study: Study
 ) -> None:
     time = Time()
-    store = Store(tmp_path / "s.sqlite", study, time.clock())
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study), time.clock())
     places = len(study.plan.cells) * study.plan.rules.per_cell
     everybody = [store.enter_invited(token) for token in store.invite(places + 1, "person")]
     away, other = everybody[0], everybody[-1]
@@ -345,7 +346,7 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
 
 def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, study: Study) -> None:
     path = tmp_path / "s.sqlite"
-    store = Store(path, study)
+    store = Store(path, StudyProtocol(study))
     app = create_app(store, GENEROUS)
     someone = [Person(study.plan, FAULTLESS, np.random.default_rng(n)) for n in range(2)]
     for person, token in zip(someone, store.invite(2, "person"), strict=True):
@@ -373,7 +374,7 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
             "UPDATE event SET kind = 'erased', payload = '{}' WHERE participant = ?", (kept,)
         )
     connection.close()
-    store = Store(path, study)
+    store = Store(path, StudyProtocol(study))
     assert replay(store._connection, study).differences
     store.close()
 
@@ -433,16 +434,16 @@ def test_invitations_and_outside_ids_lead_back_to_the_same_participant(store: St
 
 def test_a_database_has_one_process_and_one_plan(tmp_path: Path, study: Study) -> None:
     path = tmp_path / "s.sqlite"
-    store = Store(path, study)
+    store = Store(path, StudyProtocol(study))
     assert path.stat().st_mode & 0o077 == 0
     assert path.with_name("s.sqlite.key").stat().st_mode & 0o077 == 0
-    stored = read_plan(path)
+    stored = read_plan(path, StudyPlan)
     assert stored is not None
     assert stored.hash == study.plan.hash
     store.close()
     with pytest.raises(XplainError, match="another study plan"):
-        Store(path, street_study(seed=4))
-    Store(path, study).close()
+        Store(path, StudyProtocol(street_study(seed=4)))
+    Store(path, StudyProtocol(study)).close()
     assert street_plan(seed=4).hash != study.plan.hash
 
 
@@ -450,19 +451,19 @@ def test_a_damaged_or_foreign_file_is_named(tmp_path: Path, study: Study) -> Non
     path = tmp_path / "s.sqlite"
     path.write_text("no database at all, but long enough to look like something\n" * 20)
     with pytest.raises(XplainError, match=r"s\.sqlite"):
-        read_plan(path)
+        read_plan(path, StudyPlan)
     with pytest.raises(XplainError, match=r"s\.sqlite"):
-        Store(path, study)
+        Store(path, StudyProtocol(study))
 
 
 def test_state_survives_a_restart(tmp_path: Path, study: Study) -> None:
-    store = Store(tmp_path / "s.sqlite", study)
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study))
     (token,) = store.invite(1, "person")
     who = store.enter_invited(token)
     state = consent(store, who)
     cookie = Keys(store.secret).cookie(who)
     store.close()
-    store = Store(tmp_path / "s.sqlite", study)
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study))
     assert store.participant(who).state == state
     assert Keys(store.secret).cookie(who) == cookie  # cookies stay valid
     assert store.enter_invited(token) == who

@@ -11,13 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.collect import stand_in as collect_stand_in
+from tests.collect.stand_in import wording
 from tests.participants.visitors import GENEROUS, Visitor, enter, pages
 from tests.study.stand_in import CONFIG, FAULTLESS, english_words, street_plan
+from xplain.collect.protocol.plan import Collection
+from xplain.collect.server.protocol import CollectProtocol
+from xplain.collect.simulation.observer import observer
 from xplain.errors import InputError
 from xplain.participants.server.app import create_app
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import Page
 from xplain.study.policies import study_of
+from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Person
 
 PLACES = ("bridge", "market", "school", "tunnel")
@@ -53,26 +59,27 @@ class Words(HTMLParser):
                 self.handle_data(value or "")
 
 
+SENTENCES = {
+    place: {"message": f"The {place} is fine", "belief": f"The {place} is bad"} for place in PLACES
+}
+PHRASES = {word: made_up(word) for word in ("goes", "straight", "around", "at", "the", *PLACES)}
+
+
 @pytest.fixture
 def foreign(tmp_path: Path) -> Iterator[Store]:
-    wording = CONFIG["wording"]
-    sentences = {
-        place: {"message": f"The {place} is fine", "belief": f"The {place} is bad"}
-        for place in PLACES
-    }
-    phrases = ("goes", "straight", "around", "at", "the", *PLACES)
+    texts = CONFIG["wording"]
     keep = {"words", "rewards", "icons", "hide", "phrases", "facts"}
-    own = {key: translated(value) for key, value in wording.items() if key not in keep}
+    own = {key: translated(value) for key, value in texts.items() if key not in keep}
     choice = {"kind": "choice", "choices": ["one", "two"], "required": True}
     plan = street_plan(
-        wording=wording
+        wording=texts
         | own
         | {
             "words": translated(english_words()) | {"language": "q"},
-            "facts": translated(sentences),
-            "rewards": translated(wording["rewards"]),
+            "facts": translated(SENTENCES),
+            "rewards": translated(texts["rewards"]),
             "icons": {},
-            "phrases": {word: made_up(word) for word in phrases},
+            "phrases": PHRASES,
         },
         before=[{"name": "a", "label": made_up("first"), **translated(choice), "kind": "choice"}],
         questions=[
@@ -80,7 +87,7 @@ def foreign(tmp_path: Path) -> Iterator[Store]:
             | {"ends": [made_up("no"), made_up("yes")]}
         ],
     )
-    store = Store(tmp_path / "s.sqlite", study_of(plan))
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study_of(plan)))
     yield store
     store.close()
 
@@ -94,7 +101,7 @@ def left_over(html: str) -> set[str]:
 
 def test_nothing_of_english_is_left_in_another_language(foreign: Store) -> None:
     app = create_app(foreign, GENEROUS)
-    person = Person(foreign.study.plan, FAULTLESS, np.random.default_rng(0))
+    person = Person(foreign.protocol.plan, FAULTLESS, np.random.default_rng(0))
     (token,) = foreign.invite(1, "person")
     code = {foreign.participant(foreign.enter_invited(token)).code}
     stages = []
@@ -139,7 +146,7 @@ def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(
         visitor = Visitor(app.test_client())
         enter(visitor, token)
         html = visitor.get("/study")[1]
-        for paragraph in foreign.study.plan.texts.debriefing:
+        for paragraph in foreign.protocol.plan.texts.debriefing:
             assert paragraph in html, ending
         reference = "-".join(re.findall("....", who))
         assert reference in html, ending
@@ -149,8 +156,8 @@ def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(
         assert 'href="/consent.txt"' in html
     assert len(codes) == 6
     copy = app.test_client().get("/consent.txt").text
-    assert all(paragraph in copy for paragraph in foreign.study.plan.texts.consent)
-    assert foreign.study.plan.texts.consent_hash in copy
+    assert all(paragraph in copy for paragraph in foreign.protocol.plan.texts.consent)
+    assert foreign.protocol.plan.texts.consent_hash in copy
 
 
 def test_a_language_without_all_its_words_is_refused() -> None:
@@ -158,3 +165,84 @@ def test_a_language_without_all_its_words_is_refused() -> None:
     del words["quiz_hint"]
     with pytest.raises(InputError, match=r"wording\.words\.quiz_hint"):
         street_plan(wording=CONFIG["wording"] | {"words": words})
+
+
+@pytest.fixture(params=["none", "assigned"])
+def collecting(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Store]:
+    """A collection of labels in the same language."""
+    english = wording(questions=[])
+    keep = {"words", "icons", "hide", "phrases", "facts", "questions"}
+    own = {key: value if key in keep else translated(value) for key, value in english.items()}
+    plan = collect_stand_in.street_plan(
+        briefing=request.param,
+        words=own
+        | {
+            "words": translated(english["words"]) | {"language": "q"},
+            "facts": translated(SENTENCES),
+            "phrases": PHRASES,
+            "questions": [
+                {"name": "a", "label": made_up("number"), "kind": "number", "low": 1, "high": 9},
+                {"name": "b", "label": made_up("which"), "kind": "choice"}
+                | {"choices": [made_up("one"), made_up("two")]},
+            ],
+        },
+    )
+    store = Store(tmp_path / "c.sqlite", CollectProtocol(Collection(plan)))
+    yield store
+    store.close()
+
+
+def test_nothing_of_english_is_left_on_the_pages_of_a_collection(collecting: Store) -> None:
+    visitor = Visitor(create_app(collecting, GENEROUS).test_client())
+    person = observer(collecting.protocol.plan, collect_stand_in.FAULTLESS, 0, 0)
+    (token,) = collecting.invite(1, "bot")
+    code = {collecting.participant(collecting.enter_invited(token)).code}
+    assert left_over(visitor.get("/")[1]) == set()
+    assert left_over(visitor.get("/nowhere")[1]) == set()
+    stages = set()
+    html = enter(visitor, token)
+    while True:
+        page = Page(html)
+        stages.add(page.stage)
+        reference = re.findall(r'id="reference">([^<]*)<', html)
+        assert left_over(html.replace(reference[0], "") if reference else html) <= code, page.stage
+        assert '<html lang="q">' in html
+        if not page.hidden:
+            break
+        # What cannot be done is said first, then it is done.
+        for fields in ({"kind": "quiz"}, {"a": "x", "stated": "7", "text": "another"}):
+            status, answer = visitor.post("/study", list({**page.hidden, **fields}.items()))
+            if status == 400:
+                assert left_over(answer) == set(), page.stage
+        html = visitor.post("/study", [*page.hidden.items(), *person.fill(page)[0]])[1]
+    assert stages == {*collecting.protocol.stages}
+
+
+@pytest.mark.parametrize("ending", ["declined", "withdrawn", "timed_out"])
+def test_every_end_of_a_collection_debriefs_in_its_language(collecting: Store, ending: str) -> None:
+    (token,) = collecting.invite(1, "bot")
+    who = collecting.enter_invited(token)
+    state = f"""'{{"stage": "{ending}", "left": "task", "number": 1}}'"""
+    with collecting.transaction() as do:
+        do(
+            f"UPDATE participant SET over = 1, state = json_patch(state, {state}) WHERE id = ?",
+            (who,),
+        )
+    visitor = Visitor(create_app(collecting, GENEROUS).test_client())
+    enter(visitor, token)
+    html = visitor.get("/study")[1]
+    for paragraph in collecting.protocol.plan.texts.debriefing:
+        assert paragraph in html
+    (code,) = re.findall(r'id="code">([A-Z]{8})<', html)
+    reference = "-".join(re.findall("....", who))
+    assert left_over(html.replace(reference, "").replace(code, "")) == set()
+    if ending == "timed_out":  # whoever was away goes on where they were
+        page = Page(html)
+        assert Page(visitor.post("/study", list(page.hidden.items()))[1]).stage == "task"
+
+
+def test_a_collection_without_all_its_words_is_refused() -> None:
+    words = wording()["words"]
+    del words["sense"]
+    with pytest.raises(InputError, match=r"wording\.words\.sense"):
+        collect_stand_in.street_plan(words=wording(words=words))

@@ -13,6 +13,7 @@ from xplain.participants.server.app import create_app
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import visit
 from xplain.study.protocol.plan import Study
+from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Habits, Person
 
 
@@ -21,7 +22,7 @@ def collected(tmp_path_factory: pytest.TempPathFactory, study: Study) -> tuple[b
     """A snapshot of 24 bots, some of whom leave, one person, one who only looked in; and the
     server's secret."""
     folder = tmp_path_factory.mktemp("collected")
-    store = Store(folder / "study.sqlite", study)
+    store = Store(folder / "study.sqlite", StudyProtocol(study))
     app = create_app(store, GENEROUS)
 
     def take_part(number: int, habits: Habits, token: str) -> None:

@@ -150,3 +150,10 @@ def test_many_t_tests_at_once_are_scipys() -> None:
     x, y = rng.normal(0.4, 1, (50, 12, 3)), rng.normal(0, 2, (50, 9, 3))
     assert student_p(x, y) == pytest.approx(stats.ttest_ind(x, y, axis=1).pvalue)
     assert (student_p(np.ones((2, 5, 1)), np.ones((2, 5, 1))) == 1).all()
+
+
+def test_a_group_without_spread_is_compared_without_a_warning() -> None:
+    """By hand: means 6 and 3, pooled variance 1 / 2, error √(1 / 2 (1 / 3 + 1 / 3)) = √(1 / 3)."""
+    found = compare([6, 6, 6], [2, 3, 4], ["a"] * 3, ["a"] * 3, 0)
+    assert found.student.t == pytest.approx(3 * np.sqrt(3))
+    assert found.student.df == 4

@@ -28,6 +28,7 @@ def _data(n: int) -> pd.DataFrame:
             "inexplicable_transitions": int(rng.poisson(1)),
             "quiz_score": int(rng.integers(0, 5)),
             "visible_time_s": 90.0 + i,
+            "messages_given": i % 4,
         }
         for condition, shift in (("conformant", 30), ("personalized", 0))
         for i in range(n)

@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 
 from tests.study.stand_in import TYPES
 from xplain.config import composed
-from xplain.study.prepare import _worded
+from xplain.participants.wording import worded
 from xplain.study.protocol import content
 from xplain.study.protocol.plan import Study, StudyPlan
 
@@ -57,7 +57,7 @@ def test_no_word_of_the_quiz_gives_the_answers_away() -> None:
     domain = instantiate(cfg.domain)
     types = instantiate(cfg.users).types(domain, np.random.default_rng(0))
     wording = OmegaConf.to_container(cfg.wording, resolve=True)
-    parameters = _worded(domain.parameters, wording["facts"], lambda text: text)
+    parameters = worded(domain.parameters, wording["facts"], lambda text: text)
     # As on the study's trace, every type has to have both of its facts corrected.
     labels = np.zeros((5, 1, 64), dtype=np.uint8)
     for t, user_type in enumerate(types):

@@ -20,7 +20,12 @@ def main(arguments: list[str]) -> None:
     made.add_argument("--error", type=float, default=0.05)
     made.add_argument("--lapse", type=float, default=0.0)
     given = checked(made.parse_args(arguments))
-    from xplain.collect.simulation.observer import Habits
-    from xplain.participants.simulation.collect_bots import run
+    from xplain.collect.protocol.plan import CollectPlan
+    from xplain.collect.simulation.observer import Habits, Observer, observer
 
-    perform(given, run, Habits(given.error, given.lapse, leaving=given.leaving))
+    habits = Habits(given.error, given.lapse, leaving=given.leaving)
+
+    def person(plan: CollectPlan, number: int) -> Observer:
+        return observer(plan, habits, given.seed, number)
+
+    perform(given, CollectPlan, person)

@@ -6,18 +6,12 @@ from a snapshot).
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from xplain.cli.parser import Parser
+from xplain.cli.study.export import given, said
 
 
 def main(arguments: list[str]) -> None:
     """Writes the tables and their codebook into the folder."""
-    parser = Parser("xplain collect export")
-    parser.add_argument("database", type=Path)
-    parser.add_argument("folder", type=Path)
-    given = parser.parse_args(arguments)
+    database, folder = given("xplain collect export", arguments)
     from xplain.collect.analysis.export import export
 
-    export(given.database, given.folder)
-    print(f"tables and codebook in {given.folder}")
+    said(folder, export(database, folder))

@@ -9,53 +9,24 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-from xplain.cli.study.serve import check_address, database_of, run_server, server_of
+from xplain.cli.study.serve import checked, run_server, running
 from xplain.config import composed, require_seed
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
-    from xplain.collect.protocol.plan import Collection
 
 
 def main(arguments: list[str]) -> None:
     """Serves the collection that overrides of conf/collect.yaml describe."""
-
     cfg = composed("collect", arguments)
     require_seed(cfg)
-    check_address(cfg)
-    path = database_of(cfg)
-    server = server_of(cfg)
-    collection, ignored = running_collection(cfg, path)
-    if ignored:
-        print(
-            f"collect: goes on as it was started; these keys differ now and are ignored: "
-            f"{', '.join(ignored)}",
-            file=sys.stderr,
-        )
-    print(expected(collection.plan.expectation), file=sys.stderr)
-    run_server(collection, server, path, cfg, "collect")
-
-
-def running_collection(cfg: DictConfig, path: Path) -> tuple[Collection, list[str]]:
-    """The collection in the database, or a new one; and the keys of ``cfg`` that it does not
-    follow."""
+    path, server = checked(cfg)
     from xplain.collect.prepare import collect_plan
     from xplain.collect.probes import collection_of
-    from xplain.collect.stored import read_plan
-    from xplain.study.settings import fixed
-    from xplain.study.stored import renamed
+    from xplain.collect.protocol.plan import CollectPlan
+    from xplain.collect.server.protocol import CollectProtocol
 
-    plan = read_plan(path)
-    if plan is None:
-        print("collect: asking simulated people first …", file=sys.stderr)
-        return collection_of(collect_plan(cfg)), []
-    now = fixed(cfg)
-    ignored = [key for key in now if now[key] != renamed(plan.config.get(key))]
-    return collection_of(plan), ignored
+    plan = running(cfg, path, CollectPlan, collect_plan)
+    print(expected(plan.expectation), file=sys.stderr)
+    run_server(CollectProtocol(collection_of(plan)), server, path, cfg)
 
 
 def expected(figures: Mapping[str, float]) -> str:

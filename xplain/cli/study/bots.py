@@ -11,22 +11,32 @@ are marked as bots in the data for ever, and take nobody's place.
 from __future__ import annotations
 
 from argparse import Namespace
-from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from xplain.cli.parser import Parser
 from xplain.errors import InputError, XplainError
+
+if TYPE_CHECKING:
+    from xplain.participants.protocol.plan import StoredPlan
+    from xplain.participants.simulation.http_client import Visitor
 
 
 def main(arguments: list[str]) -> None:
     """Runs the bots and prints how far each came."""
     given = checked(parser("xplain study bots").parse_args(arguments))
-    from xplain.participants.simulation.bots import run
-    from xplain.study.simulation.participant import Habits
+    from xplain.randomness import stream
+    from xplain.study.protocol.plan import StudyPlan
+    from xplain.study.simulation.participant import Habits, Person
 
-    perform(given, run, Habits(leaving=given.leaving))
+    habits = Habits(leaving=given.leaving)
+
+    def person(plan: StudyPlan, number: int) -> Person:
+        return Person(plan, habits, stream(given.seed, "bots", number))
+
+    perform(given, StudyPlan, person)
 
 
 def parser(name: str) -> Parser:
@@ -60,27 +70,27 @@ def checked(given: Namespace) -> Namespace:
     return given
 
 
-def perform(given: Namespace, run: Callable[..., Counter[str]], habits: Any) -> None:
-    """Lets bots of these habits take part, prints how far each came, and saves the export.
+def perform(
+    given: Namespace, kind: type[StoredPlan], person_of: Callable[[Any, int], Visitor]
+) -> None:
+    """Lets bots take part, prints how far each came, and saves the export.
+
+    Args:
+        given: by :func:`parser`.
+        kind: of the plan.
+        person_of: the bot of a plan with a number.
 
     Raises:
         XplainError: the server went away.
     """
-    from xplain.participants.simulation.bots import Researcher
+    from xplain.participants.simulation.bots import Researcher, crowd
 
     try:
-        stages = run(
-            given.url,
-            given.key,
-            given.count,
-            given.at_once,
-            given.pace,
-            habits,
-            given.seed,
-            given.chromium,
-        )
+        researcher = Researcher(given.url, given.key)
+        person = partial(person_of, researcher.plan(kind))
+        stages = crowd(researcher, given.count, given.at_once, given.pace, person, given.chromium)
         if given.save:
-            given.save.write_bytes(Researcher(given.url, given.key).archive())
+            given.save.write_bytes(researcher.archive())
     except (ConnectionError, TimeoutError) as error:
         raise XplainError(f"--url={given.url}: the server went away ({error})") from None
     print(", ".join(f"{number} {stage}" for stage, number in stages.most_common()))

@@ -20,10 +20,11 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--out", type=Path)
     given = parser.parse_args(arguments)
     from xplain.errors import InputError
+    from xplain.participants.stored import read_plan
     from xplain.study.preregistration import document
-    from xplain.study.stored import read_plan
+    from xplain.study.protocol.plan import StudyPlan
 
-    plan = read_plan(given.database)
+    plan = read_plan(given.database, StudyPlan)
     if plan is None:
         raise InputError("database", str(given.database), "one in which a study was started")
     text = document(plan)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,10 +16,14 @@ from omegaconf import OmegaConf
 
 from xplain.config import composed
 from xplain.errors import InputError
-from xplain.study.settings import fixed
+from xplain.participants.settings import fixed
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
+
+    from xplain.participants.server.http import Server
+    from xplain.participants.server.protocol import Protocol
+    from xplain.participants.stored import Plan
 
 
 def main(arguments: list[str]) -> None:
@@ -32,17 +37,25 @@ def serve(cfg: DictConfig) -> None:
     Raises:
         XplainError: the configuration or the database cannot be used.
     """
+    # Imported late: a key that cannot be is refused at once.
+    path, server = checked(cfg)
+    from xplain.study.policies import study_of
+    from xplain.study.prepare import study_plan
+    from xplain.study.protocol.plan import StudyPlan
+    from xplain.study.server.protocol import StudyProtocol
+
+    plan = running(cfg, path, StudyPlan, study_plan)
+    run_server(StudyProtocol(study_of(plan)), server, path, cfg)
+
+
+def checked(cfg: DictConfig) -> tuple[Path, Server]:
+    """The database and how the pages are served, before the work of a plan.
+
+    Raises:
+        InputError: a key that cannot be.
+    """
     check_address(cfg)
-    path = database_of(cfg)
-    server = server_of(cfg)
-    study, ignored = running_study(cfg, path)
-    if ignored:
-        print(
-            f"study: goes on as it was started; these keys differ now and are ignored: "
-            f"{', '.join(ignored)}",
-            file=sys.stderr,
-        )
-    run_server(study, server, path, cfg, "study")
+    return database_of(cfg), server_of(cfg)
 
 
 def database_of(cfg: DictConfig) -> Path:
@@ -58,7 +71,7 @@ def database_of(cfg: DictConfig) -> Path:
     return path
 
 
-def server_of(cfg: DictConfig) -> Any:
+def server_of(cfg: DictConfig) -> Server:
     """How the pages are served; links lead to host and port where no other address is given."""
     from xplain.participants.server.http import Server
 
@@ -75,29 +88,40 @@ def check_address(cfg: DictConfig) -> None:
         raise InputError("threads", cfg.threads, "a whole number from 1 to 256")
 
 
-def running_study(cfg: DictConfig, path: Path) -> tuple[Any, list[str]]:
-    """The study in the database, or a new one; and the keys of ``cfg`` that it does not follow."""
-    from xplain.study.policies import study_of
-    from xplain.study.prepare import study_plan
-    from xplain.study.stored import read_plan, renamed
+def running(
+    cfg: DictConfig,
+    path: Path,
+    kind: type[Plan],
+    new: Callable[[DictConfig], Plan],
+) -> Plan:
+    """The plan in the database, or a new one. Names the keys of ``cfg`` that it does not follow."""
+    from xplain.participants.stored import read_plan, renamed
 
-    plan = read_plan(path)
+    plan = read_plan(path, kind)
     if plan is None:
-        print("study: preparing a new study …", file=sys.stderr)
-        return study_of(study_plan(cfg)), []
+        print(f"{kind.COMMAND}: preparing {kind.OF} …", file=sys.stderr)
+        return new(cfg)
     now = fixed(cfg)
     if now["seed"] is None:
         del now["seed"]  # drawn once, at the first start
     ignored = [key for key in now if now[key] != renamed(plan.config.get(key))]
-    return study_of(plan), ignored
+    if ignored:
+        print(
+            f"{kind.COMMAND}: goes on as it was started; these keys differ now and are ignored: "
+            f"{', '.join(ignored)}",
+            file=sys.stderr,
+        )
+    return plan
 
 
-def run_server(study: Any, server: Any, path: Path, cfg: DictConfig, name: str) -> None:
-    """Serves until it is stopped; ``name`` of the command stands before what it prints."""
+def run_server(protocol: Protocol, server: Server, path: Path, cfg: DictConfig) -> None:
+    """Serves until it is stopped."""
     from gunicorn.app.base import BaseApplication  # type: ignore[import-untyped]
 
     from xplain.participants.server.app import create_app
     from xplain.participants.server.store import Store
+
+    name = protocol.plan.COMMAND
 
     class Application(BaseApplication):  # type: ignore[misc]
         def load_config(self) -> None:
@@ -124,15 +148,15 @@ def run_server(study: Any, server: Any, path: Path, cfg: DictConfig, name: str) 
 
         def load(self) -> Any:
             # In the worker: a connection to SQLite must not be carried over a fork.
-            return create_app(Store(path, study), server)
+            return create_app(Store(path, protocol), server)
 
     # Opened once before the server starts, so that what is wrong with it is one clear line.
-    store = Store(path, study)
+    store = Store(path, protocol)
     key = _researcher_key(store)
     store.close()
     print(
         f"{name}: http://{cfg.host}:{cfg.port}/  ·  researcher's page: /researcher, key {key}\n"
-        f"{name}: database {path}, plan {study.plan.hash[:16]}",
+        f"{name}: database {path}, plan {protocol.plan.hash[:16]}",
         file=sys.stderr,
         flush=True,
     )

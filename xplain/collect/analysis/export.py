@@ -18,10 +18,10 @@ from xplain.collect.analysis.codebook import CODEBOOK
 from xplain.collect.analysis.labels import dataset_of, why_left_out
 from xplain.collect.protocol.plan import CollectPlan
 from xplain.collect.protocol.state import STATED, State
-from xplain.collect.stored import plan_of
 from xplain.data.label_table import write_table
+from xplain.event_log import head_of
 from xplain.message_sets import names_of
-from xplain.study.stored import STREAMS, reading
+from xplain.participants.stored import STREAMS, plan_of, reading
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,14 +58,18 @@ class Participant:
         ]
 
 
-def export(database: Path, folder: Path) -> None:
+def export(database: Path, folder: Path) -> str:
     """Writes all tables of a database (better: of a snapshot) into a folder.
+
+    Returns:
+        The head of the log: with it a replay can tell whether anything before was changed since.
 
     Raises:
         InputError: it is no collection's database.
     """
     with reading(database) as connection:
-        plan, people = plan_of(connection), participants(connection)
+        plan, people = plan_of(connection, CollectPlan), participants(connection)
+        head = head_of(connection)
         steps = [dict(row) for row in connection.execute("SELECT * FROM step")]
     folder.mkdir(parents=True, exist_ok=True)
     for stream in STREAMS:
@@ -79,9 +83,11 @@ def export(database: Path, folder: Path) -> None:
             write_table(dataset_of(plan, kept), folder / name)
     for name, table in tables(plan, people, steps).items():
         table.to_csv(folder / f"{name}.csv", index=False)
-    plan.hypotheses.save(folder / "hypotheses.npz")
+    (plan.whole or plan.hypotheses).save(folder / "hypotheses.npz")
     text = json.dumps(json.loads(plan.text), indent=1, ensure_ascii=False)
     (folder / "plan.json").write_text(text + "\n", encoding="utf-8")
+    (folder / "head.txt").write_text(f"{head}\n", encoding="ascii")
+    return head
 
 
 def participants(connection: sqlite3.Connection) -> list[Participant]:

@@ -7,98 +7,46 @@ took from those before.
 
 from __future__ import annotations
 
-import json
 import sqlite3
-from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
 
 from xplain import event_log
 from xplain.collect.protocol import machine
 from xplain.collect.protocol.asking import schedule, shared
 from xplain.collect.protocol.plan import Collection
 from xplain.collect.protocol.state import State
-from xplain.errors import Refused
+from xplain.participants.protocol.replay import Findings, Replayed, replayed
 
 
-@dataclass
-class Findings:
-    """How much was compared, and what differs."""
-
-    participants: int = 0
-    events: int = 0
-    steps: int = 0
-    differences: list[str] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class Replayed:
-    """One participant, as computed again: ``consent`` is the payload of that event, if any."""
-
-    who: str
-    stream: str
-    state: State
-    consent: dict[str, Any] | None
-
-
-def replay(connection: sqlite3.Connection, collection: Collection) -> Findings:
-    """Compares everything that can be computed from the events with what is stored."""
-    found = Findings(differences=event_log.differences(connection))
-    people: dict[int, Replayed] = {}
-    for person in connection.execute(
-        "SELECT * FROM participant WHERE NOT erased ORDER BY number"
-    ).fetchall():
-        found.participants += 1
-        if one := _replay_one(connection, collection, person, found):
-            people[person["number"]] = one
-    _compare_others(collection, people, found)
+def replay(connection: sqlite3.Connection, collection: Collection, head: str = "") -> Findings:
+    """Compares everything that can be computed from the events with what is stored; see
+    :func:`xplain.study.analysis.replay.replay`."""
+    found = Findings(differences=event_log.differences(connection, head))
+    advance = partial(machine.advance, collection)
+    people = {
+        one.row["number"]: one for one in replayed(connection, State(), advance, found, "clip")
+    }
+    for one in people.values():
+        _compare_others(collection, one, people, found)
     return found
 
 
-def _replay_one(
-    connection: sqlite3.Connection, collection: Collection, person: sqlite3.Row, found: Findings
-) -> Replayed | None:
-    who, state, consent = person["id"], State(), None
-    steps: dict[int, dict[str, str | int | None]] = {}
-    for event in connection.execute(
-        "SELECT * FROM event WHERE participant = ? AND source = 'protocol' ORDER BY sequence",
-        (who,),
-    ):
-        found.events += 1
-        if event["source_sequence"] != state.accepted:
-            found.differences.append(f"{who}: event {event['sequence']} is out of order")
-            return None
-        payload = json.loads(event["payload"])
-        try:
-            outcome = machine.advance(collection, state, event["kind"], payload)
-        except (Refused, KeyError) as error:
-            found.differences.append(f"{who}: event {event['sequence']} is refused: {error}")
-            return None
-        if event["kind"] == "consent" and payload.get("agree"):
-            consent = payload
-            if payload["number"] != person["number"]:
-                found.differences.append(f"{who}: admitted as {payload['number']}")
-        if answer := outcome.answer:
-            steps[answer.step] |= answer.columns
-        if decision := outcome.decision:
-            steps[decision.step] = decision.columns
-        state = outcome.state
-    if state.text != person["state"] or state.over != bool(person["over"]):
-        found.differences.append(f"{who}: the stored state differs")
-    compared, differences = event_log.step_differences(connection, who, steps, "clip")
-    found.steps += compared
-    found.differences += differences
-    return Replayed(who, person["stream"], state, consent)
-
-
-def _compare_others(collection: Collection, people: dict[int, Replayed], found: Findings) -> None:
-    """Each prior must be that of people of the same stream who had answered every clip."""
-    clips = len(schedule(collection.plan, 0))
-    for one in people.values():
-        if one.consent is None:
-            continue
-        before = [people.get(number) for number in one.consent["after"]]
-        known = [p for p in before if p and p.stream == one.stream]
-        if len(known) < len(before) or any(len(p.state.answered) < clips for p in known):
-            found.differences.append(f"{one.who}: the prior is of people who had not finished")
-        elif shared([p.state.belief for p in known]) != one.consent["others"]:
-            found.differences.append(f"{one.who}: the prior differs from what others answered")
+def _compare_others(
+    collection: Collection,
+    one: Replayed[State],
+    people: dict[int, Replayed[State]],
+    found: Findings,
+) -> None:
+    """The prior must be that of people of the same stream who had answered every clip."""
+    consent = next((load for kind, load in one.payloads if kind == "consent"), {})
+    if not consent.get("agree"):
+        return
+    who, clips = one.row["id"], len(schedule(collection.plan, 0))
+    if consent["number"] != one.row["number"]:
+        found.differences.append(f"{who}: admitted as {consent['number']}")
+    before = [people.get(number) for number in consent["after"]]
+    known = [p for p in before if p and p.row["stream"] == one.row["stream"]]
+    if len(known) < len(before) or any(len(p.state.answered) < clips for p in known):
+        found.differences.append(f"{who}: the prior is of people who had not finished")
+    elif shared([p.state.belief for p in known]) != consent["others"]:
+        found.differences.append(f"{who}: the prior differs from what others answered")

@@ -6,7 +6,8 @@ consent event. The same events give the same states and questions, which is what
 
     consent → task → practice → clips → beliefs → questions → done
 
-and from anywhere to an end: declined, withdrawn, timed_out.
+and from anywhere to an end: declined, withdrawn, timed_out. From the last of these a participant
+may return to where they were.
 """
 
 from __future__ import annotations
@@ -18,15 +19,14 @@ from typing import Any
 from xplain.collect.protocol import asking
 from xplain.collect.protocol.plan import Collection
 from xplain.collect.protocol.state import (
-    KINDS,
     QUESTION,
     STATED,
-    Answer,
     Decision,
     Outcome,
     State,
 )
-from xplain.errors import Refused
+from xplain.participants.protocol.answers import check, choice, choices, consents
+from xplain.participants.protocol.state import Answer, at_any_stage
 
 
 def advance(collection: Collection, state: State, kind: str, payload: Mapping[str, Any]) -> Outcome:
@@ -41,31 +41,14 @@ def advance(collection: Collection, state: State, kind: str, payload: Mapping[st
     Raises:
         Refused: the event does not fit the stage, or its payload is not what the stage asks for.
     """
-    words = collection.plan.texts.words
-    if state.over:
-        raise Refused(words["ended"])
-    if kind == "withdraw":
-        return _to(state, stage="withdrawn")
-    if kind == "time_out":
-        return _to(state, stage="timed_out")
-    if kind != KINDS[state.stage]:
-        raise Refused(words["other_page"])
-    return _STEPS[state.stage](collection, state, payload)
-
-
-def _to(state: State, **changes: Any) -> Outcome:
-    return Outcome(replace(state, accepted=state.accepted + 1, **changes))
+    outcome = at_any_stage(state, kind, collection.plan.texts.words)
+    return outcome or _STEPS[state.stage](collection, state, payload)
 
 
 def _consent(collection: Collection, state: State, payload: Mapping[str, Any]) -> Outcome:
-    texts = collection.plan.texts
-    agreed = _choice(payload.get("agree"), 2, texts.words["choose_consent"])
-    if payload.get("text") != texts.consent_hash:
-        raise Refused(texts.words["consent_changed"])
-    if not agreed:
-        return _to(state, stage="declined")
-    return _to(
-        state,
+    if not consents(collection.plan.texts, payload):
+        return state.to(stage="declined")
+    return state.to(
         stage="task",
         number=payload["number"],
         role=payload["role"],
@@ -74,15 +57,15 @@ def _consent(collection: Collection, state: State, payload: Mapping[str, Any]) -
 
 
 def _task(collection: Collection, state: State, payload: Mapping[str, Any]) -> Outcome:
-    return _to(state, stage="practice")
+    return state.to(stage="practice")
 
 
 def _practice(collection: Collection, state: State, payload: Mapping[str, Any]) -> Outcome:
-    label = _choice(payload.get("label"), 2, collection.plan.texts.words["choose"])
+    label = choice(payload.get("label"), 2, collection.plan.texts.words["choose"])
     if label != state.part:  # no sense under the first sentence, sense under the second
-        return _to(state, wrong=True)
+        return state.to(wrong=True)
     if state.part == 0:
-        return _to(state, part=1, wrong=False)
+        return state.to(part=1, wrong=False)
     return _next(collection, replace(state, wrong=False), None)
 
 
@@ -90,10 +73,7 @@ def _labels(collection: Collection, state: State, payload: Mapping[str, Any]) ->
     clip = state.clip
     assert clip is not None, "a clip is on the page"
     missing = collection.plan.texts.words["choose_each"]
-    labels = payload.get("labels")
-    if not isinstance(labels, list) or len(labels) != clip.size:
-        raise Refused(missing)
-    chosen = tuple(_choice(label, 2, missing) for label in labels)
+    chosen = choices(payload.get("labels"), [2] * clip.size, missing)
     labelled = replace(state, answered=(*state.answered, replace(clip, labels=chosen)), clip=None)
     return _next(collection, labelled, chosen)
 
@@ -107,46 +87,25 @@ def _next(collection: Collection, state: State, labels: tuple[int, ...] | None) 
     state = replace(state, belief=belief)
     tasks = asking.schedule(plan, state.person)
     if step == len(tasks):
-        return replace(_to(state, stage="beliefs"), answer=answer)
+        return replace(state.to(stage="beliefs"), answer=answer)
     clip = asking.clip(plan, state, tasks[step], known)
     bits = 0.0
     if clip.purpose == QUESTION:
         bits = known.information((list(clip.transitions), clip.told))
     decision = Decision(step, belief, clip, bits)
-    return replace(_to(state, stage="clips", clip=clip), decision=decision, answer=answer)
+    return replace(state.to(stage="clips", clip=clip), decision=decision, answer=answer)
 
 
 def _beliefs(collection: Collection, state: State, payload: Mapping[str, Any]) -> Outcome:
     plan = collection.plan
-    stated, missing = payload.get("stated"), plan.texts.words["answer_every"]
-    if not isinstance(stated, list) or len(stated) != len(plan.facts):
-        raise Refused(missing)
-    chosen = tuple(_choice(one, len(STATED), missing) for one in stated)
-    return _to(state, stage="questions" if plan.asked else "done", stated=chosen)
+    missing = plan.texts.words["answer_all"]
+    chosen = choices(payload.get("stated"), [len(STATED)] * len(plan.facts), missing)
+    return state.to(stage="questions" if plan.asked else "done", stated=chosen)
 
 
 def _questions(collection: Collection, state: State, payload: Mapping[str, Any]) -> Outcome:
-    asked, words = collection.plan.asked, collection.plan.texts.words
-    for one in asked:
-        value = payload.get(one.name, "")
-        if not isinstance(value, str) or len(value) > one.max_length:
-            raise Refused(f"{one.label}: {words['too_long']} ({one.max_length})")
-        if value and one.kind == "choice" and value not in one.choices:
-            raise Refused(f"{one.label}: {words['choose']}")
-        if value and one.kind == "number":
-            whole = value.isascii() and value.isdigit() and len(value) < 10
-            if not whole or not one.low <= int(value) <= one.high:
-                raise Refused(f"{one.label}: {words['no_number']} {one.low} … {one.high}.")
-    if payload.keys() - {one.name for one in asked}:
-        raise Refused(words["other_page"])
-    return _to(state, stage="done")
-
-
-def _choice(value: object, count: int, otherwise: str) -> int:
-    """An integer 0 … count − 1 (true booleans count as what they are)."""
-    if not isinstance(value, int) or not 0 <= value < count:
-        raise Refused(otherwise)
-    return int(value)
+    check(collection.plan.asked, payload, collection.plan.texts.words)
+    return state.to(stage="done")
 
 
 _STEPS = {

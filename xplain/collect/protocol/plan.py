@@ -1,28 +1,18 @@
-"""The plan of a collection: everything a participant may meet, fixed before the first one comes.
-
-As a study's plan (:mod:`xplain.study.protocol.plan`), it is stored in the database at the first
-start and read from there ever after.
-"""
+"""The plan of a collection: everything a participant may meet, fixed before the first one comes."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 from xplain.domains.base import Scene
 from xplain.errors import InputError, number, whole_number
+from xplain.participants.protocol.plan import Asked, Fact, StoredPlan, Texts
 from xplain.questions.designs import Adaptive
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.questionnaire import Questionnaire
-from xplain.storage import decode, encode
-from xplain.study.protocol.plan import Asked, Fact
-
-VERSION = "collect 1"
-"""Of the stored form; a database of another version is refused."""
 
 
 @dataclass(frozen=True)
@@ -38,30 +28,6 @@ class Example:
     action: str
     against: str
     speaks_for: str
-
-
-@dataclass(frozen=True)
-class Texts:
-    """The words of the pages, from config; paragraphs as tuples.
-
-    Attributes:
-        title, contact: on every page.
-        consent, introduction, task, goodbye: paragraphs.
-        words: every other sentence of the pages by name.
-    """
-
-    title: str
-    contact: str
-    consent: tuple[str, ...]
-    introduction: tuple[str, ...]
-    task: tuple[str, ...]
-    goodbye: tuple[str, ...]
-    words: Mapping[str, str]
-
-    @property
-    def consent_hash(self) -> str:
-        """SHA-256 of the consent text: what exactly was agreed to."""
-        return hashlib.sha256("\n".join(self.consent).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -118,7 +84,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class CollectPlan:
+class CollectPlan(StoredPlan):
     """A collection about T transitions and n facts.
 
     Attributes:
@@ -129,6 +95,8 @@ class CollectPlan:
         roles: of simulated people.
         assigned: whether each participant is told what one of the roles knows.
         hypotheses: what people might hold wrong, with phrases.
+        whole: the same of all transitions, also those that nobody is asked about because others
+            have the same features: what types are learned with. None where these are all.
         subject: who does what the phrases say; "" where they are whole sentences.
         questions: the list that everybody is asked, as (transition, message set); empty where
             each question depends on the answers before.
@@ -146,6 +114,10 @@ class CollectPlan:
         config: the configuration that it was made from, for the record.
     """
 
+    VERSION: ClassVar[int | str] = "collect 2"
+    OF: ClassVar[str] = "a collection of labels"
+    COMMAND: ClassVar[str] = "collect"
+
     seed: int
     domain: str
     texts: Texts
@@ -156,6 +128,7 @@ class CollectPlan:
     roles: tuple[Role, ...]
     assigned: bool
     hypotheses: Hypotheses
+    whole: Hypotheses | None
     subject: str
     questions: tuple[tuple[int, int], ...]
     design: Adaptive
@@ -170,31 +143,6 @@ class CollectPlan:
     expectation: Mapping[str, float]
     probes: tuple[str, ...]
     config: Mapping[str, Any]
-
-    @cached_property
-    def text(self) -> str:
-        """The plan as canonical JSON; floats survive to the last bit."""
-        value = encode(self) | {"version": VERSION}
-        return json.dumps(value, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
-
-    @cached_property
-    def hash(self) -> str:
-        """SHA-256 of :attr:`text`; names the plan in the data."""
-        return hashlib.sha256(self.text.encode()).hexdigest()
-
-    @classmethod
-    def from_text(cls, text: str) -> CollectPlan:
-        """Reads what :attr:`text` wrote.
-
-        Raises:
-            InputError: another version of the stored form, or the plan of something else.
-        """
-        value = json.loads(text)
-        if value.pop("version", None) != VERSION:
-            allowed = f"that of a collection of labels ({VERSION}), not of a study"
-            raise InputError("database", "its plan", allowed)
-        plan: CollectPlan = decode(cls, value)
-        return plan
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
+
+from xplain.participants.protocol import state as core
 
 STAGES = ("consent", "task", "practice", "clips", "beliefs", "questions", "done")
 ENDS = ("declined", "withdrawn", "timed_out")
@@ -18,6 +19,7 @@ KINDS = {
     "clips": "labels",
     "beliefs": "beliefs",
     "questions": "answers",
+    "timed_out": "return",
 }
 """The kind of event that each stage waits for; ``withdraw`` and ``time_out`` are always heard."""
 QUESTION, REPEAT, ATTENTION = "question", "repeat", "attention"
@@ -48,30 +50,26 @@ class Clip:
 
 
 @dataclass(frozen=True)
-class State:
+class State(core.State):
     """Where a participant is. The first value is the start.
 
     Attributes:
         stage: one of STAGES or ENDS.
-        accepted: events accepted so far, which is the sequence number of the next one.
         number: the participant's, which seeds their questions; None before consent.
         role: index of the role whose briefing they got; None for people as they are.
         others: {fact set: its share among those asked before}.
-        part: which half of the practice.
-        wrong: whether the last answer of the practice was not as expected.
         answered: clips with their labels.
         clip: the one on the page.
         belief: {fact set, or "none": its posterior}, after the last question.
         stated: of each fact an index into STATED.
     """
 
-    stage: str = "consent"
-    accepted: int = 0
+    ENDS = ENDS
+    KINDS = KINDS
+
     number: int | None = None
     role: int | None = None
     others: Mapping[str, float] = field(default_factory=dict)
-    part: int = 0
-    wrong: bool = False
     answered: tuple[Clip, ...] = ()
     clip: Clip | None = None
     belief: Mapping[str, float] = field(default_factory=dict)
@@ -82,30 +80,6 @@ class State:
         """The participant's number, in the stages after consent."""
         assert self.number is not None, f"no number at {self.stage}"
         return self.number
-
-    @property
-    def over(self) -> bool:
-        """Whether nothing more can happen."""
-        return self.stage == "done" or self.stage in ENDS
-
-    @property
-    def text(self) -> str:
-        """As JSON, for the store."""
-        return json.dumps(asdict(self), sort_keys=True)
-
-    @classmethod
-    def from_text(cls, text: str) -> State:
-        """The state that :attr:`text` was made from, equal to the last bit."""
-        value = json.loads(text)
-        clip = value["clip"]
-        return cls(
-            **value
-            | {
-                "answered": tuple(_clip(one) for one in value["answered"]),
-                "clip": clip and _clip(clip),
-                "stated": tuple(value["stated"]),
-            }
-        )
 
     def questions(self) -> list[Clip]:
         """The answered clips that are questions: what is learned from."""
@@ -128,12 +102,6 @@ class State:
             for pair in zip(clip.labels, first[clip.transitions, clip.told], strict=True)
         ]
         return sum(a == b for a, b in pairs) / len(pairs) if pairs else None
-
-
-def _clip(value: Mapping[str, Any]) -> Clip:
-    return Clip(
-        value["purpose"], tuple(value["transitions"]), value["told"], tuple(value["labels"])
-    )
 
 
 @dataclass(frozen=True)
@@ -163,24 +131,4 @@ class Decision:
         }
 
 
-@dataclass(frozen=True)
-class Answer:
-    """The labels of a clip and the posterior after them."""
-
-    step: int
-    labels: tuple[int, ...]
-    belief: Mapping[str, float]
-
-    @property
-    def columns(self) -> dict[str, str]:
-        """Of the step table, by name: those that :attr:`Decision.columns` leaves None."""
-        return {"labels": json.dumps(self.labels), "belief_after": json.dumps(self.belief)}
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """A new state, with what belongs into the step table."""
-
-    state: State
-    decision: Decision | None = None
-    answer: Answer | None = None
+Outcome = core.Outcome[State]

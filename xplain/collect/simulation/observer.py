@@ -17,6 +17,7 @@ from xplain.collect.protocol.plan import Collection, CollectPlan
 from xplain.collect.protocol.state import State
 from xplain.collect.protocol.view import page
 from xplain.errors import InputError
+from xplain.participants.simulation.http_client import Page
 from xplain.randomness import stream
 
 
@@ -96,6 +97,26 @@ class Observer:
     def states(self, facts: Sequence[int]) -> list[int]:
         """What they believe of each fact: an index into STATED."""
         return [self.held >> j & 1 for j in facts]
+
+    def fill(self, page: Page) -> tuple[list[tuple[str, str]], float]:
+        """The fields that they fill in on a page, and how long it took them, in seconds."""
+        if page.stage == "consent":
+            return [("agree", "1")], 0.0
+        if page.stage == "task":
+            if page.facts:
+                self.briefed(page.facts)
+        elif page.stage == "practice":
+            part = page.messages == [self.plan.example.speaks_for]
+            return [("label", str(self.practises(part)))], 0.0
+        elif page.stage == "clips":
+            transitions = [int(step) for step in page.steps if step]
+            labels, seconds = self.labels(transitions, page.messages)
+            return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], seconds
+        elif page.stage == "beliefs":
+            facts = [int(name.removeprefix("fact_")) for name in page.groups()]
+            stated = zip(facts, self.states(facts), strict=True)
+            return [(f"fact_{j}", str(value)) for j, value in stated], 0.0
+        return [], 0.0
 
 
 def observer(plan: CollectPlan, habits: Habits, seed: int, number: int) -> Observer:

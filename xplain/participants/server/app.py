@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import logging
 
-import yaml
 from flask import Flask, Response, request
+from jinja2 import ChoiceLoader, FileSystemLoader
 from werkzeug.exceptions import HTTPException
 from werkzeug.middleware.proxy_fix import ProxyFix
 from werkzeug.wrappers import Response as AnyResponse
 
-from xplain.config import CONF
 from xplain.participants.server import security
 from xplain.participants.server.http import Context, Desk, Server, context, error_page, owner
 from xplain.participants.server.participant_pages import pages as participant_pages
@@ -24,7 +23,7 @@ log = logging.getLogger(__name__)
 def create_app(store: Store, server: Server) -> Flask:
     """The application for one open store."""
     app = Flask(__name__)
-    words = english() | dict(getattr(store.protocol.plan.texts, "words", {}))
+    words = store.protocol.plan.texts.words
     app.config.update(
         MAX_CONTENT_LENGTH=security.MAX_BODY,
         MAX_FORM_MEMORY_SIZE=security.MAX_BODY,
@@ -40,6 +39,8 @@ def create_app(store: Store, server: Server) -> Flask:
         words,
         Desk(),
     )
+    own = FileSystemLoader(store.protocol.templates)
+    app.jinja_loader = ChoiceLoader([own, app.jinja_loader])  # type: ignore[list-item]
     app.jinja_env.trim_blocks = app.jinja_env.lstrip_blocks = True
     drawn = dict(store.protocol.drawing())
     app.jinja_env.globals.update(drawn | {"texts": store.protocol.plan.texts, "words": words})
@@ -54,12 +55,6 @@ def create_app(store: Store, server: Server) -> Flask:
         app.wsgi_app = ProxyFix(app.wsgi_app, server.proxies, server.proxies)  # type: ignore[method-assign]
     app.wsgi_app = security.ReadToTheEnd(app.wsgi_app)  # type: ignore[method-assign]
     return app
-
-
-def english() -> dict[str, str]:
-    """The words of the pages that every protocol shares, where a plan has none of its own."""
-    text = (CONF / "words" / "en.yaml").read_text(encoding="utf-8")
-    return {str(key): str(value) for key, value in yaml.safe_load(text).items()}
 
 
 def _limit() -> AnyResponse | None:

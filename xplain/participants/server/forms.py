@@ -6,15 +6,10 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from werkzeug.datastructures import MultiDict
-
 from xplain.errors import Refused
-from xplain.study.protocol.machine import State
-from xplain.study.protocol.plan import Study
 
 TAB_KINDS = ("visible", "hidden", "label", "recall", "retry")
 MAX_ITEMS = 50
-_WIDTH = re.compile(r"[1-9][0-9]{1,4}\Z")
 _TAB = re.compile(r"[a-z0-9]{8,32}\Z")
 
 
@@ -44,37 +39,6 @@ def milliseconds(value: object) -> float | None:
     except (TypeError, ValueError):
         return None
     return number if 0 <= number < 1e10 else None
-
-
-def payload_of(kind: str, form: MultiDict[str, str], study: Study, state: State) -> dict[str, Any]:
-    """The payload of an event of this kind; what is missing or malformed becomes None, which the
-    protocol refuses with a sentence for the participant."""
-    plan = study.plan
-    if kind == "consent":
-        width = (form.getlist("width") or [""])[-1]
-        return {
-            "agree": small(form.get("agree")),
-            "text": form.get("text", "")[:64],
-            "width": int(width) if _WIDTH.match(width) else None,
-        }
-    if kind == "screening":
-        return {asked.name: form.get(asked.name, "").strip() for asked in plan.before}
-    if kind == "example":
-        return {"label": small(form.get("label"))}
-    if kind == "eligibility" and state.user_type is not None:
-        questions = plan.roles[state.user_type].eligibility
-        return {"answers": [small(form.get(f"q{i}")) for i in range(len(questions))]}
-    if kind == "labels":
-        kept = list(state.labels[: state.step])
-        sent = [small(form.get(f"label_{i}")) for i in range(state.step + 1)]
-        # An earlier label that is not sent again stays as it was.
-        old = [kept[i] if label is None else label for i, label in enumerate(sent[: len(kept)])]
-        return {"labels": [*old, *sent[len(kept) :]]}
-    if kind == "quiz":
-        return {"chosen": [small(text) for text in form.getlist("true")[:100]]}
-    if kind == "answers":
-        return {asked.name: form.get(asked.name, "").strip() for asked in plan.asked}
-    return {}
 
 
 def tab_items(value: object) -> tuple[str, list[tuple[int, str, float, dict[str, Any]]]]:

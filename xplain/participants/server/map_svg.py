@@ -28,26 +28,14 @@ class Drawn(Protocol):
     def icons(self) -> Mapping[str, str]: ...
 
 
-WORDS = {
-    "map_step": "the map and the robot's way after step {step}",
-    "map_alone": "the map",
-    "map_words": "the list of steps says the same in words",
-    "wall": "wall",
-    "way": "the robot's way, with the numbers of its steps",
-}
-"""What a picture says, where a plan has no words of its own."""
-
-
-def picture(
-    plan: Drawn, steps: int, gone: Sequence[str] = (), words: Mapping[str, str] = WORDS
-) -> str:
+def picture(plan: Drawn, steps: int, words: Mapping[str, str], gone: Sequence[str] = ()) -> str:
     """The map after the first ``steps`` transitions; "" where the domain has no map.
 
     Args:
         plan: with scene and path.
         steps: how much of the way is drawn; 0 shows the map alone.
-        gone: names of items that are no longer on the map.
         words: that it says.
+        gone: names of items that are no longer on the map.
     """
     scene, path = plan.scene, plan.path
     if scene is None or path is None:
@@ -81,7 +69,7 @@ def picture(
     return "".join([*parts, "</svg>"])
 
 
-def legend(plan: Drawn, words: Mapping[str, str] = WORDS) -> list[tuple[str, str]]:
+def legend(plan: Drawn, words: Mapping[str, str]) -> list[tuple[str, str]]:
     """(name, small SVG) of everything on the map."""
     if plan.scene is None:
         return []

@@ -20,7 +20,7 @@ from xplain.participants.server.http import (
     owner,
     set_cookie,
 )
-from xplain.participants.server.slots import Full
+from xplain.participants.server.protocol import Full
 from xplain.participants.server.store import Participant, Unknown
 
 pages = Blueprint("participant", __name__)
@@ -107,13 +107,12 @@ def _page(found: Participant, problem: str = "", status: int = 200) -> Response:
     stage = found.state.stage
     own.store.shown(found.id, found.state.accepted, stage)
     code = own.code(found)
-    ended = found.state.over and (stage == "done" or stage in protocol.ends)
     return make_response(
         render_template(
-            "ended.html" if ended else f"{stage}.html",
+            "ended.html" if found.state.over else f"{stage}.html",
             **protocol.view(found.state),
             token=own.keys.form(found.id),
-            kind=protocol.kinds.get(stage, ""),
+            kind=found.state.KINDS.get(stage, ""),
             problem=own.say(problem),
             reference="-".join(re.findall(".{4}", found.id)),
             code=code,

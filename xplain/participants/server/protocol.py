@@ -1,8 +1,7 @@
-"""What the server asks of a protocol: the study's, or the collection of labels.
+"""What the server asks of a protocol, such as a study's or that of a collection of labels.
 
 A protocol is a pure state machine with the tables and pages that belong to it. The store keeps its
-states and events, the pages show what it says; neither knows which one it is. An implementation
-stands beside this file for each, named in :mod:`xplain.participants.server.protocols`.
+states and events, the pages show what it says; neither knows which one it is.
 """
 
 from __future__ import annotations
@@ -14,43 +13,16 @@ from typing import Protocol as Interface
 
 from werkzeug.datastructures import MultiDict
 
+from xplain.errors import Refused
+from xplain.participants.protocol.state import Outcome, State
 from xplain.participants.server.database import Do
 
 Query = Callable[[str], list[dict[str, Any]]]
 """Rows of a reading query."""
 
 
-class State(Interface):
-    """Where a participant is; immutable."""
-
-    @property
-    def stage(self) -> str: ...
-    @property
-    def accepted(self) -> int: ...
-    @property
-    def over(self) -> bool: ...
-    @property
-    def text(self) -> str: ...
-
-
-class StepColumns(Interface):
-    """A row of the step table, or the columns that an answer fills in."""
-
-    @property
-    def step(self) -> int: ...
-    @property
-    def columns(self) -> Mapping[str, str | int | None]: ...
-
-
-class Outcome(Interface):
-    """A new state; the step that it opens (decision) and the one that it completes (answer)."""
-
-    @property
-    def state(self) -> State: ...
-    @property
-    def decision(self) -> StepColumns | None: ...
-    @property
-    def answer(self) -> StepColumns | None: ...
+class Full(Refused):
+    """No place is free now."""
 
 
 class Protocol(Interface):
@@ -60,8 +32,7 @@ class Protocol(Interface):
         plan: the value everything follows from, with ``text``, ``hash``, ``texts`` and
             ``rules.timeout_minutes``.
         stages: in order, as far as the plan has them.
-        ends: other stages that nothing follows.
-        kinds: of the event that each stage waits for.
+        templates: folder of its pages, one named like each stage.
         overview: template of the researcher's page.
     """
 
@@ -70,9 +41,7 @@ class Protocol(Interface):
     @property
     def stages(self) -> Sequence[str]: ...
     @property
-    def ends(self) -> Sequence[str]: ...
-    @property
-    def kinds(self) -> Mapping[str, str]: ...
+    def templates(self) -> Path: ...
     @property
     def overview(self) -> str: ...
 
@@ -80,7 +49,7 @@ class Protocol(Interface):
         """The state that a text stands for; the first one without it."""
         ...
 
-    def advance(self, state: Any, kind: str, payload: Mapping[str, Any]) -> Outcome:
+    def advance(self, state: Any, kind: str, payload: Mapping[str, Any]) -> Outcome[State]:
         """The state after an event.
 
         Raises:
@@ -97,7 +66,7 @@ class Protocol(Interface):
         the place that was reserved.
 
         Raises:
-            Refused: nobody can be admitted now.
+            Full: nobody can be admitted now.
         """
         ...
 
@@ -106,7 +75,8 @@ class Protocol(Interface):
         :meth:`admit`.
 
         Raises:
-            Refused: no place is free, or they are not away.
+            Full: no place is free.
+            Refused: they are not away.
         """
         ...
 
@@ -136,7 +106,17 @@ class Protocol(Interface):
         ...
 
     def glance(self, query: Query) -> dict[str, Any]:
-        """What the researcher's page shows besides participants and stages."""
+        """What the researcher's page shows besides participants and stages; ``data`` names the
+        tables of the export."""
+        ...
+
+    def about(self, state: Any, blinded: bool) -> dict[str, str]:
+        """What the researcher's page says of a participant, by column.
+
+        Args:
+            state: of the participant.
+            blinded: whether that may tell who gets what.
+        """
         ...
 
     def export(self, snapshot: Path, folder: Path) -> None:

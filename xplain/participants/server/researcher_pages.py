@@ -24,7 +24,7 @@ from xplain.participants.server.http import (
     genuine,
     set_cookie,
 )
-from xplain.study.stored import STREAMS
+from xplain.participants.stored import STREAMS
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
 COOKIE = "researcher"
@@ -58,11 +58,10 @@ def overview() -> AnyResponse:
     if session is None:
         return make_response(render_template("login.html"))
     own.store.time_out_stale()
+    protocol, blinded = own.protocol, own.server.blinded
     people = own.store.query(
-        "SELECT participant.id, stream, json_extract(state, '$.stage') AS stage, "
-        "json_extract(state, '$.step') AS step, json_extract(state, '$.user_type') AS user_type, "
-        "json_extract(state, '$.condition') AS condition, entered, seen, over "
-        "FROM participant WHERE NOT erased ORDER BY over, seen DESC LIMIT 500"
+        "SELECT id, stream, state, entered, seen FROM participant WHERE NOT erased "
+        "ORDER BY over, seen DESC LIMIT 500"
     )
     flow = own.store.query(
         "SELECT stream, json_extract(state, '$.stage') AS stage, count(*) AS number "
@@ -71,19 +70,22 @@ def overview() -> AnyResponse:
     address = own.server.address.rstrip("/") or request.host_url.rstrip("/")
     return make_response(
         render_template(
-            own.protocol.overview,
-            **own.protocol.glance(own.store.query),
+            protocol.overview,
+            **protocol.glance(own.store.query),
             token=own.keys.form(session),
-            people=people,
+            columns=protocol.about(protocol.state(), blinded),
+            people=[
+                p | {"about": protocol.about(protocol.state(p["state"]), blinded)} for p in people
+            ],
             now=own.store.clock.wall(),
-            stages=(*own.protocol.stages, *own.protocol.ends),
+            stages=(*protocol.stages, *protocol.state().ENDS),
             flow={(row["stream"], row["stage"]): row["number"] for row in flow},
             streams=[name for name in STREAMS if any(row["stream"] == name for row in flow)],
             entrance=address + url_for("participant.entrance"),
             invitations=own.desk.invitations.get(request.args.get("made", ""), []),
-            plan_hash=own.protocol.plan.hash,
+            plan_hash=protocol.plan.hash,
             paused=own.store.paused,
-            blinded=own.server.blinded,
+            blinded=blinded,
             head=own.store.query("SELECT value FROM meta WHERE key = 'head'")[0]["value"],
         )
     )

@@ -1,4 +1,4 @@
-"""The study's memory of its participants.
+"""The server's memory of its participants.
 
 Every change happens in one transaction: the event, the participant's state, the slot, the policy's
 step. An event that comes twice is stored once.
@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from xplain.errors import InputError, Refused
+from xplain.participants.protocol.state import State
 from xplain.participants.server.database import Clock, Database, Do, append
-from xplain.participants.server.protocol import State
-from xplain.participants.server.protocols import Running, protocol_of
-from xplain.study.stored import STREAMS
+from xplain.participants.server.protocol import Protocol
+from xplain.participants.stored import STREAMS
 
 LETTERS = "BCDFGHJKLMNPQRSTVWXZ"
 """Of completion codes: no vowels, so no words, and no digits that look like a number."""
@@ -42,16 +42,15 @@ class Participant:
 class Store(Database):
     """Everything the server knows. Safe to call from several threads."""
 
-    def __init__(self, path: Path, study: Running, clock: Clock | None = None) -> None:
+    def __init__(self, path: Path, protocol: Protocol, clock: Clock | None = None) -> None:
         """Opens or creates the database.
 
         Raises:
             XplainError: another process has it open, it belongs to another plan, or it is broken.
         """
         super().__init__(path)
-        self.study, self.clock = study, clock or Clock()
-        self.protocol = protocol_of(study)
-        plan = study.plan
+        self.protocol, self.clock = protocol, clock or Clock()
+        plan = protocol.plan
         try:
             with self.transaction() as do:
                 row = do("SELECT value FROM meta WHERE key = 'plan'").fetchone()
@@ -346,7 +345,7 @@ class Store(Database):
             return self._time_out_stale(do)
 
     def _time_out_stale(self, do: Do) -> int:
-        limit = self.clock.wall() - 60 * self.study.plan.rules.timeout_minutes
+        limit = self.clock.wall() - 60 * self.protocol.plan.rules.timeout_minutes
         stale = do(
             "SELECT id, state FROM participant WHERE over = 0 AND seen < ? "
             "AND json_extract(state, '$.stage') != 'consent'",

@@ -1,4 +1,4 @@
-"""Dry runs against a running server: ``study bots key=… count=40``.
+"""Dry runs against a running server: ``study bots``, ``collect bots``.
 
 Simulated participants come over HTTP, or each in a real browser, with invitations of the stream
 "bot", which marks them in the data for ever. The plan that they need is read from the snapshot
@@ -23,11 +23,8 @@ from urllib.parse import urlencode, urlsplit
 
 from xplain.errors import InputError
 from xplain.participants.simulation import chromium
-from xplain.participants.simulation.http_client import Browser, Fill, Page, Visitor, fill, visit
-from xplain.randomness import stream
-from xplain.study.protocol.plan import StudyPlan
-from xplain.study.simulation.participant import Habits, Person
-from xplain.study.stored import opened, plan_of
+from xplain.participants.simulation.http_client import Browser, Page, Visitor, visit
+from xplain.participants.stored import Plan, opened, plan_of
 
 
 class Researcher:
@@ -77,40 +74,10 @@ class Researcher:
             with opened(path) as connection:
                 yield connection
 
-    def plan(self) -> StudyPlan:
-        """The study's plan, from a snapshot."""
+    def plan(self, kind: type[Plan]) -> Plan:
+        """The plan, from a snapshot."""
         with self.snapshot() as connection:
-            return plan_of(connection)
-
-
-def run(
-    url: str,
-    key: str,
-    count: int,
-    at_once: int,
-    pace: float,
-    habits: Habits,
-    seed: int,
-    in_chromium: bool,
-) -> Counter[str]:
-    """Lets bots take part; how many ended at which stage.
-
-    Args:
-        url, key: of the server.
-        count: bots.
-        at_once: how many of them at a time.
-        pace: seconds of waiting a simulated second of thinking; 0 = none.
-        habits: of all.
-        seed: of their streams.
-        in_chromium: each in a real browser instead of bare HTTP.
-    """
-    researcher = Researcher(url, key)
-    plan = researcher.plan()
-
-    def person(number: int) -> Person:
-        return Person(plan, habits, stream(seed, "bots", number))
-
-    return crowd(researcher, count, at_once, pace, person, fill, in_chromium)
+            return plan_of(connection, kind)
 
 
 def crowd(
@@ -119,16 +86,17 @@ def crowd(
     at_once: int,
     pace: float,
     person_of: Callable[[int], Visitor],
-    fill: Fill,
     in_chromium: bool,
 ) -> Counter[str]:
-    """Lets simulated people of any protocol take part; how many ended at which stage.
+    """Lets simulated people take part; how many ended at which stage.
 
     Args:
         researcher: makes the invitations.
-        count, at_once, pace, in_chromium: as in :func:`run`.
+        count: bots.
+        at_once: how many of them at a time.
+        pace: seconds of waiting a simulated second of thinking; 0 = none.
         person_of: the person with a number.
-        fill: how they answer a page.
+        in_chromium: each in a real browser instead of bare HTTP.
     """
     url = researcher.browser.url
 
@@ -138,10 +106,10 @@ def crowd(
     def one(number: int, invitation: str) -> str:
         person = person_of(number)
         if not in_chromium:
-            return visit(Browser(url), person, invitation, think, fill)
+            return visit(Browser(url), person, invitation, think)
         with chromium.browser() as driver:
             chromium.go_in(driver, url, invitation)
-            return chromium.take_part(driver, person, think, fill=fill)
+            return chromium.take_part(driver, person, think)
 
     invitations: list[str] = []
     while len(invitations) < count:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from xplain.errors import InputError
-from xplain.participants.simulation.http_client import Fill, Page, Visitor, fill
+from xplain.participants.simulation.http_client import Page, Visitor
 
 FLAGS = (
     "--headless=new",
@@ -121,7 +121,6 @@ def take_part(
     person: Visitor,
     think: Callable[[float], None] = lambda seconds: None,
     look: Callable[[Page], None] = lambda page: None,
-    fill: Fill = fill,
 ) -> str:
     """From the page that is open to the end.
 
@@ -130,7 +129,6 @@ def take_part(
         person: who answers.
         think: called with the seconds that a person would take before each answer.
         look: called with every page.
-        fill: how such a person answers a page.
 
     Returns:
         The last stage; "left" for somebody who dropped out.
@@ -142,6 +140,6 @@ def take_part(
             return page.stage
         if person.leaves():
             return "left"
-        fields, seconds = fill(person, page)
+        fields, seconds = person.fill(page)
         think(seconds)
         answer(driver, page, fields)

@@ -7,10 +7,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
-from typing import Any, Protocol
+from typing import Protocol
 from urllib.parse import urlencode, urlsplit
-
-from xplain.study.simulation.participant import Person
 
 WIDTH = {"width": "1280"}
 """Of the window that a client without scripts says it has."""
@@ -125,36 +123,9 @@ class Visitor(Protocol):
         """Whether this page is where they drop out."""
         ...
 
-
-Fill = Callable[[Any, Page], tuple[list[tuple[str, str]], float]]
-"""What such a person fills in on a page, and the seconds that it takes them."""
-
-
-def fill(person: Person, page: Page) -> tuple[list[tuple[str, str]], float]:
-    """The fields that a person fills in, and how long it took them, in seconds."""
-    groups = page.groups()
-    if page.stage == "consent":
-        return [("agree", "1")], 0.0
-    if page.stage == "before":
-        return list(person.asked().items()), 0.0
-    if page.stage == "briefing":
-        person.briefed(page.facts)
-    elif page.stage == "training":
-        return [("label", str(person.practises(len(page.messages))))], 0.0
-    elif page.stage == "eligibility":
-        names = sorted(groups, key=lambda name: int(name[1:]))
-        answers = person.checked([[c.text for c in groups[name]] for name in names])
-        return [
-            (name, groups[name][answer].value) for name, answer in zip(names, answers, strict=True)
-        ], 0.0
-    elif page.stage == "evaluation":
-        labels, seconds = person.labels(len(groups), page.messages)
-        return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], seconds
-    elif page.stage == "quiz":
-        statements = groups["true"]
-        ticked = person.quiz([choice.text for choice in statements])
-        return [("true", statements[i].value) for i in ticked], 0.0
-    return [], 0.0
+    def fill(self, page: Page) -> tuple[list[tuple[str, str]], float]:
+        """The fields that they fill in on a page, and how long it took them, in seconds."""
+        ...
 
 
 @dataclass
@@ -240,7 +211,6 @@ def visit(
     person: Visitor,
     invitation: str,
     think: Callable[[float], None] = lambda seconds: None,
-    fill: Fill = fill,
 ) -> str:
     """Takes part from the invitation to the end.
 
@@ -249,7 +219,6 @@ def visit(
         person: who answers.
         invitation: the token.
         think: called with the seconds a person would take before each answer.
-        fill: how such a person answers a page.
 
     Returns:
         The last stage; "left" for somebody who dropped out.
@@ -259,7 +228,7 @@ def visit(
         OSError: the server was away for longer than the browser's patience.
     """
     try:
-        return _visit(browser, person, invitation, think, fill)
+        return _visit(browser, person, invitation, think)
     finally:
         browser.close()
 
@@ -269,7 +238,6 @@ def _visit(
     person: Visitor,
     invitation: str,
     think: Callable[[float], None],
-    fill: Fill,
 ) -> str:
     _, html = browser.get(f"/?invitation={invitation}")
     page = Page(html)
@@ -278,7 +246,7 @@ def _visit(
     while page.hidden:
         if person.leaves():
             return "left"
-        fields, seconds = fill(person, page)
+        fields, seconds = person.fill(page)
         think(seconds)
         status, html = browser.post("/study", [*page.hidden.items(), *fields])
         if status >= 400:

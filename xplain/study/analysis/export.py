@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from xplain.event_log import head_of
 from xplain.message_sets import names_of
+from xplain.participants.stored import plan_of, reading
 from xplain.study.analysis.codebook import CODEBOOK, kind_of, unit_of
 from xplain.study.analysis.timing import Interaction, interaction, pages
 from xplain.study.protocol.machine import State
 from xplain.study.protocol.plan import StudyPlan
-from xplain.study.stored import plan_of, reading
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,7 +38,7 @@ def export(database: Path, folder: Path) -> str:
         InputError: it is no study's database.
     """
     with reading(database) as connection:
-        plan, found = plan_of(connection), tables(connection)
+        plan, found = plan_of(connection, StudyPlan), tables(connection)
         head = head_of(connection)
     folder.mkdir(parents=True, exist_ok=True)
     for name, table in found.items():
@@ -60,7 +60,7 @@ def tables(connection: sqlite3.Connection) -> dict[str, pd.DataFrame]:
     """Every table by name; columns as in the codebook, which is a table too."""
     import pandas as pd
 
-    plan = plan_of(connection)
+    plan = plan_of(connection, StudyPlan)
     kept = "participant WHERE NOT erased"
     people = [dict(r) for r in connection.execute(f"SELECT * FROM {kept} ORDER BY number")]
     events = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -75,10 +76,13 @@ def compare(
     x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     student, welch, g = TTest(), TTest(), (NAN, NAN, NAN)
     if len(x) > 1 and len(y) > 1 and (np.ptp(x) > 0 or np.ptp(y) > 0):
-        student, welch = (
-            TTest(float(found.statistic), float(found.df), float(found.pvalue))
-            for found in (stats.ttest_ind(x, y, equal_var=equal) for equal in (True, False))
-        )
+        with warnings.catch_warnings():
+            # Of a group without spread: messages of a policy that tells everybody the same.
+            warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
+            student, welch = (
+                TTest(float(found.statistic), float(found.df), float(found.pvalue))
+                for found in (stats.ttest_ind(x, y, equal_var=equal) for equal in (True, False))
+            )
         g = hedges(student.t, len(x), len(y))
     p = stratified_permutation(x, y, np.array(strata_a), np.array(strata_b), seed)
     return Comparison(Group.of(x), Group.of(y), student, welch, *g, permutation_p=p)

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xplain.errors import InputError
+from xplain.participants.stored import STREAMS
 from xplain.randomness import derived_seed
 from xplain.study.analysis.statistics import Comparison, compare, holm
 from xplain.study.protocol.machine import ENDS
-from xplain.study.stored import STREAMS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,7 +25,10 @@ MEASURES = {
     "inexplicable_transitions": "Inexplicable transitions",
     "quiz_score": "Quiz score",
 }
-SECONDARY = {"visible_time_s": "Interaction time while visible (s)"}
+SECONDARY = {
+    "visible_time_s": "Interaction time while visible (s)",
+    "messages_given": "Messages",
+}
 STAGES = ("entered", "consented", "eligible", "evaluated", "completed")
 NEEDED = ("participant", "stream", "stage", "type", "condition", "eligible", *MEASURES, *SECONDARY)
 

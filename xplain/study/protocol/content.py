@@ -13,29 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import Parameter
-from xplain.errors import InputError
 from xplain.message_sets import indices
-from xplain.study.protocol.plan import Fact, Known, Question, Role, Statement
+from xplain.participants.protocol.plan import Fact, facts_of
+from xplain.study.protocol.plan import Known, Question, Role, Statement
 from xplain.users.setting import UserType
 
+NATURAL = "natural"
+"""Name of the role of people who are not briefed."""
 STATEMENTS = 2
 """Of the quiz about what a type had to have corrected, and as many about something else."""
-
-
-def facts_of(parameters: Sequence[Parameter]) -> tuple[Fact, ...]:
-    """The parameters' sentences.
-
-    Raises:
-        InputError: a parameter lacks the sentence of those who hold it wrong.
-    """
-    for parameter in parameters:
-        if not parameter.belief.strip():
-            raise InputError(
-                f"domain.values.{parameter.name}.belief",
-                parameter.belief,
-                "a sentence that a user who holds it wrong would say; the study needs it",
-            )
-    return tuple(Fact(p.name, p.message, p.belief) for p in parameters)
 
 
 def needed(labels: NDArray[np.uint8]) -> int:
@@ -84,6 +70,17 @@ def roles_of(
             )
         )
     return tuple(roles)
+
+
+def natural_role(facts: Sequence[Fact], known: Sequence[Known], labels: NDArray[np.uint8]) -> Role:
+    """The one role of people as they are: no briefing, and a quiz about what simulated people need.
+
+    Args:
+        facts, known: of the plan.
+        labels: [M, m, 2^n] true labels of the trace, of the kinds of simulated people.
+    """
+    need = int(np.bitwise_or.reduce([needed(of_kind) for of_kind in labels]))
+    return Role(NATURAL, (), (), (), _quiz(facts, known, (), need, 0))
 
 
 def _eligibility(

@@ -13,6 +13,7 @@ import numpy as np
 
 from xplain.errors import InputError
 from xplain.message_sets import indices
+from xplain.participants.simulation.http_client import Page
 from xplain.study.protocol import machine
 from xplain.study.protocol.plan import Study, StudyPlan
 
@@ -66,7 +67,8 @@ class Person:
 
     def __init__(self, plan: StudyPlan, habits: Habits, rng: np.random.Generator) -> None:
         self.plan, self.habits, self.rng = plan, habits, rng
-        self.user_type = 0
+        # As they are, until a briefing tells them what to know.
+        self.user_type = int(rng.integers(len(plan.kinds))) if plan.kinds else 0
         self.known = 0
         self._heard: set[str] = set()
         self._judged: int | None = None
@@ -95,7 +97,9 @@ class Person:
         return answers
 
     def briefed(self, sentences: Sequence[str]) -> None:
-        """Takes over what the briefing says."""
+        """Takes over what the briefing says, if anything."""
+        if not sentences:
+            return
         told = [role.briefing for role in self.plan.roles]
         self.user_type = told.index(tuple(sentences))
 
@@ -144,12 +148,12 @@ class Person:
 
     def quiz(self, sentences: Sequence[str]) -> list[int]:
         """The statements that they hold true, as positions."""
-        role = self.plan.roles[self.user_type]
+        wrong = self.plan.wrong[self.user_type]
         for j in indices(self.known):
-            if j in role.wrong and self._chance(self.habits.fading):
+            if j in wrong and self._chance(self.habits.fading):
                 self.known &= ~(1 << j)
         true = {
-            fact.belief if j in role.wrong and not self.known >> j & 1 else fact.message
+            fact.belief if j in wrong and not self.known >> j & 1 else fact.message
             for j, fact in enumerate(self.plan.facts)
         } | {known.right for known in self.plan.known}
         return [
@@ -157,6 +161,31 @@ class Person:
             for i, sentence in enumerate(sentences)
             if (sentence in true) ^ self._chance(self.habits.label_noise)
         ]
+
+    def fill(self, page: Page) -> tuple[list[tuple[str, str]], float]:
+        """The fields that they fill in on a page, and how long it took them, in seconds."""
+        groups = page.groups()
+        if page.stage == "consent":
+            return [("agree", "1")], 0.0
+        if page.stage == "before":
+            return list(self.asked().items()), 0.0
+        if page.stage == "briefing":
+            self.briefed(page.facts)
+        elif page.stage == "training":
+            return [("label", str(self.practises(len(page.messages))))], 0.0
+        elif page.stage == "eligibility":
+            names = sorted(groups, key=lambda name: int(name[1:]))
+            answers = self.checked([[c.text for c in groups[name]] for name in names])
+            pairs = zip(names, answers, strict=True)
+            return [(name, groups[name][answer].value) for name, answer in pairs], 0.0
+        elif page.stage == "evaluation":
+            labels, seconds = self.labels(len(groups), page.messages)
+            return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], seconds
+        elif page.stage == "quiz":
+            statements = groups["true"]
+            ticked = self.quiz([choice.text for choice in statements])
+            return [("true", statements[i].value) for i in ticked], 0.0
+        return [], 0.0
 
 
 @dataclass(frozen=True)
@@ -175,14 +204,17 @@ def take_part(
     """One simulated participant in the bare protocol; None if they did not get to the end."""
     plan = study.plan
     person = Person(plan, habits, rng)
-    person.briefed(plan.roles[user_type].briefing)
+    role = plan.roles[user_type]
+    person.briefed(role.briefing)
     state = machine.State(
-        stage="eligibility",
+        stage="training",
+        part=1,
         user_type=user_type,
         condition=condition,
-        orders={"quiz": tuple(range(len(plan.roles[user_type].quiz))), "eligibility": ()},
+        orders={"quiz": tuple(range(len(role.quiz))), "eligibility": ()},
     )
-    questions = [question.options for question in plan.roles[user_type].eligibility]
+    state = machine.advance(study, state, "example", {"label": 1}).state
+    questions = [question.options for question in role.eligibility]
     while state.stage in ("eligibility", "briefing"):
         kind: str = "read"
         payload: dict[str, object] = {}
@@ -199,7 +231,7 @@ def take_part(
         state = machine.advance(study, state, "labels", {"labels": labels}).state
     if state.stage != "quiz":
         return None
-    sentences = [statement.text for statement in plan.roles[user_type].quiz]
+    sentences = [statement.text for statement in role.quiz]
     after = machine.advance(study, state, "quiz", {"chosen": person.quiz(sentences)}).state
     assert after.score is not None, "a quiz has a score"
     return Measures(seconds, state.labels.count(0), after.score, state.given.bit_count())

@@ -1,4 +1,4 @@
-"""Which keys of conf/study.yaml make the plan."""
+"""Which keys of conf/study.yaml or conf/collect.yaml make the plan."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 NOT_OF_THE_PLAN = ("database", "host", "port", "threads", "server", "outputs")
-"""Keys that may change between two starts of one study."""
+"""Keys that may change between two starts."""
 
 
 def fixed(cfg: DictConfig) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A study's database, read only: for exports, replays, and the next start of its server."""
+"""The database, read only: for exports, replays, and the next start of its server."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
 
 from xplain.errors import InputError
-from xplain.study.protocol.plan import StudyPlan
+from xplain.participants.protocol.plan import StoredPlan
 
+Plan = TypeVar("Plan", bound=StoredPlan)
 STREAMS = ("person", "pilot", "bot")
 """Whose data it is; fixed by the invitation, and never mixed in an analysis."""
 MOVED = {
@@ -85,26 +86,26 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
             lock.release()
 
 
-def plan_of(connection: sqlite3.Connection) -> StudyPlan:
+def plan_of(connection: sqlite3.Connection, kind: type[Plan]) -> Plan:
     """The plan that the data was collected under.
 
     Raises:
-        InputError: there is none yet, or another version made it.
+        InputError: there is none yet, or it is one of another kind or version.
     """
     row = connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()
     if row is None:
-        raise InputError("database", "its plan", "a database in which a study was started")
-    return StudyPlan.from_text(row[0])
+        raise InputError("database", "its plan", f"a database in which {kind.OF} was started")
+    return kind.from_text(row[0])
 
 
-def read_plan(path: Path) -> StudyPlan | None:
+def read_plan(path: Path, kind: type[Plan]) -> Plan | None:
     """The plan in a database; None where there is none yet.
 
     Raises:
-        InputError: the file is no study's database.
+        InputError: the file is no such database.
     """
     if not path.exists() or not path.stat().st_size:
         return None
     with opened(path) as connection:
         started = connection.execute("SELECT 1 FROM meta WHERE key = 'plan'").fetchone()
-        return plan_of(connection) if started else None
+        return plan_of(connection, kind) if started else None

@@ -11,9 +11,9 @@ from hydra.utils import get_class
 
 from tests.study.stand_in import street_plan
 from xplain.errors import InputError
+from xplain.participants.stored import MOVED, plan_of, read_plan, reading, renamed
 from xplain.study.policies import study_of
 from xplain.study.protocol.plan import StudyPlan
-from xplain.study.stored import MOVED, plan_of, read_plan, reading, renamed
 
 
 @pytest.mark.parametrize(("old", "new"), MOVED.items())
@@ -50,7 +50,7 @@ def test_a_database_without_a_plan_is_a_start_for_the_server_and_no_data(tmp_pat
     with sqlite3.connect(path) as connection:
         connection.execute("CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)")
     connection.close()
-    assert read_plan(path) is None
-    assert read_plan(tmp_path / "none.sqlite") is None
+    assert read_plan(path, StudyPlan) is None
+    assert read_plan(tmp_path / "none.sqlite", StudyPlan) is None
     with pytest.raises(InputError, match="its plan"), reading(path) as opened:
-        plan_of(opened)
+        plan_of(opened, StudyPlan)

@@ -11,15 +11,12 @@ from typing import Any
 
 from xplain.errors import Refused
 from xplain.participants.server.database import Do
+from xplain.participants.server.protocol import Full
 from xplain.randomness import stream
 from xplain.study.protocol.plan import StudyPlan
 
 PREVIEW = "preview"
 """Stream of the slots of pilots who see what the researcher chose."""
-
-
-class Full(Refused):
-    """No slot is free now."""
 
 
 def add_block(do: Do, plan: StudyPlan, stream_name: str, block: int) -> None:

@@ -16,7 +16,7 @@ from xplain.collect.analysis.labels import Found, found_types, why_left_out
 from xplain.collect.protocol import machine
 from xplain.collect.protocol.asking import shared
 from xplain.collect.protocol.plan import Collection, CollectPlan
-from xplain.collect.protocol.state import ENDS, FINISHED, KINDS, STAGES, Outcome, State
+from xplain.collect.protocol.state import FINISHED, STAGES, Outcome, State
 from xplain.collect.protocol.view import page
 from xplain.domains.base import Scene
 from xplain.errors import Refused
@@ -55,8 +55,7 @@ class CollectProtocol:
 
     collection: Collection
     _found: dict[tuple[str, ...], Found | None] = field(default_factory=dict)
-    ends = ENDS
-    kinds = KINDS
+    templates = Path(__file__).parent / "templates"
     overview = "collecting.html"
 
     @property
@@ -117,8 +116,8 @@ class CollectProtocol:
         return int(stream(self.plan.seed, "roles", person["number"]).choice(fewest))
 
     def readmit(self, do: Do, person: Mapping[str, Any], state: State) -> dict[str, Any]:
-        """Nobody needs a place, but who is away stays away."""
-        raise Refused("ended")
+        """Nothing: nobody needs a place."""
+        return {}
 
     def pin(self, do: Do, who: str, cell: int) -> None:
         """There are no cells."""
@@ -150,7 +149,7 @@ class CollectProtocol:
 
     def drawing(self) -> dict[str, Any]:
         """The map with a clip's transitions."""
-        plan = self.plan
+        plan, words = self.plan, self.plan.texts.words
 
         @functools.lru_cache(4096)
         def drawn(transitions: tuple[int, ...]) -> Markup:
@@ -159,16 +158,14 @@ class CollectProtocol:
             path = tuple(plan.paths[t] for t in transitions) or (_beside_all(plan),)
             gone = plan.gone[transitions[0]] if plan.gone and transitions else ()
             drawing = Drawing(_without(plan.scene, gone), path, plan.icons)
-            return Markup(map_svg.picture(drawing, len(transitions)))
+            return Markup(map_svg.picture(drawing, len(transitions), words))
 
-        legend = map_svg.legend(Drawing(plan.scene, None, plan.icons))
-        words = plan.texts.words
+        legend = map_svg.legend(Drawing(plan.scene, None, plan.icons), words)
         return {
             "map": drawn,
             "legend": [(name, Markup(svg)) for name, svg in legend],
             "changes": plan.changes,
-            "titles": {stage: words[f"title_{stage}"] for stage in STAGES},
-            "words": words,
+            "titles": {stage: words[stage] for stage in STAGES[:-1]},
         }
 
     def file(self, name: str) -> tuple[str, bytes] | None:
@@ -199,7 +196,13 @@ class CollectProtocol:
             "found": self._found[key],
             "facts": {fact.name: fact.message for fact in self.plan.facts},
             "expectation": self.plan.expectation,
+            "data": "Labels for xplain discover, observers and every answer as CSV tables",
         }
+
+    def about(self, state: State, blinded: bool) -> dict[str, str]:
+        """Stage and clip."""
+        clip = f", page {len(state.answered) + 1}" if state.stage == "clips" else ""
+        return {"Stage": state.stage.replace("_", " ") + clip}
 
     def export(self, snapshot: Path, folder: Path) -> None:
         """Labels, observers, and all that belongs to them."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +12,16 @@ from typing import Any
 from markupsafe import Markup
 from werkzeug.datastructures import MultiDict
 
-from xplain.participants.server import forms, map_svg, slots
+from xplain.participants.server import map_svg
 from xplain.participants.server.database import Do
+from xplain.participants.server.forms import small
 from xplain.study.protocol import machine
 from xplain.study.protocol.machine import Outcome, State
 from xplain.study.protocol.plan import Study, StudyPlan
 from xplain.study.protocol.view import page
+from xplain.study.server import slots
+
+_WIDTH = re.compile(r"[1-9][0-9]{1,4}\Z")
 
 
 @dataclass(frozen=True)
@@ -24,8 +29,7 @@ class StudyProtocol:
     """Implements :class:`xplain.participants.server.protocol.Protocol`."""
 
     study: Study
-    ends = machine.ENDS
-    kinds = machine.KINDS
+    templates = Path(__file__).parent / "templates"
     overview = "researcher.html"
 
     @property
@@ -36,7 +40,11 @@ class StudyProtocol:
     @property
     def stages(self) -> tuple[str, ...]:
         """Without questions where the plan asks none."""
-        without = {"before": not self.plan.before, "questions": not self.plan.asked}
+        without = {
+            "before": not self.plan.before,
+            "eligibility": bool(self.plan.kinds),
+            "questions": not self.plan.asked,
+        }
         return tuple(stage for stage in machine.STAGES if not without.get(stage))
 
     def state(self, text: str | None = None) -> State:
@@ -69,8 +77,33 @@ class StudyProtocol:
         slots.settle(do, who, stage)
 
     def payload(self, kind: str, form: MultiDict[str, str], state: State) -> dict[str, Any]:
-        """By the forms of the study's pages."""
-        return forms.payload_of(kind, form, self.study, state)
+        """What is missing or malformed becomes None, which the protocol refuses."""
+        plan = self.plan
+        if kind == "consent":
+            width = (form.getlist("width") or [""])[-1]
+            return {
+                "agree": small(form.get("agree")),
+                "text": form.get("text", "")[:64],
+                "width": int(width) if _WIDTH.match(width) else None,
+            }
+        if kind == "screening":
+            return {asked.name: form.get(asked.name, "").strip() for asked in plan.before}
+        if kind == "example":
+            return {"label": small(form.get("label"))}
+        if kind == "eligibility" and state.user_type is not None:
+            questions = plan.roles[state.user_type].eligibility
+            return {"answers": [small(form.get(f"q{i}")) for i in range(len(questions))]}
+        if kind == "labels":
+            kept = list(state.labels[: state.step])
+            sent = [small(form.get(f"label_{i}")) for i in range(state.step + 1)]
+            # An earlier label that is not sent again stays as it was.
+            old = [kept[i] if label is None else label for i, label in enumerate(sent[: len(kept)])]
+            return {"labels": [*old, *sent[len(kept) :]]}
+        if kind == "quiz":
+            return {"chosen": [small(text) for text in form.getlist("true")[:100]]}
+        if kind == "answers":
+            return {asked.name: form.get(asked.name, "").strip() for asked in plan.asked}
+        return {}
 
     def view(self, state: State) -> dict[str, Any]:
         """The page's values, and what the plan says of the evaluation."""
@@ -84,13 +117,14 @@ class StudyProtocol:
         @functools.cache
         def drawn(steps: int) -> Markup:
             gone = plan.taken[steps] if plan.taken else ()
-            return Markup(map_svg.picture(plan, steps, gone, words))
+            return Markup(map_svg.picture(plan, steps, words, gone))
 
         return {
             "map": drawn,
             "legend": [(name, Markup(svg)) for name, svg in map_svg.legend(plan, words)],
             "changes": plan.changes,
-            "titles": {stage: plan.texts.words[stage] for stage in machine.STAGES[:-1]},
+            "titles": {stage: words[stage] for stage in machine.STAGES[:-1]}
+            | {"briefing": words["briefing_natural" if plan.kinds else "briefing"]},
         }
 
     def glance(self, query: Callable[[str], list[dict[str, Any]]]) -> dict[str, Any]:
@@ -102,7 +136,21 @@ class StudyProtocol:
         )
         roles = [role.name for role in self.plan.roles]
         cells = [f"{roles[t]}, {condition}" for t, condition in self.plan.cells]
-        return {"slots": left, "roles": self.plan.roles, "cells": cells}
+        return {
+            "slots": left,
+            "roles": self.plan.roles,
+            "cells": cells,
+            "data": "CSV and Parquet tables",
+        }
+
+    def about(self, state: State, blinded: bool) -> dict[str, str]:
+        """Stage and step; type and condition."""
+        step = f", step {state.step + 1}" if state.stage == "evaluation" else ""
+        found = {"Stage": state.stage.replace("_", " ") + step}
+        if blinded:
+            return found
+        role = "" if state.user_type is None else self.plan.roles[state.user_type].name
+        return found | {"Type": role, "Condition": state.condition or ""}
 
     def export(self, snapshot: Path, folder: Path) -> None:
         """The tidy tables."""

@@ -1,0 +1,135 @@
+"""The whole method with simulated people: labels, types, and a study of people as they are.
+
+24 people answer 20 adaptive questions each, 5 % of them wrongly; ``discover`` finds the types; the
+policies of a study know these types alone, and other simulated people, whom nobody briefs, take
+part: *personalized* against *conformant*. Both protocols run as they do behind the pages, without
+the pages. The aim: personalized messages are fewer, at no more steps that make no sense.
+
+    python benchmarks/whole_loop.py [--domain rescue] [--seeds 5] [--people 20] [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from xplain.cli.discover import discover
+from xplain.collect.analysis.labels import dataset_of, why_left_out
+from xplain.collect.expectation import crowd, truth_of
+from xplain.collect.prepare import assemble, source_of
+from xplain.collect.protocol.plan import CollectPlan, Rules
+from xplain.collect.simulation.observer import Habits as Observing
+from xplain.config import composed
+from xplain.data.label_table import write_table
+from xplain.errors import InputError
+from xplain.participants.settings import fixed
+from xplain.questions.designs import Adaptive
+from xplain.randomness import stream
+from xplain.study.analysis.table2 import CONDITIONS
+from xplain.study.policies import study_of
+from xplain.study.prepare import study_plan
+from xplain.study.protocol.plan import StudyPlan
+from xplain.study.simulation.participant import Habits, Measures, take_part
+
+LABELS, PEOPLE, ERROR = 20, 24, 0.05
+HABITS = {
+    "people without fault": Habits(0, 0, 0, 0, mistake=0),
+    "people who err in 3 %, forget, and take in less of more messages": Habits(),
+}
+MEASURES = ["messages", "inexplicable", "score", "seconds"]
+
+
+def collection(domain: str, seed: int) -> CollectPlan:
+    """The plan of ``collect``, without its expectation."""
+    cfg = composed("collect", [f"domain={domain}", f"points={LABELS}", f"seed={seed}"])
+    config = fixed(cfg)
+    rules = Rules(points=LABELS, **config["rules"])
+    return assemble(source_of(cfg), Adaptive(), rules, config)
+
+
+def found_types(plan: CollectPlan, folder: Path, seed: int) -> tuple[Path, float]:
+    """The file of the types that are found in these people's labels, and how well they are found
+    (adjusted Rand index)."""
+    from sklearn.metrics import adjusted_rand_score
+
+    states = crowd(plan, PEOPLE, Observing(error=ERROR, mistake=0.0), seed)
+    kept = {f"{i:03d}": state for i, state in enumerate(states) if not why_left_out(state)}
+    write_table(dataset_of(plan, kept), folder / "labels.csv")
+    (plan.whole or plan.hypotheses).save(folder / "hypotheses.npz")
+    data = [f"data={folder}/labels.csv", f"hypotheses={folder}/hypotheses.npz"]
+    row = discover([*data, "labeler=hypotheses", "held_out=false", f"output={folder}/found"])
+    truth = truth_of(plan, PEOPLE)[[int(who) for who in kept]]
+    found = [row["assignment"][who] for who in kept]
+    return folder / "found" / "types.npz", float(adjusted_rand_score(truth, found))
+
+
+def study(domain: str, types: Path, seed: int) -> StudyPlan:
+    """The plan of a study of people as they are, whose policies know these types."""
+    given = [f"domain={domain}", f"types={types}", "briefing=none", f"seed={seed}"]
+    return study_plan(composed("study", given))
+
+
+def took_part(plan: StudyPlan, people: int, habits: Habits, seed: int) -> list[dict[str, object]]:
+    """A row a simulated participant who got to the end: condition and measures."""
+    at_work, rows = study_of(plan), []
+    for condition in CONDITIONS:
+        for number in range(people * len(plan.true_labels)):
+            # The same people under both conditions.
+            rng = stream(seed, "others", number)
+            measures: Measures | None = take_part(at_work, 0, condition, habits, rng)
+            if measures is not None:
+                rows.append({"condition": condition, **vars(measures)})
+    return rows
+
+
+def one(domain: str, seed: int, people: int) -> list[dict[str, object]]:
+    """Rows of one seed, with ``ari`` and the number of types; none where no study can be made."""
+    with tempfile.TemporaryDirectory() as folder:
+        with contextlib.redirect_stdout(io.StringIO()):
+            types, ari = found_types(collection(domain, seed), Path(folder), seed)
+        try:
+            plan = study(domain, types, seed)
+        except InputError as error:
+            print(f"seed {seed}: ARI {ari:.2f}, no study: {error}", flush=True)
+            return []
+    rows = []
+    for name, habits in HABITS.items():
+        about = {"seed": seed, "ari": ari, "types": len(plan.problem.type_names), "people": name}
+        rows += [about | row for row in took_part(plan, people, habits, seed)]
+    return rows
+
+
+def main() -> None:
+    """Prints a row a seed and condition, and the differences."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--domain", default="rescue")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--people", type=int, default=20, help="of each kind a condition")
+    parser.add_argument("--quick", action="store_true")
+    given = parser.parse_args()
+    if given.quick:
+        given.seeds, given.people = 1, 2
+    seeds = range(given.first, given.first + given.seeds)
+    rows = [row for seed in seeds for row in one(given.domain, seed, given.people)]
+    if not rows:
+        return
+    everything = pd.DataFrame(rows)
+    for name, data in everything.groupby("people", sort=False):
+        each = data.groupby(["seed", "ari", "types", "condition"])[MEASURES].mean().round(2)
+        print(f"\n{given.domain}, {name}\n{each.to_string()}")
+        means = data.groupby(["seed", "condition"])[MEASURES].mean().unstack("condition")
+        for measure in MEASURES:
+            own = means[measure]["personalized"] - means[measure]["conformant"]
+            error = own.std(ddof=1) / np.sqrt(len(own)) if len(own) > 1 else float("nan")
+            print(f"personalized − conformant, {measure}: {own.mean():.2f} ± {error:.2f} (s.e.)")
+
+
+if __name__ == "__main__":
+    main()
