@@ -12,7 +12,6 @@ from importlib import import_module
 
 from xplain import __version__
 from xplain.cli.commands import COMMANDS
-from xplain.config import CONF, report_errors
 from xplain.errors import InputError
 
 COLLECT = 100_000, 20, 20
@@ -43,6 +42,10 @@ def main(arguments: list[str] | None = None) -> None:
     # Imports make a million objects that stay: to look for garbage among them as often as Python
     # does by default takes a third of their time.
     gc.set_threshold(*COLLECT)
+    if all("=" in word or word == "-m" for word in given) and sys.stderr.isatty():
+        print("loading …", end="\r", file=sys.stderr, flush=True)  # what comes next is longer
+    from xplain.config import report_errors
+
     with report_errors():
         if given[:1] in (["--help"], ["-h"]):
             print(_help(), end="")
@@ -63,6 +66,8 @@ def _run(given: list[str]) -> None:
 
         run.main(given)
         return
+    from xplain.config import CONF
+
     command = COMMANDS[name]
     module = import_module(f"xplain.cli.{command.module}")
     if any(word in ("--help", "-h") for word in rest):
