@@ -42,8 +42,7 @@ def main(arguments: list[str] | None = None) -> None:
     # Imports make a million objects that stay: to look for garbage among them as often as Python
     # does by default takes a third of their time.
     gc.set_threshold(*COLLECT)
-    if all("=" in word or word == "-m" for word in given) and sys.stderr.isatty():
-        print("loading …", end="\r", file=sys.stderr, flush=True)  # what comes next is longer
+    _tell(given, "loading …")
     from xplain.config import report_errors
 
     with report_errors():
@@ -59,11 +58,18 @@ def main(arguments: list[str] | None = None) -> None:
             _run(given)
 
 
+def _tell(given: list[str], what: str) -> None:
+    """On a terminal, what an experiment is at before its first stage, whose line covers this."""
+    if all("=" in word or word == "-m" for word in given) and sys.stderr.isatty():
+        print(what, end="\r", file=sys.stderr, flush=True)
+
+
 def _run(given: list[str]) -> None:
     name, rest = split(given)
     if name is None:
         from xplain.cli import run
 
+        _tell(given, "composing …")
         run.main(given)
         return
     from xplain.config import CONF
