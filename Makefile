@@ -71,7 +71,8 @@ ui: $(READY)
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "xplain needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
 	@echo "setting up $(VENV) (a minute or two, once)"
-	$(PYTHON) -m venv $(VENV)
+	$(PYTHON) -m venv --without-pip $(VENV)
+	$(BIN)/python -m ensurepip  # what venv would do in silence
 	$(BIN)/python -m pip install --disable-pip-version-check --upgrade "pip>=25.1"  # shows its progress
 	$(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --editable ".[test,gym,docs]"
 	touch $(READY)

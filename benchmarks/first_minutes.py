@@ -20,7 +20,7 @@ import tempfile
 from pathlib import Path
 from statistics import median
 
-RUN = ["-m", "xplain", "solver=pomcp", "domain=rescue", "lambda=1.5", "clusterer=dirichlet"]
+RUN = ["-m", "xplain", "solver=pomcp", "domain=rescue", "lambda=1.5"]
 SHORT = ["traces=1", "certify.traces=1", "points=20", "labeler=tree"]
 BARE = """
 import mlflow
@@ -37,7 +37,7 @@ with mlflow.start_run():
 def main() -> None:
     """Prints the table."""
     quick = "--quick" in sys.argv[1:]
-    rounds = 1 if quick else 5
+    rounds = 1 if quick else 3
     run = [*RUN, *SHORT] if quick else RUN
     with tempfile.TemporaryDirectory() as folder:
         kernels = {} if quick else {"NUMBA_CACHE_DIR": str(Path(folder) / "kernels")}

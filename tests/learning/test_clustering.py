@@ -1,4 +1,5 @@
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +11,9 @@ from xplain.data.dataset import Dataset, query_index
 from xplain.errors import InputError
 from xplain.learning.clustering import Clusterer, Clustering, Perfect, Single
 from xplain.learning.disagreements import disagreements
-from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.paper_clusterer import Agglomerative, Elbow, KMeans, Partition
-from xplain.learning.user_types import learn_types, p_explicable
+from xplain.learning.user_types import AskedOnce, UserTypes, learn_types, p_explicable
 
 
 class ClustererSuite:
@@ -142,6 +143,48 @@ def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> No
         dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0, prior="uniform"
     )
     assert uniform.prior == pytest.approx([0.5, 0.5])
+
+
+def test_known_labelers_are_not_fitted_again(rng: np.random.Generator) -> None:
+    dataset, _ = made(rng, [[0], [1], [2]], per_type=2)
+    fitted = []
+
+    class Trainer(LabelerTrainer):
+        def fit(self, dataset: Dataset, seed: int) -> Labeler:
+            fitted.append(sorted(set(dataset.observer.tolist())))
+            return super().fit(dataset, seed)
+
+    def types(groups: list[int], **known: Any) -> UserTypes:
+        given = Clustering(np.array(groups), "test", "given")
+        return learn_types(dataset, given, Trainer(), 0, **known)
+
+    perfect = types([0, 0, 1, 1, 2, 2])
+    del fitted[:]
+    # Observers 0 and 1 are together again, the others are not, and clusters come in another order.
+    found = types([0, 0, 1, 2, 2, 2], known=perfect.by_observers)
+    assert fitted == [[2], [3, 4, 5]]
+    assert found.labelers[0] is perfect.labelers[0]
+
+
+def test_labelers_are_asked_once_of_each_transition(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dataset, truth = made(rng, [[0], [1]])
+    types = learn_types(dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0)
+    asked = []
+    table = Labeler.table
+    monkeypatch.setattr(
+        Labeler, "table", lambda own, rows, n: asked.append(len(rows)) or table(own, rows, n)
+    )
+    once, n = AskedOnce(), dataset.n_messages
+    for rows in ([0, 1, 0], [1, 2], [2, 0]):
+        features, transitions = dataset.features[rows], np.zeros((len(rows), 3), np.int64)
+        both = types.labelers[::-1]
+        found = once.p_explicable(both, features, n, transitions)
+        assert np.array_equal(found, p_explicable(both, features, n))
+    assert len(np.unique(dataset.features[:3], axis=0)) == 3
+    # Two labelers: three transitions once through the memory, every row without it.
+    assert sum(asked) == 2 * 3 + 2 * 7
 
 
 def test_a_labeler_is_that_of_its_labels_however_clusters_are_numbered(

@@ -157,6 +157,24 @@ def test_only_a_refitted_labeler_has_seen_all_labels(rng: np.random.Generator, r
     assert right[held].mean() == pytest.approx(1 if refit else labeler.accuracy)
 
 
+@pytest.mark.parametrize("refit", [True, False])
+def test_an_untested_labeler_predicts_as_the_tested_one(
+    rng: np.random.Generator, refit: bool
+) -> None:
+    dataset, _ = made(rng, [[0, 1]], size=60, noise=0.3)
+    fresh, _ = made(rng, [[0, 1]], size=400)
+    trainer = LabelerTrainer(LogisticRegression(), holdout=0.4, refit=refit)
+    asked = fresh.features[fresh.transition], fresh.message_set
+    tested, untested = trainer.fit(dataset, 3), trainer.fit_untested(dataset, 3)
+    shares = [
+        own.classifier.predict_proba(inputs(*asked, dataset.n_messages))
+        for own in (tested, untested)
+    ]
+    assert np.array_equal(*shares)
+    assert np.array_equal(tested.predict(*asked), untested.predict(*asked))
+    assert (untested.n_test, untested.confidence) == (0, 0.5)
+
+
 class Leaves:
     """A tree of two leaves: ``share`` of ones in the second, among labels of this ``weight``."""
 

@@ -100,6 +100,12 @@ def test_pomcp_answers_alike(both: Both) -> None:
         assert_alike(POMCP(simulations=200, rollout=rollout, leaf="mean_of_max"), both)
 
 
+@settings(deadline=None, max_examples=40)
+@given(pairs())
+def test_pomcp_answers_alike_where_the_type_is_certain(both: Both) -> None:
+    assert_alike(POMCP(), both, sure=True)
+
+
 @lean_kernel
 def leaf(model, gain, step, given, belief):  # type: ignore[no-untyped-def]
     """What POMCP takes a leaf for."""

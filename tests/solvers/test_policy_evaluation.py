@@ -91,6 +91,38 @@ def test_simulation_agrees_with_the_exact_worth() -> None:
     assert abs(exact.cost - simulated.cost) < 4 * simulated.cost_se
 
 
+@settings(deadline=None, max_examples=30)
+@given(tiny_problems())
+def test_simulation_agrees_with_every_label_enumerated(problem: Problem) -> None:
+    for solver in (QMDP(), Conformant()):
+        policy = solver.plan(problem)
+        worth = simulate(problem, policy, 300, seed=5)
+        value, cost = worth_by_enumeration(problem, policy)
+        assert abs(worth.value - value) <= 5 * worth.value_se + 1e-9
+        assert abs(worth.cost - cost) <= 5 * worth.cost_se + 1e-9
+
+
+def test_simulation_has_no_noise_where_the_type_is_known() -> None:
+    """Nothing is left to chance then but the labels, which change no decision."""
+    problem = confident_problem()
+    alone = problem.with_types(problem.p_explicable[:1], ("alone",))
+    for policy in (QMDP().plan(alone), Conformant().plan(alone), Counting()):
+        worth, exact = simulate(alone, policy, 5, seed=2), evaluate(alone, policy)
+        assert (worth.value, worth.cost) == (pytest.approx(exact.value), pytest.approx(exact.cost))
+        assert max(worth.value_se, worth.cost_se) < 1e-12
+
+
+def test_simulation_needs_no_values_of_known_types(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = confident_problem()
+    policy = QMDP().plan(problem)
+    exact, close = evaluate(problem, policy), simulate(problem, policy, 1000, seed=1)
+    monkeypatch.setattr("xplain.solvers.policy_evaluation.KNOWN_BYTES", 0)
+    rough = simulate(problem, policy, 1000, seed=1)
+    assert abs(exact.value - rough.value) < 4 * rough.value_se
+    assert abs(exact.cost - rough.cost) < 4 * rough.cost_se
+    assert close.value_se < rough.value_se
+
+
 def test_says_simulated_where_too_many_beliefs_are_reachable() -> None:
     problem = confident_problem()
     worth = evaluate(problem, QMDP().plan(problem), beliefs=5, episodes=50)

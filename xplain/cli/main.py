@@ -12,7 +12,6 @@ from importlib import import_module
 
 from xplain import __version__
 from xplain.cli.commands import COMMANDS
-from xplain.config import CONF, report_errors
 from xplain.errors import InputError
 
 COLLECT = 100_000, 20, 20
@@ -43,6 +42,9 @@ def main(arguments: list[str] | None = None) -> None:
     # Imports make a million objects that stay: to look for garbage among them as often as Python
     # does by default takes a third of their time.
     gc.set_threshold(*COLLECT)
+    _tell(given, "loading …")
+    from xplain.config import report_errors
+
     with report_errors():
         if given[:1] in (["--help"], ["-h"]):
             print(_help(), end="")
@@ -56,13 +58,22 @@ def main(arguments: list[str] | None = None) -> None:
             _run(given)
 
 
+def _tell(given: list[str], what: str) -> None:
+    """On a terminal, what an experiment is at before its first stage, whose line covers this."""
+    if all("=" in word or word == "-m" for word in given) and sys.stderr.isatty():
+        print(what, end="\r", file=sys.stderr, flush=True)
+
+
 def _run(given: list[str]) -> None:
     name, rest = split(given)
     if name is None:
         from xplain.cli import run
 
+        _tell(given, "composing …")
         run.main(given)
         return
+    from xplain.config import CONF
+
     command = COMMANDS[name]
     module = import_module(f"xplain.cli.{command.module}")
     if any(word in ("--help", "-h") for word in rest):

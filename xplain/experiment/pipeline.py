@@ -10,7 +10,7 @@ call as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -35,7 +35,7 @@ from xplain.learning.clustering import Clusterer, Perfect
 from xplain.learning.cross_validation import fresh_accuracy
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.true_labels import TrueLabels
-from xplain.learning.user_types import UserTypes, learn_types, p_explicable
+from xplain.learning.user_types import AskedOnce, UserTypes, learn_types
 from xplain.randomness import derived_seed, stream
 from xplain.users.setting import Setting
 from xplain.users.types import TypeSource
@@ -221,18 +221,26 @@ def learned_types(observed: Observed, components: Components) -> Known:
     domain, trainer, seed = components.domain, components.labeler, components.seed
     _require_same_features(observed.dataset, domain)
     references = learn_references(observed, trainer, seed)
-    types = learn(observed.dataset, trainer, components.clusterer, seed, observed.behaviour)
+    types = learn(
+        observed.dataset,
+        trainer,
+        components.clusterer,
+        seed,
+        observed.behaviour,
+        known=references.perfect.by_observers if references.perfect else None,
+    )
     _require_tested(types.labelers)
     n, oracle = observed.setting.n_messages, references.oracle
+    once = AskedOnce()
 
     def tables(transitions: NDArray[np.int64]) -> Tables:
         features = transition_features(domain, transitions)
         return Tables(
-            learned=p_explicable(types.labelers, features, n, transitions),
+            learned=once.p_explicable(types.labelers, features, n, transitions),
             everyone=unless_too_large(
-                lambda: p_explicable([references.everyone], features, n, transitions)
+                lambda: once.p_explicable([references.everyone], features, n, transitions)
             ),
-            perfect=None if oracle is None else p_explicable(oracle, features, n, transitions),
+            perfect=None if oracle is None else once.p_explicable(oracle, features, n, transitions),
         )
 
     clustering = types.clustering
@@ -268,6 +276,7 @@ def learn(
     seed: int,
     truth: NDArray[np.int64] | None = None,
     none_of_these: float = 0.0,
+    known: Mapping[tuple[int, ...], Labeler] | None = None,
 ) -> UserTypes:
     """Clusters the observers, and learns one labeler a cluster.
 
@@ -277,7 +286,7 @@ def learn(
         clusterer: finds the types.
         seed: of the run.
         truth: [O] true types, which only perfect clustering may look at.
-        none_of_these: see :func:`xplain.learning.user_types.learn_types`.
+        none_of_these, known: see :func:`xplain.learning.user_types.learn_types`.
     """
     clustering = clusterer.cluster(dataset, trainer, derived_seed(seed, "clusterer"), truth)
     return learn_types(
@@ -286,6 +295,7 @@ def learn(
         trainer,
         labeler_seed(seed),
         none_of_these=none_of_these,
+        known=known,
     )
 
 

@@ -67,10 +67,12 @@ def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> floa
         return float("nan")
     count = min(max(round(1 / trainer.holdout), 2), len(told))
     fold = (stream(seed, "fresh").permutation(len(told)) % count)[group]
+    # What is only asked for its predictions needs no confidence; other trainers may have none else.
+    fit = trainer.fit_untested if type(trainer) is LabelerTrainer else trainer.fit
     right = np.zeros(len(dataset), dtype=bool)
     for number in range(count):
         test = dataset.take(np.flatnonzero(fold == number))
-        labeler = trainer.fit(dataset.take(np.flatnonzero(fold != number)), seed)
+        labeler = fit(dataset.take(np.flatnonzero(fold != number)), seed)
         said = labeler.predict(test.features[test.transition], test.message_set)
         right[fold == number] = said == test.label
     return float(by_question(right, query_index(dataset)).mean())

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -31,6 +31,12 @@ class UserTypes:
     clustering: Clustering
     names: tuple[str, ...]
     prior: NDArray[np.float64]
+
+    @property
+    def by_observers(self) -> dict[tuple[int, ...], Labeler]:
+        """Each cluster's labeler, by its observers."""
+        clusters = range(self.clustering.n_types)
+        return {tuple(self.clustering.members(t).tolist()): self.labelers[t] for t in clusters}
 
 
 @runtime_checkable
@@ -77,14 +83,54 @@ def p_explicable(
             for labeler in labelers
         ]
         return ByType.padded([row for row, _ in own], [table for _, table in own])
-    return np.stack(
-        [
-            labeler.table_of(features, n_messages, transitions)
-            if transitions is not None and isinstance(labeler, KnowsTransitions)
-            else labeler.table(features, n_messages)
-            for labeler in labelers
-        ]
-    )
+    return np.stack([_table(own, features, n_messages, transitions) for own in labelers])
+
+
+def _table(
+    labeler: Labeler,
+    features: NDArray[np.float64],
+    n_messages: int,
+    transitions: NDArray[np.int64] | None,
+) -> NDArray[np.float64]:
+    """P(label = 1) of m transitions under every message set: [m, 2^n]."""
+    if transitions is not None and isinstance(labeler, KnowsTransitions):
+        return labeler.table_of(features, n_messages, transitions)
+    return labeler.table(features, n_messages)
+
+
+@dataclass(frozen=True)
+class AskedOnce:
+    """:func:`p_explicable`, but each labeler is asked of each transition once, however many traces
+    hold it: asking may take longer than all that follows.
+
+    Attributes:
+        tables: [2^n] by labeler and transition; no more than the traces' own.
+    """
+
+    tables: dict[tuple[int, bytes], NDArray[np.float64]] = field(default_factory=dict)
+
+    def p_explicable(
+        self,
+        labelers: Sequence[Labeler],
+        features: NDArray[np.float64],
+        n_messages: int,
+        transitions: NDArray[np.int64],
+    ) -> LabelTable:
+        """See :func:`p_explicable`. The labelers must live as long as this object."""
+        if n_messages > DENSE:
+            return p_explicable(labelers, features, n_messages, transitions)
+        result = np.empty((len(labelers), len(features), 1 << n_messages))
+        for table, labeler in zip(result, labelers, strict=True):
+            told_apart = isinstance(labeler, KnowsTransitions)
+            what = np.hstack([features, transitions]) if told_apart else features
+            keys = [(id(labeler), row.tobytes()) for row in what]
+            new = {key: i for i, key in enumerate(keys) if key not in self.tables}
+            if new:
+                rows = list(new.values())
+                asked = _table(labeler, features[rows], n_messages, transitions[rows])
+                self.tables.update(zip(new, asked, strict=True))
+            table[:] = [self.tables[key] for key in keys]
+        return result
 
 
 def learn_types(
@@ -94,6 +140,7 @@ def learn_types(
     seed: int,
     prior: Literal["share", "uniform"] = "share",
     none_of_these: float = 0.0,
+    known: Mapping[tuple[int, ...], Labeler] | None = None,
 ) -> UserTypes:
     """One labeler from the pooled labels of each cluster (paper, section 4.1).
 
@@ -107,6 +154,8 @@ def learn_types(
         none_of_these: where positive, one more type for users unlike all others, with the prior
             weight of so many observers (of one type where the prior is uniform, α in a Dirichlet
             process). It labels at everybody's rate, whatever is shown and said.
+        known: labelers by their observers, fitted to this dataset with this trainer and seed: they
+            are not fitted again.
 
     Raises:
         InputError: another prior, a negative weight.
@@ -119,7 +168,11 @@ def learn_types(
     weight = np.bincount(clustering.assignment, minlength=n).astype(np.float64)
     if prior == "uniform":
         weight[:] = 1
-    labelers = [trainer.fit(dataset.of(clustering.members(t)), seed) for t in range(n)]
+    clusters = [clustering.members(t) for t in range(n)]
+    labelers = [
+        (known or {}).get(tuple(own.tolist())) or trainer.fit(dataset.of(own), seed)
+        for own in clusters
+    ]
     names = [f"type_{t}" for t in range(n)]
     if none_of_these > 0:
         labelers.append(base_rate(dataset))

@@ -18,10 +18,12 @@ import pytest
 import yaml
 from numba import njit
 
+from tests.solvers.plain_values import plain_optimal_value
 from tests.solvers.pomcp.plain_pomcp import PlainPOMCP
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
+from xplain.solvers.model import best_set
 from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.pomcp import solver as pomcp
 from xplain.solvers.pomcp.kernel import simulate
@@ -228,6 +230,33 @@ def test_a_decision_goes_on_in_the_middle_as_from_the_start() -> None:
         first = max(values, key=values.__getitem__)
         assert whole & first == first
         assert first == 0 or whole == first | policy.messages(1, first, problem.prior)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_certain_type_is_worth_its_optimum_and_a_search_would_find_it(seed: int) -> None:
+    """Of right and of noisy labels, at every (k, H)."""
+    soft = soft_problem(seed)
+    for problem in (soft, replace(soft, p_explicable=np.round(soft.p_explicable))):
+        policy, search = POMCP().plan(problem), search_of(POMCP(simulations=3000), problem)
+        for t, k, given in product(range(3), range(4), range(8)):
+            belief = np.eye(3)[t]
+            known = policy.values(k, given, belief)
+            best = plain_optimal_value(problem, t, k, given)
+            assert max(known.values()) == pytest.approx(best)
+            value, visits = search.search(k, given, belief)
+            assert set(known) == {0 if a == 3 else 1 << a for a in np.flatnonzero(visits)}
+            searched = value[-1 if best_set(known) == 0 else best_set(known).bit_length() - 1]
+            assert searched >= value[visits > 0].max() - 1e-9
+            # Of noisy labels, what few simulations came to is not settled yet.
+            assert searched == pytest.approx(best, abs=0.05)
+
+
+def test_a_certain_type_is_searched_for_where_the_limit_is_another() -> None:
+    problem = soft_problem(1)
+    for other in (POMCP(backup="mean", simulations=50), POMCP(rollout="silent", simulations=50)):
+        search = search_of(other, problem)
+        value, _ = search.search(1, 0, np.eye(3)[0])
+        assert search.values(1, 0, np.eye(3)[0])[0] == value[-1]
 
 
 def test_the_unit_of_cost_does_not_matter() -> None:

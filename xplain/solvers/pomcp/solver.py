@@ -15,7 +15,8 @@ depth. Actions are chosen by UCB1:
 Rewards of *explain* are the exact expectations under a node's belief rather than the drawn
 labels: the same mean with less noise. A decision searches, takes the action with the best value,
 and searches anew after each message until that action is *explain*; so a decision taken up in the
-middle goes on as it would have.
+middle goes on as it would have. A certain type is not searched for: its Q* is known, and is what
+the default setting finds there.
 
 ``backup="max"`` is MaxUCT (Keller & Helmert 2013): a node is worth its best action, not the mean
 over everything that was tried. It keeps exploration and first rollouts out of the values, which
@@ -52,6 +53,7 @@ from xplain.solvers.pomcp.search_model import (
 )
 from xplain.solvers.pomcp.tree import Options, Tree, tree_bytes
 from xplain.solvers.restriction import Restricted, restricted
+from xplain.solvers.rows import rows_at
 
 CHUNK = 50_000
 """Simulations between two looks at Ctrl-C."""
@@ -158,10 +160,33 @@ class Search:
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
         """Estimated return of *explain* (0) and of each message (its bit), where it was tried."""
+        if self._known_is_exact and rounded(belief).max() == 1.0:
+            return self._known_values(step, given, int(np.argmax(belief)))
         value, visits = self.search(step, given, belief)
         n = len(value) - 1
         order = [n, *range(n)]
         return {(0 if a == n else 1 << a): float(value[a]) for a in order if visits[a]}
+
+    @property
+    def _known_is_exact(self) -> bool:
+        """Whether a search from a certain belief finds V* in the limit: it backs up maxima of what
+        QMDP's rollouts, which are exact there, return. So V* is taken at once."""
+        return self.solver.backup == "max" and self.solver.rollout == "qmdp"
+
+    def _known_values(self, step: int, given: int, t: int) -> Mapping[int, float]:
+        """Q*_t(k, H, a) of *explain* (0) and of each message (its bit) not given."""
+        model = self.model
+
+        def row(shown: int) -> int:
+            return shown if model.rows is None else int(rows_at(model.rows, shown)[t])
+
+        later = model.discount * model.optimal[step + 1, row(given), t]
+        values = {0: float(later - model.explain_cost[row(given), step, t])}
+        for j, price in enumerate(model.price):
+            if not given >> j & 1:
+                optimal = model.optimal[step, row(given | 1 << j), t]
+                values[1 << j] = float(model.message_discount * optimal - price)
+        return values
 
     def search(
         self, step: int, given: int, belief: NDArray[np.float64]
