@@ -158,7 +158,8 @@ class Adaptive:
         checks = _Checks.of(known, transitions, setting, stream(seed, "queries", "checks"))
         asked = []
         for o, size in enumerate(sizes.tolist()):
-            listed = known.with_sets(np.concatenate([facts for facts, _ in others] or [[0]]))
+            likely = [facts for facts, _ in others]
+            listed = known.with_sets(np.concatenate(likely)) if likely else known
             questions = Questionnaire(
                 listed,
                 self.error,
@@ -187,7 +188,7 @@ class Adaptive:
         found = np.zeros(len(known.facts))
         for facts, posterior in others:
             found[known.row(facts)] += posterior
-        return (1 - share) * known.prior + share * found / max(len(others), 1)
+        return np.asarray((1 - share) * known.prior + share * found / max(len(others), 1))
 
     def _grown(self, questions: Questionnaire, others: list[Posterior]) -> Questionnaire:
         """With the candidates that answers have made likely."""

@@ -12,12 +12,15 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from xplain.errors import DomainError, TooLargeError
 from xplain.questions.hypotheses import Hypotheses
 
 log = logging.getLogger(__name__)
 
+ERROR = 0.05
+"""Probability of a wrong answer, where it is not known."""
 LIKELY = 0.2
 """Posterior of a set that brings in those next to it. More than a set gets by its prior alone that
 has one fact more than another, and was never asked about."""
@@ -43,6 +46,22 @@ def grown(
             log.info("no further hypotheses: %s", error)
             break
     return hypotheses
+
+
+def posterior_by(
+    hypotheses: Hypotheses,
+    transitions: NDArray[np.int64],
+    told: NDArray[np.int64],
+    labels: NDArray[np.int64],
+    weight: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """[C] of candidates given the answers of one type: transitions, message sets, labels, and how
+    often each counts, [P] all. One answer in twenty is taken to be wrong."""
+    agree = (hypotheses.label(transitions, told) == labels) @ weight
+    with np.errstate(divide="ignore"):
+        joint = agree * np.log((1 - ERROR) / ERROR) + np.log(hypotheses.prior)
+    joint += np.log(hypotheses.variant_prior)[:, None]
+    return np.asarray(np.exp(joint - logsumexp(joint)).sum(axis=0))
 
 
 def _next_to(hypotheses: Hypotheses, likely: NDArray[np.int64]) -> NDArray[np.int64]:
