@@ -32,6 +32,9 @@ Posterior = tuple[NDArray[np.int64], NDArray[np.float64]]
 _OF_DOMAIN: WeakKeyDictionary[Domain, Hypotheses] = WeakKeyDictionary()
 
 
+_FOUND: WeakKeyDictionary[Domain, NDArray[np.int64]] = WeakKeyDictionary()
+
+
 def hypotheses_of(domain: Domain | None, path: str | None) -> Hypotheses:
     """Those of a file, or else the domain's, which are worked out once.
 
@@ -45,6 +48,14 @@ def hypotheses_of(domain: Domain | None, path: str | None) -> Hypotheses:
     if domain not in _OF_DOMAIN:
         _OF_DOMAIN[domain] = Hypotheses.of_domain(domain)
     return _OF_DOMAIN[domain]
+
+
+def candidates_of(domain: Domain | None, path: str | None) -> Hypotheses:
+    """As :func:`hypotheses_of`, with the sets of facts that questions have found likely since."""
+    known = hypotheses_of(domain, path)
+    if path is None and domain in _FOUND:
+        return known.with_sets(_FOUND[domain])
+    return known
 
 
 def transitions_of(hypotheses: Hypotheses, setting: Setting) -> NDArray[np.int64]:
@@ -180,6 +191,8 @@ class Adaptive:
                 questions = self._grown(questions, others)
             others.append(_likely(questions))
             asked.append(_answered(questions, transitions))
+        if known.further is not None:
+            _FOUND[setting.domain] = np.unique(np.concatenate([facts for facts, _ in others]))
         return asked
 
     def _prior(self, known: Hypotheses, others: list[Posterior]) -> NDArray[np.float64]:
@@ -188,7 +201,8 @@ class Adaptive:
         found = np.zeros(len(known.facts))
         for facts, posterior in others:
             found[known.row(facts)] += posterior
-        return np.asarray((1 - share) * known.prior + share * found / max(len(others), 1))
+        mixed = (1 - share) * known.prior + share * found / max(len(others), 1)
+        return np.asarray(mixed, np.float64)
 
     def _grown(self, questions: Questionnaire, others: list[Posterior]) -> Questionnaire:
         """With the candidates that answers have made likely."""
@@ -200,7 +214,8 @@ class Adaptive:
                 now = now.over(known, self._prior(known, others))
             return now.posterior / now.posterior.sum()
 
-        grown(questions.hypotheses, posterior)
+        found = grown(questions.hypotheses, posterior)
+        posterior(found)
         return now
 
 

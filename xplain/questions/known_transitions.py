@@ -19,9 +19,9 @@ MATTERS = 0.2
 """Share of what is explicable otherwise that such a fact makes inexplicable."""
 
 
-SUPPORTED = 1e-8
-"""Posterior, from which on a candidate is compared with answers more closely, where facts are too
-many to list all sets."""
+SUPPORTED = 1e-3
+"""Posterior given the answers of one observer, or one type, from which on a candidate is compared
+with all answers more closely, where facts are too many to list all sets."""
 
 
 @dataclass(frozen=True)
@@ -83,13 +83,13 @@ class KnownTransitions:
         found = self.hypotheses.with_sets(facts)
         return self if found is self.hypotheses else KnownTransitions.of(found)
 
-    def supported(self, answers: Answers, least: float = SUPPORTED) -> NDArray[np.int64]:
+    def supported(self, answers: Answers) -> NDArray[np.int64]:
         """The essential facts of the candidates for which the answers of one type speak at all,
         ascending; where all sets are candidates, none is left out."""
         if self.hypotheses.complete:
             return np.unique(self.essential)
         posterior = self._posterior(self.hypotheses, answers)
-        return np.unique(self.essential[posterior >= min(least, posterior.max())])
+        return np.unique(self.essential[posterior >= min(SUPPORTED, posterior.max())])
 
     def _posterior(self, hypotheses: Hypotheses, answers: Answers) -> NDArray[np.float64]:
         """Of transitions that share their features, one stands for all."""

@@ -26,7 +26,7 @@ from xplain.learning.labelers import (
     paper_tree,
 )
 from xplain.message_sets import bits_of, indices, names_of, subsets
-from xplain.questions.designs import hypotheses_of
+from xplain.questions.designs import candidates_of
 from xplain.questions.fact_sets import partition
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.known_transitions import Answers, KnownTransitions
@@ -39,8 +39,6 @@ KEPT = 1e-4
 """Fact sets with a smaller share of the posterior are left out of predictions."""
 RELEVANT = 0.01
 MAX_RELEVANT = 12
-LIKELY = 0.001
-"""Posterior of a fact set given one observer's answers, from which on it may be that of a type."""
 MAX_TABLE = 1 << 24
 EDGE = 0.002
 """Probabilities stay so far from 0 and 1. A label is shown again with every later step, so that
@@ -239,7 +237,7 @@ class HypothesisTrainer(LabelerTrainer):
     @cached_property
     def known(self) -> KnownTransitions:
         """The hypotheses by rows of features."""
-        hypotheses = hypotheses_of(self.domain, self.path)
+        hypotheses = candidates_of(self.domain, self.path)
         if hypotheses.features is None:
             raise InputError("hypotheses.features", None, "needed to match labels with hypotheses")
         return KnownTransitions.of(hypotheses)
@@ -299,7 +297,7 @@ class HypothesisTrainer(LabelerTrainer):
         )
         observers = [every.take(own[every.transition[own] >= 0]) for own in rows]
         for own in observers:
-            known = known.with_sets(self.known.grown(own).supported(own, LIKELY))
+            known = known.with_sets(self.known.grown(own).supported(own))
         found = partition(known, observers, concentration, stream(derived_seed(seed, "types")))
         _, first = np.unique(found.facts, return_index=True)
         needs = found.facts[np.sort(first)]
