@@ -53,7 +53,7 @@ def hypotheses_of(domain: Domain | None, path: str | None) -> Hypotheses:
 def candidates_of(domain: Domain | None, path: str | None) -> Hypotheses:
     """As :func:`hypotheses_of`, with the sets of facts that questions have found likely since."""
     known = hypotheses_of(domain, path)
-    if path is None and domain in _FOUND:
+    if path is None and domain is not None and domain in _FOUND:
         return known.with_sets(_FOUND[domain])
     return known
 
@@ -198,11 +198,11 @@ class Adaptive:
     def _prior(self, known: Hypotheses, others: list[Posterior]) -> NDArray[np.float64]:
         """[C] before anything is asked, by the observers before."""
         share = self.from_others if others else 0.0
-        found = np.zeros(len(known.facts))
+        asked = np.zeros(len(known.facts))
         for facts, posterior in others:
-            found[known.row(facts)] += posterior
-        mixed = (1 - share) * known.prior + share * found / max(len(others), 1)
-        return np.asarray(mixed, np.float64)
+            asked[known.row(facts)] += posterior
+        mixed: NDArray[np.float64] = (1 - share) * known.prior + share / max(len(others), 1) * asked
+        return mixed
 
     def _grown(self, questions: Questionnaire, others: list[Posterior]) -> Questionnaire:
         """With the candidates that answers have made likely."""
