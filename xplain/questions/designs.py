@@ -201,8 +201,7 @@ class Adaptive:
         asked = np.zeros(len(known.facts))
         for facts, posterior in others:
             asked[known.row(facts)] += posterior
-        mixed: NDArray[np.float64] = (1 - share) * known.prior + share / max(len(others), 1) * asked
-        return mixed
+        return (1 - share) * known.prior + share * asked / max(len(others), 1)
 
     def _grown(self, questions: Questionnaire, others: list[Posterior]) -> Questionnaire:
         """With the candidates that answers have made likely."""
@@ -212,7 +211,7 @@ class Adaptive:
             nonlocal now
             if known is not now.hypotheses:
                 now = now.over(known, self._prior(known, others))
-            return now.posterior / now.posterior.sum()
+            return np.asarray(now.posterior / now.posterior.sum())
 
         found = grown(questions.hypotheses, posterior)
         posterior(found)
