@@ -17,7 +17,13 @@ from xplain.randomness import stream
 from xplain.users.setting import Setting
 
 PRIMARY = {
-    "defaults": ["_self_", {"users": "random_cover"}, {"domain": "???"}],
+    "defaults": [
+        "_self_",
+        {"users": "random_cover"},
+        {"queries": "independent"},
+        {"labeler": "practice"},
+        {"domain": "???"},
+    ],
     "hydra": {"searchpath": [f"file://{CONF}"]},
     "seed": 0,
 }

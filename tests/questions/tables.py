@@ -13,7 +13,10 @@ def random_hypotheses(seed: int, facts: int = 3, transitions: int = 5, variants:
     rng = np.random.default_rng(seed)
     shape = (1 << facts, transitions)
     more = rng.integers(0, 2, (variants, *shape), dtype=np.uint8)
-    return Hypotheses.of(rng.integers(0, 2, shape), variants=more, **about)
+    labels = rng.integers(0, 2, shape)
+    while (labels == labels[0]).all():  # one in 2^9 of the smallest tables tells nothing
+        labels = rng.integers(0, 2, shape)
+    return Hypotheses.of(labels, variants=more, **about)
 
 
 def worlds(hypotheses: Hypotheses, error: float, none: float):

@@ -36,11 +36,16 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Item:
-    """Something on the map: cells (row, column) that share a symbol and a name."""
+    """Something on the map: cells (row, column) that share a symbol and a name.
+
+    Attributes:
+        labels: what pictures write into each cell in place of the symbol; empty: the symbol.
+    """
 
     name: str
     symbol: str
     cells: tuple[tuple[int, int], ...]
+    labels: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

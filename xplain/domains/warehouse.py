@@ -26,8 +26,8 @@ BLOCK = 3
 KINDS = ("wet", "lane", "charger")
 PATTERN = ("wet", "lane", "wet", "lane", "charger")
 """How often each kind occurs: charging spots attract from afar, the others matter nearby."""
-SYMBOLS = {"D": "dispatch", "w": "floor that some think wet",
-           "l": "lane that some think one-way", "c": "spot that some think charges"}  # fmt: skip
+SYMBOLS = {"wet": "≈", "right": "←", "down": "↑", "charger": "+"}
+"""On the map; of a lane the way that some think it has, by the robot's."""
 BACK = {"right": "left", "down": "up"}
 """Ways to the dispatch, and the opposite."""
 
@@ -116,6 +116,13 @@ class Warehouse:
         crossings = product(range(0, BLOCK * high, BLOCK), range(0, BLOCK * wide, BLOCK))
         cells = np.array([self.grid.number[cell] for cell in crossings], dtype=np.int64)
         self.starts: NDArray[np.int64] = cells[cells != self.dispatch]
+        lane = f"that some think one-way ({against:g} a cell against it)"
+        self._meaning = {
+            "≈": f"wet_1, …: floor that some think wet ({wet:g} more a cell)",
+            "←": f"lane_1, …: lane to the left {lane}",
+            "↑": f"lane_1, …: lane up {lane}",
+            "+": f"charger_1, …: spot that some think charges ({charge:g} back a cell)",
+        }
         self._entered = {name: self._entering(name) for name in self.stretches}
 
     def _entering(self, name: str) -> NDArray[np.bool_]:
@@ -157,18 +164,19 @@ class Warehouse:
 
     @property
     def scene(self) -> Scene:
-        """The map with the dispatch, and the stretches that facts are about."""
-        items = []
-        for (symbol, meaning), kind in zip(SYMBOLS.items(), ("", *KINDS), strict=True):
-            cells = [
-                cell
-                for name, stretch in self.stretches.items()
-                if kind and name.startswith(kind)
-                for cell in stretch.cells
-            ]
-            where = tuple(cells) if kind else (self.position(self.dispatch),)
-            if where:
-                items.append(Item(meaning, symbol, where))
+        """The map with the dispatch, and the stretches that facts are about, by the facts'
+        numbers."""
+        by_symbol: dict[str, list[str]] = {symbol: [] for symbol in SYMBOLS.values()}
+        for name, stretch in self.stretches.items():
+            kind = name.split("_")[0]
+            by_symbol[SYMBOLS[stretch.way if kind == "lane" else kind]].append(name)
+        items = [Item("dispatch", "D", (self.position(self.dispatch),))]
+        for symbol, names in by_symbol.items():
+            if names:
+                cells = [(cell, name) for name in names for cell in self.stretches[name].cells]
+                where, whose = zip(*cells, strict=True)
+                labels = tuple(symbol + name.split("_")[1] for name in whose)
+                items.append(Item(self._meaning[symbol], symbol, where, labels))
         return self.grid.scene(items)
 
 

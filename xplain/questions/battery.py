@@ -79,13 +79,14 @@ def distinct_questions(
     """
     _, first = np.unique(hypotheses.classes, return_index=True)
     matters = hypotheses.matters
-    every = [(t, told) for t in np.flatnonzero(matters).tolist()
-             for told in subsets(indices(int(matters[t]))).tolist()]  # fmt: skip
-    if len(every) * len(first) > MAX_CELLS:
+    count = sum(1 << int(one).bit_count() for one in matters.tolist() if one)
+    if count * len(first) > MAX_CELLS:
         raise TooLargeError(
-            f"queries: {len(every)} questions and {len(first)} classes of candidates are too many "
+            f"queries: {count} questions and {len(first)} classes of candidates are too many "
             "for one list; ask each person their own (queries=adaptive)"
         )
+    every = [(t, told) for t in np.flatnonzero(matters).tolist()
+             for told in subsets(indices(int(matters[t]))).tolist()]  # fmt: skip
     asked = np.array(every, dtype=np.int64).reshape(-1, 2)
     held = hypotheses.facts[first] & ~asked[:, 1:]
     labels = hypotheses.labels[hypotheses.row(held), asked[:, :1]].astype(bool)

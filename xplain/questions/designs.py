@@ -15,6 +15,7 @@ from xplain.domains.base import Domain, transition_features
 from xplain.errors import InputError, number, whole_number
 from xplain.questions.battery import battery
 from xplain.questions.committee import LONGEST, RARE, Committee
+from xplain.questions.growth import grown
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
 from xplain.randomness import derived_seed, stream
@@ -24,7 +25,14 @@ WITHOUT = "none"
 """In place of a file: there are no hypotheses."""
 AGAIN = 0.25
 """How likely a transition is checked again, of anybody, against before."""
+KEPT = 0.01
+"""Candidates of a list that grew with a person's answers are remembered for the next from here."""
+Posterior = tuple[NDArray[np.int64], NDArray[np.float64]]
+"""Candidates (bitmasks), and the probability of each."""
 _OF_DOMAIN: WeakKeyDictionary[Domain, Hypotheses] = WeakKeyDictionary()
+
+
+_FOUND: WeakKeyDictionary[Domain, NDArray[np.int64]] = WeakKeyDictionary()
 
 
 def hypotheses_of(domain: Domain | None, path: str | None) -> Hypotheses:
@@ -40,6 +48,14 @@ def hypotheses_of(domain: Domain | None, path: str | None) -> Hypotheses:
     if domain not in _OF_DOMAIN:
         _OF_DOMAIN[domain] = Hypotheses.of_domain(domain)
     return _OF_DOMAIN[domain]
+
+
+def candidates_of(domain: Domain | None, path: str | None) -> Hypotheses:
+    """As :func:`hypotheses_of`, with the sets of facts that questions have found likely since."""
+    known = hypotheses_of(domain, path)
+    if path is None and domain is not None and domain in _FOUND:
+        return known.with_sets(_FOUND[domain])
+    return known
 
 
 def transitions_of(hypotheses: Hypotheses, setting: Setting) -> NDArray[np.int64]:
@@ -149,15 +165,16 @@ class Adaptive:
             return Committee(self.screen).ask(setting, sizes, answer, seed)
         known = hypotheses_of(setting.domain, self.hypotheses).told_apart_by_features()
         transitions = transitions_of(known, setting)
-        others = np.zeros(len(known.facts))
+        others: list[Posterior] = []
         checks = _Checks.of(known, transitions, setting, stream(seed, "queries", "checks"))
         asked = []
         for o, size in enumerate(sizes.tolist()):
-            share = self.from_others if o else 0.0
+            likely = [facts for facts, _ in others]
+            listed = known.with_sets(np.concatenate(likely)) if likely else known
             questions = Questionnaire(
-                known,
+                listed,
                 self.error,
-                (1 - share) * known.prior + share * others / max(o, 1),
+                self._prior(listed, others),
                 self.clip,
                 derived_seed(seed, "queries", o),
                 none=self.none,
@@ -171,9 +188,34 @@ class Adaptive:
                 labels = answer(o, transitions[clip], np.full(len(clip), told))
                 questions.answer(labels, (clip.tolist(), told))
                 left -= len(clip)
-            others += questions.posterior / questions.posterior.sum()
+                questions = self._grown(questions, others)
+            others.append(_likely(questions))
             asked.append(_answered(questions, transitions))
+        if known.further is not None:
+            _FOUND[setting.domain] = np.unique(np.concatenate([facts for facts, _ in others]))
         return asked
+
+    def _prior(self, known: Hypotheses, others: list[Posterior]) -> NDArray[np.float64]:
+        """[C] before anything is asked, by the observers before."""
+        share = self.from_others if others else 0.0
+        asked = np.zeros(len(known.facts))
+        for facts, posterior in others:
+            asked[known.row(facts)] += posterior
+        return (1 - share) * known.prior + share * asked / max(len(others), 1)
+
+    def _grown(self, questions: Questionnaire, others: list[Posterior]) -> Questionnaire:
+        """With the candidates that answers have made likely."""
+        now = questions
+
+        def posterior(known: Hypotheses) -> NDArray[np.float64]:
+            nonlocal now
+            if known is not now.hypotheses:
+                now = now.over(known, self._prior(known, others))
+            return np.asarray(now.posterior / now.posterior.sum())
+
+        found = grown(questions.hypotheses, posterior)
+        posterior(found)
+        return now
 
 
 @dataclass(frozen=True)
@@ -211,6 +253,13 @@ class _Checks:
         chosen = int(self.rng.choice(len(self.weight), p=self.weight / self.weight.sum()))
         self.weight[chosen] *= AGAIN
         return chosen, self.told
+
+
+def _likely(questions: Questionnaire) -> Posterior:
+    """What is thought of who was asked: of a list that grew, the likely candidates alone."""
+    known, posterior = questions.hypotheses, questions.posterior / questions.posterior.sum()
+    kept = posterior >= (0.0 if known.further is None else KEPT)
+    return known.facts[kept], posterior[kept] / posterior[kept].sum()
 
 
 def _answered(questions: Questionnaire, transitions: NDArray[np.int64]) -> Answered:

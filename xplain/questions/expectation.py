@@ -15,7 +15,10 @@ so that all 2^s questions about τ cost two zeta transforms, s 2^s additions, in
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +26,64 @@ from numpy.typing import NDArray
 from xplain.errors import TooLargeError
 from xplain.message_sets import indices, names_of, subsets
 from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.interactions import Interactions, Nearest
 
 MAX_FACTS = 14
 """Facts that one transition may depend on."""
+
+
+EQUAL = 1e-11
+"""Questions tie when their P(label 1) lie as far from ½, but for this."""
+
+
+class Questions(Protocol):
+    """All questions whose answer tells anything, by distinct label functions.
+
+    Attributes:
+        transitions: of each function those that have it.
+    """
+
+    @property
+    def transitions(self) -> Sequence[NDArray[np.int64]]: ...
+
+    def nearest(self, weight: NDArray[np.float64], middle: float, count: int) -> Nearest:
+        """The ``count`` questions with P(label 1) nearest to ``middle`` under the weights
+        [1 + V, C], those tied with the last of them, and maybe others."""
+        ...
+
+
+def questions_of(hypotheses: Hypotheses) -> Questions:
+    """All of them, where every set of facts is a candidate; else, as facts are many, those that a
+    search finds (:mod:`xplain.questions.interactions`)."""
+    if hypotheses.complete:
+        return Tables(groups(hypotheses))
+    return Interactions.of(hypotheses)
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Every question there is, weighed at once."""
+
+    groups: tuple[Group, ...]
+
+    @cached_property
+    def transitions(self) -> Sequence[NDArray[np.int64]]:
+        """Of each function, group by group."""
+        return [own for group in self.groups for own in group.transitions]
+
+    def nearest(self, weight: NDArray[np.float64], middle: float, count: int) -> Nearest:
+        """See :class:`Questions`."""
+        off = [group.expected(weight) for group in self.groups]
+        for values in off:
+            np.abs(np.subtract(values, middle, out=values), out=values)
+        within = _smallest([values.ravel() for values in off], count) + EQUAL
+        found, first = [], 0
+        for group, values in zip(self.groups, off, strict=True):
+            kept, function = np.nonzero(values <= within)
+            told = group.facts[-1] & ~group.facts[kept]
+            found.append(Nearest(values[kept, function], first + function, told))
+            first += len(group.transitions)
+        return Nearest(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -89,6 +147,15 @@ def groups(hypotheses: Hypotheses) -> tuple[Group, ...]:
             _zeta(one, -1)
         found.append(Group(held, packed, coefficients, transitions))
     return tuple(found)
+
+
+def _smallest(parts: list[NDArray[np.float64]], count: int) -> float:
+    """The ``count``-th smallest of all numbers, or the largest where they are fewer."""
+    if count == 1:
+        return min(float(part.min()) for part in parts)
+    merged = np.concatenate(parts)
+    last = min(count, len(merged)) - 1
+    return float(np.partition(merged, last)[last])
 
 
 def _zeta(values: NDArray[np.float64], sign: int = 1) -> None:

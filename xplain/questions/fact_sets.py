@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
-from xplain.questions.known_transitions import KnownTransitions
-from xplain.questions.likelihood import ERROR, Answers, Cells, log_prior
+from xplain.questions.known_transitions import Answers, KnownTransitions
+from xplain.questions.likelihood import ERROR, Cells, log_prior
 
 SWEEPS = 30
 """Of the sampler, after the deterministic start."""
@@ -58,8 +59,10 @@ class _Search:
         hypotheses = known.hypotheses
         self.known, self.observers, self.rng = known, observers, rng
         # One candidate stands for all that behave alike.
-        self.facts, first = np.unique(known.essential, return_inverse=True)
-        self.log_new = np.log(concentration) + np.log(np.bincount(first.ravel(), hypotheses.prior))
+        each = [known.supported(answers) for answers in observers]
+        self.facts = reduce(np.union1d, each)
+        prior = known.prior_of(self.facts)
+        self.log_new = np.log(concentration) + np.log(prior)
         self.log_prior = log_prior(hypotheses)
         self.everybody = np.arange(len(self.facts))
         self.error = np.array([0.06])

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.domains.base import Domain, transition_feature_names, transition_features
-from xplain.errors import DomainError, InputError, whole_number
+from xplain.errors import DomainError, InputError, TooLargeError, whole_number
 from xplain.message_sets import names_of
-from xplain.questions.inaccurate_values import labels_of
+from xplain.questions.inaccurate_values import FurtherLabels, few, labels_of, with_subsets
 from xplain.questions.label_tables import prior_over, table_of_labels
 from xplain.storage import written_whole
 from xplain.users.setting import MAX_MODELS
@@ -31,6 +31,8 @@ log = logging.getLogger(__name__)
 
 AS_ASSUMED = 0.6
 """Prior of the assumed values, where there are variants."""
+FEW = 0.1
+"""Prior probability that a fact is held wrong, where facts are too many to list all sets."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,8 @@ class Hypotheses:
             row; None where unknown.
         variants: [V, C, T] uint8 the labels were the wrong values others (half, double, …), which
             somebody may hold as well; V may be 0.
+        further: labels of sets that are no candidates yet (:meth:`with_sets`); None where nobody
+            can work them out.
     """
 
     labels: NDArray[np.uint8]
@@ -60,6 +64,7 @@ class Hypotheses:
     phrases: tuple[str, ...] = ()
     states: NDArray[np.int64] | None = None
     variants: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 1, 1), np.uint8))
+    further: FurtherLabels | None = None
 
     @classmethod
     def of(
@@ -132,21 +137,25 @@ class Hypotheses:
         most = min(whole_number("hypotheses.most", most, 1), n)
         setting, facts, labels = labels_of(domain, most, 1.0)
         transitions = setting.reachable
-        variants = []
+        variants, solved = [], [1.0]
         for scale in scales:
             try:
                 variants.append(labels_of(domain, most, scale)[2])
+                solved.append(scale)
             except DomainError as error:
                 log.info("no variant of the hypotheses with values times %g: %s", scale, error)
+        every = np.arange(len(transitions))
         return cls.of(
             labels,
             facts,
             setting.message_names,
+            None if most == n else few(facts, n, FEW),
             features=transition_features(domain, transitions),
             feature_names=transition_feature_names(domain),
             phrases=tuple(domain.describe(transition) for transition in transitions),
             states=transitions[:, [0, 2]],
             variants=np.array(variants, dtype=np.uint8),
+            further=FurtherLabels(domain, tuple(solved), transitions, every) if most < n else None,
         )
 
     @classmethod
@@ -167,7 +176,7 @@ class Hypotheses:
             raise InputError("hypotheses", str(path), f"an .npz file ({reason})") from None
         if "labels" not in arrays:
             raise InputError("hypotheses", str(path), "an .npz file with the array labels")
-        known = [one.name for one in fields(cls)]
+        known = [one.name for one in fields(cls) if one.name != "further"]
         if unknown := arrays.keys() - set(known):
             raise InputError("hypotheses", min(unknown), f"arrays {', '.join(known)}")
         text = ("messages", "feature_names", "phrases")
@@ -196,6 +205,31 @@ class Hypotheses:
                 arrays[key] = np.array(getattr(self, key), dtype=np.str_)
         with written_whole(Path(path), "wb") as file:
             np.savez_compressed(file, **arrays)
+
+    def with_sets(self, facts: NDArray[np.int64]) -> Hypotheses:
+        """With further candidates, these sets and all of their subsets; the prior is that of few
+        facts.
+
+        Raises:
+            DomainError: some model's ties are ambiguous.
+            TooLargeError: more than MAX_MODELS candidates.
+        """
+        new = np.setdiff1d(with_subsets(facts.tolist()), self.facts)
+        if not len(new):
+            return self
+        assert self.further is not None, "labels of further sets are known"
+        if len(new) + len(self.facts) > MAX_MODELS:
+            raise TooLargeError(f"hypotheses: more than {MAX_MODELS} candidates")
+        order = np.argsort(np.concatenate([self.facts, new]))
+        tables = np.concatenate([self.tables, self.further.of(new)], axis=1)[:, order]
+        listed = np.concatenate([self.facts, new])[order]
+        prior = few(listed, self.n_messages, FEW)
+        return replace(self, labels=tables[0], variants=tables[1:], facts=listed, prior=prior)
+
+    @cached_property
+    def complete(self) -> bool:
+        """Whether all sets of the facts that any candidate holds wrong are candidates."""
+        return len(self.facts) == 1 << int(np.bitwise_or.reduce(self.facts)).bit_count()
 
     @property
     def n_messages(self) -> int:
@@ -248,6 +282,7 @@ class Hypotheses:
             phrases=tuple(self.phrases[t] for t in keep) if self.phrases else (),
             states=None if self.states is None else self.states[keep],
             variants=self.variants[:, :, keep] if len(self.variants) else self.variants,
+            further=None if self.further is None else self.further.take(keep),
         )
         return rest if np.array_equal(rest.essential, self.essential) else self
 
@@ -255,11 +290,18 @@ class Hypotheses:
     def matters(self) -> NDArray[np.int64]:
         """[T] the facts on which a transition's label depends, as a bitmask."""
         found = np.zeros(self.n_transitions, dtype=np.int64)
-        for j in range(self.n_messages):
-            more = self.facts[self.facts >> j & 1 == 1]
-            without = self.row(more & ~(1 << j))
-            differ = self.tables[:, self.row(more)] != self.tables[:, without]
+        for j, more, less in self.pairs:
+            differ = self.tables[:, more] != self.tables[:, less]
             found[differ.any(axis=(0, 1))] |= 1 << j
+        return found
+
+    @cached_property
+    def pairs(self) -> list[tuple[int, NDArray[np.int64], NDArray[np.int64]]]:
+        """For each fact the rows of the candidates that have it, and of the same without it."""
+        found = []
+        for j in range(self.n_messages):
+            more = np.flatnonzero(self.facts >> j & 1)
+            found.append((j, more, self.row(self.facts[more] & ~(1 << j))))
         return found
 
     @cached_property
@@ -272,15 +314,10 @@ class Hypotheses:
         K ⊆ R \\ j holding K ∪ j wrong labels everything as holding K does.
         """
         found = np.zeros_like(self.facts)
-        for j in range(self.n_messages):
-            has = self.facts >> j & 1 == 1
-            more, less = self.facts[has], self.row(self.facts[has] & ~(1 << j))
-            reveals = np.zeros(len(self.facts), dtype=bool)
-            reveals[has] = (self.labels[has] != self.labels[less]).any(axis=1)
-            for i in range(self.n_messages):  # … of any K: over all subsets, fact by fact
-                both = more[more >> i & 1 == 1] if i != j else more[:0]
-                reveals[self.row(both)] |= reveals[self.row(both & ~(1 << i))]
-            found[reveals] |= 1 << j
+        for j, more, less in self.pairs:
+            found[more[(self.labels[more] != self.labels[less]).any(axis=1)]] |= 1 << j
+        for _, more, less in self.pairs:  # … of any K: over all subsets, fact by fact
+            found[more] |= found[less]
         return found
 
     @cached_property

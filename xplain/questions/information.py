@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import entr
 
-from xplain.questions.expectation import Group
+from xplain.questions.expectation import EQUAL, Questions
 from xplain.questions.hypotheses import Hypotheses
 
 TIE = 1e-9
 """Clips tie when their mutual informations (bits) differ by less."""
-EQUAL = 1e-11
-"""Questions tie when their P(label 1) lie as far from ½, but for this."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,7 @@ class Posterior:
         return float(self._bits(shares[:, :, None])[0])
 
     def best_questions(
-        self, groups: Sequence[Group], count: int, seen: list[int], rng: np.random.Generator
+        self, questions: Questions, count: int, seen: list[int], rng: np.random.Generator
     ) -> list[tuple[int, int]]:
         """The ``count`` best questions about one transition, the best first; of equal ones those
         about transitions not asked about before, else at random.
@@ -66,26 +63,18 @@ class Posterior:
         weight[0] += weight[-1]
         weight = weight[:-1]
         middle = weight.sum() / 2
-        off = [group.expected(weight) for group in groups]
-        for values in off:
-            np.abs(np.subtract(values, middle, out=values), out=values)
-        within = _smallest([values.ravel() for values in off], count) + EQUAL
-        places = [np.flatnonzero(values <= within) for values in off]
-        value = np.concatenate([v.ravel()[at] for v, at in zip(off, places, strict=True)])
-        new = _fresh(groups, seen, self.hypotheses.n_transitions)
-        fresh = np.concatenate([one[at % len(one)] for one, at in zip(new, places, strict=True)])
-        level = np.round(value / EQUAL)  # equal but for rounding
-        order = np.lexsort((rng.random(len(value)), ~fresh, level))[:count]
-        ends = np.cumsum([len(at) for at in places])
+        found = questions.nearest(weight, middle, count)
+        known = np.zeros(self.hypotheses.n_transitions, dtype=bool)
+        known[seen] = True
+        fresh = np.array([not known[own].all() for own in questions.transitions])
+        level = np.round(found.off / EQUAL)  # equal but for rounding
+        order = np.lexsort((rng.random(len(level)), ~fresh[found.function], level))[:count]
         chosen = []
-        for entry in order.tolist():
-            which = int(np.searchsorted(ends, entry, side="right"))
-            group, at = groups[which], places[which][entry - ends[which]]
-            kept, function = divmod(int(at), len(group.transitions))
-            own = group.transitions[function]
-            unseen = own[~np.isin(own, seen)]
+        for at in order.tolist():
+            own = questions.transitions[found.function[at]]
+            unseen = own[~known[own]]
             transition = int(rng.choice(unseen if len(unseen) else own))
-            chosen.append((transition, int(group.facts[-1] & ~group.facts[kept])))
+            chosen.append((transition, int(found.told[at])))
         return chosen
 
     def best_clip(
@@ -141,22 +130,6 @@ class Posterior:
             for layer, share in zip(layers, self.weight, strict=True)
         )
         return np.asarray(_entropy(np.asarray(answers)) - noise)
-
-
-def _fresh(groups: Sequence[Group], seen: list[int], transitions: int) -> list[NDArray[np.bool_]]:
-    """By group, [G] whether some transition with the function was never asked about."""
-    known = np.zeros(transitions, dtype=bool)
-    known[seen] = True
-    return [np.array([not known[own].all() for own in group.transitions]) for group in groups]
-
-
-def _smallest(parts: list[NDArray[np.float64]], count: int) -> float:
-    """The ``count``-th smallest of all numbers, or the largest where they are fewer."""
-    if count == 1:
-        return min(float(part.min()) for part in parts)
-    merged = np.concatenate(parts)
-    last = min(count, len(merged)) - 1
-    return float(np.partition(merged, last)[last])
 
 
 def _sum_rows(

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.questions.growth import grown, posterior_by
 from xplain.questions.hypotheses import Hypotheses
 from xplain.users.setting import MAX_MODELS
 
@@ -16,6 +17,28 @@ UNWRITTEN = 0.1
 """Probability that somebody holds a fact wrong that has a message, but is in no hypothesis."""
 MATTERS = 0.2
 """Share of what is explicable otherwise that such a fact makes inexplicable."""
+
+
+SUPPORTED = 1e-3
+"""Posterior given the answers of one observer, or one type, from which on a candidate is compared
+with all answers more closely, where facts are too many to list all sets."""
+
+
+@dataclass(frozen=True)
+class Answers:
+    """P answers: ``transition`` [P] (of :class:`KnownTransitions`), ``message_set`` [P],
+    ``label`` [P] and ``weight`` [P], how often each counts."""
+
+    transition: NDArray[np.int64]
+    message_set: NDArray[np.int64]
+    label: NDArray[np.int64]
+    weight: NDArray[np.float64]
+
+    def take(self, rows: NDArray[np.int64]) -> Answers:
+        """Some of them."""
+        return Answers(
+            self.transition[rows], self.message_set[rows], self.label[rows], self.weight[rows]
+        )
 
 
 @dataclass(frozen=True)
@@ -50,10 +73,46 @@ class KnownTransitions:
         share *= _certain(hypotheses.facts, unwritten)[:, None]
         return cls(hypotheses, distinct, share, unwritten)
 
+    def grown(self, answers: Answers) -> KnownTransitions:
+        """With the candidates that the answers of one type make likely, and those next to them."""
+        found = grown(self.hypotheses, lambda known: self._posterior(known, answers))
+        return self if found is self.hypotheses else KnownTransitions.of(found)
+
+    def with_sets(self, facts: NDArray[np.int64]) -> KnownTransitions:
+        """With further candidates, these sets and their subsets."""
+        found = self.hypotheses.with_sets(facts)
+        return self if found is self.hypotheses else KnownTransitions.of(found)
+
+    def supported(self, answers: Answers) -> NDArray[np.int64]:
+        """The essential facts of the candidates for which the answers of one type speak at all,
+        ascending; where all sets are candidates, none is left out."""
+        if self.hypotheses.complete:
+            return np.unique(self.essential)
+        posterior = self._posterior(self.hypotheses, answers)
+        return np.unique(self.essential[posterior >= min(SUPPORTED, posterior.max())])
+
+    def _posterior(self, hypotheses: Hypotheses, answers: Answers) -> NDArray[np.float64]:
+        """Of transitions that share their features, one stands for all."""
+        column = self._column[answers.transition]
+        about = column, answers.message_set, answers.label, answers.weight
+        return posterior_by(hypotheses, *about)
+
+    @cached_property
+    def _column(self) -> NDArray[np.int64]:
+        """[U] a transition with each row of features."""
+        rows = np.asarray(self.hypotheses.features, dtype=np.float32)
+        return np.unique(rows, axis=0, return_index=True)[1]
+
     @cached_property
     def essential(self) -> NDArray[np.int64]:
         """[C] as of the hypotheses; what nobody wrote down is never taken to change nothing."""
         return self.hypotheses.essential | self.hypotheses.facts & self.unwritten
+
+    def prior_of(self, facts: NDArray[np.int64]) -> NDArray[np.float64]:
+        """[R] of those whose essential facts these are."""
+        every, which = np.unique(self.essential, return_inverse=True)
+        prior = np.bincount(which.ravel(), self.hypotheses.prior)
+        return np.asarray(prior[np.searchsorted(every, facts)], np.float64)
 
     def share_of(
         self, held: NDArray[np.int64], transitions: NDArray[np.int64]

@@ -25,18 +25,20 @@ from xplain.learning.labelers import (
     check_looked_at,
     paper_tree,
 )
-from xplain.message_sets import indices, names_of, subsets
-from xplain.questions.designs import hypotheses_of
+from xplain.message_sets import bits_of, indices, names_of, subsets
+from xplain.questions.designs import candidates_of
 from xplain.questions.fact_sets import partition
 from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.known_transitions import KnownTransitions
-from xplain.questions.likelihood import ERROR, Answers, Cells, log_prior, truth
+from xplain.questions.known_transitions import Answers, KnownTransitions
+from xplain.questions.likelihood import ERROR, Cells, log_prior, truth
 from xplain.randomness import derived_seed, stream
 
 log = logging.getLogger(__name__)
 
 KEPT = 1e-4
 """Fact sets with a smaller share of the posterior are left out of predictions."""
+RELEVANT = 0.01
+MAX_RELEVANT = 12
 MAX_TABLE = 1 << 24
 EDGE = 0.002
 """Probabilities stay so far from 0 and 1. A label is shown again with every later step, so that
@@ -64,8 +66,8 @@ class FactSetClassifier:
     def __init__(self, known: KnownTransitions, answers: Answers, fallback: Any) -> None:
         """Works out the posterior over fact sets, variants, deviations and errors."""
         self.known, self.fallback = known, fallback
-        facts, first = np.unique(known.essential, return_inverse=True)
-        prior = np.log(np.bincount(first.ravel(), known.hypotheses.prior) + 1e-300)
+        facts = known.supported(answers)
+        prior = np.log(known.prior_of(facts) + 1e-300)
         joint = Cells.of(known, answers, facts).log_likelihood(ERROR, len(facts))
         joint += prior[:, None, None, None] + log_prior(known.hypotheses)[:, :, None]
         posterior = np.exp(joint - logsumexp(joint))
@@ -76,6 +78,18 @@ class FactSetClassifier:
         zero, one = self.cells.log_joint(ERROR)
         of_cell = np.exp(one - np.logaddexp(zero, one)) * posterior[self.cells.which]
         self.learned = of_cell.sum(axis=(1, 2, 3))
+
+    @property
+    def looked_at(self) -> int:
+        """The facts that people of the type may hold wrong. Where facts are many, those they do
+        with a probability of RELEVANT, the likeliest MAX_RELEVANT of them; other messages are
+        taken to be never given."""
+        if self.known.hypotheses.complete:
+            return int(np.bitwise_or.reduce(self.facts, initial=0))
+        bits = bits_of(self.facts, self.known.hypotheses.n_messages)
+        share = self.weight.sum(axis=(1, 2)) @ bits
+        likely = np.argsort(-share, kind="stable")[:MAX_RELEVANT]
+        return sum(1 << int(j) for j in likely if share[j] >= RELEVANT)
 
     def known_rows(
         self, transition: NDArray[np.int64], told: NDArray[np.int64]
@@ -176,7 +190,7 @@ class HypothesisLabeler(Labeler):
             return super().relevant_table(features)
         known = self.classifier.known
         place = known.find(features)
-        looked_at = int(np.bitwise_or.reduce(self.classifier.facts, initial=0))
+        looked_at = self.classifier.looked_at
         if (place < 0).any():
             tree = replace(self, classifier=self.classifier.fallback)
             for j in Labeler.relevant_table(tree, features[place < 0])[0].tolist():
@@ -223,7 +237,7 @@ class HypothesisTrainer(LabelerTrainer):
     @cached_property
     def known(self) -> KnownTransitions:
         """The hypotheses by rows of features."""
-        hypotheses = hypotheses_of(self.domain, self.path)
+        hypotheses = candidates_of(self.domain, self.path)
         if hypotheses.features is None:
             raise InputError("hypotheses.features", None, "needed to match labels with hypotheses")
         return KnownTransitions.of(hypotheses)
@@ -257,7 +271,7 @@ class HypothesisTrainer(LabelerTrainer):
         told = x[:, -n:].astype(np.int64) @ (1 << np.arange(n, dtype=np.int64))
         each = np.ones(len(y)) if weight is None else weight
         answers = Answers(transition[rows], told[rows], y[rows].astype(np.int64), each[rows])
-        return FactSetClassifier(self.known, answers, fallback)
+        return FactSetClassifier(self.known.grown(answers), answers, fallback)
 
     def find_types(self, dataset: Dataset, concentration: float, seed: int) -> Clustering | None:
         """The types by a Dirichlet process over fact sets; None where the hypotheses know nothing
@@ -282,6 +296,8 @@ class HypothesisTrainer(LabelerTrainer):
             np.ones(len(dataset)),
         )
         observers = [every.take(own[every.transition[own] >= 0]) for own in rows]
+        for own in observers:
+            known = known.with_sets(self.known.grown(own).supported(own))
         found = partition(known, observers, concentration, stream(derived_seed(seed, "types")))
         _, first = np.unique(found.facts, return_index=True)
         needs = found.facts[np.sort(first)]

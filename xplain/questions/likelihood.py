@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.known_transitions import KnownTransitions
+from xplain.questions.known_transitions import Answers, KnownTransitions
 
 DEVIATION = np.array([0.0005, 0.005, 0.05, 1 / 3])
 """δ is one of these; the last is that of people whom no hypothesis fits."""
@@ -27,23 +27,6 @@ DISPUTED = 20.0
 """δ is so much larger, up to ⅓, where variants of the hypotheses disagree."""
 ERROR = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15])
 """ε is one of these, as likely each."""
-
-
-@dataclass(frozen=True)
-class Answers:
-    """P answers: ``transition`` [P] (of :class:`KnownTransitions`), ``message_set`` [P],
-    ``label`` [P] and ``weight`` [P], how often each counts."""
-
-    transition: NDArray[np.int64]
-    message_set: NDArray[np.int64]
-    label: NDArray[np.int64]
-    weight: NDArray[np.float64]
-
-    def take(self, rows: NDArray[np.int64]) -> Answers:
-        """Some of them."""
-        return Answers(
-            self.transition[rows], self.message_set[rows], self.label[rows], self.weight[rows]
-        )
 
 
 @dataclass(frozen=True)

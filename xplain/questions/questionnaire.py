@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, number, whole_number
-from xplain.questions.expectation import Group, groups
+from xplain.questions.expectation import Questions, questions_of
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.information import Posterior
 from xplain.questions.label_tables import prior_over
@@ -104,10 +104,27 @@ class Questionnaire:
         Raises:
             InputError: a value is not allowed.
         """
-        assert self._groups, "some question separates candidates"  # worked out once, for all
+        assert self._questions.transitions, (
+            "some question separates candidates"
+        )  # worked out once, for all
         made = copy.copy(self)
         made.seed = whole_number("seed", seed, 0)
         made._start(prior)
+        return made
+
+    def over(self, hypotheses: Hypotheses, prior: ArrayLike | None) -> Questionnaire:
+        """The same questions and answers, with other candidates.
+
+        Args:
+            hypotheses: of the same transitions and messages.
+            prior: as for the class.
+        """
+        made = copy.copy(self)
+        made.hypotheses = hypotheses
+        made.__dict__.pop("_questions", None)  # of the candidates before
+        made._start(prior)
+        for one in self.asked:
+            made._take(one)
         return made
 
     def _start(self, prior: ArrayLike | None) -> None:
@@ -131,7 +148,7 @@ class Questionnaire:
             seen = [transition for one in self.asked for transition in one.transitions]
             rng = stream(self.seed, "questionnaire", len(self.asked))
             posterior, starts = self._posterior, STARTS if self.clip > 1 else 1
-            singles = posterior.best_questions(self._groups, starts, seen, rng)
+            singles = posterior.best_questions(self._questions, starts, seen, rng)
             if self.clip == 1:
                 self._pending = singles[0]
             else:
@@ -270,8 +287,8 @@ class Questionnaire:
         return Posterior(self.hypotheses, self._weight, self._error, self.misread)
 
     @cached_property
-    def _groups(self) -> tuple[Group, ...]:
-        return groups(self.hypotheses)
+    def _questions(self) -> Questions:
+        return questions_of(self.hypotheses)
 
     def _checked(self, question: Any) -> tuple[NDArray[np.int64], int]:
         known = self.hypotheses

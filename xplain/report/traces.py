@@ -18,6 +18,11 @@ from xplain.domains.base import Scene
 from xplain.report.plots import COLOURS, save
 
 ITEM_COLOURS = (*COLOURS[:6], "#F0E442", "#777777")
+CELL = 0.46
+"""Inches of a cell of a large map: one of more rows or columns than LARGE."""
+LARGE = 11
+LONG = 30
+"""Letters of an item's name, from which on the legend has one column."""
 EXPLICABLE, INEXPLICABLE = "#CFE8F5", "#F5C4A1"
 
 
@@ -107,8 +112,9 @@ def draw_trace(scene: Scene | None, story: Story) -> Figure:
         _draw_changes(axes, told)
         return figure
     # Long phrases at the right must not make the map small: each half is laid out by itself.
-    widths = [5.2, max(6.6, 3.6 + 0.34 * m)]
-    figure = Figure(figsize=(sum(widths), max(5.4, 0.34 * m + 2.6)), layout="constrained")
+    widths = [max(5.2, CELL * scene.columns), max(6.6, 3.6 + 0.34 * m)]
+    high = CELL * scene.rows + 1.6 if scene.rows > LARGE else 0.0
+    figure = Figure(figsize=(sum(widths), max(5.4, 0.34 * m + 2.6, high)), layout="constrained")
     halves = figure.subfigures(1, 2, width_ratios=widths, squeeze=False)
     left, right = (half.subplots() for half in halves[0])
     draw_map(left, scene, story.positions)
@@ -127,15 +133,16 @@ def draw_map(axes: Axes, scene: Scene, positions: tuple[tuple[int, int], ...]) -
     """The grid, its items by letter, and the path with the number of each step."""
     for row, column in scene.walls:
         axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, color="#555555", linewidth=0))
+    size = 9.0 if scene.columns <= LARGE else 6.5
     for index, item in enumerate(scene.items):
         colour = ITEM_COLOURS[index % len(ITEM_COLOURS)]
-        for row, column in item.cells:
+        for (row, column), text in zip(
+            item.cells, item.labels or [item.symbol] * len(item.cells), strict=True
+        ):
             axes.add_patch(
                 Rectangle((column - 0.5, row - 0.5), 1, 1, color=colour, alpha=0.25, linewidth=0)
             )
-            axes.text(
-                column - 0.42, row - 0.2, item.symbol, fontsize=9, weight="bold", color="#222222"
-            )
+            axes.text(column - 0.42, row - 0.2, text, fontsize=size, weight="bold", color="#222222")
         axes.plot([], [], "s", color=colour, alpha=0.45, label=f"{item.symbol}  {item.name}")
     visits: dict[tuple[int, int], list[int]] = {}
     for step, cell in enumerate(positions):
@@ -167,8 +174,13 @@ def draw_map(axes: Axes, scene: Scene, positions: tuple[tuple[int, int], ...]) -
     for spine in axes.spines.values():
         spine.set_visible(True)
     if scene.items:
+        long = max(len(item.name) for item in scene.items) > LONG
         axes.legend(
-            loc="upper left", bbox_to_anchor=(0, -0.05), ncols=3, fontsize=8, handletextpad=0.3
+            loc="upper left",
+            bbox_to_anchor=(0, -0.05),
+            ncols=1 if long else 3,
+            fontsize=8,
+            handletextpad=0.3,
         )
 
 

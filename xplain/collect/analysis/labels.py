@@ -14,8 +14,7 @@ from xplain.collect.protocol.state import FINISHED, State
 from xplain.data.dataset import Dataset
 from xplain.message_sets import names_of
 from xplain.questions.fact_sets import partition
-from xplain.questions.known_transitions import KnownTransitions
-from xplain.questions.likelihood import Answers
+from xplain.questions.known_transitions import Answers, KnownTransitions
 from xplain.randomness import stream
 
 CONCENTRATION = 1.0

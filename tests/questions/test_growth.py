@@ -1,0 +1,122 @@
+"""Lists of candidates that grow: what they hold is what the list of all sets holds."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xplain.data.observers import SimulatedObservers
+from xplain.domains.base import transition_features
+from xplain.domains.warehouse import Warehouse
+from xplain.errors import TooLargeError
+from xplain.learning.fact_model.dirichlet import DirichletMixture
+from xplain.message_sets import mask_of
+from xplain.questions.battery import battery
+from xplain.questions.designs import Adaptive, hypotheses_of
+from xplain.questions.growth import LIKELY, grown, posterior_by
+from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.labeler import MAX_RELEVANT, HypothesisTrainer
+from xplain.users.setting import Setting, UserType
+
+FACTS = 7
+
+
+@cache
+def every_set() -> Hypotheses:
+    return Hypotheses.of_domain(Warehouse(FACTS))
+
+
+@cache
+def few_sets(most: int) -> Hypotheses:
+    return Hypotheses.of_domain(Warehouse(FACTS), most=most)
+
+
+@pytest.mark.parametrize("most", [1, 3])
+def test_with_all_sets_it_is_the_whole_table(most):
+    whole = few_sets(most).with_sets(np.arange(1 << FACTS))
+    assert np.array_equal(whole.facts, every_set().facts)
+    assert np.array_equal(whole.tables, every_set().tables)
+    assert np.array_equal(whole.essential, every_set().essential)
+
+
+def test_fewer_facts_are_likelier_than_more():
+    """Each fact is held wrong by one in ten, whatever else is."""
+    known = few_sets(2)
+    one, two = known.prior[known.row(np.array([1, 3]))]
+    assert two / one == pytest.approx(0.1 / 0.9)
+    assert known.prior.sum() == pytest.approx(1)
+
+
+@given(st.integers(0, 10_000), st.integers(1, 2))
+@settings(deadline=None, max_examples=25)
+def test_the_posterior_is_that_over_all_sets_within_the_list(seed, most):
+    """… and no likely set lacks one next to it."""
+    rng = np.random.default_rng(seed)
+    every = every_set()
+    person = int(rng.integers(0, 1 << FACTS))
+    transitions = rng.integers(0, every.n_transitions, 60)
+    told = rng.integers(0, 1 << FACTS, 60)
+    labels = every.labels[person & ~told, transitions].astype(np.int64)
+    answers = transitions, told, labels, np.ones(60)
+    found = grown(few_sets(most), lambda known: posterior_by(known, *answers))
+    own = posterior_by(found, *answers)
+    whole = few_sets(most).with_sets(np.arange(1 << FACTS))
+    dense = posterior_by(whole, *answers)[found.facts]
+    assert own == pytest.approx(dense / dense.sum(), abs=1e-9)
+    for likely in found.facts[own >= LIKELY].tolist():
+        assert np.isin(likely | 1 << np.arange(FACTS), found.facts).all()
+
+
+@cache
+def many_facts() -> tuple[Setting, tuple[int, ...]]:
+    """Sixteen facts, of which no list holds all 2^16 sets; types of up to five."""
+    warehouse = Warehouse(16)
+    wrong = {p.name: p.inaccurate for p in warehouse.parameters}
+    names = list(wrong)
+    sets = ((0, 5), (1, 3, 7, 12, 15), (2, 5, 9, 14))
+    types = tuple(
+        UserType(f"T{i}", {names[j]: wrong[names[j]] for j in own}) for i, own in enumerate(sets)
+    )
+    masks = tuple(mask_of(one.inaccurate, names) for one in types)
+    return Setting.build(warehouse, types), masks
+
+
+def test_types_of_more_facts_than_the_list_begins_with_are_found():
+    setting, masks = many_facts()
+    begun = hypotheses_of(setting.domain, None)
+    assert not begun.complete
+    assert max(int(held).bit_count() for held in begun.facts) < 5
+    crowd = SimulatedObservers(per_type=2, points=40)
+    trainer = HypothesisTrainer(domain=setting.domain)
+    data, truth = crowd.collect(setting, Adaptive(), 0)
+    found = DirichletMixture().cluster(data, trainer, 0, None)
+    assert found.assignment.tolist() == truth.tolist()
+    features = transition_features(setting.domain, setting.reachable)
+    for t, mask in enumerate(masks):
+        labeler = trainer.fit(data.of(found.members(t)), 0)
+        relevant, table = labeler.relevant_table(features)
+        assert len(relevant) <= MAX_RELEVANT
+        silent = setting.labels(t, setting.reachable, np.zeros(len(features), dtype=np.int64))
+        assert ((table[:, 0] > 0.5) == silent).mean() > 0.97
+        assert (table[:, -1] > 0.5).all()  # told all that it looks at, everything is explicable
+        shown = sum(1 << int(j) for j in relevant)
+        assert (setting.labels(t, setting.reachable, np.full(len(features), shown)) == 1).all()
+        assert shown & mask
+
+
+def test_asking_again_asks_the_same():
+    """What a first round of questions found must not bear on a second."""
+    setting, _ = many_facts()
+    crowd = SimulatedObservers(per_type=1, points=12)
+    one, _ = crowd.collect(setting, Adaptive(), 3)
+    other, _ = crowd.collect(setting, Adaptive(), 3)
+    assert np.array_equal(one.message_set, other.message_set)
+    assert np.array_equal(one.transition, other.transition)
+
+
+def test_a_battery_of_too_many_questions_is_refused_before_it_is_listed():
+    known = Hypotheses.of_domain(Warehouse(40), most=2, scales=())
+    with pytest.raises(TooLargeError, match="queries=adaptive"):
+        battery(known)
