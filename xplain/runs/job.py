@@ -204,7 +204,7 @@ def result_id(results: Provenance, folder: Path) -> str:
 def _draw(folder: Path, prepared: Prepared) -> None:
     from xplain.report import plots, traces
 
-    story = next(traces.stories(folder, "solver"))
+    story = traces.telling(list(traces.stories(folder, "solver")))[0]
     traces.save_trace(folder / "trace.png", prepared.scene, story)
     if len(prepared.curve):
         figure = plots.disagreements(
