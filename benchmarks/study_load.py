@@ -1,8 +1,9 @@
-"""Load on the study's server: many participants at once, on this machine.
+"""Load on the server of a study or a collection: many participants at once, on this machine.
 
     python benchmarks/study_load.py            200 participants, thinking 2 to 10 s between pages
-    python benchmarks/study_load.py --quick    8 participants, thinking 0.05 to 0.2 s
+    python benchmarks/study_load.py --quick    8 participants, thinking 0.3 to 0.8 s
     python benchmarks/study_load.py --slow 50  beside 50 connections that send a byte a second
+    python benchmarks/study_load.py --protocol collect    20 adaptive questions about rescue each
 
 Prints percentiles of the time that a page takes, from the click to the last byte of the next page
 (the answer is stored, then the page is rendered), and of single requests; exits with 1 on any
@@ -19,6 +20,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -26,13 +28,18 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from tests.participants.server_process import ServerProcess
+from xplain.collect.prepare import collect_plan
+from xplain.collect.probes import collection_of
+from xplain.collect.server.protocol import CollectProtocol
+from xplain.collect.simulation.observer import Habits as Answers
+from xplain.collect.simulation.observer import observer
 from xplain.config import composed
+from xplain.participants.server.protocol import Protocol
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
-from xplain.participants.simulation.http_client import Browser, Page
+from xplain.participants.simulation.http_client import Browser, Page, Visitor
 from xplain.study.policies import study_of
 from xplain.study.prepare import study_plan
-from xplain.study.protocol.plan import StudyPlan
 from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Habits, Person
 
@@ -45,7 +52,7 @@ class Participant(threading.Thread):
     def __init__(
         self,
         url: str,
-        plan: StudyPlan,
+        person: Visitor,
         invitation: str,
         number: int,
         wait: float,
@@ -53,7 +60,7 @@ class Participant(threading.Thread):
     ) -> None:
         super().__init__(daemon=True)
         self.browser = Browser(url, patience=0)
-        self.person = Person(plan, Habits(0, 0, 0, 0, mistake=0), np.random.default_rng(number))
+        self.person = person
         self.rng = np.random.default_rng([number, 1])
         self.invitation, self.wait, self.think = invitation, wait, think
         self.pages: Times = []
@@ -130,17 +137,34 @@ class Slow(threading.Thread):
             one.close()
 
 
-def measure(people: int, think: tuple[float, float], ramp: float, slow: int = 0) -> int:
+def study() -> tuple[Protocol, Callable[[int], Visitor]]:
+    """The shipped study, and its people."""
+    small = ["seed=0", "observers.points=150", "trace.candidates=40"]
+    plan = study_plan(composed("study", small))
+    habits = Habits(0, 0, 0, 0, mistake=0)
+    rng = np.random.default_rng
+    return StudyProtocol(study_of(plan)), lambda number: Person(plan, habits, rng(number))
+
+
+def collect() -> tuple[Protocol, Callable[[int], Visitor]]:
+    """A collection about rescue with adaptive questions, and its people."""
+    plan = collect_plan(composed("collect", ["rules.people=6"]))
+    habits = Answers(error=0.05, mistake=0)
+    return CollectProtocol(collection_of(plan)), lambda number: observer(plan, habits, 0, number)
+
+
+def measure(command: str, people: int, think: tuple[float, float], ramp: float, slow: int) -> int:
     """Runs and prints; how many participants met an error."""
-    plan = study_plan(composed("study", ["seed=0", "observers.points=150", "trace.candidates=40"]))
+    protocol, person = {"study": study, "collect": collect}[command]()
     with tempfile.TemporaryDirectory() as folder:
         database = Path(folder) / "study.sqlite"
-        Store(database, StudyProtocol(study_of(plan))).close()
-        with ServerProcess(database) as server:  # with the limits that it has by default
+        Store(database, protocol).close()
+        # With the limits that it has by default.
+        with ServerProcess(database, command=command) as server:
             invitations = Researcher(server.url, server.key).invite(people)
             rng = np.random.default_rng(0)
             crowd = [
-                Participant(server.url, plan, token, number, rng.uniform(0, ramp), think)
+                Participant(server.url, person(number), token, number, rng.uniform(0, ramp), think)
                 for number, token in enumerate(invitations)
             ]
             beside = Slow(server.port, slow)
@@ -158,8 +182,8 @@ def measure(people: int, think: tuple[float, float], ramp: float, slow: int = 0)
     errors = [one.error for one in crowd if one.error]
     errors += [str(s) for one in crowd for _, s in one.browser.timings if s >= 400]
     print(
-        f"{people} participants at once, thinking {think[0]:g} to {think[1]:g} s, {took:.0f} s"
-        f"{f', beside {slow} slow connections' if slow else ''}"
+        f"{command}: {people} participants at once, thinking {think[0]:g} to {think[1]:g} s, "
+        f"{took:.0f} s{f', beside {slow} slow connections' if slow else ''}"
     )
     print(f"{len(pages):6d} pages     {percentiles(pages)}")
     print(f"{len(requests):6d} requests  {percentiles(requests)}  ({len(requests) / took:.0f} /s)")
@@ -173,10 +197,11 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--people", type=int, default=200)
     parser.add_argument("--slow", type=int, default=0)
+    parser.add_argument("--protocol", choices=["study", "collect"], default="study")
     given = parser.parse_args()
     if given.quick:
-        sys.exit(measure(8, (0.05, 0.2), 0.5, given.slow) > 0)
-    sys.exit(measure(given.people, (2.0, 10.0), 8.0, given.slow) > 0)
+        sys.exit(measure(given.protocol, 8, (0.3, 0.8), 0.5, given.slow) > 0)
+    sys.exit(measure(given.protocol, given.people, (2.0, 10.0), 8.0, given.slow) > 0)
 
 
 if __name__ == "__main__":
