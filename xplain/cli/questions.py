@@ -57,14 +57,19 @@ def questions(arguments: list[str]) -> Row:
 def _battery(cfg: DictConfig, design: Battery) -> Row:
     import numpy as np
 
+    from xplain.message_sets import names_of
     from xplain.questions.battery import battery
 
     known, images, sentences = _known(cfg)
     transitions, told = battery(known, design.redundancy, cfg.seed)
-    rows = [
-        _row(known, images, sentences, number, int(t), int(mask))
-        for number, (t, mask) in enumerate(zip(transitions, told, strict=True), 1)
-    ]
+    rows: list[Row] = []
+    for number, (t, mask) in enumerate(zip(transitions.tolist(), told.tolist(), strict=True), 1):
+        said = {name: sentences.get(name, name) for name in names_of(mask, known.messages)}
+        text = known.phrases[t] if known.phrases else f"transition {t}"
+        row = _row(number, t, text, images[t] if images else "", said)
+        if known.features is not None:
+            row |= zip(known.feature_names, known.features[t].tolist(), strict=True)
+        rows.append(row)
     _write(rows, Path(cfg.output))
     if cfg.save is not None:
         known.save(cfg.save)
@@ -78,7 +83,7 @@ def _battery(cfg: DictConfig, design: Battery) -> Row:
 
 
 def _screen(cfg: DictConfig, design: Adaptive) -> Row:
-    from xplain.data.label_table import align, read_table
+    from xplain.data.label_table import align, columns_of, read_table
     from xplain.message_sets import names_of
     from xplain.questions.committee import next_screen_of
     from xplain.randomness import stream
@@ -89,20 +94,19 @@ def _screen(cfg: DictConfig, design: Adaptive) -> Row:
     if not cfg.observer:
         raise InputError("observer", cfg.observer, "the name of who is asked next")
     pool, texts, images, sentences = _pool(cfg)
-    # A column of text is a feature a value: action=up, action=down.
-    columns = list(dict.fromkeys(name.split("=", 1)[0] for name in pool.feature_names))
     answers = pool.unanswered(tuple(sentences))
+    columns = columns_of(answers)
     if cfg.data is not None:
-        read = read_table(cfg.data, tuple(sentences), columns, under_way=True)
+        read = read_table(cfg.data, tuple(sentences), list(columns), under_way=True)
         answers = pool.answered(align(read, pool.feature_names))
     rng = stream(cfg.seed, "queries", "committee", cfg.observer, len(answers))
     transitions, told = next_screen_of(pool, answers, cfg.observer, design.screen, rng)
     rows: list[Row] = []
     for number, (t, mask) in enumerate(zip(transitions.tolist(), told.tolist(), strict=True), 1):
         names = names_of(mask, tuple(sentences))
-        row: Row = {"question": number, "transition": t, "text": texts[t], "image": images[t]}
-        row |= {"messages": ";".join(names), "told": " ".join(sentences[name] for name in names)}
-        row |= {column: value for column, value in _described(pool, t).items() if column != "text"}
+        row = _row(number, t, texts[t], images[t], {name: sentences[name] for name in names})
+        # The text itself is a feature where the table has no other.
+        row |= {name: own[pool.which[t]] for name, own in columns.items() if name != "text"}
         rows.append(row | {"observer": cfg.observer, "label": ""})
     _write(rows, Path(cfg.output))
     _show(rows)
@@ -140,19 +144,6 @@ def _pool(cfg: DictConfig) -> tuple[Pool, tuple[str, ...], tuple[str, ...], dict
     return pool, own.texts, own.images, {name: name for name in names}
 
 
-def _described(pool: Pool, transition: int) -> Row:
-    """The columns of a table of labels that describe a transition."""
-    row: Row = {}
-    values = pool.features[pool.which[transition]].tolist()
-    for name, value in zip(pool.feature_names, values, strict=True):
-        column, is_text, text = name.partition("=")
-        if not is_text:
-            row[column] = value
-        elif value == 1:
-            row[column] = text
-    return row
-
-
 def _known(cfg: DictConfig) -> tuple[Hypotheses, tuple[str, ...], dict[str, str]]:
     """The hypotheses, the transitions' images, and what to say for each message."""
     from xplain.questions.designs import hypotheses_of
@@ -170,28 +161,16 @@ def _known(cfg: DictConfig) -> tuple[Hypotheses, tuple[str, ...], dict[str, str]
     return hypotheses_of(domain, None), (), {p.name: p.message for p in domain.parameters}
 
 
-def _row(
-    known: Hypotheses,
-    images: tuple[str, ...],
-    sentences: dict[str, str],
-    number: int,
-    transition: int,
-    mask: int,
-) -> Row:
-    from xplain.message_sets import names_of
-
-    names = names_of(mask, known.messages)
-    row: Row = {
+def _row(number: int, transition: int, text: str, image: str, told: dict[str, str]) -> Row:
+    """A question; ``told``: what is said first, by message."""
+    return {
         "question": number,
         "transition": transition,
-        "text": known.phrases[transition] if known.phrases else f"transition {transition}",
-        "image": images[transition] if images else "",
-        "messages": ";".join(names),
-        "told": " ".join(sentences.get(name, name) for name in names),
+        "text": text,
+        "image": image,
+        "messages": ";".join(told),
+        "told": " ".join(told.values()),
     }
-    if known.features is not None:
-        row |= zip(known.feature_names, known.features[transition].tolist(), strict=True)
-    return row
 
 
 def _write(rows: list[Row], output: Path) -> None:

@@ -91,7 +91,7 @@ def write_table(dataset: Dataset, path: str | Path) -> None:
         "observer": np.array(dataset.observers)[dataset.observer],
         "messages": names[mask],
     }
-    for name, values in _columns(dataset).items():
+    for name, values in columns_of(dataset).items():
         columns[name] = values[dataset.transition]
     columns["label"] = dataset.label
     table = pd.DataFrame(columns)
@@ -308,7 +308,7 @@ def _check(dataset: Dataset) -> None:
         log.warning("%d questions were answered both ways by one observer: both labels count", torn)
 
 
-def _columns(dataset: Dataset) -> dict[str, NDArray[Any]]:
+def columns_of(dataset: Dataset) -> dict[str, NDArray[Any]]:
     """Columns [T] of the transitions, one-hot features as text again."""
     groups: dict[str, list[int]] = {}
     for j, name in enumerate(dataset.feature_names):
