@@ -113,11 +113,29 @@ def decode(kind: Any, value: Any, arrays: Mapping[str, NDArray[Any]] | None = No
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return {key: decode(options[1], item, arrays) for key, item in value.items()}
     if is_dataclass(kind) and isinstance(kind, type):
-        hints = _hints(kind)
-        return kind(**{name: decode(hints[name], item, arrays) for name, item in value.items()})
+        hints, plain = _hints(kind), _plain_fields(kind)
+        return kind(
+            **{
+                name: item if name in plain else decode(hints[name], item, arrays)
+                for name, item in value.items()
+            }
+        )
     return value
 
 
 @cache
 def _hints(kind: type) -> dict[str, Any]:
     return typing.get_type_hints(kind)
+
+
+@cache
+def _plain_fields(kind: type) -> frozenset[str]:
+    """The fields of a dataclass that are what JSON holds."""
+    return frozenset(name for name, hint in _hints(kind).items() if _is_plain(hint))
+
+
+def _is_plain(kind: Any) -> bool:
+    origin = typing.get_origin(kind)
+    if origin in (types.UnionType, typing.Union):
+        return all(map(_is_plain, typing.get_args(kind)))
+    return origin is None and not is_dataclass(kind)

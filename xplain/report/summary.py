@@ -194,15 +194,19 @@ class Summary:
 
     def settings(self, domain: str) -> list[str]:
         """Names of a domain's settings, in the order of the sweep."""
-        frame = self.episodes
-        return list(dict.fromkeys(frame.loc[frame["domain"] == domain, "setting"]))
+        return self._settings.get(domain, [])
+
+    @cached_property
+    def _settings(self) -> dict[str, list[str]]:
+        by_domain = self.episodes.groupby("domain", sort=False)["setting"]
+        return {str(domain): list(dict.fromkeys(names)) for domain, names in by_domain}
 
     @cached_property
     def trade_offs(self) -> list[float]:
         """Every λ that was run, ascending."""
         return sorted(set(self.episodes["lambda"])) if len(self.episodes) else []
 
-    @property
+    @cached_property
     def seeds(self) -> int:
         """Number of different seeds that were run."""
         return int(self.episodes["seed"].nunique()) if len(self.episodes) else 0
@@ -304,15 +308,16 @@ class Summary:
     def _cell(
         self, domain: str, trade_off: float, method: str, setting: str | None
     ) -> pd.DataFrame:
-        frame = self.episodes
-        chosen = (
-            (frame["domain"] == domain)
-            & (frame["lambda"] == trade_off)
-            & (frame["method"] == method)
-        )
-        if setting is not None:
-            chosen &= frame["setting"] == setting
-        return frame[chosen]
+        own = self._cells.get((domain, trade_off, method), self.episodes[:0])
+        return own if setting is None else own[own["setting"] == setting]
+
+    @cached_property
+    def _cells(self) -> dict[tuple[str, float, str], pd.DataFrame]:
+        """Episodes by domain, λ and method."""
+        if not len(self.episodes):
+            return {}
+        groups: Any = self.episodes.groupby(["domain", "lambda", "method"], sort=False)
+        return dict(iter(groups))
 
     def clusters(self, frame: pd.DataFrame) -> pd.Series[int]:
         """What was sampled: seeds, each with its own data and traces; with one seed, traces.
