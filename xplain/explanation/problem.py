@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.by_type import DENSE, ByType, LabelTable, effective_bits
-from xplain.errors import InputError
+from xplain.errors import InputError, number
 
 MAX_MESSAGES = 62
 """A message set is a signed integer of 64 bits."""
@@ -345,6 +345,8 @@ def _check_probabilities(key: str, p: NDArray[np.float64]) -> None:
 
 
 def _number(key: str, value: Any) -> float:
+    if isinstance(value, float):  # most are, and a problem is often made of another
+        return number(key, value)
     array = _numbers(key, value)
     if array.ndim != 0:
         raise InputError(key, value, "one number")
