@@ -406,13 +406,17 @@ def summary(rows: pd.DataFrame, by: list[str]) -> pd.DataFrame:
     return table.reset_index()
 
 
+def comparable(rows: pd.DataFrame) -> pd.DataFrame:
+    """The data sets to which every way was applied that was tried with as many labels: costs
+    differ more between types drawn than between designs."""
+    rows = rows[(rows["people"] == "as assumed") & (rows["error"] == 0.05)]
+    tried = rows.groupby("points")["way"].transform("nunique")
+    return rows[rows.groupby(["map", "points", "seed"])["way"].transform("nunique") == tried]
+
+
 def picture(rows: pd.DataFrame) -> Figure:
     """What an explanation costs against what was asked, by design: as a multiple of what it costs
     with true labels (ratio of means over seeds, 95 % of its bootstrap)."""
-    rows = rows[(rows["people"] == "as assumed") & (rows["error"] == 0.05)]
-    # The same data sets for all: costs differ more between types drawn than between designs.
-    same = rows.groupby(["map", "points", "seed"])["way"].transform("nunique")
-    rows = rows[same == len(WAYS)]
     shown = [name for name in MAPS if name in set(rows["map"])]
     figure, axes = plt.subplots(
         *(1, len(shown)),
@@ -425,6 +429,8 @@ def picture(rows: pd.DataFrame) -> Figure:
         part = rows[rows["map"] == name]
         for i, way in enumerate(WAYS):
             cells = part[part["way"] == way].groupby("points")
+            if not len(cells):
+                continue
             ratio, low, high = np.array([multiple(own) for _, own in cells]).T
             points = np.array(sorted(cells.groups))
             style = {"color": COLOURS[i], "marker": MARKERS[i], "linestyle": STYLES[i]}
@@ -499,7 +505,7 @@ def main() -> None:
         rows = rows[rows["people"] == "as assumed"]
         written(summary(rows, ["error", "map", "way", "points"]), "questions_grid", given.quick)
         if given.quick:
-            picture(rows)
+            picture(comparable(rows))
     if given.part in ("wrong", None):
         cells = [
             (name, way, asked, 0.05, who, seed)
@@ -510,7 +516,9 @@ def main() -> None:
         rows = rows[(rows["people"] != "as assumed") & (rows["points"] == asked)]
         written(summary(rows, ["people", "way", "map"]), "questions_wrong", given.quick)
     if given.part in ("plot", "grid") and not given.quick and ROWS.exists():
-        picture(pd.read_csv(ROWS)).savefig(RESULTS / "questions_grid.png", dpi=150)
+        rows = comparable(pd.read_csv(ROWS))
+        if len(rows):
+            picture(rows).savefig(RESULTS / "questions_grid.png", dpi=150)
 
 
 if __name__ == "__main__":
