@@ -4,6 +4,7 @@
     python benchmarks/questions.py grid          labels × design × labeler × errors → types, costs
     python benchmarks/questions.py wrong         people whom the hypotheses do not fit
     python benchmarks/questions.py plot          the grid's picture, from its rows
+    python benchmarks/questions.py speed         how long a choice of a question takes
     python benchmarks/questions.py --quick       a little of each, nothing written
 
 Both shipped domains, and per seed two maps drawn at random (a rescue map whose cells all are
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -370,6 +372,32 @@ def identify(seeds: int, maps: list[str], each: int) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def speed() -> pd.DataFrame:
+    """Seconds to choose a question, by candidates and transitions; two to four facts, drawn at
+    random, decide about each transition. Medians over one person's first twelve questions, the
+    first of which also works out which questions there are."""
+    rows = []
+    for n, count in ((6, 150), (12, 500)):
+        rng = stream(0, "benchmark", "speed", n)
+        sets = np.arange(1 << n)
+        labels = np.empty((1 << n, count), dtype=np.uint8)
+        for t in range(count):
+            chosen = rng.choice(n, rng.integers(2, 5), replace=False)
+            inner = (sets[:, None] >> chosen & 1) @ (1 << np.arange(len(chosen)))
+            labels[:, t] = (rng.random(1 << len(chosen)) < 0.5)[inner]
+            labels[inner == 0, t] = 1  # who holds nothing wrong finds it explicable
+        questions = Questionnaire(labels)
+        held, seconds = int(rng.integers(1 << n)), []
+        for _ in range(12):
+            began = time.perf_counter()
+            t, told = questions.next()
+            seconds.append(time.perf_counter() - began)
+            label = int(labels[held & ~told, t])  # type: ignore[call-overload]
+            questions.answer(label ^ int(rng.random() < 0.05))
+        rows.append((n, count, seconds[0] * 1e3, float(np.median(seconds[1:])) * 1e3))
+    return pd.DataFrame(rows, columns=["facts", "transitions", "first (ms)", "later (ms)"])
+
+
 def grid(cells: list[tuple[Any, ...]], traces: int, quick: bool) -> pd.DataFrame:
     """The rows of these cells; one done before is not made again."""
     known = pd.DataFrame(columns=KEY)
@@ -475,7 +503,7 @@ def written(table: pd.DataFrame, name: str, quick: bool) -> None:
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", nargs="?", choices=["identify", "grid", "wrong", "plot"])
+    parser.add_argument("part", nargs="?", choices=["identify", "grid", "wrong", "plot", "speed"])
     parser.add_argument("--quick", action="store_true", help="a little of each, nothing written")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--traces", type=int, default=10)
@@ -515,6 +543,8 @@ def main() -> None:
         rows = grid(cells, given.traces, given.quick)
         rows = rows[(rows["people"] != "as assumed") & (rows["points"] == asked)]
         written(summary(rows, ["people", "way", "map"]), "questions_wrong", given.quick)
+    if given.part in ("speed", None):
+        written(speed(), "questions_speed", given.quick)
     if given.part in ("plot", "grid") and not given.quick and ROWS.exists():
         rows = comparable(pd.read_csv(ROWS))
         if len(rows):
