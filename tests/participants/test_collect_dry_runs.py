@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import threading
-import time
 import zipfile
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
 from tests.collect.stand_in import FAULTLESS, street_collection
+from tests.participants.killing import RATE, survive
 from tests.participants.server_process import ServerProcess
 from xplain.cli.main import main
 from xplain.collect.protocol.plan import Collection
@@ -22,9 +19,6 @@ from xplain.learning.saved_types import LearnedTypes
 from xplain.message_sets import names_of
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
-from xplain.participants.simulation.http_client import Browser, Page
-
-RATE = ("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6")
 
 
 @pytest.fixture(scope="module")
@@ -87,81 +81,20 @@ def test_from_bots_to_types(
     assert wrong <= likeliest
 
 
-class Careful:
-    """An observer who writes down every answer that the server acknowledged."""
+def survivors(database: Path, collection: Collection, kills: int, people: int) -> tuple[int, int]:
+    """Answers acknowledged and stored."""
 
-    def __init__(self, url: str, person: Observer, invitation: str) -> None:
-        self.browser = Browser(url, patience=90)
-        self.person, self.invitation = person, invitation
-        self.acknowledged: list[int] = []
+    def person(number: int, place: int) -> Observer:
+        return observer(collection.plan, FAULTLESS, number, place)
 
-    def take_part(self) -> str:
-        """To the end, however often the server dies."""
-        _, html = self.browser.get(f"/?invitation={self.invitation}")
-        fields = [*Page(html).hidden.items(), ("invitation", self.invitation)]
-        page = Page(self.browser.post("/enter", fields)[1])
-        while page.hidden:
-            time.sleep(0.1)
-            answer = [*page.hidden.items(), *self.person.fill(page)[0]]
-            status, html = self.browser.post("/study", answer)
-            assert status == 200, html
-            self.acknowledged.append(int(page.hidden["sequence"]))
-            page = Page(html)
-        self.browser.close()
-        return page.stage
-
-
-def survive(database: Path, collection: Collection, kills: int, people: int) -> tuple[int, int]:
-    """Kills the server while people answer; how many answers were acknowledged and stored."""
-    server = ServerProcess(database, *RATE, command="collect")
-    server.start()
-    ended = threading.Event()
-
-    def parade(number: int) -> list[Careful]:
-        """One observer after another, until the last kill."""
-        own: list[Careful] = []
-        while not ended.is_set():
-            person = observer(collection.plan, FAULTLESS, len(own), number)
-            visitor = Careful(server.url, person, invitations[number].pop())
-            assert visitor.take_part() == "done"
-            own.append(visitor)
-        return own
-
-    researcher = Researcher(server.url, server.key)
-    invitations = [researcher.invite(60) for _ in range(people)]
-    with ThreadPoolExecutor(people) as pool:
-        futures = [pool.submit(parade, number) for number in range(people)]
-        pause = np.random.default_rng(0)
-        for _ in range(kills):
-            time.sleep(0.5 + pause.random())
-            server.kill()
-            server.start()
-        ended.set()
-        visitors = [visitor for future in futures for visitor in future.result()]
-    server.stop()
-    store, stored = Store(database, CollectProtocol(collection)), 0
-    for visitor in visitors:
-        who = store.enter_invited(visitor.invitation)
-        rows = store.query(
-            "SELECT source_sequence AS n FROM event WHERE participant = ? AND "
-            "source = 'protocol' ORDER BY sequence",
-            (who,),
-        )
-        assert [row["n"] for row in rows] == list(range(len(rows)))  # none lost, none doubled
-        assert visitor.acknowledged == sorted(set(visitor.acknowledged))
-        assert set(visitor.acknowledged) <= {row["n"] for row in rows}
-        assert store.participant(who).state.stage == "done"
-        stored += len(rows)
-    assert store.query("PRAGMA integrity_check") == [{"integrity_check": "ok"}]
-    store.close()
-    return sum(len(visitor.acknowledged) for visitor in visitors), stored
+    return survive(database, CollectProtocol(collection), "collect", person, kills, people)
 
 
 @pytest.mark.slow
 def test_kill_9_twenty_times_under_eight_participants(
     database: Path, collection: Collection, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    acknowledged, stored = survive(database, collection, kills=20, people=8)
+    acknowledged, stored = survivors(database, collection, kills=20, people=8)
     with capsys.disabled():
         print(f"\n20 kills: {acknowledged} answers acknowledged, {stored} stored")
     assert 200 < acknowledged <= stored
@@ -171,7 +104,7 @@ def test_kill_9_twenty_times_under_eight_participants(
 def test_a_kill_loses_nothing_that_was_acknowledged(
     database: Path, collection: Collection, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    acknowledged, stored = survive(database, collection, kills=1, people=3)
+    acknowledged, stored = survivors(database, collection, kills=1, people=3)
     assert 20 < acknowledged <= stored
     replays(database, capsys)
 

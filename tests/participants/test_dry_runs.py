@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 import zipfile
 from collections import Counter
@@ -14,18 +13,17 @@ import pandas as pd
 import pytest
 
 from tests.conftest import Command
+from tests.participants.killing import RATE, survive
 from tests.participants.server_process import ServerProcess
 from tests.study.stand_in import FAULTLESS, street_study
 from xplain.cli.main import main
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.bots import Researcher
-from xplain.participants.simulation.http_client import Browser, Page, Refusal, visit
+from xplain.participants.simulation.http_client import Browser, Refusal, visit
 from xplain.study.analysis.export import export
 from xplain.study.protocol.plan import Study, StudyPlan
 from xplain.study.server.protocol import StudyProtocol
 from xplain.study.simulation.participant import Habits, Person
-
-RATE = ("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6")
 
 
 @pytest.fixture
@@ -59,84 +57,13 @@ def test_bots_take_part_and_the_data_goes_all_the_way(
     assert (people["stage"] == "done").sum() >= 12
 
 
-class Careful:
-    """A participant who writes down every answer that the server acknowledged."""
+def survivors(database: Path, study: Study, kills: int, people: int) -> tuple[int, int]:
+    """Answers acknowledged and stored."""
 
-    def __init__(self, url: str, person: Person, invitation: str) -> None:
-        self.browser = Browser(url, patience=90)
-        self.person, self.invitation = person, invitation
-        self.acknowledged: list[tuple[int, str]] = []
+    def person(number: int, place: int) -> Person:
+        return Person(study.plan, FAULTLESS, np.random.default_rng([place, number]))
 
-    def take_part(self) -> str:
-        """To the end, however often the server dies; the outbox is this loop."""
-        _, html = self.browser.get(f"/?invitation={self.invitation}")
-        fields = [*Page(html).hidden.items(), ("invitation", self.invitation)]
-        _, html = self.browser.post("/enter", fields)
-        page = Page(html)
-        while page.hidden:
-            time.sleep(0.15)
-            answer = [*page.hidden.items(), *self.person.fill(page)[0]]
-            status, html = self.browser.post("/study", answer)
-            assert status == 200, html
-            self.acknowledged.append((int(page.hidden["sequence"]), page.stage))
-            page = Page(html)
-        self.browser.close()
-        return page.stage
-
-
-def survive(database: Path, study: Study, kills: int, people: int) -> tuple[int, int]:
-    """Kills the server while people take part; how many answers were acknowledged and stored."""
-    server = ServerProcess(database, *RATE)
-    server.start()
-    ended = threading.Event()
-
-    def parade(number: int) -> list[Careful]:
-        """One participant after another, until the last kill."""
-        own: list[Careful] = []
-        while not ended.is_set():
-            invitation = invitations[number].pop()
-            rng = np.random.default_rng([number, len(own)])
-            visitor = Careful(server.url, Person(study.plan, FAULTLESS, rng), invitation)
-            assert visitor.take_part() == "done"
-            own.append(visitor)
-        return own
-
-    researcher = Researcher(server.url, server.key)
-    invitations = [researcher.invite(100) for _ in range(people)]
-    with ThreadPoolExecutor(people) as pool:
-        futures = [pool.submit(parade, number) for number in range(people)]
-        pause = np.random.default_rng(0)
-        for _ in range(kills):
-            time.sleep(0.3 + 0.8 * pause.random())
-            server.kill()
-            server.start()
-        ended.set()
-        visitors = [visitor for future in futures for visitor in future.result()]
-    server.stop()
-    return _compare(database, study, visitors)
-
-
-def _compare(database: Path, study: Study, visitors: list[Careful]) -> tuple[int, int]:
-    store = Store(database, StudyProtocol(study))
-    stored: dict[str, list[tuple[int, str]]] = {}
-    for visitor in visitors:
-        who = store.enter_invited(visitor.invitation)
-        rows = store.query(
-            "SELECT source_sequence AS n, kind FROM event WHERE participant = ? "
-            "AND source = 'protocol' ORDER BY sequence",
-            (who,),
-        )
-        numbers = [row["n"] for row in rows]
-        assert numbers == list(range(len(rows)))  # none lost, none doubled
-        # Everybody saw every page once, in order: they went on where they were.
-        assert [n for n, _ in visitor.acknowledged] == sorted({n for n, _ in visitor.acknowledged})
-        assert {n for n, _ in visitor.acknowledged} <= set(numbers)
-        assert store.participant(who).state.stage == "done"
-        stored[who] = [(row["n"], row["kind"]) for row in rows]
-    verdict = store.query("PRAGMA integrity_check")
-    assert verdict == [{"integrity_check": "ok"}]
-    store.close()
-    return sum(len(v.acknowledged) for v in visitors), sum(map(len, stored.values()))
+    return survive(database, StudyProtocol(study), "study", person, kills, people)
 
 
 def _everything_replays(database: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -147,7 +74,7 @@ def _everything_replays(database: Path, capsys: pytest.CaptureFixture[str]) -> N
 def test_kill_9_loses_nothing_that_was_acknowledged(
     database: Path, study: Study, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    acknowledged, stored = survive(database, study, kills=1, people=4)
+    acknowledged, stored = survivors(database, study, kills=1, people=4)
     assert 10 < acknowledged <= stored
     _everything_replays(database, capsys)
 
@@ -156,7 +83,7 @@ def test_kill_9_loses_nothing_that_was_acknowledged(
 def test_kill_9_twenty_times_under_eight_participants(
     database: Path, study: Study, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    acknowledged, stored = survive(database, study, kills=20, people=8)
+    acknowledged, stored = survivors(database, study, kills=20, people=8)
     with capsys.disabled():
         print(f"\n20 kills: {acknowledged} answers acknowledged, {stored} stored")
     assert 200 < acknowledged <= stored
