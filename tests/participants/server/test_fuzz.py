@@ -174,14 +174,16 @@ def _way(visitor: Visitor, person: Person, invitation: str) -> Iterator[Page]:
 def records(store: Store, who: list[str]) -> dict[str, Any]:
     """Everything that is stored about some participants."""
     marks = ",".join("?" * len(who))
+    made = {row["name"] for row in store.query("SELECT name FROM sqlite_master")}
     return {
         table: store.query(f"SELECT * FROM {table} WHERE {column} IN ({marks})", who)
         for table, column in (
             ("participant", "id"),
             ("event", "participant"),
             ("step", "participant"),
-            ("slot", "holder"),
+            ("slot", "holder"),  # of a study
         )
+        if table in made
     }
 
 

@@ -129,7 +129,8 @@ class Database:
         """Erases everything that one participant did or said, and their outside ids.
 
         The random id, the number of their events and the hashes stay, so that the log can still be
-        checked; the erasure is an event of its own. Their place is free again.
+        checked; the erasure is an event of its own. A protocol that gives places frees theirs by a
+        trigger on ``meta``'s row ``erasing``.
 
         Args:
             reference: as the participant was given it; what is no hexadecimal digit is left out.
@@ -144,7 +145,6 @@ class Database:
         with self.transaction() as do:
             do("INSERT INTO meta VALUES ('erasing', ?)", (who,))
             do("DELETE FROM step WHERE participant = ?", (who,))
-            do("UPDATE slot SET holder = NULL, used = 0 WHERE holder = ?", (who,))
             do(
                 "UPDATE event SET kind = ?, source = 'erased', source_sequence = sequence, "
                 "wall = 0, monotonic = 0, boot = '', browser = NULL, payload = '{}' "

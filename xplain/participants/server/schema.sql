@@ -45,24 +45,6 @@ BEGIN SELECT RAISE(ABORT, 'a used invitation is never changed'); END;
 CREATE TRIGGER invitation_kept BEFORE DELETE ON invitation
 BEGIN SELECT RAISE(ABORT, 'invitations are never deleted'); END;
 
-CREATE TABLE slot (
-    stream TEXT NOT NULL,
-    position INTEGER NOT NULL,          -- order of assignment
-    user_type INTEGER NOT NULL,
-    condition TEXT NOT NULL,
-    holder TEXT REFERENCES participant (id),
-    used INTEGER NOT NULL DEFAULT 0,    -- 1 once its holder has completed
-    PRIMARY KEY (stream, position)
-) STRICT;
-CREATE INDEX slot_holder ON slot (holder);
-CREATE TRIGGER slot_fixed BEFORE UPDATE ON slot
-WHEN (NEW.stream, NEW.position, NEW.user_type, NEW.condition)
-     IS NOT (OLD.stream, OLD.position, OLD.user_type, OLD.condition)
-     OR (OLD.used AND NOT EXISTS (SELECT 1 FROM meta WHERE key = 'erasing' AND value = OLD.holder))
-BEGIN SELECT RAISE(ABORT, 'what a slot is never changes'); END;
-CREATE TRIGGER slot_kept BEFORE DELETE ON slot
-BEGIN SELECT RAISE(ABORT, 'slots are never deleted'); END;
-
 CREATE TABLE event (
     number INTEGER PRIMARY KEY,         -- order of arrival of all participants' events, 1 …
     participant TEXT NOT NULL REFERENCES participant (id),

@@ -57,8 +57,7 @@ class StudyProtocol:
 
     def found(self, do: Do) -> None:
         """The people's slots."""
-        for block in range(self.plan.rules.per_cell):
-            slots.add_block(do, self.plan, "person", block)
+        slots.found(do, self.plan)
 
     def admit(self, do: Do, person: Mapping[str, Any]) -> dict[str, Any]:
         """Reserves a slot."""

@@ -18,6 +18,45 @@ from xplain.study.protocol.plan import StudyPlan
 PREVIEW = "preview"
 """Stream of the slots of pilots who see what the researcher chose."""
 
+SCHEMA = (
+    """
+    CREATE TABLE slot (
+        stream TEXT NOT NULL,
+        position INTEGER NOT NULL,          -- order of assignment
+        user_type INTEGER NOT NULL,
+        condition TEXT NOT NULL,
+        holder TEXT REFERENCES participant (id),
+        used INTEGER NOT NULL DEFAULT 0,    -- 1 once its holder has completed
+        PRIMARY KEY (stream, position)
+    ) STRICT
+    """,
+    "CREATE INDEX slot_holder ON slot (holder)",
+    """
+    CREATE TRIGGER slot_fixed BEFORE UPDATE ON slot
+    WHEN (NEW.stream, NEW.position, NEW.user_type, NEW.condition)
+         IS NOT (OLD.stream, OLD.position, OLD.user_type, OLD.condition)
+         OR (OLD.used AND NOT EXISTS
+             (SELECT 1 FROM meta WHERE key = 'erasing' AND value = OLD.holder))
+    BEGIN SELECT RAISE(ABORT, 'what a slot is never changes'); END
+    """,
+    """
+    CREATE TRIGGER slot_kept BEFORE DELETE ON slot
+    BEGIN SELECT RAISE(ABORT, 'slots are never deleted'); END
+    """,
+    """
+    CREATE TRIGGER slot_of_the_erased AFTER INSERT ON meta WHEN NEW.key = 'erasing'
+    BEGIN UPDATE slot SET holder = NULL, used = 0 WHERE holder = NEW.value; END
+    """,
+)
+
+
+def found(do: Do, plan: StudyPlan) -> None:
+    """Makes the table, and the slots of all people."""
+    for statement in SCHEMA:
+        do(statement)
+    for block in range(plan.rules.per_cell):
+        add_block(do, plan, "person", block)
+
 
 def add_block(do: Do, plan: StudyPlan, stream_name: str, block: int) -> None:
     """One more permuted block: every (type, condition) once, in a seeded order."""
