@@ -101,6 +101,7 @@ def test_a_list_tells_all_candidates_apart() -> None:
     ("arguments", "said"),
     [
         (["queries=independent"], "battery or adaptive"),
+        (["queries=adaptive", "queries.in_turn=true"], "queries.in_turn=True"),
         (["briefing=some"], "briefing='some'"),
         (["expected_error=0.7"], "expected_error=0.7"),
         (["rules.people=1"], "rules.people=1"),

@@ -27,7 +27,16 @@ def setting():
     return Setting.build(domain, types)
 
 
-@pytest.mark.parametrize("design", [Adaptive(), Adaptive(clip=3), Battery()])
+@pytest.mark.parametrize(
+    "design",
+    [
+        Adaptive(),
+        Adaptive(clip=3),
+        Adaptive(in_turn=True),
+        Adaptive(clip=3, in_turn=True),
+        Battery(),
+    ],
+)
 def test_few_labels_find_the_types(setting, design):
     """Three types of two facts, one answer in twenty wrong."""
     crowd = SimulatedObservers(per_type=3, points=14, label_noise=0.05)
@@ -77,6 +86,47 @@ def test_later_observers_start_from_those_before(setting, monkeypatch):
         before = np.mean([q.posterior / q.posterior.sum() for q in made[:o]], axis=0)
         assert made[o].given_prior == pytest.approx(0.5 * own + 0.5 * before)
         assert np.abs(made[o].given_prior - own).max() > 0.1
+
+
+def asked_of(setting, design, sizes, types):
+    """What each observer is asked, and who in which order."""
+    order = []
+
+    def answer(observer, transitions, told):
+        order.append(observer)
+        return setting.labels(types[observer], transitions, told)
+
+    found = design.ask(setting, np.array(sizes), answer, 0)
+    return [(a.transitions.tolist(), a.message_sets.tolist()) for a in found], order
+
+
+def test_in_turn_everybody_is_asked_one_question_after_the_other(setting):
+    sizes = [3, 1, 2]
+    _, order = asked_of(setting, Adaptive(in_turn=True), sizes, [0, 1, 2])
+    assert order == [0, 1, 2, 0, 2, 0]
+    asked, order = asked_of(setting, Adaptive(in_turn=True, clip=2), [3, 1, 4], [0, 1, 2])
+    assert order == [0, 1, 2, 0, 2]
+    assert [len(told) for _, told in asked] == [3, 1, 4]
+
+
+def test_in_turn_the_others_answers_tell_and_nothing_else_differs(setting):
+    """Without regard for others it does not matter when anybody is asked; with it, the first is
+    asked other questions where others answer otherwise, which one who is done before them is not."""
+    alone = {"from_others": 0.0, "check": 0.0}
+    one, _ = asked_of(setting, Adaptive(**alone), [6, 6, 6], [0, 1, 2])
+    other, _ = asked_of(setting, Adaptive(in_turn=True, **alone), [6, 6, 6], [0, 1, 2])
+    assert one == other
+    nobody_else = [
+        asked_of(setting, Adaptive(in_turn=in_turn, from_others=0.9, check=0.0), [8], [2])[0]
+        for in_turn in (False, True)
+    ]
+    assert nobody_else[0] == nobody_else[1]
+    for in_turn in (False, True):
+        design = Adaptive(in_turn=in_turn, from_others=0.9, check=0.0)
+        first = [
+            asked_of(setting, design, [8] * 5, [0, *[others] * 4])[0][0] for others in range(3)
+        ]
+        assert (first[0] == first[1] == first[2]) is not in_turn
 
 
 def test_a_file_without_features_must_have_the_robots_transitions(setting):

@@ -96,6 +96,8 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
     design = instantiate(cfg.queries)
     if not isinstance(design, Adaptive | Battery):
         raise InputError("queries", config["queries"]["_target_"], "battery or adaptive")
+    if isinstance(design, Adaptive) and design.in_turn:
+        raise InputError("queries.in_turn", True, "false: people are asked as they come")
     if config["briefing"] not in ("none", "assigned"):
         raise InputError("briefing", config["briefing"], "none or assigned")
     source = source_of(cfg)

@@ -132,6 +132,8 @@ class Adaptive:
         check: once it is known what a person holds wrong, share of the questions that ask whether
             it is all: every fact that hypotheses know of is told, and what the robot often does
             should be explicable.
+        in_turn: a question each in turn, as of people who answer at the same time, each by what is
+            thought of all others by then; else one person after the other.
         hypotheses: an ``.npz`` file; None: those of the domain; ``none``: no hypotheses, and
             questions are those of :class:`xplain.questions.committee.Committee`.
         screen: without hypotheses, questions chosen at a time.
@@ -143,11 +145,14 @@ class Adaptive:
     none: float = 0.01
     from_others: float = 0.5
     check: float = 0.5
+    in_turn: bool = False
     hypotheses: str | None = None
     screen: int = 25
 
     def __post_init__(self) -> None:
         whole_number("queries.screen", self.screen, 1)
+        if not isinstance(self.in_turn, bool):
+            raise InputError("queries.in_turn", self.in_turn, "true or false")
         shares = {"misread": (0, 1), "none": (0, 1), "from_others": (0, 1), "check": (0, 1)}
         for key, (low, high) in ({"error": (1e-3, NONE_ERROR)} | shares).items():
             if not low <= number(f"queries.{key}", getattr(self, key)) < high:
@@ -159,28 +164,20 @@ class Adaptive:
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
-        """Exactly ``sizes`` labels an observer, one observer after the other; the last clip is
-        cut."""
+        """Exactly ``sizes`` labels an observer; the last clip is cut."""
         if self.hypotheses == WITHOUT:
             return Committee(self.screen).ask(setting, sizes, answer, seed)
         known = hypotheses_of(setting.domain, self.hypotheses).told_apart_by_features()
         transitions = transitions_of(known, setting)
-        others: list[Posterior] = []
         checks = _Checks.of(known, transitions, setting, stream(seed, "queries", "checks"))
-        asked = []
-        for o, size in enumerate(sizes.tolist()):
-            likely = [facts for facts, _ in others]
-            listed = known.with_sets(np.concatenate(likely)) if likely else known
-            questions = Questionnaire(
-                listed,
-                self.error,
-                self._prior(listed, others),
-                self.clip,
-                derived_seed(seed, "queries", o),
-                none=self.none,
-                misread=self.misread,
+        asked: dict[int, Questionnaire] = {}
+        found: dict[int, Posterior] = {}
+        for o, now in self._turns(sizes.tolist()):
+            others = [one for other, one in found.items() if other != o]
+            questions = self._questions(
+                asked.get(o), known, others, derived_seed(seed, "queries", o)
             )
-            left = size
+            left = now
             while left:
                 check = questions.done and checks.rng.random() < self.check
                 which, told = checks.next() if check else questions.next()
@@ -189,11 +186,37 @@ class Adaptive:
                 questions.answer(labels, (clip.tolist(), told))
                 left -= len(clip)
                 questions = self._grown(questions, others)
-            others.append(_likely(questions))
-            asked.append(_answered(questions, transitions))
+            asked[o], found[o] = questions, _likely(questions)
         if known.further is not None:
-            _FOUND[setting.domain] = np.unique(np.concatenate([facts for facts, _ in others]))
-        return asked
+            _FOUND[setting.domain] = np.unique(
+                np.concatenate([facts for facts, _ in found.values()])
+            )
+        return [_answered(asked[o], transitions) for o in range(len(sizes))]
+
+    def _turns(self, sizes: list[int]) -> list[tuple[int, int]]:
+        """(observer, labels), one after the other."""
+        if not self.in_turn:
+            return list(enumerate(sizes))
+        return [
+            (o, min(self.clip, size - first))
+            for first in range(0, max(sizes), self.clip)
+            for o, size in enumerate(sizes)
+            if first < size
+        ]
+
+    def _questions(
+        self, before: Questionnaire | None, known: Hypotheses, others: list[Posterior], seed: int
+    ) -> Questionnaire:
+        """A person's questionnaire, with what is thought of all others by now."""
+        listed = known if before is None else before.hypotheses
+        if others:
+            listed = listed.with_sets(np.concatenate([facts for facts, _ in others]))
+        prior = self._prior(listed, others)
+        if before is not None:
+            return before.over(listed, prior)
+        return Questionnaire(
+            *(listed, self.error, prior, self.clip, seed), none=self.none, misread=self.misread
+        )
 
     def _prior(self, known: Hypotheses, others: list[Posterior]) -> NDArray[np.float64]:
         """[C] before anything is asked, by the observers before."""

@@ -113,15 +113,16 @@ class Questionnaire:
         return made
 
     def over(self, hypotheses: Hypotheses, prior: ArrayLike | None) -> Questionnaire:
-        """The same questions and answers, with other candidates.
+        """The same questions and answers, with other candidates or another prior.
 
         Args:
             hypotheses: of the same transitions and messages.
             prior: as for the class.
         """
         made = copy.copy(self)
-        made.hypotheses = hypotheses
-        made.__dict__.pop("_questions", None)  # of the candidates before
+        if hypotheses is not self.hypotheses:
+            made.hypotheses = hypotheses
+            made.__dict__.pop("_questions", None)  # of the candidates before
         made._start(prior)
         for one in self.asked:
             made._take(one)
