@@ -75,7 +75,9 @@ WAYS = {
     "random questions, hypotheses": ("independent", "hypotheses"),
     "battery, hypotheses": ("battery", "hypotheses"),
     "adaptive, hypotheses": ("adaptive", "hypotheses"),
+    "adaptive in turn, hypotheses": ("in turn", "hypotheses"),
 }
+DRAWN = tuple(WAYS)[:5]
 WRONG = (
     *("half", "double", "half or double", "tenth"),
     *("unwritten", "tire", "misread", "misread clips"),
@@ -178,6 +180,7 @@ def design_of(way: str, path: str | None, error: float, people: str) -> tuple[Qu
         "independent": Independent(),
         "battery": Battery(hypotheses=path),
         "adaptive": Adaptive(error=max(error, 0.01), hypotheses=path, **clips),  # type: ignore[arg-type]
+        "in turn": Adaptive(error=max(error, 0.01), hypotheses=path, in_turn=True),
         "committee": Adaptive(hypotheses="none"),
     }
     if labeler == "hypotheses":
@@ -438,6 +441,7 @@ def comparable(rows: pd.DataFrame) -> pd.DataFrame:
     """The data sets to which every way was applied that was tried with as many labels: costs
     differ more between types drawn than between designs."""
     rows = rows[(rows["people"] == "as assumed") & (rows["error"] == 0.05)]
+    rows = rows[rows["way"].isin(DRAWN)]
     tried = rows.groupby("points")["way"].transform("nunique")
     return rows[rows.groupby(["map", "points", "seed"])["way"].transform("nunique") == tried]
 
@@ -455,7 +459,7 @@ def picture(rows: pd.DataFrame) -> Figure:
     )
     for axis, name in zip(axes[0], shown, strict=True):
         part = rows[rows["map"] == name]
-        for i, way in enumerate(WAYS):
+        for i, way in enumerate(DRAWN):
             cells = part[part["way"] == way].groupby("points")
             if not len(cells):
                 continue
@@ -510,7 +514,7 @@ def main() -> None:
     parser.add_argument("--points", type=int, nargs="+", default=list(POINTS))
     parser.add_argument("--errors", type=float, nargs="+", default=[0.05, 0.0])
     parser.add_argument("--maps", nargs="+", default=list(MAPS))
-    parser.add_argument("--ways", nargs="+", default=list(WAYS))
+    parser.add_argument("--ways", nargs="+", default=list(DRAWN))
     given = parser.parse_args()
     people, each, asked = WRONG, 1, 40
     if given.quick:
