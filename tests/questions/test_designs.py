@@ -111,7 +111,7 @@ def test_in_turn_everybody_is_asked_one_question_after_the_other(setting):
 
 def test_in_turn_the_others_answers_tell_and_nothing_else_differs(setting):
     """Without regard for others it does not matter when anybody is asked; with it, the first is
-    asked other questions where others answer otherwise, which one who is done before them is not."""
+    asked other questions where others answer otherwise, unless they are done before them."""
     alone = {"from_others": 0.0, "check": 0.0}
     one, _ = asked_of(setting, Adaptive(**alone), [6, 6, 6], [0, 1, 2])
     other, _ = asked_of(setting, Adaptive(in_turn=True, **alone), [6, 6, 6], [0, 1, 2])
