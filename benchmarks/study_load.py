@@ -153,6 +153,16 @@ def collect() -> tuple[Protocol, Callable[[int], Visitor]]:
     return CollectProtocol(collection_of(plan)), lambda number: observer(plan, habits, 0, number)
 
 
+def stolen() -> tuple[int, int]:
+    """Time that other machines took of this one's processors, and all time, since it was started;
+    (0, 0) where the system does not tell."""
+    try:
+        numbers = [int(x) for x in Path("/proc/stat").read_text().split("\n")[0].split()[1:]]
+    except OSError:
+        return 0, 0
+    return numbers[7], sum(numbers)
+
+
 def measure(command: str, people: int, think: tuple[float, float], ramp: float, slow: int) -> int:
     """Runs and prints; how many participants met an error."""
     protocol, person = {"study": study, "collect": collect}[command]()
@@ -170,12 +180,12 @@ def measure(command: str, people: int, think: tuple[float, float], ramp: float, 
             beside = Slow(server.port, slow)
             if slow:
                 beside.start()
-            start = time.perf_counter()
+            start, before = time.perf_counter(), stolen()
             for one in crowd:
                 one.start()
             for one in crowd:
                 one.join()
-            took = time.perf_counter() - start
+            took, after = time.perf_counter() - start, stolen()
             beside.ended.set()
     pages = [t for one in crowd for t in one.pages]
     requests = [t for one in crowd for t, _ in one.browser.timings]
@@ -185,6 +195,9 @@ def measure(command: str, people: int, think: tuple[float, float], ramp: float, 
         f"{command}: {people} participants at once, thinking {think[0]:g} to {think[1]:g} s, "
         f"{took:.0f} s{f', beside {slow} slow connections' if slow else ''}"
     )
+    if after[1] > before[1]:
+        share = (after[0] - before[0]) / (after[1] - before[1])
+        print(f"{share:.0%} of the processors' time went to other machines")
     print(f"{len(pages):6d} pages     {percentiles(pages)}")
     print(f"{len(requests):6d} requests  {percentiles(requests)}  ({len(requests) / took:.0f} /s)")
     print(f"{len(errors):6d} errors    {'; '.join(sorted(set(errors))[:5])}")
