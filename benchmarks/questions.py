@@ -78,6 +78,7 @@ WAYS = {
     "adaptive in turn, hypotheses": ("in turn", "hypotheses"),
 }
 DRAWN = tuple(WAYS)[:5]
+"""In the picture, and tried where no others are named."""
 WRONG = (
     *("half", "double", "half or double", "tenth"),
     *("unwritten", "tire", "misread", "misread clips"),
