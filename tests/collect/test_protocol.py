@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.collect.stand_in import FAULTLESS, street_collection, telling
-from xplain.collect.protocol import machine
+from xplain.collect.protocol import asking, machine
 from xplain.collect.protocol.asking import belief, questionnaire, schedule, shared
 from xplain.collect.protocol.plan import Collection, CollectPlan
-from xplain.collect.protocol.state import ATTENTION, QUESTION, REPEAT, State
+from xplain.collect.protocol.state import ATTENTION, QUESTION, REPEAT, Clip, State
 from xplain.collect.protocol.view import page
 from xplain.collect.simulation.observer import Habits, Observer, answers, take_part
 from xplain.errors import InputError, Refused
@@ -120,6 +121,30 @@ def test_a_list_is_the_same_for_everybody_in_an_order_of_their_own() -> None:
     assert len(asked[0]) == 10
     assert all(sorted(one) == sorted(asked[0]) for one in asked)
     assert any(one != asked[0] for one in asked)
+
+
+def test_what_is_kept_of_earlier_answers_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Two who answer alike, in turn: one whose prior is of others, one with the same number.
+    monkeypatch.setattr(asking, "QUESTIONNAIRES", 5)
+    shared_by_all = street_collection()
+    people = [State(number=4), State(number=4, others={"6": 1.0}), State(number=5)]
+    rng = np.random.default_rng(0)
+    for step in range(12):
+        clips = [Clip(QUESTION, (int(rng.integers(4)),), 0, (int(rng.integers(2)),))] * 3
+        if step == 6:
+            clips[2] = replace(clips[2], purpose=ATTENTION)  # is no answer
+        people = [
+            replace(one, answered=(*one.answered, clip))
+            for one, clip in zip(people, clips, strict=True)
+        ]
+        for one in people:
+            found = questionnaire(shared_by_all, one)
+            alone = questionnaire(street_collection(), one)
+            assert found.posterior.tobytes() == alone.posterior.tobytes()
+            assert found.next() == alone.next()
+            assert found.asked == alone.asked
+            found.answer([1], ([0], 0))  # whoever asks for it may go on with it
+    assert len(shared_by_all.kept) == 5
 
 
 @settings(max_examples=25, deadline=None)
@@ -229,11 +254,11 @@ def test_later_people_need_fewer_questions() -> None:
     def needed(others: dict[str, float]) -> int:
         person = Observer(COLLECTION.plan, held, FAULTLESS, np.random.default_rng(0))
         state = take_part(COLLECTION, person, 0, others)
-        asking = questionnaire(COLLECTION, State(number=0, others=others))
+        known = questionnaire(COLLECTION, State(number=0, others=others))
         for count, clip in enumerate(state.questions()):
-            if asking.posterior[COLLECTION.plan.hypotheses.row(np.array(held))] > 0.9:
+            if known.posterior[COLLECTION.plan.hypotheses.row(np.array(held))] > 0.9:
                 return count
-            asking.answer(list(clip.labels), (list(clip.transitions), clip.told))
+            known.answer(list(clip.labels), (list(clip.transitions), clip.told))
         return 99
 
     assert needed({str(held): 1.0}) < needed({})

@@ -270,8 +270,10 @@ class Questionnaire:
         error = self._error[:, None]
         likelihood = (1 - error) ** agree * error ** (of - agree)
         with np.errstate(divide="ignore"):
-            self._log_joint += np.log((1 - self.misread) * likelihood + self.misread / 2**of)
-        self.asked.append(one)
+            answer = np.log((1 - self.misread) * likelihood + self.misread / 2**of)
+        # New ones, as copies share what was before.
+        self._log_joint = self._log_joint + answer
+        self.asked = [*self.asked, one]
         self._refresh()
 
     def _refresh(self) -> None:

@@ -6,6 +6,7 @@ everybody. Among them are an obvious step, and some of the first questions a sec
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -21,6 +22,8 @@ from xplain.randomness import derived_seed, stream
 
 KEPT = 1e-6
 """Fact sets with a smaller posterior are left out of what is written down."""
+QUESTIONNAIRES = 512
+"""Kept at a time: more than people answer at once."""
 SHARED = 1e-3
 """… and of what the next participant's prior takes from others."""
 
@@ -61,12 +64,20 @@ def shared(beliefs: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 def questionnaire(collection: Collection, state: State) -> Questionnaire:
     """The questionnaire of a participant, with all that they answered."""
-    plan = collection.plan
-    seed = derived_seed(plan.seed, "queries", state.person)
-    asking = collection.blank.anew(_prior(plan, state), seed)
-    for one in state.questions():
-        asking.answer(list(one.labels), (list(one.transitions), one.told))
-    return asking
+    kept, whose = collection.kept, (state.person, frozenset(state.others.items()))
+    answers = tuple((one.labels, one.transitions, one.told) for one in state.questions())
+    before = kept.get((whose, answers[:-1])) if answers else None
+    if before is None:
+        seed = derived_seed(collection.plan.seed, "queries", state.person)
+        asking = collection.blank.anew(_prior(collection.plan, state), seed)
+    else:
+        asking = copy.copy(before)
+    for labels, transitions, told in answers[len(asking.asked) :]:
+        asking.answer(list(labels), (list(transitions), told))
+    while len(kept) >= QUESTIONNAIRES:
+        kept.pop(next(iter(kept)))
+    kept[whose, answers] = asking
+    return copy.copy(asking)
 
 
 def _prior(plan: CollectPlan, state: State) -> NDArray[np.float64]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -147,9 +147,16 @@ class CollectPlan(StoredPlan):
 
 @dataclass(frozen=True)
 class Collection:
-    """A plan with its questionnaire at work; what the protocol needs to go on."""
+    """A plan with its questionnaire at work; what the protocol needs to go on.
+
+    Attributes:
+        plan: of the collection.
+        kept: the latest questionnaires by participant and answers, so that an answer is added to
+            those before and not all of them are taken anew. Nothing that is computed depends on it.
+    """
 
     plan: CollectPlan
+    kept: dict[Hashable, Questionnaire] = field(default_factory=dict, repr=False, compare=False)
 
     @cached_property
     def blank(self) -> Questionnaire:

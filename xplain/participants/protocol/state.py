@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from xplain.errors import Refused
@@ -46,6 +47,7 @@ class State:
         return json.dumps(asdict(self), sort_keys=True)
 
     @classmethod
+    @lru_cache(maxsize=1024)  # a page asks for its state several times
     def from_text(cls, text: str) -> Self:
         """The state that :attr:`text` was made from, equal to the last bit."""
         state: Self = decode(cls, json.loads(text))
