@@ -21,8 +21,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from xplain.by_type import ByType
 from xplain.errors import TooLargeError
+from xplain.explanation.by_type import ByType
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy

@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.strategies import composite
 
-from xplain.by_type import ByType
+from xplain.explanation.by_type import ByType
 from xplain.explanation.problem import Problem
 
 

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 
 from tests.explanation.by_type_problems import pair_of_problems, pairs, plain
-from xplain.by_type import ByType
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.belief import update
+from xplain.explanation.by_type import ByType
 from xplain.explanation.pomdp_file import lines
 from xplain.explanation.problem import Problem
 

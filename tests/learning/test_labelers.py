@@ -9,9 +9,9 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.tree import DecisionTreeClassifier
 
 from tests.learning.conftest import made
-from xplain.by_type import ByType
 from xplain.data.dataset import Dataset, inputs, query_index
 from xplain.errors import InputError, TooLargeError
+from xplain.explanation.by_type import ByType
 from xplain.learning.labelers import Labeler, LabelerTrainer, split
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.domains.configs import setting_of
-from xplain.by_type import ByType
 from xplain.data.observers import SimulatedObservers
 from xplain.data.queries import Independent
 from xplain.domains.base import transition_features
+from xplain.explanation.by_type import ByType
 from xplain.questions.labeler import HypothesisTrainer
 
 

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from tests.explanation.problems import random_problem
 from xplain import Explainer, GivenTypes
-from xplain.by_type import ByType, joined
 from xplain.errors import InputError
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.explanation.belief import Independent, Persistent
+from xplain.explanation.by_type import ByType, joined
 from xplain.message_sets import mask_of
 from xplain.solvers.known_type import Conformant, KnownType
 from xplain.solvers.qhr import QHR

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 import xplain.solvers.restriction as restriction
 from tests.explanation.by_type_problems import pairs
-from xplain.by_type import ByType
 from xplain.errors import TooLargeError
+from xplain.explanation.by_type import ByType
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
 from xplain.solvers.base import Solver

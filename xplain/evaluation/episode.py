@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.by_type import ByType
 from xplain.explanation.belief import BeliefUpdate
+from xplain.explanation.by_type import ByType
 from xplain.explanation.problem import Problem
 from xplain.message_sets import indices
 from xplain.sessions.interaction import Interaction

@@ -12,12 +12,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.by_type import ByType, LabelTable
 from xplain.errors import InputError, number
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.evaluation.metrics import Record
 from xplain.experiment.pipeline import Case, Prepared, Track, untracked
 from xplain.explanation.belief import BeliefUpdate
+from xplain.explanation.by_type import ByType, LabelTable
 from xplain.explanation.problem import DiscountPer, Problem
 from xplain.randomness import derived_seed
 from xplain.solvers.base import Solver

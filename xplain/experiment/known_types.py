@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.by_type import DENSE, LabelTable
 from xplain.errors import InputError, TooLargeError
+from xplain.explanation.by_type import DENSE, LabelTable
 from xplain.users.setting import Setting
 
 

@@ -17,7 +17,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.by_type import DENSE, ByType, LabelTable
 from xplain.data.dataset import Dataset
 from xplain.data.observers import Observers
 from xplain.data.queries import Queries
@@ -31,6 +30,7 @@ from xplain.domains.base import (
 )
 from xplain.errors import InputError, XplainError, whole_number
 from xplain.experiment.known_types import Known, Tables, true_types, unless_too_large
+from xplain.explanation.by_type import DENSE, ByType, LabelTable
 from xplain.learning.clustering import Clusterer, Perfect
 from xplain.learning.cross_validation import fresh_accuracy
 from xplain.learning.labelers import Labeler, LabelerTrainer

@@ -3,7 +3,7 @@
 The literal POMDP has states ⟨k, L, E_given, E_next, t⟩. Labels are drawn afresh each step, so
 (k, H, belief) with H = E_given ∪ E_next is a sufficient state, and one table of label
 probabilities, ``p_explicable[t, i, H]``, is the whole model. Where messages are many, each type's
-table is kept over the messages relevant to it (:mod:`xplain.by_type`).
+table is kept over the messages relevant to it (:mod:`xplain.explanation.by_type`).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.by_type import DENSE, ByType, LabelTable, effective_bits
 from xplain.errors import InputError, number
+from xplain.explanation.by_type import DENSE, ByType, LabelTable, effective_bits
 
 MAX_MESSAGES = 62
 """A message set is a signed integer of 64 bits."""

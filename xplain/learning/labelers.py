@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.by_type import DENSE
 from xplain.data.dataset import Dataset, inputs, query_index
 from xplain.errors import InputError, TooLargeError
+from xplain.explanation.by_type import DENSE
 from xplain.learning.tree_leaves import cubes
 from xplain.message_sets import indices
 from xplain.randomness import derived_seed, stream

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.by_type import LabelTable
 from xplain.data.dataset import Dataset
 from xplain.data.encoding import encoded
 from xplain.data.label_table import MAX_MASK
 from xplain.errors import InputError
+from xplain.explanation.by_type import LabelTable
 from xplain.learning.labelers import Labeler
 from xplain.learning.user_types import UserTypes, p_explicable
 

@@ -9,9 +9,9 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.by_type import DENSE, ByType, LabelTable
 from xplain.data.dataset import Dataset, inputs
 from xplain.errors import InputError
+from xplain.explanation.by_type import DENSE, ByType, LabelTable
 from xplain.learning.clustering import Clustering
 from xplain.learning.labelers import Labeler, LabelerTrainer
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.by_type import ByType, LabelTable
 from xplain.errors import InputError, whole_number
+from xplain.explanation.by_type import ByType, LabelTable
 from xplain.sessions.planner import Planner
 from xplain.sessions.session import FORMAT, Session
 
@@ -28,7 +28,7 @@ class GivenTypes:
     Attributes:
         table: [N, T, 2^n], a transition being its index among T; or a function from a list of
             transitions (whatever they are) to such a table of them. With many messages a
-            :class:`~xplain.by_type.ByType` takes the place of the array.
+            :class:`~xplain.explanation.by_type.ByType` takes the place of the array.
         messages: n names.
         names: N names.
         prior: [N]; empty for all alike.

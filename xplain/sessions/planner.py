@@ -13,9 +13,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.by_type import DENSE, ByType, LabelTable
 from xplain.errors import InputError
 from xplain.explanation.belief import BeliefUpdate, Independent
+from xplain.explanation.by_type import DENSE, ByType, LabelTable
 from xplain.explanation.problem import MAX_MESSAGES, DiscountPer, Problem
 from xplain.solvers.base import Policy, Solver
 from xplain.solvers.qmdp import QMDP

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.by_type import joined
 from xplain.errors import InputError
+from xplain.explanation.by_type import joined
 from xplain.message_sets import indices, mask_of, names_of
 from xplain.sessions.interaction import Interaction
 from xplain.sessions.planner import Planner

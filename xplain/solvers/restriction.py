@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.by_type import DENSE
 from xplain.errors import TooLargeError
+from xplain.explanation.by_type import DENSE
 from xplain.explanation.problem import MAX_DENSE, Problem
 from xplain.message_sets import compress, expand
 from xplain.solvers.base import Policy

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.by_type import NONE, ByType
 from xplain.errors import TooLargeError
+from xplain.explanation.by_type import NONE, ByType
 from xplain.numba_kernels import inlined
 from xplain.solvers.bits import count_bits
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from xplain.by_type import ByType
 from xplain.data.rollouts import sample_trace
 from xplain.domains.base import transition_feature_names, transition_features
 from xplain.errors import InputError
 from xplain.experiment.pipeline import learn, observe
+from xplain.explanation.by_type import ByType
 from xplain.learning.clustering import Perfect
 from xplain.learning.labelers import Labeler
 from xplain.learning.saved_types import LearnedTypes

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.by_type import LabelTable
 from xplain.config import CONF
 from xplain.data.rollouts import sample_trace
 from xplain.domains.base import Domain, changes_of, transition_features
 from xplain.errors import InputError, whole_number
 from xplain.experiment.explanations import Costs
+from xplain.explanation.by_type import LabelTable
 from xplain.learning.user_types import p_explicable
 from xplain.participants.protocol.plan import Asked, facts_of
 from xplain.participants.settings import fixed

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.by_type import ByType
 from xplain.domains import mdp
 from xplain.domains.base import Domain
 from xplain.errors import InputError, TooLargeError
+from xplain.explanation.by_type import ByType
 
 MAX_MODELS = 1 << 14
 
