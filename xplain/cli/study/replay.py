@@ -47,7 +47,7 @@ def compare(
     parser.add_argument("database", type=Path)
     parser.add_argument("--head", default="")
     given = parser.parse_args(arguments)
-    from xplain.event_log import head_of
+    from xplain.participants.event_log import head_of
     from xplain.participants.stored import plan_of, reading
 
     with reading(given.database) as connection:

@@ -19,8 +19,8 @@ from xplain.collect.analysis.labels import dataset_of, why_left_out
 from xplain.collect.protocol.plan import CollectPlan
 from xplain.collect.protocol.state import STATED, State
 from xplain.data.label_table import write_table
-from xplain.event_log import head_of
 from xplain.message_sets import names_of
+from xplain.participants.event_log import head_of
 from xplain.participants.stored import STREAMS, plan_of, reading
 
 if TYPE_CHECKING:

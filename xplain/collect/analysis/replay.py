@@ -10,11 +10,11 @@ from __future__ import annotations
 import sqlite3
 from functools import partial
 
-from xplain import event_log
 from xplain.collect.protocol import machine
 from xplain.collect.protocol.asking import schedule, shared
 from xplain.collect.protocol.plan import Collection
 from xplain.collect.protocol.state import State
+from xplain.participants import event_log
 from xplain.participants.protocol.replay import Findings, Replayed, replayed
 
 

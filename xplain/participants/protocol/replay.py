@@ -1,6 +1,7 @@
 """Computes participants again from the log, and compares with what was stored, to the last bit.
 
-The log is checked first: no event was changed, left out or put in (xplain/event_log.py).
+The log is checked first: no event was changed, left out or put in
+(xplain/participants/event_log.py).
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Generic
 
-from xplain import event_log
 from xplain.errors import Refused
+from xplain.participants import event_log
 from xplain.participants.protocol.state import Outcome, S
 
 Advance = Callable[[S, str, Mapping[str, Any]], Outcome[S]]

@@ -22,8 +22,8 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from xplain import event_log
 from xplain.errors import InputError, XplainError
+from xplain.participants import event_log
 
 Do = Callable[..., sqlite3.Cursor]
 """Executes a statement within a transaction."""
@@ -178,7 +178,7 @@ def append(do: Do, event: Sequence[Any]) -> None:
 
     Args:
         do: of the transaction.
-        event: the values of :data:`xplain.event_log.FIELDS`.
+        event: the values of :data:`xplain.participants.event_log.FIELDS`.
     """
     (salt,) = do("SELECT salt FROM participant WHERE id = ?", (event[0],)).fetchone()
     (head,) = do("SELECT value FROM meta WHERE key = 'head'").fetchone()

@@ -57,7 +57,7 @@ CREATE TABLE event (
     boot TEXT NOT NULL,
     browser REAL,                       -- the page's performance.now, milliseconds
     payload TEXT NOT NULL,              -- JSON
-    content TEXT NOT NULL,              -- hash of this event (xplain/event_log.py)
+    content TEXT NOT NULL,              -- hash of this event (xplain/participants/event_log.py)
     digest TEXT NOT NULL,               -- hash of this event and all before it
     UNIQUE (participant, sequence),
     UNIQUE (participant, source, source_sequence)

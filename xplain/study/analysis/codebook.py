@@ -93,7 +93,7 @@ CODEBOOK = {
         "boot": "id of the machine's boot",
         "browser": "the page's performance.now, milliseconds since the page began to load",
         "number": "order of arrival of all participants' events",
-        "content": "hash of the event (xplain/event_log.py)",
+        "content": "hash of the event (xplain/participants/event_log.py)",
         "digest": "hash of the event and all before it",
         "payload": "JSON; of a tab: at = browser's wall clock in ms, what = detail",
     },

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from xplain.event_log import head_of
 from xplain.message_sets import names_of
+from xplain.participants.event_log import head_of
 from xplain.participants.stored import plan_of, reading
 from xplain.study.analysis.codebook import CODEBOOK, kind_of, unit_of
 from xplain.study.analysis.timing import Interaction, interaction, pages

@@ -9,7 +9,7 @@ from __future__ import annotations
 import sqlite3
 from functools import partial
 
-from xplain import event_log
+from xplain.participants import event_log
 from xplain.participants.protocol.replay import Findings, replayed
 from xplain.study.protocol import machine
 from xplain.study.protocol.machine import State
