@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import numba
@@ -136,6 +137,11 @@ def test_our_own_and_the_standard_library_are_covered_elsewhere():
     config = {"a": {"_target_": "xplain.solvers.qmdp.QMDP"}, "b": {"_target_": "sklearn.tree.X"}}
     assert component_code(config) == {}
     assert component_code({"_target_": "collections.OrderedDict"}) == {}
+    brought = {name: of for name, of in metadata.packages_distributions().items() if name.isalpha()}
+    for library in fingerprints.LIBRARIES:  # their versions count
+        names = [name for name, distributions in brought.items() if library in distributions]
+        assert names
+        assert component_code([{"_target_": f"{name}.anything"} for name in names]) == {}
 
 
 def test_the_content_of_files_counts(tmp_path):

@@ -123,6 +123,16 @@ def test_too_many_lines_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         text_of(Problem(np.full((2, 3, 8), 0.5), np.ones(3)))
 
 
+def test_the_lines_of_answers_count_before_any_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = Problem(np.random.default_rng(0).random((2, 4, 4)), np.ones(2))
+    written = text_of(problem).splitlines()
+    answers = sum(line.startswith("O:") for line in written)
+    others = sum(line.startswith(("T:", "R:")) for line in written)
+    monkeypatch.setattr(cassandra, "MAX_LINES", others + answers // 2)
+    with pytest.raises(TooLargeError, match="lines"):
+        next(cassandra.lines(problem))
+
+
 @pytest.mark.skipif("POMDPSOL_PATH" not in os.environ, reason="POMDPSOL_PATH names no pomdpsol")
 def test_an_outside_solver_agrees(tmp_path) -> None:
     """SARSOP's bounds enclose the brute-force optimum."""

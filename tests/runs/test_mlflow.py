@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import itertools
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from xplain.experiment.results import ElbowFigures, Figure, Results, TypeNames
+from xplain.runs.mlflow import MLflow
 from xplain.runs.mlflow_run import MOST_PARAMETERS, fill, parameters
 from xplain.runs.mlflow_views import main_key
 from xplain.runs.plan import Job
@@ -129,3 +135,30 @@ def test_a_run_ends_when_its_work_did_and_hides_no_file(tmp_path: Path) -> None:
     assert notebook.ended == [("run", "FINISHED", 1_006_000)]
     assert notebook.times == {1_006_000}
     assert notebook.files == ["elbow.svg", "results.json"]
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OSError("no space left\nsecond line"), "(no space left)"),
+        (OSError("  \n"), "(OSError)"),
+        (ValueError("x" * 300), "(" + "x" * 200 + ")"),
+    ],
+)
+def test_what_mlflow_does_not_take_costs_a_warning_that_says_why(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    error: Exception,
+    said: str,
+) -> None:
+    @contextmanager
+    def fails(self: MLflow, outputs: Path) -> Iterator[Any]:
+        raise error
+        yield
+
+    monkeypatch.setattr(MLflow, "client", fails)
+    with caplog.at_level(logging.WARNING):
+        assert MLflow().log(tmp_path / "run", tmp_path) is None
+    assert said in caplog.text
+    assert f"xplain sync {tmp_path / 'run'}" in caplog.text

@@ -50,9 +50,7 @@ def fingerprint(config: dict[str, Any]) -> str:
         "code": code_version(),
         "libraries": library_versions(),
         "components": component_code(config),
-        "files": {
-            name: _digest(path.read_bytes()) for name, path in sorted(_files(config).items())
-        },
+        "files": {name: _digest(path.read_bytes()) for name, path in _files(config).items()},
     }
     return _digest(json.dumps(content, sort_keys=True).encode())
 

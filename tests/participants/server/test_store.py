@@ -18,7 +18,7 @@ from tests.participants.visitors import GENEROUS, Visitor, consent
 from tests.study.stand_in import FAULTLESS, street_plan, street_study
 from xplain.errors import InputError, XplainError
 from xplain.participants.server.app import create_app
-from xplain.participants.server.database import Clock
+from xplain.participants.server.database import Clock, Database
 from xplain.participants.server.http import Context, Server
 from xplain.participants.server.protocol import Full
 from xplain.participants.server.security import Keys
@@ -452,8 +452,24 @@ def test_a_damaged_or_foreign_file_is_named(tmp_path: Path, study: Study) -> Non
     path.write_text("no database at all, but long enough to look like something\n" * 20)
     with pytest.raises(XplainError, match=r"s\.sqlite"):
         read_plan(path, StudyPlan)
-    with pytest.raises(XplainError, match=r"s\.sqlite"):
+    with pytest.raises(XplainError, match=r"s\.sqlite") as error:
         Store(path, StudyProtocol(study))
+    # Once it is mended it can be used, though whoever keeps the error keeps what was open.
+    path.unlink()
+    Store(path, StudyProtocol(study)).close()
+    assert "cannot be used" in str(error.value)
+
+
+def test_a_database_that_is_refused_is_let_go(
+    tmp_path: Path, study: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "s.sqlite"
+    with monkeypatch.context() as patched:
+        patched.setattr(Database, "_check", lambda self: 1 / 0)
+        with pytest.raises(ZeroDivisionError) as error:
+            Store(path, StudyProtocol(study))
+    Store(path, StudyProtocol(study)).close()
+    assert error.value is not None  # nor did it go with the error
 
 
 def test_state_survives_a_restart(tmp_path: Path, study: Study) -> None:

@@ -30,7 +30,7 @@ from xplain.solvers.pomcp.kernel import simulate
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
 from xplain.solvers.pomcp.search_model import model_bytes, model_of
 from xplain.solvers.pomcp.solver import POMCP, Search, _roots
-from xplain.solvers.pomcp.tree import Tree, tree_bytes
+from xplain.solvers.pomcp.tree import FIRST_TABLE, Tree, tree_bytes
 from xplain.testing.problems import random_problem
 
 
@@ -376,3 +376,16 @@ def test_trees_take_no_more_than_told() -> None:
     assert sum(a.nbytes for a in counted) <= tree_bytes(problem, 1)  # the most that it takes
     held = sum(a.nbytes for a in model if isinstance(a, np.ndarray)) - model.price.nbytes
     assert held == model_bytes(problem)
+
+
+def test_a_table_grows_with_the_tree_and_holds_every_child() -> None:
+    problem = soft_problem(3, steps=6, n=5)
+    search = search_of(POMCP(simulations=1, depth=None, depth_unit="steps"), problem)
+    tree = Tree.rooted(20_000, 5, 6, 0, 0, problem.prior, 0)
+    simulate(20_000, search.model, search.options, tree, *_roots(1 << 15))
+    nodes, _, mask = tree.used.tolist()
+    assert nodes > FIRST_TABLE  # else nothing would have grown
+    assert 2 * nodes <= mask + 3
+    held = tree.table["node"][: mask + 1]
+    assert np.array_equal(np.sort(held[held > 0]), np.arange(1, nodes))
+    assert not tree.table["node"][mask + 1 :].any()

@@ -112,6 +112,8 @@ def tables(connection: sqlite3.Connection) -> dict[str, pd.DataFrame]:
             for column, meaning in columns.items()
         ],
     }
+    for name, columns in CODEBOOK.items():
+        assert all(row.keys() == columns.keys() for row in rows[name]), f"{name}: no such column"
     return {name: pd.DataFrame(rows[name], columns=list(CODEBOOK[name])) for name in CODEBOOK}
 
 
