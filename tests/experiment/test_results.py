@@ -141,12 +141,20 @@ def test_a_line_tells_an_episode_step_by_step():
         assert line["transitions"] == list(case.phrases)
         assert line["positions"] == [list(cell) for cell in case.positions]
         assert line["prior"] == episode.beliefs[0].tolist()
+        assert "changes" not in line  # a map shows them
         assert len(line["steps"]) == len(case.transitions)
         for k, step in enumerate(line["steps"]):
             assert step["messages"] == names[int(episode.messages[k])]
             assert step["labels"] == [int(episode.labels[k, i]) for i in range(k + 1)]
             # What the answer to this step left of the belief.
             assert step["belief"] == pytest.approx(episode.beliefs[k + 1], abs=1e-12)
+
+
+def test_a_line_tells_what_changes_where_there_is_no_map():
+    changes = (("the door is open",), ())
+    cases = [replace(case, changes=changes) for case in PREPARED.cases]
+    for line in episode_lines(replace(PREPARED, cases=cases), RECORDS).splitlines():
+        assert json.loads(line)["changes"] == [list(words) for words in changes]
 
 
 def test_numbers_that_are_none_are_refused_and_leave_what_was_there(tmp_path):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import logging
+import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import pytest
 
 from xplain.experiment.results import ElbowFigures, Figure, Results, TypeNames
-from xplain.runs.mlflow import MLflow
+from xplain.runs.mlflow import MLflow, _refuse_unusable
 from xplain.runs.mlflow_run import MOST_PARAMETERS, fill, parameters
 from xplain.runs.mlflow_views import main_key
 from xplain.runs.plan import Job
@@ -162,3 +163,16 @@ def test_what_mlflow_does_not_take_costs_a_warning_that_says_why(
         assert MLflow().log(tmp_path / "run", tmp_path) is None
     assert said in caplog.text
     assert f"xplain sync {tmp_path / 'run'}" in caplog.text
+
+
+def test_a_database_that_another_process_holds_is_refused_and_none_is_made(tmp_path: Path) -> None:
+    path = tmp_path / "mlflow.db"
+    _refuse_unusable(f"sqlite:///{path}")
+    assert not path.exists()
+    with closing(sqlite3.connect(path, isolation_level=None)) as other:
+        other.execute("CREATE TABLE t (x)")
+        _refuse_unusable(f"sqlite:///{path}")
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(sqlite3.OperationalError, match="locked"):
+            _refuse_unusable(f"sqlite:///{path}", patience=0.1)
+    _refuse_unusable("postgresql://somewhere/else")  # not for us to try

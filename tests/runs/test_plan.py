@@ -85,7 +85,7 @@ def test_a_choice_that_no_setting_has_is_named():
 
 
 def test_a_sweep_without_end_is_refused():
-    with pytest.raises(InputError, match="lambda"):
+    with pytest.raises(InputError, match=r"^lambda='interval\(0,1\)': a list"):
         plan([{}], ["lambda=interval(0,1)"])
 
 

@@ -255,7 +255,7 @@ def _user() -> str:
         return "unknown"
 
 
-def _refuse_unusable(uri: str) -> None:
+def _refuse_unusable(uri: str, patience: float = 10) -> None:
     """Raises within seconds, where MLflow would retry for long, when a server does not answer or
     another process holds the database."""
     if uri.startswith(("http://", "https://")):
@@ -268,7 +268,7 @@ def _refuse_unusable(uri: str) -> None:
             raise OSError(f"{uri} is out of reach: {reason}") from error
     elif uri.startswith("sqlite:///") and Path(uri.removeprefix("sqlite:///")).exists():
         connection = sqlite3.connect(
-            uri.removeprefix("sqlite:///"), timeout=10, isolation_level=None
+            uri.removeprefix("sqlite:///"), timeout=patience, isolation_level=None
         )
         with contextlib.closing(connection):
             connection.execute("BEGIN IMMEDIATE")

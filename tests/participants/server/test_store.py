@@ -379,6 +379,20 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     store.close()
 
 
+def test_each_is_erased_alone_and_afterwards_nothing_can_be_changed(
+    tmp_path: Path, study: Study
+) -> None:
+    store = Store(tmp_path / "s.sqlite", StudyProtocol(study))
+    people = [store.enter_invited(token) for token in store.invite(3, "person")]
+    for who in people[:2]:
+        store.erase(who)
+        with pytest.raises(sqlite3.IntegrityError), store.transaction() as do:
+            do("UPDATE event SET kind = 'other' WHERE participant = ?", (who,))
+    erased = store.query("SELECT id FROM participant WHERE erased ORDER BY number")
+    assert [row["id"] for row in erased] == people[:2]
+    store.close()
+
+
 def test_codes_are_letters_and_no_ending_has_that_of_another(store: Store) -> None:
     own = Context(store, store.protocol, None, Server(), None, None, {}, None)  # type: ignore[arg-type]
     found = [store.participant(store.enter_open()) for _ in range(20)]
