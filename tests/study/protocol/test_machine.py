@@ -64,6 +64,7 @@ def test_participants_meet_what_the_offline_experiment_computes(
         labels = plan.true_labels[user_type, : k + 1, state.given].tolist()
         state = machine.advance(study, state, "labels", {"labels": labels}).state
     assert state.stage == "quiz"
+    assert state.new == 0  # nothing is marked as new after the last step
     assert state.belief == tuple(offline.beliefs[-1].tolist())
 
 
