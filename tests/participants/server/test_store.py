@@ -29,6 +29,7 @@ from xplain.study.analysis.replay import replay
 from xplain.study.protocol.machine import Refused
 from xplain.study.protocol.plan import Study, StudyPlan
 from xplain.study.server.protocol import StudyProtocol
+from xplain.study.server.slots import pin
 from xplain.study.simulation.participant import Habits, Person
 
 
@@ -391,6 +392,14 @@ def test_each_is_erased_alone_and_afterwards_nothing_can_be_changed(
     erased = store.query("SELECT id FROM participant WHERE erased ORDER BY number")
     assert [row["id"] for row in erased] == people[:2]
     store.close()
+
+
+@pytest.mark.parametrize("beyond", [False, True])
+def test_a_place_that_is_not_in_the_plan_is_refused(
+    store: Store, study: Study, beyond: bool
+) -> None:
+    with pytest.raises(Refused, match="not_understood"), store.transaction() as do:
+        pin(do, study.plan, "somebody", len(study.plan.cells) if beyond else -1)
 
 
 def test_codes_are_letters_and_no_ending_has_that_of_another(store: Store) -> None:
