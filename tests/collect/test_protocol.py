@@ -124,7 +124,7 @@ def test_a_list_is_the_same_for_everybody_in_an_order_of_their_own() -> None:
 
 
 def test_what_is_kept_of_earlier_answers_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Two who answer alike, in turn: one whose prior is of others, one with the same number.
+    # Three who answer alike, in turn: two of one number, one of them with a prior of others.
     monkeypatch.setattr(asking, "QUESTIONNAIRES", 5)
     shared_by_all = street_collection()
     people = [State(number=4), State(number=4, others={"6": 1.0}), State(number=5)]

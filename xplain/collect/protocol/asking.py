@@ -74,7 +74,7 @@ def questionnaire(collection: Collection, state: State) -> Questionnaire:
         asking = copy.copy(before)
     for labels, transitions, told in answers[len(asking.asked) :]:
         asking.answer(list(labels), (list(transitions), told))
-    while len(kept) >= QUESTIONNAIRES:
+    if len(kept) >= QUESTIONNAIRES:
         kept.pop(next(iter(kept)))
     kept[whose, answers] = asking
     return copy.copy(asking)
