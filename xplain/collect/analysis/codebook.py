@@ -43,4 +43,9 @@ CODEBOOK = {
         "browser_ms": "milliseconds since the page began to load, browser's clock; empty without "
         "JavaScript",
     },
+    "codebook": {
+        "table": "name of the file",
+        "column": "name of the column; stated_… and answer_… are all that begin so",
+        "meaning": "this text",
+    },
 }

@@ -8,7 +8,6 @@ and bots never share a table of labels.
 from __future__ import annotations
 
 import json
-import sqlite3
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,15 +19,13 @@ from xplain.collect.protocol.plan import CollectPlan
 from xplain.collect.protocol.state import STATED, State
 from xplain.data.label_table import write_table
 from xplain.message_sets import names_of
+from xplain.participants import exported
 from xplain.participants.event_log import head_of
+from xplain.participants.exported import Row, defused, described
 from xplain.participants.stored import STREAMS, plan_of, reading
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Row = dict[str, Any]
-FORMULAS = ("=", "+", "-", "@", "\t", "\r")
-"""How a cell begins that a spreadsheet would run."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +65,11 @@ def export(database: Path, folder: Path) -> str:
         InputError: it is no collection's database.
     """
     with reading(database) as connection:
-        plan, people = plan_of(connection, CollectPlan), participants(connection)
+        plan, rows = plan_of(connection, CollectPlan), exported.participants(connection)
+        of = exported.by_participant(rows, exported.events(connection))
         head = head_of(connection)
         steps = [dict(row) for row in connection.execute("SELECT * FROM step")]
+    people = [Participant(r, State.from_text(r["state"]), tuple(of[r["id"]])) for r in rows]
     folder.mkdir(parents=True, exist_ok=True)
     for stream in STREAMS:
         kept = {
@@ -82,36 +81,16 @@ def export(database: Path, folder: Path) -> str:
             name = "labels.csv" if stream == "person" else f"labels_{stream}.csv"
             write_table(dataset_of(plan, kept), folder / name)
     for name, table in tables(plan, people, steps).items():
-        table.to_csv(folder / f"{name}.csv", index=False)
+        table.map(defused).to_csv(folder / f"{name}.csv", index=False)
     (plan.whole or plan.hypotheses).save(folder / "hypotheses.npz")
-    text = json.dumps(json.loads(plan.text), indent=1, ensure_ascii=False)
-    (folder / "plan.json").write_text(text + "\n", encoding="utf-8")
-    (folder / "head.txt").write_text(f"{head}\n", encoding="ascii")
+    exported.write_origin(folder, plan, head)
     return head
-
-
-def participants(connection: sqlite3.Connection) -> list[Participant]:
-    """Everybody, in the order in which they came."""
-    rows = connection.execute(
-        "SELECT * FROM participant WHERE NOT erased ORDER BY number"
-    ).fetchall()
-    of: dict[str, list[Row]] = {row["id"]: [] for row in rows}
-    for event in connection.execute("SELECT * FROM event ORDER BY participant, sequence"):
-        if event["participant"] not in of:  # erased
-            continue
-        payload = json.loads(event["payload"])
-        of[event["participant"]].append(dict(event) | {"payload": payload})
-    return [
-        Participant(dict(row), State.from_text(row["state"]), tuple(of[row["id"]])) for row in rows
-    ]
 
 
 def tables(
     plan: CollectPlan, people: list[Participant], steps: list[Row]
 ) -> dict[str, pd.DataFrame]:
     """Every table but the labels, by name. Of who withdrew no answer is in them."""
-    import pandas as pd
-
     chosen = {(step["participant"], step["k"]): json.loads(step["action_values"]) for step in steps}
     clips = [
         row for one in people if one.state.stage != "withdrawn" for row in _clips(plan, one, chosen)
@@ -121,11 +100,12 @@ def tables(
         for table, columns in CODEBOOK.items()
         for column, meaning in columns.items()
     ]
-    return {
-        "observers": pd.DataFrame([_observer(plan, one) for one in people]),
-        "clips": pd.DataFrame(clips, columns=list(CODEBOOK["clips"])),
-        "codebook": pd.DataFrame(codebook),
+    found = {
+        "observers": [_observer(plan, one) for one in people],
+        "clips": clips,
+        "codebook": codebook,
     }
+    return {name: described(name, rows, CODEBOOK[name]) for name, rows in found.items()}
 
 
 def _observer(plan: CollectPlan, one: Participant) -> Row:
@@ -161,8 +141,7 @@ def _observer(plan: CollectPlan, one: Participant) -> Row:
         row[f"stated_{fact.name}"] = STATED[stated[j]] if stated else None
     given = one.answers("answers") if not withdrawn else []
     for asked in plan.asked:
-        text = given[0]["payload"].get(asked.name, "") if given else None
-        row[f"answer_{asked.name}"] = f"'{text}" if text and text.startswith(FORMULAS) else text
+        row[f"answer_{asked.name}"] = given[0]["payload"].get(asked.name, "") if given else None
     return row
 
 

@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xplain.message_sets import names_of
+from xplain.participants import exported
 from xplain.participants.event_log import head_of
+from xplain.participants.exported import defused, described
 from xplain.participants.stored import plan_of, reading
 from xplain.study.analysis.codebook import CODEBOOK, kind_of, unit_of
 from xplain.study.analysis.timing import Interaction, interaction, pages
@@ -23,9 +25,6 @@ from xplain.study.protocol.plan import StudyPlan
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 def export(database: Path, folder: Path) -> str:
@@ -44,36 +43,16 @@ def export(database: Path, folder: Path) -> str:
     for name, table in found.items():
         table.map(defused).to_csv(folder / f"{name}.csv", index=False)
         table.to_parquet(folder / f"{name}.parquet", index=False)
-    (folder / "plan.json").write_text(
-        json.dumps(json.loads(plan.text), indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
-    )
-    (folder / "head.txt").write_text(f"{head}\n", encoding="ascii")
+    exported.write_origin(folder, plan, head)
     return head
-
-
-def defused(cell: Any) -> Any:
-    """A text that a spreadsheet would run as a formula, with an apostrophe before it."""
-    return f"'{cell}" if isinstance(cell, str) and cell[:1] in _FORMULA else cell
 
 
 def tables(connection: sqlite3.Connection) -> dict[str, pd.DataFrame]:
     """Every table by name; columns as in the codebook, which is a table too."""
-    import pandas as pd
-
     plan = plan_of(connection, StudyPlan)
-    kept = "participant WHERE NOT erased"
-    people = [dict(r) for r in connection.execute(f"SELECT * FROM {kept} ORDER BY number")]
-    events = [
-        dict(r)
-        for r in connection.execute(
-            f"SELECT * FROM event WHERE participant IN (SELECT id FROM {kept}) "
-            "ORDER BY participant, sequence"
-        )
-    ]
+    people, events = exported.participants(connection), exported.events(connection)
     steps = [dict(r) for r in connection.execute("SELECT * FROM step ORDER BY participant, k")]
-    of: dict[str, list[dict[str, Any]]] = {person["id"]: [] for person in people}
-    for event in events:
-        of[event["participant"]].append(event | {"payload": json.loads(event["payload"])})
+    of = exported.by_participant(people, events)
     shown = {person["id"]: pages(of[person["id"]]) for person in people}
     seconds = {
         (page["participant"], page["step"]): page["seconds"]
@@ -112,9 +91,7 @@ def tables(connection: sqlite3.Connection) -> dict[str, pd.DataFrame]:
             for column, meaning in columns.items()
         ],
     }
-    for name, columns in CODEBOOK.items():
-        assert all(row.keys() == columns.keys() for row in rows[name]), f"{name}: no such column"
-    return {name: pd.DataFrame(rows[name], columns=list(CODEBOOK[name])) for name in CODEBOOK}
+    return {name: described(name, rows[name], CODEBOOK[name]) for name in CODEBOOK}
 
 
 def _participant(
