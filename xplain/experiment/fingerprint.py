@@ -22,14 +22,18 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-LIBRARIES = ("numpy", "scipy", "scikit-learn", "kneed", "numba", "pandas", "pyarrow")
-"""Distributions whose version may change a number."""
+LIBRARIES = {
+    **{name: name for name in ("numpy", "scipy", "kneed", "numba", "pandas", "pyarrow")},
+    "scikit-learn": "sklearn",
+}
+"""Distributions whose version may change a number, and the package that each brings."""
 
 NOT_IN_NUMBERS = ("hydra", "outputs", "tracking", "resume", "dry_run")
 """Keys of a configuration that cannot change a number. Hydra takes its own from a job's, but not
 from the one that a sweep is planned with."""
 
-_OWN = {"xplain", "numpy", "scipy", "sklearn", "kneed", "numba", "pandas", "pyarrow"}
+_KNOWN = {"xplain", *LIBRARIES.values()}
+"""Packages that are in every fingerprint by other ways."""
 
 
 def configuration(cfg: DictConfig) -> dict[str, Any]:
@@ -109,7 +113,7 @@ def component_code(config: Any) -> dict[str, str]:
     pending = sorted({target.partition(".")[0] for target in _targets(config)})
     while pending:
         name = pending.pop()
-        if name in found or name in _OWN or name in sys.stdlib_module_names:
+        if name in found or name in _KNOWN or name in sys.stdlib_module_names:
             continue
         found[name], imported = _package(name)
         pending += imported
