@@ -425,8 +425,10 @@ def grid(cells: list[tuple[Any, ...]], traces: int, quick: bool) -> pd.DataFrame
 
 
 def summary(rows: pd.DataFrame, by: list[str]) -> pd.DataFrame:
-    """Means, and costs as ratios of means."""
-    cells = rows.groupby(by, sort=False)
+    """Means, and costs as ratios of means, by maps, ways and people in the order of above."""
+    orders = {"map": MAPS, "way": tuple(WAYS), "people": ("as assumed", *WRONG)}
+    rows = rows.assign(**{key: pd.Categorical(rows[key], orders[key]) for key in orders})
+    cells = rows.groupby(by, observed=True)
     table = cells[["ari", "accuracy", "none"]].mean()
     mean = cells[["qmdp", "true", "true_975", "oracle", "clairvoyant"]].mean()
     table["qmdp / true"] = mean["qmdp"] / mean["true"]
@@ -536,7 +538,7 @@ def main() -> None:
         ]
         rows = grid(cells, given.traces, given.quick)
         rows = rows[rows["people"] == "as assumed"]
-        written(summary(rows, ["error", "map", "way", "points"]), "questions_grid", given.quick)
+        written(summary(rows, ["map", "way", "points", "error"]), "questions_grid", given.quick)
         if given.quick:
             picture(comparable(rows))
     if given.part in ("wrong", None):
