@@ -125,7 +125,7 @@ def test_a_list_is_the_same_for_everybody_in_an_order_of_their_own() -> None:
 
 def test_what_is_kept_of_earlier_answers_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     # Three who answer alike, in turn: two of one number, one of them with a prior of others.
-    monkeypatch.setattr(asking, "QUESTIONNAIRES", 5)
+    monkeypatch.setattr("xplain.collect.protocol.plan.QUESTIONNAIRES", 5)
     shared_by_all = street_collection()
     people = [State(number=4), State(number=4, others={"6": 1.0}), State(number=5)]
     rng = np.random.default_rng(0)
@@ -306,7 +306,6 @@ def test_rules_that_cannot_be_are_named(rules: dict[str, Any], key: str) -> None
 
 def test_changed_code_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     from xplain.collect.probes import collection_of
-    from xplain.collect.protocol import asking
     from xplain.errors import XplainError
 
     plan = COLLECTION.plan

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gc
 import io
 import zipfile
 from collections.abc import Callable, Iterator
@@ -15,14 +16,18 @@ import pytest
 from tests.collect.stand_in import FAULTLESS, street_collection, street_plan, telling
 from tests.participants.server import test_fuzz
 from tests.participants.visitors import GENEROUS, Visitor, enter, field
+from xplain.collect.analysis.labels import Found
 from xplain.collect.analysis.replay import replay
+from xplain.collect.protocol.asking import belief
 from xplain.collect.protocol.plan import Collection, Picture
+from xplain.collect.protocol.state import State
 from xplain.collect.server.protocol import CollectProtocol
 from xplain.collect.simulation.observer import Habits, observer
 from xplain.participants.server.app import create_app
 from xplain.participants.server.security import Keys
 from xplain.participants.server.store import Store
 from xplain.participants.simulation.http_client import Page, visit
+from xplain.questions.questionnaire import Questionnaire
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +89,34 @@ def test_the_way_from_entrance_to_code(
     for paragraph in collection.plan.texts.debriefing:
         assert paragraph.split("'")[0] in seen[-1][0]  # debriefed
     agrees(store, collection)
+
+
+def test_of_the_erased_nothing_stays_in_memory(
+    store: Store, browser: Callable[[], Visitor]
+) -> None:
+    for number in range(2):
+        list(walk(browser(), store, number))
+    store.protocol.glance(store.query)
+    gone, kept = store.query("SELECT id, state FROM participant ORDER BY number")
+    state = store.protocol.state(gone["state"])
+    beliefs = {f: p for f, p in state.belief.items() if f != "none"}
+    del state
+
+    def remembered() -> set[str]:
+        gc.collect()
+        alive = gc.get_objects()
+        states = {one.text for one in alive if isinstance(one, State)}
+        held = [belief(one) for one in alive if isinstance(one, Questionnaire) and one.asked]
+        return {
+            *({"state"} if gone["state"] in states else ()),
+            *({"questionnaire"} if any(beliefs.items() <= one.items() for one in held) else ()),
+            *({"types"} if any(isinstance(one, Found) for one in alive) else ()),
+        }
+
+    assert remembered() == {"state", "questionnaire", "types"}
+    store.erase(gone["id"])
+    assert remembered() == set()
+    assert store.protocol.state(kept["state"]).text == kept["state"]
 
 
 def test_a_clip_shows_just_what_is_told_there(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import sqlite3
 import threading
@@ -26,7 +27,7 @@ from xplain.participants.server.store import MAX_TAB_EVENTS, Store, Unknown
 from xplain.participants.simulation.http_client import visit
 from xplain.participants.stored import read_plan
 from xplain.study.analysis.replay import replay
-from xplain.study.protocol.machine import Refused
+from xplain.study.protocol.machine import Refused, State
 from xplain.study.protocol.plan import Study, StudyPlan
 from xplain.study.server.protocol import StudyProtocol
 from xplain.study.server.slots import pin
@@ -345,6 +346,11 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
     store.close()
 
 
+def states_in_memory() -> set[str]:
+    gc.collect()
+    return {one.text for one in gc.get_objects() if isinstance(one, State)}
+
+
 def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, study: Study) -> None:
     path = tmp_path / "s.sqlite"
     store = Store(path, StudyProtocol(study))
@@ -352,11 +358,17 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     someone = [Person(study.plan, FAULTLESS, np.random.default_rng(n)) for n in range(2)]
     for person, token in zip(someone, store.invite(2, "person"), strict=True):
         visit(Visitor(app.test_client()), person, token)
-    gone, kept = (row["id"] for row in store.query("SELECT id FROM participant ORDER BY number"))
+    (gone, said), (kept, _) = (
+        tuple(row.values())
+        for row in store.query("SELECT id, state FROM participant ORDER BY number")
+    )
+    store.protocol.state(said)
+    assert said in states_in_memory()
     store.from_tab(gone, "a" * 16, [(0, "visible", 1.0, {"what": "whatnobodyelsesaid"})])
     (place,) = store.query("SELECT position FROM slot WHERE holder = ?", (gone,))
     before = records(store, [kept])
     store.erase(gone)
+    assert said not in states_in_memory()
     assert records(store, [kept]) == before
     assert store.query("SELECT * FROM step WHERE participant = ?", (gone,)) == []
     holder = "SELECT holder, used FROM slot WHERE stream = 'person' AND position = ?"

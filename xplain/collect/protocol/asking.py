@@ -22,8 +22,6 @@ from xplain.randomness import derived_seed, stream
 
 KEPT = 1e-6
 """Fact sets with a smaller posterior are left out of what is written down."""
-QUESTIONNAIRES = 512
-"""Kept at a time: more than people answer at once."""
 SHARED = 1e-3
 """… and of what the next participant's prior takes from others."""
 
@@ -74,9 +72,7 @@ def questionnaire(collection: Collection, state: State) -> Questionnaire:
         asking = copy.copy(before)
     for labels, transitions, told in answers[len(asking.asked) :]:
         asking.answer(list(labels), (list(transitions), told))
-    if len(kept) >= QUESTIONNAIRES:
-        kept.pop(next(iter(kept)))
-    kept[whose, answers] = asking
+    kept.keep((whose, answers), asking)
     return copy.copy(asking)
 
 

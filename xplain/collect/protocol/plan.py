@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from threading import Lock
 from typing import Any, ClassVar
 
 from xplain.domains.base import Scene
@@ -13,6 +15,9 @@ from xplain.participants.protocol.plan import Asked, Fact, StoredPlan, Texts
 from xplain.questions.designs import Adaptive
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.questionnaire import Questionnaire
+
+QUESTIONNAIRES = 512
+"""Kept at a time: more than people answer at once."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +150,37 @@ class CollectPlan(StoredPlan):
     config: Mapping[str, Any]
 
 
+class Latest:
+    """The latest questionnaires that were kept, by key; threads may share it.
+
+    Args:
+        count: of them; the oldest goes where there are more.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count, self._lock = count, Lock()
+        self._kept: OrderedDict[Hashable, Questionnaire] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def get(self, key: Hashable) -> Questionnaire | None:
+        """None where it is not among the latest."""
+        return self._kept.get(key)
+
+    def keep(self, key: Hashable, questionnaire: Questionnaire) -> None:
+        """As the latest of all."""
+        with self._lock:
+            self._kept[key] = questionnaire
+            if len(self._kept) > self._count:
+                self._kept.popitem(last=False)
+
+    def clear(self) -> None:
+        """Keeps nothing of what was kept."""
+        with self._lock:
+            self._kept.clear()
+
+
 @dataclass(frozen=True)
 class Collection:
     """A plan with its questionnaire at work; what the protocol needs to go on.
@@ -156,7 +192,7 @@ class Collection:
     """
 
     plan: CollectPlan
-    kept: dict[Hashable, Questionnaire] = field(default_factory=dict, repr=False, compare=False)
+    kept: Latest = field(default_factory=lambda: Latest(QUESTIONNAIRES), repr=False, compare=False)
 
     @cached_property
     def blank(self) -> Questionnaire:

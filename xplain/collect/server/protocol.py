@@ -126,6 +126,12 @@ class CollectProtocol:
     def settle(self, do: Do, who: str, stage: str) -> None:
         """Nothing to give back."""
 
+    def forget(self) -> None:
+        """Questionnaires, states and types found: they are made again."""
+        self.collection.kept.clear()
+        self._found.clear()
+        State.from_text.cache_clear()
+
     def payload(self, kind: str, form: MultiDict[str, str], state: State) -> dict[str, Any]:
         """What is missing or malformed becomes None, which the protocol refuses."""
         plan = self.plan

@@ -93,6 +93,10 @@ class Protocol(Interface):
         """The end of somebody's part."""
         ...
 
+    def forget(self) -> None:
+        """Drops what is kept in memory to answer sooner: somebody's data was erased."""
+        ...
+
     def payload(self, kind: str, form: MultiDict[str, str], state: Any) -> dict[str, Any]:
         """The payload of an event from what a browser sent, which nobody trusts."""
         ...

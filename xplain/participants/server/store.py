@@ -65,6 +65,11 @@ class Store(Database):
             self.close()
             raise
 
+    def erase(self, reference: str) -> None:
+        """Also from what the protocol keeps in memory; see :meth:`Database.erase`."""
+        super().erase(reference)
+        self.protocol.forget()
+
     # Entry -------------------------------------------------------------------------------------
 
     def invite(self, count: int, stream_name: str) -> list[str]:

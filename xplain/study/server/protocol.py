@@ -75,6 +75,10 @@ class StudyProtocol:
         """The slot is used up or comes back."""
         slots.settle(do, who, stage)
 
+    def forget(self) -> None:
+        """States: they are read again."""
+        State.from_text.cache_clear()
+
     def payload(self, kind: str, form: MultiDict[str, str], state: State) -> dict[str, Any]:
         """What is missing or malformed becomes None, which the protocol refuses."""
         plan = self.plan
