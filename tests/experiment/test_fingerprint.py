@@ -183,3 +183,26 @@ def test_code_and_libraries_count(monkeypatch):
     assert other != before
     monkeypatch.setattr(fingerprints, "library_versions", lambda: {"numpy": "0.1"})
     assert fingerprint({}) not in (before, other)
+
+
+def test_every_source_of_the_package_counts_by_content_and_place(tmp_path, monkeypatch):
+    package = tmp_path / "xplain"
+    (package / "experiment").mkdir(parents=True)
+    (package / "a.py").write_text("1\n")
+    monkeypatch.setattr(fingerprints, "__file__", str(package / "experiment" / "fingerprint.py"))
+    version = fingerprints.code_version.__wrapped__
+    seen = [version()]
+    (tmp_path / "beside.py").write_text("of the tests, say\n")
+    assert version() == seen[0]
+    (package / "a.py").write_text("2\n")
+    seen.append(version())
+    (package / "a.py").rename(package / "b.py")
+    seen.append(version())
+    (package / "experiment" / "c.py").write_text("3\n")
+    seen.append(version())
+    assert len(set(seen)) == 4
+
+
+def test_a_library_that_is_not_there_counts_as_none(monkeypatch):
+    monkeypatch.setattr(fingerprints, "LIBRARIES", {"no-such-library": "no_such_library"})
+    assert fingerprints.library_versions.__wrapped__()["no-such-library"] == "none"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,17 @@ def test_lookahead_bounds_enclose_the_optimum_and_tighten_qmdp() -> None:
     assert tighter > 0
 
 
+def test_lookahead_bounds_meet_where_the_type_is_certain() -> None:
+    rng = np.random.default_rng(33)
+    for _ in range(100):
+        problem = random_problem(rng)
+        t = int(rng.integers(problem.n_types))
+        policy = Lookahead().plan(replace(problem, prior=np.eye(problem.n_types)[t]))
+        optimum = plain_optimal_value(problem, t)
+        assert policy.lower == pytest.approx(optimum, abs=1e-9)
+        assert policy.upper == pytest.approx(optimum, abs=1e-9)
+
+
 def test_few_candidates_or_answers_still_bound() -> None:
     rng = np.random.default_rng(32)
     for _ in range(100):
@@ -74,6 +87,7 @@ def test_bounds_fall_back_to_lookahead_where_memory_is_short() -> None:
     little = bounds(problem, Effort(memory_gib=_between(problem)))
     assert little.lower <= enough.lower + 1e-9
     assert little.upper >= enough.upper - 1e-9
+    assert little.known_type == pytest.approx(enough.known_type, abs=1e-9)
     with pytest.raises(TooLargeError):
         bounds(problem, Effort(memory_gib=1e-9))
 

@@ -5,42 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
+from tests.study.analysis.completed import completed
 from xplain.errors import InputError
 from xplain.study.analysis.table2 import analyse as analysis_of
 from xplain.study.analysis.table2 import paper_table, read
 
 
-def _data(n: int) -> pd.DataFrame:
-    """n completed participants a condition, and a bot that would spoil everything."""
-    rng = np.random.default_rng(0)
-    rows = [
-        {
-            "participant": f"{condition}{i}",
-            "stream": "person",
-            "stage": "done",
-            "type": "ABCDE"[i % 5],
-            "condition": condition,
-            "eligible": 1,
-            "interaction_time_s": 100 + shift + rng.normal(0, 20),
-            "inexplicable_transitions": int(rng.poisson(1)),
-            "quiz_score": int(rng.integers(0, 5)),
-            "visible_time_s": 90.0 + i,
-            "messages_given": i % 4,
-        }
-        for condition, shift in (("conformant", 30), ("personalized", 0))
-        for i in range(n)
-    ]
-    bot = rows[0] | {"participant": "bot", "stream": "bot", "interaction_time_s": 1e9}
-    return pd.DataFrame([*rows, bot])
-
-
 def test_the_table_is_what_scipy_computes_from_people_alone() -> None:
     from scipy import stats
 
-    data = _data(20)
+    data = completed(20)
     found = analysis_of(data, "person", {"conformant3": "was interrupted"})
     assert found.excluded == {"was interrupted": 1}
     own = data[(data["stream"] == "person") & (data["participant"] != "conformant3")]
@@ -61,7 +37,7 @@ def test_the_table_is_what_scipy_computes_from_people_alone() -> None:
 
 @pytest.mark.parametrize("n", [0, 1, 2])
 def test_small_studies_are_analysed_or_refused(n: int, tmp_path: Path) -> None:
-    data = _data(n + 1).iloc[: 2 * n] if n < 2 else _data(n)
+    data = completed(n + 1).iloc[: 2 * n] if n < 2 else completed(n)
     data.assign(interaction_time_s=5.0).to_csv(tmp_path / "participants.csv", index=False)
     if n < 2:
         with pytest.raises(InputError):
@@ -81,7 +57,7 @@ def test_files_that_are_no_export_are_named(tmp_path: Path) -> None:
 
 
 def test_too_few_participants_are_counted_by_condition() -> None:
-    data = _data(3)
+    data = completed(3)
     excluded = dict.fromkeys(("conformant0", "conformant1"), "left the room")
     with pytest.raises(InputError, match=r"'conformant': 1, 'personalized': 3"):
         analysis_of(data, "person", excluded)

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from xplain.study.analysis.timing import hidden, interaction
+from xplain.study.analysis.timing import hidden, interaction, pages
 
 
 def event(source: str, kind: str, at: float, **payload: Any) -> dict[str, Any]:
@@ -70,3 +70,27 @@ def test_hidden_time_is_when_no_page_is_looked_at(
     assert hidden(reports) == (None if away is None else pytest.approx(away))
     found = interaction([*LABELS, *reports])
     assert found.visible == (None if away is None else pytest.approx(100 - away))
+
+
+def test_every_page_has_its_place_and_the_time_until_its_answer() -> None:
+    def at(sequence: int, found: dict[str, Any], **more: Any) -> dict[str, Any]:
+        return found | {"participant": "ann", "source_sequence": sequence, "browser": None} | more
+
+    events = [
+        at(4, event("shown", "shown", 0, stage="briefing")),
+        at(4, event("protocol", "continue", 3)),
+        at(5, event("shown", "shown", 3, stage="evaluation")),
+        at(9, event("tab:a", "visible", 4, what="evaluation")),
+        at(5, event("protocol", "labels", 40), browser=36_500),
+        at(6, event("shown", "shown", 41, stage="evaluation")),
+        at(6, event("protocol", "labels", 100)),
+        at(7, event("shown", "shown", 101, stage="quiz")),
+    ]
+    keys = ("participant", "sequence", "stage", "step", "shown", "seconds", "browser_ms")
+    rows = [
+        ("ann", 4, "briefing", None, 1e9, 3, None),
+        ("ann", 5, "evaluation", 0, 1e9 + 3, 37, 36_500),
+        ("ann", 6, "evaluation", 1, 1e9 + 41, 59, None),
+        ("ann", 7, "quiz", None, 1e9 + 101, None, None),
+    ]
+    assert pages(events) == [dict(zip(keys, row, strict=True)) for row in rows]
