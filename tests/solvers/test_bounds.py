@@ -18,6 +18,7 @@ from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.memory import GIB
 from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.qmdp import QMDP
+from xplain.solvers.restriction import restricted
 from xplain.testing.problems import random_problem
 
 
@@ -90,6 +91,24 @@ def test_bounds_fall_back_to_lookahead_where_memory_is_short() -> None:
     assert little.known_type == pytest.approx(enough.known_type, abs=1e-9)
     with pytest.raises(TooLargeError):
         bounds(problem, Effort(memory_gib=1e-9))
+
+
+def test_as_many_messages_as_masks_hold_are_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(34)
+    wide = (random_problem(rng, max_steps=3, max_messages=2) for _ in range(200))
+    problem = next(p for p in wide if _open(p))
+    for most, searched in ((2, True), (1, False)):
+        monkeypatch.setattr("xplain.solvers.bounds.MAX_DENSE", most)
+        found = bounds(problem)
+        assert (found.upper - found.lower <= 1e-3) == searched
+
+
+def _open(problem) -> bool:
+    """Both messages may be of use, and more than known types and plans is needed to see how
+    much."""
+    known = known_type_value(problem)
+    optimum = reduced_optimal_value(problem)
+    return len(restricted(problem)[1]) == 2 and known - optimum > 0.1
 
 
 def _between(problem) -> float:
