@@ -1,0 +1,66 @@
+"""How long the jobs of a sweep will take, judged by those that are finished."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+from omegaconf import OmegaConf
+
+from xplain.runs import forecast
+from xplain.runs.folder import SweepFolder
+from xplain.runs.forecast import Experience, expected_seconds, print_dry_run
+from xplain.runs.plan import Plan
+
+
+def config(domain: str, solver: str, traces: int) -> dict[str, Any]:
+    return {"domain": {"_target_": domain}, "solver": {"_target_": solver}, "traces": traces}
+
+
+def test_the_jobs_most_alike_are_the_judge() -> None:
+    known = [
+        Experience.of(config("rescue", "qmdp", 10), 20.0),
+        Experience.of(config("rescue", "qmdp", 20), 20.0),
+        Experience.of(config("rescue", "qmdp", 1), 9.0),
+        Experience.of(config("rooms", "qmdp", 1), 30.0),
+        Experience.of(config("rooms", "pomcp", 1), 40.0),
+    ]
+    assert expected_seconds(known, config("rescue", "qmdp", 3)) == 3 * 2.0  # of 2, 1 and 9
+    assert expected_seconds(known, config("warehouse", "qmdp", 2)) == 2 * 5.5  # and 30
+    assert expected_seconds(known, config("rescue", "pomcp", 1)) == 40.0
+    assert expected_seconds(known, config("rescue", "qhr", 1)) == 9.0  # of all five
+    assert expected_seconds([], config("rescue", "qmdp", 3)) is None
+
+
+@pytest.mark.parametrize(
+    ("launcher", "said"),
+    [
+        ({}, "about 40 s on 1 worker,"),
+        ({"n_jobs": 2}, "about 20 s on 2 workers,"),
+        ({"n_jobs": 8}, "about 10 s on 4 workers,"),
+        ({"n_jobs": -1}, "about 13 s on 3 workers,"),
+        ({"n_jobs": None}, "about 13 s on 3 workers,"),
+    ],
+)
+def test_the_launcher_says_how_many_work_at_a_time(
+    launcher: dict[str, Any],
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(forecast, "experiences", lambda _: [Experience("rescue", "qmdp", 0.5)])
+    monkeypatch.setattr(forecast, "finished_elsewhere", lambda *_: {})
+    monkeypatch.setattr(forecast.os, "cpu_count", lambda: 3)
+    jobs = [SimpleNamespace(fingerprint=str(i), label=f"seed={i}") for i in range(4)]
+    print_dry_run(
+        cast("Plan", SimpleNamespace(jobs=jobs)),
+        cast("SweepFolder", SimpleNamespace(state=lambda _: "missing")),
+        cast("Any", None),
+        OmegaConf.create({"resume": "all", "hydra": {"launcher": launcher}}),
+        {job.fingerprint: config("rescue", "qmdp", 20) for job in jobs},
+    )
+    told = capsys.readouterr().out
+    assert "4 jobs: 0 done, 0 done elsewhere (to be copied), 4 to run" in told
+    assert said in told
+    assert "judged by 1 finished job\n" in told
