@@ -212,6 +212,8 @@ def test_what_learned_labels_cost_is_against_the_same_solver_with_true_ones():
     # Nothing else is of these records.
     del figures["cost_over_true_labels"]
     assert figures == summarise(RECORDS)
+    for_nothing = [by_hand("true_labels", trace, 0, 0.0, [0.5], [1]) for trace in range(3)]
+    assert summarise(RECORDS + for_nothing) == summarise(RECORDS)  # no multiple of nought
 
 
 def test_no_recognition_where_nobody_knows_which_type_is_the_true_one():

@@ -51,7 +51,7 @@ def test_the_launcher_says_how_many_work_at_a_time(
 ) -> None:
     monkeypatch.setattr(forecast, "experiences", lambda _: [Experience("rescue", "qmdp", 0.5)])
     monkeypatch.setattr(forecast, "finished_elsewhere", lambda *_: {})
-    monkeypatch.setattr(forecast.os, "cpu_count", lambda: 3)
+    monkeypatch.setattr("os.cpu_count", lambda: 3)
     jobs = [SimpleNamespace(fingerprint=str(i), label=f"seed={i}") for i in range(4)]
     print_dry_run(
         cast("Plan", SimpleNamespace(jobs=jobs)),

@@ -101,6 +101,7 @@ def test_as_many_messages_as_masks_hold_are_searched(monkeypatch: pytest.MonkeyP
         monkeypatch.setattr("xplain.solvers.bounds.MAX_DENSE", most)
         found = bounds(problem)
         assert (found.upper - found.lower <= 1e-3) == searched
+        assert found.lower - 1e-9 <= reduced_optimal_value(problem) <= found.upper + 1e-9
 
 
 def _open(problem) -> bool:

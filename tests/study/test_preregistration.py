@@ -26,6 +26,8 @@ def test_the_document_says_what_the_plan_does() -> None:
         "45 minutes",
         "less than 900 pixels",
         "“Choose blue” answered otherwise than “blue” before the briefing: the part ends",
+        "Before the briefing: “Choose blue” (choice, `blue`).",
+        "After the quiz: “Your age” (number, `age`); “Anything else?” (text, `comment`).",
         "QMDP",
         "Conformant",
         "Holm",

@@ -370,6 +370,10 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     store.erase(gone)
     assert said not in states_in_memory()
     assert records(store, [kept]) == before
+    when = "SELECT DISTINCT wall, monotonic, boot, browser FROM event WHERE participant = ?"
+    assert store.query(when, (gone,)) == [
+        {"wall": 0.0, "monotonic": 0.0, "boot": "", "browser": None}
+    ]
     assert store.query("SELECT * FROM step WHERE participant = ?", (gone,)) == []
     holder = "SELECT holder, used FROM slot WHERE stream = 'person' AND position = ?"
     assert store.query(holder, (place["position"],)) == [{"holder": None, "used": 0}]

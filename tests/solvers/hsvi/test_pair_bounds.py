@@ -7,7 +7,9 @@ import pytest
 
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
+from xplain.solvers.count_lattice import Answers, make_answers
 from xplain.solvers.hsvi import explore as hsvi
+from xplain.solvers.hsvi import pair_bounds
 from xplain.solvers.hsvi.pair_bounds import SWEEPS, Pairs, PairTables, mix, mixed
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
 from xplain.solvers.model import model_of, optimal_values
@@ -83,3 +85,21 @@ def test_a_search_that_makes_them_midway_stays_right(monkeypatch: pytest.MonkeyP
             assert policy.upper >= optimum - 1e-9
             made += policy.policy.found.tables.pairs.row.shape[1] > 0
     assert made > 20
+
+
+def test_room_that_is_too_small_grows_and_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(44)
+    problems = [random_problem(rng, max_types=3, max_steps=6, max_messages=1) for _ in range(40)]
+    enough = [PairTables(problem).make() for problem in problems]
+    capacities = []
+
+    def little(capacity: int, steps: int, types: int) -> Answers:
+        capacities.append(2 if capacity == 64 else capacity)
+        return make_answers(capacities[-1], steps, types)
+
+    monkeypatch.setattr(pair_bounds, "make_answers", little)
+    for problem, pairs in zip(problems, enough, strict=True):
+        found = PairTables(problem).make()
+        np.testing.assert_array_equal(found.optimal, pairs.optimal)
+        np.testing.assert_array_equal(found.explain, pairs.explain)
+    assert {8, 32} <= set(capacities)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.study.stand_in import street_plan
-from xplain.study.protocol.plan import StudyPlan
+from xplain.errors import InputError
+from xplain.study.protocol.plan import Rules, StudyPlan
 
 
 def test_a_plan_survives_storage_to_the_last_bit() -> None:
@@ -14,3 +17,11 @@ def test_a_plan_survives_storage_to_the_last_bit() -> None:
         assert again.hash == plan.hash
         assert again.problem.p_explicable.tobytes() == plan.problem.p_explicable.tobytes()
         assert (again.scene, again.path, again.roles) == (plan.scene, plan.path, plan.roles)
+
+
+@pytest.mark.parametrize("key", ["per_cell", "max_attempts", "timeout_minutes"])
+@pytest.mark.parametrize("value", [0, -1, float("nan")])
+def test_rules_that_let_nobody_through_are_named(key: str, value: float) -> None:
+    numbers = {"per_cell": 4, "max_attempts": 3, "timeout_minutes": 30.0} | {key: value}
+    with pytest.raises(InputError, match=rf"rules\.{key}"):
+        Rules(**numbers, recall=True)  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ from xplain.study.analysis.statistics import (
 )
 from xplain.study.analysis.table2 import MEASURES
 from xplain.study.simulation.participant import Habits
-from xplain.study.simulation.power import Pool, power, simulate
+from xplain.study.simulation.power import SWEEPS, Pool, power, simulate
 
 
 def test_false_alarms_are_as_rare_as_promised() -> None:
@@ -51,3 +51,12 @@ def test_what_people_forget_changes_what_the_study_would_find() -> None:
         simulate(study, Habits(mistake=1), 2, seed=0)
     with pytest.raises(InputError):
         Habits(label_noise=2)
+
+
+@pytest.mark.parametrize("habit", SWEEPS)
+def test_assumptions_are_varied_upwards_around_their_default(habit: str) -> None:
+    values = SWEEPS[habit]
+    assert list(values) == sorted(set(values))
+    assert values[0] <= getattr(Habits(), habit) <= values[-1]
+    Habits(**{habit: values[0]})
+    Habits(**{habit: values[-1]})

@@ -1,0 +1,92 @@
+"""The Gibbs step of the observers against the posterior, all of whose states are enumerated."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from xplain.learning.fact_model.gibbs import init
+from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior, State
+from xplain.learning.fact_model.resample_facts import InUse, Scratch, resample_facts
+from xplain.learning.fact_model.resample_transitions import Scratch as TransitionScratch
+from xplain.learning.fact_model.resample_transitions import resample_transitions
+
+N, CONCENTRATION = 2, 0.7
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_observers_are_drawn_from_their_posterior(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    answers, prior = some_answers(rng), Prior.of(N, 2)
+    state = begun(answers, prior, rng)
+    log_new, scratch = np.log(CONCENTRATION) - N * np.log(2), Scratch.of(N, 2)
+    visits = np.zeros((20, 1 << N, 1 << N))
+    for batch in visits:
+        for _ in range(1000):
+            used, members = np.unique(state.facts, return_counts=True)
+            in_use = InUse.of(used, members, 2)
+            resample_facts(answers, prior, state, in_use, len(used), log_new, 1.0, rng, scratch)
+            batch[tuple(state.facts)] += 1e-3
+    assert (state.counts == counted(answers, prior, state)).all()
+    error = visits.std(axis=0, ddof=1) / len(visits) ** 0.5
+    assert (np.abs(visits.mean(axis=0) - posterior(answers, prior, state)) < 5 * error + 1e-3).all()
+
+
+def some_answers(rng: np.random.Generator) -> Answers:
+    """Two people, each asked nine times about three transitions, under any messages."""
+    transition = np.concatenate([np.sort(rng.integers(3, size=9)) for _ in range(2)])
+    rows = np.argsort(transition, kind="stable")
+    return Answers(
+        start=np.array([0, 9, 18]),
+        transition=transition,
+        message_set=rng.integers(1 << N, size=18),
+        label=rng.integers(2, size=18),
+        owner=np.repeat([0, 1], 9),
+        rows=rows,
+        transition_start=np.searchsorted(transition[rows], np.arange(4)),
+        n_messages=N,
+    )
+
+
+def begun(answers: Answers, prior: Prior, rng: np.random.Generator) -> State:
+    """Any R of both, and S and ε drawn once: they stay."""
+    state = init(answers, prior, rng.integers(1 << N, size=2))
+    scratch = TransitionScratch.of(
+        answers.transition_start, len(prior.size), N, len(prior.log_flip)
+    )
+    held = state.facts[answers.owner] & ~answers.message_set
+    while not (prior.size[state.subset] > 0).any():
+        resample_transitions(answers, prior, state, held, 1.0, rng, scratch)
+    return state
+
+
+def posterior(answers: Answers, prior: Prior, state: State) -> NDArray[np.float64]:
+    """[2^n, 2^n] P(R of the one, R of the other | labels, S, ε)."""
+    log_joint = np.empty((1 << N, 1 << N))
+    for both in product(range(1 << N), repeat=2):
+        restaurant = ((both[0] == both[1]) + CONCENTRATION / 2**N) / (1 + CONCENTRATION)
+        log_joint[both] = np.log(restaurant)
+        held = np.array(both)[answers.owner] & ~answers.message_set
+        for t, (z, e) in enumerate(zip(state.subset, state.noise, strict=True)):
+            cell = held & prior.members[z]
+            for one in np.unique(cell[answers.transition == t]):
+                labels = answers.label[(answers.transition == t) & (cell == one)]
+                wrong = np.where(labels == 1, NOISE[e], 1 - NOISE[e]).prod()  # where f = 0
+                right = np.where(labels == 1, 1 - NOISE[e], NOISE[e]).prod()
+                before = CELL[int(one == 0)]
+                log_joint[both] += np.log(before * right + (1 - before) * wrong)
+    joint: NDArray[np.float64] = np.exp(log_joint)
+    return np.asarray(joint / joint.sum())
+
+
+def counted(answers: Answers, prior: Prior, state: State) -> NDArray[np.int64]:
+    """[T, 4, 2] the labels 0 and 1 of each cell, from the labels themselves."""
+    counts = np.zeros_like(state.counts)
+    held = state.facts[answers.owner] & ~answers.message_set
+    for t, mask, label in zip(answers.transition, held, answers.label, strict=True):
+        members = [int(j) for j in prior.subsets[state.subset[t]] if j >= 0]
+        counts[t, sum((int(mask) >> j & 1) << i for i, j in enumerate(members)), label] += 1
+    return counts
