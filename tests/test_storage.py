@@ -27,6 +27,7 @@ class Inner:
 class Outer:
     numbers: NDArray[np.float64]
     labels: NDArray[np.uint8]
+    alone: Inner
     inner: Inner | None
     several: tuple[Inner, ...]
     pair: tuple[int, str]
@@ -37,6 +38,7 @@ class Outer:
 VALUE = Outer(
     numbers=np.array([[0.1, 1 / 3], [-0.0, 1e-300]]),
     labels=np.array([1, 0], dtype=np.uint8),
+    alone=Inner(((6, 7),), "f"),
     inner=Inner(((0, 1), (2, 3)), None),
     several=(Inner((), "a"), Inner(((4, 5),), "b")),
     pair=(3, "c"),
@@ -54,7 +56,7 @@ def test_a_value_survives_json_to_the_last_bit(apart):
     assert again.numbers.dtype == np.float64
     assert again.labels.dtype == np.uint8
     assert again.labels.tolist() == [1, 0]
-    for field in ("inner", "several", "pair", "by_name", "plain"):
+    for field in ("alone", "inner", "several", "pair", "by_name", "plain"):
         assert getattr(again, field) == getattr(VALUE, field)
     assert hash(again.inner) == hash(VALUE.inner)  # tuples again, not lists
 

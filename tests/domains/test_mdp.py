@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -73,6 +74,17 @@ def test_values_are_those_of_the_best_policy(model: MDP) -> None:
     assert np.array_equal(np.isfinite(solved)[live], finite[live])
     # Twice the promise: the reference is rounded as well.
     assert np.abs(solved[finite] - true[finite]).max(initial=0) <= 2 * mdp.SOLVED * scale(model)
+
+
+@settings(max_examples=150, deadline=None)
+@given(small_mdps(), st.sampled_from([0.1, 0.3, 0.6, 0.9]), st.sampled_from([0.03, 0.1]))
+def test_values_are_as_near_as_asked_for(model: MDP, discount: float, asked: float) -> None:
+    model = replace(model, discount=discount)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mdp, "SOLVED", asked)
+        solved, true = mdp.q_values([model])[0], best_by_enumeration(model)
+    finite = np.isfinite(true)
+    assert np.abs(solved[finite] - true[finite]).max(initial=0) <= asked * scale(model) + 1e-9
 
 
 @settings(max_examples=150, deadline=None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -19,6 +20,7 @@ from tests.configurations import composed
 from tests.runs import sweeps
 from xplain.cli import hydra_plugins
 from xplain.config import CONF, SWEEPS
+from xplain.runs import sweep
 from xplain.runs.folder import SweepFolder
 from xplain.runs.plan import make_plan
 from xplain.runs.sweep import Run
@@ -411,3 +413,28 @@ def test_an_interruption_that_became_another_error_is_one_all_the_same(tmp_path)
         run.through(launch)
     assert len(launched) == 1
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_progress_counts_what_was_finished_before_and_what_was_copied(tmp_path, monkeypatch):
+    number = itertools.count()
+    plan = make_plan(
+        "tiny", [{"seed": "0,1,2,3"}], [], lambda words: {}, lambda _: (f"f{next(number)}", "s")
+    )
+    folder = SweepFolder(tmp_path / plan.identity)
+    folder.path.mkdir()
+    folder.save(plan, {})
+    finished, copied, *_ = plan.jobs
+    monkeypatch.setattr(
+        SweepFolder, "trust", lambda _, job: "finished" if job == finished else "waiting"
+    )
+    monkeypatch.setattr(sweep, "copy_finished", lambda *_: [copied])
+    watched = []
+
+    def watch(folder, jobs, listener, done):
+        watched.append((len(jobs), done))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sweep, "Watch", watch)
+    with pytest.raises(KeyboardInterrupt):
+        Run(plan, folder, None, tmp_path, "missing").through(lambda jobs: None)
+    assert watched == [(2, 2)]

@@ -86,6 +86,20 @@ def test_a_trace_has_the_steps_that_are_asked_for() -> None:
         ranked_traces(setting, trace_rules(min_steps=5), 20, 0)
 
 
+def test_a_trace_starts_where_it_is_told_to() -> None:
+    setting = street()
+    domain = setting.domain
+    here = domain.position(int(domain.starts[0]))
+    assert here is not None
+    anywhere = ranked_traces(setting, trace_rules(), 20, 0)
+    told = ranked_traces(setting, trace_rules(start=list(here)), 20, 0)
+    assert [one.tolist() for one in told] == [one.tolist() for one in anywhere]  # one start
+    (elsewhere,) = {domain.position(int(s)) for s in told[0][-1:, 2]} - {here}
+    assert elsewhere is not None
+    with pytest.raises(InputError, match=r"trace\.start"):
+        ranked_traces(setting, trace_rules(start=list(elsewhere)), 20, 0)
+
+
 def test_conditions_that_say_the_same_differ_by_nothing() -> None:
     plan = street_plan()
     same = dict.fromkeys(("personalized", "conformant"), plan.conditions["conformant"])

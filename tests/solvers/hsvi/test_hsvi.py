@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 import time
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +15,9 @@ import pytest
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
+from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
+from xplain.solvers.hsvi.tree import NODES
 from xplain.solvers.policy_evaluation import evaluate
 from xplain.testing.problems import random_problem
 
@@ -50,6 +53,23 @@ def test_the_policy_earns_its_lower_bound() -> None:
         worth = evaluate(problem, policy)
         assert worth.value_is == "exact"
         assert policy.lower - 1e-6 <= worth.value <= policy.upper + 1e-9
+
+
+def test_what_was_found_is_not_searched_for_again() -> None:
+    rng = np.random.default_rng(24)
+    opened = 0
+    for _ in range(60):
+        problem = random_problem(rng, max_types=4, max_steps=5, max_messages=3)
+        policy = planned(problem, gap=1e-7)
+        searched = replace(policy.policy, brief=Effort(gap=10.0, nodes=1))
+        store = policy.policy.found.store
+        nodes = store.nodes[: store.used[NODES]]
+        for node in np.flatnonzero(nodes["first_action"] >= 0):
+            step, given = int(nodes["step"][node]), int(nodes["given"][node])
+            values = searched.values(step, given, store.belief[node])
+            assert values == policy.policy.found.values(int(node))
+            opened += step > 0
+    assert opened >= 10
 
 
 def rarely_needed() -> Problem:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 
 from tests.participants.conftest import store as store
@@ -24,6 +25,7 @@ def test_tables_say_what_their_codebook_says(
         csv = pd.read_csv(tmp_path / "out" / f"{name}.csv")
         parquet = pd.read_parquet(tmp_path / "out" / f"{name}.parquet")
         assert list(csv.columns) == list(parquet.columns) == list(columns)
+        assert pq.read_schema(tmp_path / "out" / f"{name}.parquet").names == list(columns)
         assert len(csv) == len(parquet)
     out = tmp_path / "out"
     people = pd.read_csv(out / "participants.csv").set_index("participant")

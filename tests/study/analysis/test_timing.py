@@ -94,3 +94,15 @@ def test_every_page_has_its_place_and_the_time_until_its_answer() -> None:
         ("ann", 7, "quiz", None, 1e9 + 101, None, None),
     ]
     assert pages(events) == [dict(zip(keys, row, strict=True)) for row in rows]
+
+
+def test_what_was_agreed_to_and_answered_is_taken_from_the_protocol_s_events() -> None:
+    consent = event("protocol", "consent", -5) | {"payload": {"text": "a1b2", "width": 1280}}
+    answers = event("protocol", "answers", 120) | {"payload": {"age": "31"}}
+    silent = event("server", "time_out", 50)
+    found = interaction([consent, *LABELS[:2], silent, *LABELS[2:], answers])
+    assert (found.consent_hash, found.width, found.timed_out) == ("a1b2", 1280, 1)
+    assert found.answers == {"age": "31"}
+    unasked = interaction(LABELS)
+    assert (unasked.consent_hash, unasked.width, unasked.timed_out) == (None, None, 0)
+    assert unasked.answers == {}
