@@ -1,0 +1,97 @@
+"""How far a sweep is: what a watch of its jobs' folders tells, whom, and where."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import logging
+import sys
+from pathlib import Path
+
+import pytest
+
+from xplain.experiment.results import RESULTS
+from xplain.runs import progress
+from xplain.runs.folder import FAILURE, STARTED, State, SweepFolder
+from xplain.runs.plan import Job, make_plan
+from xplain.runs.progress import Watch, duration
+
+
+class Notes:
+    """What a listener hears."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[str, State | str]] = []
+
+    def start(self) -> None:
+        self.heard.append(("", "start"))
+
+    def update(self, job: Job, state: State) -> None:
+        self.heard.append((job.label, state))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> SweepFolder:
+    number = itertools.count()
+    plan = make_plan(
+        "tiny", [{"seed": "0,1,2,3"}], [], lambda words: {}, lambda _: (f"f{next(number)}", "s")
+    )
+    folder = SweepFolder(tmp_path / plan.identity)
+    folder.path.mkdir()
+    folder.save(plan, {})
+    return folder
+
+
+def put(folder: SweepFolder, job: Job, file: str, content: str = "") -> None:
+    folder.of(job).mkdir(parents=True, exist_ok=True)
+    (folder.of(job) / file).write_text(content)
+
+
+def test_every_change_is_told_once_and_the_last_look_misses_none(
+    folder: SweepFolder, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caplog.set_level(logging.INFO)
+    monkeypatch.setattr(progress, "POLL", 60)  # no look but the last
+    monkeypatch.setattr(progress, "SAY", 0)
+    done, first, second, third = folder.jobs()
+    notes = Notes()
+    with Watch(folder, (first, second, third), notes, done=1) as watch:
+        put(folder, first, RESULTS)
+        put(folder, second, FAILURE, json.dumps({"error": "no memory", "traceback": ""}))
+        put(folder, third, STARTED)
+    assert notes.heard[0] == ("", "start")
+    assert sorted(notes.heard[1:]) == sorted(
+        [(first.label, "finished"), (second.label, "failed"), (third.label, "running")]
+    )
+    assert watch.counts() == {"finished": 1, "failed": 1, "running": 1}
+    assert f"failed: {second.label}: no memory" in caplog.messages
+    assert caplog.messages[-1].startswith("3 of 4 jobs done, 1 failed, about ")
+    assert done.label not in "".join(label for label, _ in notes.heard)
+
+
+def test_a_terminal_sees_a_bar_and_standard_output_nothing(
+    folder: SweepFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    jobs = folder.jobs()
+    with Watch(folder, jobs[2:], Notes(), done=2):
+        put(folder, jobs[2], RESULTS)
+        put(folder, jobs[3], RESULTS)
+    seen = capsys.readouterr()
+    assert "4 of 4 jobs done, 0 failed" in seen.err
+    assert seen.out == ""
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0.2, "0 s"),
+        (59.4, "59 s"),
+        (59.6, "1 min 00 s"),
+        (185, "3 min 05 s"),
+        (3599.7, "1 h 00 min"),
+        (7500, "2 h 05 min"),
+    ],
+)
+def test_times_are_told_as_people_say_them(seconds: float, words: str) -> None:
+    assert duration(seconds) == words
