@@ -33,12 +33,17 @@ def main(arguments: list[str]) -> int:
     session = Session(given.session or ROOT / f"outputs/mutants/seed-{given.seed}.jsonl")
     campaign = Campaign(areas, session, say=lambda line: print(line, flush=True))
     drawn = areas.draw(given.sample, given.seed, given.areas)
+    explained = equivalents(Path(__file__).with_name("equivalent.toml"))
     known = session.outcomes()
-    pending = [
-        mutant
-        for mutant in drawn
-        if mutant.key not in known or (given.again and known[mutant.key].outcome == SURVIVED)
-    ]
+    pending = [mutant for mutant in drawn if mutant.key not in known]
+    if given.again:
+        pending += [
+            mutant
+            for mutant in drawn
+            if mutant.key in known
+            and known[mutant.key].outcome == SURVIVED
+            and not any(one.is_(mutant, ROOT) for one in explained)
+        ]
     interrupted = False
     if not given.report:
         print(f"{len(drawn)} mutants, {len(pending)} to be tried; {session.path}", flush=True)
@@ -48,7 +53,7 @@ def main(arguments: list[str]) -> int:
             interrupted = True
     known = session.outcomes()
     found = [known[mutant.key] for mutant in drawn if mutant.key in known]
-    print(report(found, equivalents(Path(__file__).with_name("equivalent.toml")), ROOT))
+    print(report(found, explained, ROOT))
     return 130 if interrupted else 0
 
 
