@@ -115,6 +115,7 @@ def test_a_door_is_passed_only_between_start_and_end() -> None:
     way = np.array([[s, right, t] for s, t in pairwise(cells)])
     door = {(3, 6)}
     assert share_through(domain, [way, way[:2], way[2:], way[:3]], door) == 0.5
+    assert share_through(domain, [way[1:]], door) == 1  # after a single step
 
 
 @pytest.mark.parametrize("seed", range(5))

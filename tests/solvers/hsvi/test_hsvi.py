@@ -16,8 +16,9 @@ from xplain.errors import InputError, TooLargeError
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers.hsvi.explore import Effort
+from xplain.solvers.hsvi.search import TAIL
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
-from xplain.solvers.hsvi.tree import NODES
+from xplain.solvers.hsvi.tree import ACTIONS, NODES
 from xplain.solvers.policy_evaluation import evaluate
 from xplain.testing.problems import random_problem
 
@@ -110,6 +111,20 @@ def medium_problem() -> Problem:
             needed = sum(1 << int(j) for j in facts & set(rng.choice(8, 3, replace=False)))
             p[t, i] = np.where(np.arange(256) & needed == needed, confidence, 1 - confidence)
     return Problem(p, np.ones(8))
+
+
+def test_answers_not_told_apart_widen_no_action_by_more_than_their_share() -> None:
+    rng = np.random.default_rng(25)
+    with_a_tail, gap = 0, 0.4
+    for _ in range(40):
+        problem = Problem(rng.random((3, 8, 4)), 0.2 + rng.random(2), 2.0)
+        store = planned(problem, gap=gap).policy.found.store
+        actions = store.actions[: store.used[ACTIONS]]
+        listed = actions[actions["first_answer"] >= 0]
+        widened = listed["tail_upper"] - listed["tail_lower"]
+        assert (widened <= TAIL * gap / problem.n_steps + 1e-9).all()
+        with_a_tail += (widened > 0).any()
+    assert with_a_tail > 5
 
 
 def test_more_effort_only_tightens() -> None:

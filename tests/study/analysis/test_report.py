@@ -90,8 +90,8 @@ def _number(p: str) -> float:
 
 
 def test_the_file_has_each_measure_with_its_figures(analysis: Analysis, tmp_path: Path) -> None:
-    save(analysis, tmp_path)
-    table = pd.read_csv(tmp_path / "table2.csv", index_col="measure")
+    save(analysis, tmp_path / "new" / "folder")
+    table = pd.read_csv(tmp_path / "new" / "folder" / "table2.csv", index_col="measure")
     assert list(table.index) == [row.measure for row in analysis.rows]
     for row in analysis.rows:
         of, (a, b) = table.loc[row.measure], _both(analysis, row)

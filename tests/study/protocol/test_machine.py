@@ -45,6 +45,7 @@ def at_evaluation(study: Study, user_type: int, condition: str) -> State:
         ("example", {"label": 1}),
         ("eligibility", {"answers": right}),
     ):
+        assert (state.given, state.new, state.heard) == (0, 0, ())  # nothing was told yet
         state = machine.advance(study, state, kind, payload).state
     return state
 
