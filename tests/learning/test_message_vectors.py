@@ -48,6 +48,15 @@ def test_tree_search_is_enumeration(seed: int, n: int, ones: float) -> None:
     assert minimal_message_set(classifier, features, n) == enumerated(classifier, features, n)
 
 
+@given(seed=st.integers(0, 10_000), n=st.integers(1, 6))
+@settings(max_examples=60, deadline=None)
+def test_a_transition_counts_as_often_as_it_occurs(seed: int, n: int) -> None:
+    classifier, features = fitted(DecisionTreeClassifier(random_state=0), seed, n, 0.4)
+    times = np.random.default_rng(seed).integers(1, 5, size=len(features))
+    features = np.repeat(features, times, axis=0)
+    assert minimal_message_set(classifier, features, n) == enumerated(classifier, features, n)
+
+
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("model", [LogisticRegression(), RandomForestClassifier(5, random_state=0)])
 def test_search_by_predictions_is_enumeration(model: object, seed: int) -> None:

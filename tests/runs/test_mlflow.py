@@ -176,3 +176,16 @@ def test_a_database_that_another_process_holds_is_refused_and_none_is_made(tmp_p
         with pytest.raises(sqlite3.OperationalError, match="locked"):
             _refuse_unusable(f"sqlite:///{path}", patience=0.1)
     _refuse_unusable("postgresql://somewhere/else")  # not for us to try
+
+
+def test_the_command_that_opens_the_pages_names_the_runs_database(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shows = "mlflow ui --backend-store-uri "
+    own, far = tmp_path / "outputs", tmp_path / "far"
+    assert MLflow().how_to_open(own) == shows + "sqlite:///outputs/mlflow.db"
+    assert MLflow().how_to_open(far) == shows + f"sqlite:///{far}/mlflow.db"
+    elsewhere = MLflow(uri="sqlite:////data/all.db")
+    assert elsewhere.how_to_open(own) == elsewhere.how_to_open(far) == shows + elsewhere.uri
+    assert MLflow(uri="http://lab:5000").how_to_open(own) is None

@@ -10,7 +10,7 @@ import pytest
 from xplain.errors import TooLargeError
 from xplain.explanation.by_type import NONE, ByType
 from xplain.numba_kernels import lean_kernel
-from xplain.solvers.rows import Rows, delaying, is_left, make_rows, row, rows_at
+from xplain.solvers.rows import Rows, delaying, is_left, make_rows, row, rows_at, spread
 
 RELEVANT = np.array([[1, 4], [0, NONE]])
 PRICE = np.array([1.0, 1.0, 2.0, 2.0, 1.0, 2.0, 3.0])
@@ -85,3 +85,18 @@ def test_what_may_pay_as_a_delay_costs_less_than_it_saves() -> None:
     assert delaying(by_type(), PRICE, 0.0, optimal) == [[], []]
     # A tenth of 30 is 3, which 3.0 does not undercut; a tenth of 15 is 1.5.
     assert delaying(by_type(), PRICE, 0.1, optimal) == [[0, 2, 3, 5], [1, 4]]
+
+
+def test_rows_that_a_type_lacks_cost_nothing(rows: Rows) -> None:
+    """The least value over all rows bounds what is still to be paid (:func:`delaying`)."""
+    table = np.random.default_rng(0).random((2, 3, 4))
+    table[1, :, 2:] = table[1, :, :2]  # of a single relevant message
+    found = spread(ByType(RELEVANT, table), rows)
+    assert found.shape == (3, rows.number.max(), 2)
+    for t, own in enumerate(table):
+        for given in range(1 << len(PRICE)):
+            relevant = [j for j in RELEVANT[t].tolist() if j != NONE]
+            subset = sum((given >> j & 1) << i for i, j in enumerate(relevant))
+            assert (found[:, rows_at(rows, given)[t], t] == own[:, subset]).all()
+        assert (found[:, int(rows.number[t]) :, t] == 1).all()
+    assert rows.number.min() < rows.number.max()

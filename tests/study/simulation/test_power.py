@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tests.study.stand_in import street_study
 from xplain.errors import InputError
@@ -12,7 +15,7 @@ from xplain.study.analysis.statistics import (
 )
 from xplain.study.analysis.table2 import MEASURES
 from xplain.study.simulation.participant import Habits
-from xplain.study.simulation.power import SWEEPS, Pool, power, simulate
+from xplain.study.simulation.power import SWEEPS, Pool, draw_sensitivity, power, simulate
 
 
 def test_false_alarms_are_as_rare_as_promised() -> None:
@@ -60,3 +63,27 @@ def test_assumptions_are_varied_upwards_around_their_default(habit: str) -> None
     assert values[0] <= getattr(Habits(), habit) <= values[-1]
     Habits(**{habit: values[0]})
     Habits(**{habit: values[-1]})
+
+
+def test_pictures_show_every_figure_at_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    rng = np.random.default_rng(5)
+    rows = [
+        {"assumption": assumption, "value": value, "measure": measure, "effect": rng.normal()}
+        for assumption, values in SWEEPS.items()
+        for value in values
+        for measure in MEASURES
+    ]
+    draw_sensitivity(rows, tmp_path / "sensitivity.png")
+    for axis, (assumption, values) in zip(drawn[0].axes, SWEEPS.items(), strict=True):
+        assert axis.get_xlabel().startswith(assumption.replace("_", " "))
+        *lines, nothing = axis.lines
+        for line, (measure, title) in zip(lines, MEASURES.items(), strict=True):
+            own = (row for row in rows if row["assumption"] == assumption)
+            effects = [row["effect"] for row in own if row["measure"] == measure]
+            assert (list(line.get_xdata()), list(line.get_ydata())) == (list(values), effects)
+            assert line.get_label() == title
+        assert list(nothing.get_ydata()) == [0, 0]
