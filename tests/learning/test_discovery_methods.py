@@ -1,5 +1,6 @@
 """Methods for independent questions: mixtures and the Dirichlet process."""
 
+import re
 from dataclasses import replace
 from math import lgamma
 
@@ -32,6 +33,17 @@ def test_types_are_found_though_nobody_answers_the_same_questions(clusterer: Clu
         dataset, truth = made(np.random.default_rng(seed), TYPES, size=250)
         found = clusterer.cluster(dataset, LabelerTrainer(), seed, None)
         assert adjusted_rand_score(truth, found.assignment) == 1
+
+
+def test_the_mixture_s_score_is_a_log_likelihood_a_label(caplog: pytest.LogCaptureFixture) -> None:
+    """Better than a coin's on labels that have a rule, and of their number no matter."""
+    caplog.set_level("INFO")
+    for size in (120, 240):
+        dataset, _ = made(np.random.default_rng(4), TYPES, size=size)
+        Mixture(max_types=3).cluster(dataset, LabelerTrainer(), 0, None)
+        score = re.search(r"held-out likelihood: (\S+) a label", caplog.messages[-1])
+        assert score
+        assert -np.log(2) < float(score[1]) < 0
 
 
 def test_who_says_nothing_is_taken_for_one_of_the_many() -> None:

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import itertools
 import logging
+import re
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from xplain.experiment.results import ElbowFigures, Figure, Results, TypeNames
+from xplain.report.summary import Summary
 from xplain.runs.mlflow import MLflow, _refuse_unusable
 from xplain.runs.mlflow_run import MOST_PARAMETERS, fill, parameters
-from xplain.runs.mlflow_views import main_key
+from xplain.runs.mlflow_views import main_key, sweep_view
 from xplain.runs.plan import Job
 
 RESULTS = Results(
@@ -189,3 +192,13 @@ def test_the_command_that_opens_the_pages_names_the_runs_database(
     elsewhere = MLflow(uri="sqlite:////data/all.db")
     assert elsewhere.how_to_open(own) == elsewhere.how_to_open(far) == shows + elsewhere.uri
     assert MLflow(uri="http://lab:5000").how_to_open(own) is None
+
+
+def test_the_view_of_a_sweep_has_what_people_compare() -> None:
+    summary = cast("Summary", SimpleNamespace(keys=("lambda", "users.count"), seeds=3))
+    jobs = tuple(Job(value, "", (), {"lambda": value}, value, "") for value in ("1", "2"))
+    view = sweep_view("parent", summary, main_key(jobs))
+    columns = [re.sub(r"`|params\.|metrics\.", "", column) for column in view["columnOrder"]]
+    compared = ["regret", "regret.low", "regret.high", "cost", "messages", "inexplicable_labels"]
+    assert columns == ["solver", "lambda", "users.count", "seed", *compared]
+    assert view["selectedColumns"] == view["columnOrder"] == list(view["columnWidths"])

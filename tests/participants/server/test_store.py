@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filelock import FileLock
 
 from tests.participants.server.test_fuzz import records
 from tests.participants.visitors import GENEROUS, Visitor, consent
@@ -188,6 +189,19 @@ def test_places_are_blocks_with_every_cell_once(store: Store, study: Study) -> N
     for block in range(study.plan.rules.per_cell):
         assert sorted(cells[block * size : (block + 1) * size]) == sorted(study.plan.cells)
     assert cells[:size] != cells[size : 2 * size]  # an order drawn for each block
+
+
+def test_the_log_says_which_place_somebody_got(store: Store) -> None:
+    for token in store.invite(3, "person"):
+        who = store.enter_invited(token)
+        consent(store, who)
+        (event,) = store.query(
+            "SELECT payload FROM event WHERE participant = ? AND kind = 'consent'", (who,)
+        )
+        (place,) = store.query("SELECT * FROM slot WHERE holder = ?", (who,))
+        said = json.loads(event["payload"])
+        for key in ("position", "user_type", "condition"):
+            assert said[key] == place[key]
 
 
 def test_only_completion_uses_a_place_up(tmp_path: Path, study: Study) -> None:
@@ -471,9 +485,16 @@ def test_invitations_and_outside_ids_lead_back_to_the_same_participant(store: St
     assert '"PROLIFIC_PID": "Q"' in dump
 
 
-def test_a_database_has_one_process_and_one_plan(tmp_path: Path, study: Study) -> None:
+def test_a_database_has_one_process_and_one_plan(
+    tmp_path: Path, study: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "s.sqlite"
     store = Store(path, StudyProtocol(study))
+    acquire = FileLock.acquire
+    with monkeypatch.context() as patch:
+        patch.setattr(FileLock, "acquire", lambda lock, timeout: acquire(lock, timeout=0.1))
+        with pytest.raises(XplainError, match="another process"):
+            Store(path, StudyProtocol(study))
     assert path.stat().st_mode & 0o077 == 0
     assert path.with_name("s.sqlite.key").stat().st_mode & 0o077 == 0
     stored = read_plan(path, StudyPlan)
@@ -523,3 +544,14 @@ def test_state_survives_a_restart(tmp_path: Path, study: Study) -> None:
     assert Keys(store.secret).cookie(who) == cookie  # cookies stay valid
     assert store.enter_invited(token) == who
     store.close()
+
+
+def test_previews_hold_places_of_their_own_in_the_cell_that_was_chosen(
+    store: Store, study: Study
+) -> None:
+    cells = study.plan.cells
+    chosen = [len(cells) - 1, 0, 0, 2]
+    shown = [store.enter_preview(cell) for cell in chosen]
+    slots = "SELECT holder, user_type, condition FROM slot WHERE stream = ? ORDER BY position"
+    found = [tuple(row.values()) for row in store.query(slots, ("preview",))]
+    assert found == [(who, *cells[cell]) for who, cell in zip(shown, chosen, strict=True)]
