@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from xplain.learning.fact_model.gibbs import init
+from tests.learning.fact_model.states import begun, counted
 from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior, State
 from xplain.learning.fact_model.resample_facts import InUse, Scratch, resample_facts
-from xplain.learning.fact_model.resample_transitions import Scratch as TransitionScratch
-from xplain.learning.fact_model.resample_transitions import resample_transitions
 
 N, CONCENTRATION = 2, 0.7
 
@@ -21,7 +19,7 @@ N, CONCENTRATION = 2, 0.7
 def test_two_observers_are_drawn_from_their_posterior(seed: int) -> None:
     rng = np.random.default_rng(seed)
     answers, prior = some_answers(rng), Prior.of(N, 2)
-    state = begun(answers, prior, rng)
+    state = begun(answers, prior, rng.integers(1 << N, size=2), rng)
     log_new, scratch = np.log(CONCENTRATION) - N * np.log(2), Scratch.of(N, 2)
     visits = np.zeros((20, 1 << N, 1 << N))
     for batch in visits:
@@ -51,18 +49,6 @@ def some_answers(rng: np.random.Generator) -> Answers:
     )
 
 
-def begun(answers: Answers, prior: Prior, rng: np.random.Generator) -> State:
-    """Any R of both, and S and ε drawn once: they stay."""
-    state = init(answers, prior, rng.integers(1 << N, size=2))
-    scratch = TransitionScratch.of(
-        answers.transition_start, len(prior.size), N, len(prior.log_flip)
-    )
-    held = state.facts[answers.owner] & ~answers.message_set
-    while not (prior.size[state.subset] > 0).any():
-        resample_transitions(answers, prior, state, held, 1.0, rng, scratch)
-    return state
-
-
 def posterior(answers: Answers, prior: Prior, state: State) -> NDArray[np.float64]:
     """[2^n, 2^n] P(R of the one, R of the other | labels, S, ε)."""
     log_joint = np.empty((1 << N, 1 << N))
@@ -80,13 +66,3 @@ def posterior(answers: Answers, prior: Prior, state: State) -> NDArray[np.float6
                 log_joint[both] += np.log(before * right + (1 - before) * wrong)
     joint: NDArray[np.float64] = np.exp(log_joint)
     return np.asarray(joint / joint.sum())
-
-
-def counted(answers: Answers, prior: Prior, state: State) -> NDArray[np.int64]:
-    """[T, 4, 2] the labels 0 and 1 of each cell, from the labels themselves."""
-    counts = np.zeros_like(state.counts)
-    held = state.facts[answers.owner] & ~answers.message_set
-    for t, mask, label in zip(answers.transition, held, answers.label, strict=True):
-        members = [int(j) for j in prior.subsets[state.subset[t]] if j >= 0]
-        counts[t, sum((int(mask) >> j & 1) << i for i, j in enumerate(members)), label] += 1
-    return counts

@@ -15,10 +15,11 @@ import pytest
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import lean_kernel
 from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.hsvi.search import TAIL
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
-from xplain.solvers.hsvi.tree import ACTIONS, NODES
+from xplain.solvers.hsvi.tree import ACTIONS, NODES, find, grown, rehash
 from xplain.solvers.policy_evaluation import evaluate
 from xplain.testing.problems import random_problem
 
@@ -172,3 +173,25 @@ def test_ctrl_c_ends_a_search() -> None:
     with pytest.raises(KeyboardInterrupt):
         Certified(gap=1e-9, seconds=60).plan(hard)
     assert time.perf_counter() - began < 30
+
+
+@lean_kernel
+def _found(store):  # type: ignore[no-untyped-def]
+    """Whether every node is where its belief is looked for."""
+    rehash(store)
+    for index in range(store.used[NODES]):
+        node = store.nodes[index]
+        slot = find(store, node.step, node.given, store.evidence[index])
+        if store.hash_table[slot] != index:
+            return False
+    return True
+
+
+def test_a_store_that_grew_finds_all_that_it_held() -> None:
+    problem = Problem(np.random.default_rng(26).random((3, 6, 4)), np.full(2, 0.5), 2.0)
+    store = planned(problem, gap=0.05).policy.found.store
+    assert store.used[NODES] > 10
+    larger = grown(store)
+    assert len(larger.hash_table) >= len(store.hash_table)
+    assert len(larger.nodes) > len(store.nodes) or len(larger.actions) > len(store.actions)
+    assert _found(larger)

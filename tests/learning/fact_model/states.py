@@ -1,0 +1,35 @@
+"""States of the sampler, and what is counted of them, from the labels themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.learning.fact_model.gibbs import init
+from xplain.learning.fact_model.model import Answers, Prior, State
+from xplain.learning.fact_model.resample_transitions import Scratch as TransitionScratch
+from xplain.learning.fact_model.resample_transitions import resample_transitions
+
+
+def begun(
+    answers: Answers, prior: Prior, facts: NDArray[np.int64], rng: np.random.Generator
+) -> State:
+    """Each R as given, and S and ε drawn once, so that some fact matters."""
+    state = init(answers, prior, facts)
+    scratch = TransitionScratch.of(
+        answers.transition_start, len(prior.size), prior.subsets.shape[1], len(prior.log_flip)
+    )
+    held = state.facts[answers.owner] & ~answers.message_set
+    while not (prior.size[state.subset] > 0).any():
+        resample_transitions(answers, prior, state, held, 1.0, rng, scratch)
+    return state
+
+
+def counted(answers: Answers, prior: Prior, state: State) -> NDArray[np.int64]:
+    """[T, 2^depth, 2] the labels 0 and 1 of each cell, from the labels themselves."""
+    counts = np.zeros_like(state.counts)
+    held = state.facts[answers.owner] & ~answers.message_set
+    for t, mask, label in zip(answers.transition, held, answers.label, strict=True):
+        members = [int(j) for j in prior.subsets[state.subset[t]] if j >= 0]
+        counts[t, sum((int(mask) >> j & 1) << i for i, j in enumerate(members)), label] += 1
+    return counts
