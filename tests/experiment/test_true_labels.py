@@ -75,6 +75,14 @@ def test_the_oracle_is_the_clairvoyant(domain: str) -> None:
         assert np.array_equal(oracle.episode.messages, clairvoyant.episode.messages)
 
 
+def test_true_types_are_equally_likely_whatever_was_found() -> None:
+    found, costs = prepared("rescue")
+    two = replace(found, learned_types=found.types[:2], type_shares=np.array([0.9, 0.1]))
+    known = with_true_labels(two)
+    problem = problem_of_types(known, known.cases[0], replace(costs, prior="observers"))
+    assert problem.prior.tolist() == [1 / len(found.types)] * len(found.types)
+
+
 @both
 def test_nobody_costs_less_than_who_knows_the_type(domain: str) -> None:
     for (_, *key), record in episodes(domain).items():
