@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import signal
 import sqlite3
@@ -11,6 +12,8 @@ import sys
 from pathlib import Path
 
 from tests import forked
+from xplain.runs.folder import SweepFolder
+from xplain.runs.plan import Job, Plan, make_plan
 
 ROOT = Path(__file__).parents[2]
 
@@ -31,6 +34,28 @@ TINY = (
     "lambda=0.5,1,2",
 )
 """Six jobs of well under a second: what is learned, and how well, is no matter here."""
+
+
+def planned(outputs: Path, jobs: int) -> tuple[Plan, SweepFolder]:
+    """A sweep of so many jobs, of which none was begun, and its folder."""
+    number = itertools.count()
+    plan = make_plan(
+        "tiny",
+        [{"seed": ",".join(map(str, range(jobs)))}],
+        [],
+        lambda overrides: {},
+        lambda config: (f"f{next(number)}", "s"),
+    )
+    folder = SweepFolder(outputs / plan.identity)
+    folder.path.mkdir()
+    folder.save(plan, {"command": "python -m xplain sweeps=tiny"})
+    return plan, folder
+
+
+def put(folder: SweepFolder, job: Job, file: str, content: str = "") -> None:
+    """The job is as far as this file in its folder says."""
+    folder.of(job).mkdir(parents=True, exist_ok=True)
+    (folder.of(job) / file).write_text(content)
 
 
 def environment() -> dict[str, str]:

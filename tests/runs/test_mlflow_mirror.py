@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import re
@@ -14,11 +13,11 @@ from typing import Any, cast
 
 import pytest
 
+from tests.runs.sweeps import planned, put
 from xplain.runs.folder import FAILURE, STARTED, SweepFolder
 from xplain.runs.mlflow import PROCESS_TAG, RESULT_TAG, MLflow, process_tag
 from xplain.runs.mlflow_mirror import Mirror
 from xplain.runs.mlflow_views import SWEEP_TAG
-from xplain.runs.plan import make_plan
 
 PARENT = "mlflow.parentRunId"
 
@@ -86,15 +85,7 @@ class Page(list[Any]):
 
 @pytest.fixture
 def folder(tmp_path: Path) -> SweepFolder:
-    """Of a sweep of three jobs, of which none was begun."""
-    number = itertools.count()
-    plan = make_plan(
-        "tiny", [{"seed": "0,1,2"}], [], lambda words: {}, lambda _: (f"f{next(number)}", "s")
-    )
-    folder = SweepFolder(tmp_path / plan.identity)
-    folder.path.mkdir()
-    folder.save(plan, {"command": "python -m xplain sweeps=tiny"})
-    return folder
+    return planned(tmp_path, 3)[1]
 
 
 @pytest.fixture
@@ -104,13 +95,6 @@ def store() -> Store:
 
 def mirror(store: Store, folder: SweepFolder, fresh: bool = False) -> Mirror:
     return Mirror(store.tracking(), folder.path.parent, folder, folder.jobs(), fresh)
-
-
-def goes(folder: SweepFolder, number: int, file: str, content: str = "") -> None:
-    """The job is as far as this file says."""
-    own = folder.of(folder.jobs()[number])
-    own.mkdir(parents=True, exist_ok=True)
-    (own / file).write_text(content)
 
 
 def test_a_sweep_is_a_parent_with_a_child_for_each_job_begun(
@@ -128,9 +112,11 @@ def test_a_sweep_is_a_parent_with_a_child_for_each_job_begun(
     for job in folder.jobs():
         own.update(job, folder.state(job))
     assert store.children() == {}  # all wait
-    goes(folder, 0, STARTED, "here 1")
+    put(folder, first, STARTED, "here 1")
     own.update(first, folder.state(first))
-    goes(folder, 1, FAILURE, json.dumps({"error": "no memory", "traceback": "line 1"}))
+    put(
+        folder, folder.jobs()[1], FAILURE, json.dumps({"error": "no memory", "traceback": "line 1"})
+    )
     for _ in range(2):  # told twice, it is one run all the same
         own.update(second, folder.state(second))
     assert store.children() == {first.label: "RUNNING", second.label: "FAILED"}
@@ -148,7 +134,7 @@ def test_a_sweep_that_goes_on_is_the_process_s_that_goes_on(
     store: Store, folder: SweepFolder
 ) -> None:
     job = folder.jobs()[0]
-    goes(folder, 0, STARTED, "here 1")
+    put(folder, job, STARTED, "here 1")
     begun = mirror(store, folder)
     begun.start()
     begun.update(job, "running")
@@ -179,7 +165,7 @@ def test_what_a_dead_process_left_open_is_ended_first(store: Store, folder: Swee
 def test_a_fresh_sweep_forgets_its_jobs_and_keeps_its_parent(
     store: Store, folder: SweepFolder
 ) -> None:
-    goes(folder, 0, STARTED, "here 1")
+    put(folder, folder.jobs()[0], STARTED, "here 1")
     for fresh in (False, True):
         own = mirror(store, folder, fresh)
         own.start()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import logging
 import sys
@@ -10,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.runs.sweeps import planned, put
 from xplain.experiment.results import RESULTS
 from xplain.runs import progress
 from xplain.runs.folder import FAILURE, STARTED, State, SweepFolder
-from xplain.runs.plan import Job, make_plan
+from xplain.runs.plan import Job
 from xplain.runs.progress import Watch, duration
 
 
@@ -32,19 +32,7 @@ class Notes:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> SweepFolder:
-    number = itertools.count()
-    plan = make_plan(
-        "tiny", [{"seed": "0,1,2,3"}], [], lambda words: {}, lambda _: (f"f{next(number)}", "s")
-    )
-    folder = SweepFolder(tmp_path / plan.identity)
-    folder.path.mkdir()
-    folder.save(plan, {})
-    return folder
-
-
-def put(folder: SweepFolder, job: Job, file: str, content: str = "") -> None:
-    folder.of(job).mkdir(parents=True, exist_ok=True)
-    (folder.of(job) / file).write_text(content)
+    return planned(tmp_path, 4)[1]
 
 
 def test_every_change_is_told_once_and_the_last_look_misses_none(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import re
@@ -22,7 +21,6 @@ from xplain.cli import hydra_plugins
 from xplain.config import CONF, SWEEPS
 from xplain.runs import sweep
 from xplain.runs.folder import SweepFolder
-from xplain.runs.plan import make_plan
 from xplain.runs.sweep import Run
 
 QUICK = (*sweeps.TINY[:-1], "lambda=1", sweeps.SERIAL)
@@ -395,10 +393,7 @@ def test_sweep_files_set_known_keys_and_open_with_their_command(name):
 
 
 def test_an_interruption_that_became_another_error_is_one_all_the_same(tmp_path):
-    plan = make_plan("tiny", [{"seed": "0"}], [], lambda overrides: {}, lambda config: ("f", "s"))
-    folder = SweepFolder(tmp_path / plan.identity)
-    folder.path.mkdir()
-    folder.save(plan, {})
+    plan, folder = sweeps.planned(tmp_path, 1)
     run = Run(plan, folder, None, tmp_path, "missing")
     launched = []
 
@@ -418,13 +413,7 @@ def test_an_interruption_that_became_another_error_is_one_all_the_same(tmp_path)
 
 
 def test_progress_counts_what_was_finished_before_and_what_was_copied(tmp_path, monkeypatch):
-    number = itertools.count()
-    plan = make_plan(
-        "tiny", [{"seed": "0,1,2,3"}], [], lambda words: {}, lambda _: (f"f{next(number)}", "s")
-    )
-    folder = SweepFolder(tmp_path / plan.identity)
-    folder.path.mkdir()
-    folder.save(plan, {})
+    plan, folder = sweeps.planned(tmp_path, 4)
     finished, copied, *_ = plan.jobs
     monkeypatch.setattr(
         SweepFolder, "trust", lambda _, job: "finished" if job == finished else "waiting"

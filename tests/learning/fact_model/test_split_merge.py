@@ -10,14 +10,11 @@ from xplain.data.dataset import Dataset
 from xplain.learning.fact_model.model import Answers, Prior
 from xplain.learning.fact_model.split_merge import merge_types
 
-KNOWING = 2
-"""The fact that four people hold wrong, as a bit."""
 
-
-@pytest.mark.parametrize("other", [0, 1])
-def test_who_says_nothing_of_a_type_joins_the_many(other: int) -> None:
-    """Whatever the numbers of the two types: smaller or larger than the other's."""
-    rows = [(o, 0, h, int(h & KNOWING > 0)) for o in range(1, 5) for h in range(4) for _ in "12"]
+@pytest.mark.parametrize(("many", "other"), [(2, 0), (2, 1), (1, 2)])
+def test_who_says_nothing_of_a_type_joins_the_many(many: int, other: int) -> None:
+    """Four hold the one fact of ``many`` wrong; whichever of the two types' numbers is larger."""
+    rows = [(o, 0, h, int(h & many > 0)) for o in range(1, 5) for h in range(4) for _ in "12"]
     rows += [(0, 1, 3, 1)]  # of all messages told, who holds what wrong is not seen
     observer, transition, message_set, label = map(np.array, zip(*rows, strict=True))
     dataset = Dataset(
@@ -31,8 +28,8 @@ def test_who_says_nothing_of_a_type_joins_the_many(other: int) -> None:
         label=label.astype(np.uint8),
     )
     answers, prior = Answers.of(dataset), Prior.of(2, 2)
-    facts = np.array([other, *[KNOWING] * 4])
+    facts = np.array([other, *[many] * 4])
     state = begun(answers, prior, facts, np.random.default_rng(0))
     assert merge_types(answers, prior, state, np.log(0.7) - 2 * np.log(2)) > 0
-    assert state.facts.tolist() == [KNOWING] * 5
+    assert state.facts.tolist() == [many] * 5
     assert (state.counts == counted(answers, prior, state)).all()
