@@ -1,0 +1,187 @@
+"""What each run does: commands in an empty folder, and what is kept of what they write."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.people.server_process import ROOT, free_port
+
+Kept = dict[str, Any]
+
+
+def xplain(folder: Path, *words: str) -> str:
+    """Standard output of a command."""
+    done = subprocess.run(
+        [sys.executable, "-m", "xplain", *words],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, f"{words}: {done.stderr}"
+    return done.stdout
+
+
+SMALL = ("traces=3", "certify.traces=1", "certify.episodes=10", "tracking=none")
+SOLVERS = ("qmdp", "pomcp", "certified", "qhr")
+
+
+def explanations(folder: Path, domain: str) -> Kept:
+    """Four solvers explain the same traces of one domain."""
+    return jobs(folder, f"domain={domain}", f"solver={','.join(SOLVERS)}", *SMALL)
+
+
+def paper(folder: Path) -> Kept:
+    """A sweep as the paper has it: its learner, its baselines, two λ."""
+    learner = ("clusterer=kmeans", "labeler=tree", "queries=shared", "domain=four_rooms")
+    solvers = "solver=baseline,conformant,lookahead,pomcp_paper"
+    return jobs(folder, *learner, solvers, "lambda=0.5,2", "belief=persistent", *SMALL)
+
+
+def jobs(folder: Path, *words: str) -> Kept:
+    """What a sweep's jobs decided and what it cost."""
+    xplain(folder, "-m", *words)
+    kept = {}
+    for path in sorted(folder.glob("outputs/sweeps/**/results.json")):
+        results = json.loads(path.read_text(encoding="utf-8"))
+        lines = (path.parent / "episodes.jsonl").read_text(encoding="utf-8").splitlines()
+        name = f"{results['choices']['solver']} λ={results['config']['lambda']:g}"
+        kept[name] = {
+            "bounds": results["bounds"],
+            "learning": results["learning"],
+            "episodes": [episode(json.loads(line)) for line in lines],
+        }
+    return kept
+
+
+def episode(line: Kept) -> Kept:
+    """Decisions, beliefs and cost of one explanation."""
+    return {
+        "of": f"{line['solver']}, trace {line['trace']}, {line['type']}",
+        "cost": line["cost"],
+        "messages": [step["messages"] for step in line["steps"]],
+        "beliefs": [step["belief"] for step in line["steps"]],
+    }
+
+
+def discovery(folder: Path) -> Kept:
+    """Adaptive questions, answers of whom one in twenty is wrong, and the types found in them."""
+    asked = ("queries=adaptive", "points=20", "observers.label_noise=0.05")
+    xplain(folder, "observe", "domain=rescue", *asked, "output=labels.csv")
+    xplain(folder, "questions", "domain=rescue", "points=6", "save=hypotheses.npz")
+    known = ("hypotheses=hypotheses.npz", "labeler=hypotheses")
+    said = json.loads(xplain(folder, "discover", "data=labels.csv", *known).splitlines()[-1])
+    del said["seconds"]
+    return {
+        "labels": table(folder / "labels.csv"),
+        "questions": table(folder / "questions.csv"),
+        "found": said,
+        "types": numbers(folder / "outputs/discover/types.npz"),
+    }
+
+
+def numbers(path: Path) -> Kept:
+    """The numbers of an .npz file; of tables the means over message sets."""
+    with np.load(path, allow_pickle=False) as file:
+        read = {name: file[name] for name in file.files if file[name].dtype.kind in "iufb"}
+    return {name: (a.mean(axis=-1) if a.ndim > 1 else a).tolist() for name, a in read.items()}
+
+
+def collection(folder: Path) -> Kept:
+    """Simulated people over HTTP: what they were asked, and what was thought of them."""
+    out = served(folder, "collect", 5, "domain=rescue", "points=10")
+    return {"clips": table(out / "clips.csv"), "observers": table(out / "observers.csv")}
+
+
+def study(folder: Path) -> Kept:
+    """Simulated people over HTTP: what each was shown and told, and the beliefs."""
+    out = served(folder, "study", 10, "seed=0", "rules.per_cell=1", "points=300")
+    came = read(out / "participants.csv")
+    entered = came[0].index("entered")
+    order = {row[0]: i for i, row in enumerate(sorted(came[1:], key=lambda row: row[entered]))}
+    return {name: table(out / f"{name}.csv", order) for name in ("steps", "participants")}
+
+
+def served(folder: Path, command: str, people: int, *words: str) -> Path:
+    """The export of a server that simulated people visited, one after the other, and whose log
+    was replayed."""
+    port, log = free_port(), folder / "server.log"
+    started = [sys.executable, "-m", "xplain", command, f"port={port}", "database=d.sqlite"]
+    with log.open("w", encoding="utf-8") as said:
+        server = subprocess.Popen(
+            [*started, *words, "server.requests_per_second=1000", "server.burst=1000"],
+            cwd=folder,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            stdout=said,
+            stderr=said,
+        )
+    try:
+        key = None
+        while key is None:
+            assert server.poll() is None, log.read_text(encoding="utf-8")
+            time.sleep(0.2)
+            key = re.search(r"key (\w+)", log.read_text(encoding="utf-8"))
+        where = ("--url", f"http://127.0.0.1:{port}", "--key", key[1], "--save", "out.zip")
+        xplain(folder, command, "bots", *where, "--count", str(people), "--at-once", "1")
+    finally:
+        server.terminate()
+        server.wait(timeout=30)
+    xplain(folder, command, "replay", "d.sqlite")
+    with zipfile.ZipFile(folder / "out.zip") as archive:
+        archive.extractall(folder)
+    return folder / "study"
+
+
+CHANCE = re.compile(r"(^|_)(s|seconds|time|entered|seen|hash|code)$")
+"""Columns that no two runs share, or that hang on texts: times, codes, hashes."""
+
+
+def read(path: Path) -> list[list[str]]:
+    """A CSV file's head and rows."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.reader(file))
+
+
+def table(path: Path, order: Mapping[str, int] | None = None) -> list[list[Any]]:
+    """A CSV file's head and rows, without what no two runs share. Cells that hold lists (beliefs,
+    values) are read.
+
+    Args:
+        path: of the file.
+        order: in which people came, by their names, which are drawn; None: as they stand there.
+    """
+    head, *rows = read(path)
+    kept = [i for i, name in enumerate(head) if not CHANCE.search(name)]
+    if head[0] in ("observer", "participant"):
+        order = order or {name: i for i, name in enumerate(dict.fromkeys(row[0] for row in rows))}
+        rows.sort(key=lambda row: order[row[0]])
+        rows = [[f"person {order[row[0]]}", *row[1:]] for row in rows]
+    return [[read_cell(row[i]) for i in kept] for row in (head, *rows)]
+
+
+def read_cell(cell: str) -> Any:
+    """Lists and mappings of JSON; all else is text."""
+    return json.loads(cell) if cell[:1] in ("[", "{") else cell
+
+
+RUNS: dict[str, Callable[[Path], Kept]] = {
+    "rescue": lambda folder: explanations(folder, "rescue"),
+    "four_rooms": lambda folder: explanations(folder, "four_rooms"),
+    "paper": paper,
+    "discovery": discovery,
+    "collection": collection,
+    "study": study,
+}

@@ -1,0 +1,56 @@
+"""The runs that are kept as data come out as they are kept."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.fixed.commands import RUNS
+
+
+def differences(kept: Any, now: Any, where: str = "") -> list[str]:
+    """Where two results differ: text and whole numbers at all, other numbers by more than 1e-9."""
+    if isinstance(kept, dict) and isinstance(now, dict) and kept.keys() == now.keys():
+        pairs = [(f"{where}/{key}", kept[key], now[key]) for key in kept]
+    elif isinstance(kept, list) and isinstance(now, list) and len(kept) == len(now):
+        pairs = [(f"{where}[{i}]", *both) for i, both in enumerate(zip(kept, now, strict=True))]
+    else:
+        return [] if alike(kept, now) else [f"{where}: {kept!r} was kept, now {now!r}"]
+    return [line for at, a, b in pairs for line in differences(a, b, at)]
+
+
+def alike(kept: Any, now: Any) -> bool:
+    """Equal, or numbers (also written as text in a table) within 1e-9."""
+    if kept == now:
+        return True
+    try:
+        return math.isclose(float(kept), float(now), rel_tol=1e-9, abs_tol=1e-9)
+    except (TypeError, ValueError):
+        return False
+
+
+LONG = ("rescue", "paper")
+"""A minute and more each."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in RUNS]
+)
+def test_a_run_comes_out_as_it_is_kept(name: str, tmp_path: Path) -> None:
+    kept = json.loads(Path(__file__).with_name(f"{name}.json").read_text(encoding="utf-8"))
+    found = differences(kept, json.loads(json.dumps(RUNS[name](tmp_path))))
+    assert not found, f"{len(found)} values differ: " + "; ".join(found[:5])
+
+
+def test_differences_are_seen() -> None:
+    kept = {"cost": 2.5, "messages": [["fire"], []], "rows": [["a", "0.25"]]}
+    assert not differences(kept, {**kept, "cost": 2.5 + 1e-12})
+    assert differences(kept, {**kept, "cost": 2.5001})
+    assert differences(kept, {**kept, "messages": [[], ["fire"]]})
+    assert differences(kept, {**kept, "rows": [["a", "0.250001"]]})
+    assert differences(kept, {**kept, "rows": [["a"]]})
+    assert differences(kept, {"cost": 2.5})
