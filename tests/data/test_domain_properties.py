@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from xplain.data.domain_properties import (
     problems,
     share_through,
 )
+from xplain.domains.mdp import MDP
 from xplain.domains.rescue_maps import random_map
 from xplain.randomness import stream
 from xplain.users.setting import Setting, UserType
@@ -100,6 +103,23 @@ def test_traces_are_counted_as_if_one_by_one(choice: str, max_length: int) -> No
         pytest.importorskip("gymnasium")
     setting = setting_of(f"domain={choice}")
     assert count_traces(setting, max_length) == len(enumerated(setting, max_length))
+
+
+@pytest.mark.parametrize("starts", [[0], [0, 1], [0, 0, 1]])
+def test_any_number_of_traces_is_counted(starts: list[int]) -> None:
+    """Four ways at each of 40 steps: more than a machine word holds; each start once."""
+    model = MDP(
+        np.ones((2, 4, 1), dtype=np.int64),
+        np.ones((2, 4, 1)),
+        np.zeros((2, 4, 1)),
+        0.9,
+        np.zeros(2, dtype=bool),
+    )
+    domain = SimpleNamespace(starts=np.array(starts))
+    setting: Any = SimpleNamespace(
+        models=[model], optimal=np.ones((1, 2, 4), dtype=bool), domain=domain
+    )
+    assert count_traces(setting, 40) == len(set(starts)) * 4**40
 
 
 def test_traces_are_the_robots_own() -> None:

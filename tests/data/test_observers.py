@@ -2,10 +2,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.users.corridor import Corridor
-from xplain.data.label_table import write_table
+from xplain.data.label_file import write_table
 from xplain.data.observers import FileObservers, SimulatedObservers
 from xplain.data.queries import Answer, Answered, Independent, Queries, Shared
 from xplain.domains.base import transition_feature_names, transition_features
@@ -109,6 +110,17 @@ def test_unequal_observers(setting: Setting) -> None:
     assert len(set(sizes.tolist())) > 1
 
 
+def test_each_number_of_labels_is_drawn_as_often(setting: Setting) -> None:
+    """Both ends among them; and observers come in the order of their names, however many."""
+    dataset, truth = labelled(setting, per_type=150, points=[3, 5])
+    share = np.bincount(np.bincount(dataset.observer), minlength=6)[3:] / len(truth)
+    assert share == pytest.approx(np.full(3, 1 / 3), abs=5 * (2 / 9 / 300) ** 0.5)
+    assert sorted(dataset.observers) == list(dataset.observers)
+    assert len(set(dataset.observers)) == len(truth)
+    same, _ = labelled(setting, points=[4, 4])
+    assert set(np.bincount(same.observer)) == {4}
+
+
 def test_seeds(setting: Setting) -> None:
     simulated = SimulatedObservers(points=30)
     first, again, other = (simulated.collect(setting, Shared(), seed)[0] for seed in (1, 1, 2))
@@ -150,3 +162,34 @@ def test_a_file_takes_their_place(setting: Setting, tmp_path: Path) -> None:
     shown, expected = again.features[again.transition], dataset.features[dataset.transition]
     assert (shown == expected).all()
     assert (again.label == dataset.label).all()
+
+
+def test_a_file_may_hold_more_than_the_domain_asks_for(setting: Setting, tmp_path: Path) -> None:
+    dataset, _ = labelled(setting, Independent())
+    path = tmp_path / "people.csv"
+    write_table(dataset, path)
+    pd.read_csv(path).assign(age=30.0).to_csv(path, index=False)
+    names = transition_feature_names(setting.domain)
+    columns = list(dict.fromkeys(name.split("=")[0] for name in names))
+    for options in ({"ignore": ("age",)}, {"features": columns}):
+        again, _ = FileObservers(str(path), **options).collect(setting, Shared(), 0)  # type: ignore[arg-type]
+        assert again.feature_names == names
+        assert (again.label == dataset.label).all()
+    with pytest.raises(InputError, match="age") as caught:
+        FileObservers(str(path)).collect(setting, Shared(), 0)
+    assert caught.value.key == "observers.path"
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "said"), [("label", 2, "0 or 1"), ("messages", "wind", "unknown message")]
+)
+def test_a_file_that_does_not_fit_is_named(
+    setting: Setting, tmp_path: Path, column: str, value: object, said: str
+) -> None:
+    dataset, _ = labelled(setting)
+    path = tmp_path / "people.csv"
+    write_table(dataset, path)
+    pd.read_csv(path).assign(**{column: value}).to_csv(path, index=False)
+    with pytest.raises(InputError, match=said) as caught:
+        FileObservers(str(path)).collect(setting, Shared(), 0)
+    assert caught.value.key == "observers.path"

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tests.users.corridor import Corridor
 from xplain.data.queries import Answered, Independent, Queries, RandomTraces, Shared
+from xplain.domains.warehouse import Warehouse
 from xplain.errors import InputError
 from xplain.users.setting import Setting, UserType
 
@@ -53,6 +54,17 @@ def test_messages_are_given_one_by_one(design: type[RandomTraces]) -> None:
 def test_message_probability_at_its_limits(probability: float, told: int) -> None:
     (one,) = asked(Independent(message_probability=probability), [40])
     assert (one.message_sets == told).all()
+
+
+def test_forty_messages_are_given_as_well_as_two() -> None:
+    warehouse = Warehouse(40)
+    wrong = warehouse.parameters[0]
+    setting = Setting.build(warehouse, (UserType("A", {wrong.name: wrong.inaccurate}),))
+    (one,) = asked(Independent(message_probability=1.0), [5], setting)
+    assert one.message_sets.tolist() == [(1 << 40) - 1] * 5
+    (one,) = asked(Independent(trace_length=1), [400], setting)
+    share = (one.message_sets[:, None] >> np.arange(40) & 1).mean(axis=0)
+    assert (abs(share - 0.5) < 5 * (0.25 / 400) ** 0.5).all()
 
 
 def test_shared_questions_are_shared_and_independent_ones_are_not() -> None:

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.explanation.belief import Independent, Persistent
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 
 
@@ -28,7 +29,7 @@ def interactions(draw):
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     types, steps, n = rng.integers(1, 4), rng.integers(1, 6), rng.integers(0, 4)
     problem = Problem(
-        p_explicable=rng.uniform(0.02, 0.98, (types, steps, 1 << n)),
+        table=rng.uniform(0.02, 0.98, (types, steps, 1 << n)),
         message_cost=rng.uniform(0, 2, n),
         inexplicability_cost=float(rng.uniform(0, 2)),
         trade_off=float(rng.uniform(0, 3)),
@@ -43,7 +44,7 @@ def interactions(draw):
 @settings(max_examples=60, deadline=None)
 def test_cost_is_definition_2(interaction):
     problem, table, script = interaction
-    episode = explain(problem, Scripted(script), SimulatedUser(table), Independent())
+    episode = explain(problem, Scripted(script), SimulatedUser.of(table), Independent())
     total = 0.0
     zeros = 0
     given_so_far: set[int] = set()
@@ -71,7 +72,7 @@ def test_cost_is_definition_2(interaction):
 @settings(max_examples=40, deadline=None)
 def test_beliefs_are_bayes_over_all_labels_given(interaction):
     problem, table, script = interaction
-    episode = explain(problem, Scripted(script), SimulatedUser(table), Independent())
+    episode = explain(problem, Scripted(script), SimulatedUser.of(table), Independent())
     weight = problem.prior.copy()
     mask = 0
     for k in range(problem.n_steps):
@@ -86,7 +87,7 @@ def test_beliefs_are_bayes_over_all_labels_given(interaction):
 @settings(max_examples=40, deadline=None)
 def test_persistent_belief_counts_each_label_of_a_message_set_once(interaction):
     problem, table, script = interaction
-    episode = explain(problem, Scripted(script), SimulatedUser(table), Persistent())
+    episode = explain(problem, Scripted(script), SimulatedUser.of(table), Persistent())
     weight = problem.prior.copy()
     seen: set[tuple[int, int]] = set()
     mask = 0
@@ -111,4 +112,17 @@ class Careless(Scripted):
 def test_a_policy_that_repeats_or_invents_messages_is_caught(script):
     problem = Problem(np.full((1, 2, 4), 0.5), np.ones(2))
     with pytest.raises(ValueError, match="policy gave message set"):
-        explain(problem, Careless(script), SimulatedUser(np.ones((2, 4), np.uint8)), Independent())
+        explain(problem, Careless(script), SimulatedUser.of(np.ones((2, 4))), Independent())
+
+
+@given(interactions())
+@settings(max_examples=20, deadline=None)
+def test_a_user_answers_alike_whatever_messages_the_table_is_over(interaction):
+    problem, table, script = interaction
+    whole = LabelTable.dense(table[None])
+    one, other = (
+        explain(problem, Scripted(script), SimulatedUser(labels), Independent())
+        for labels in (whole, whole.over(whole.effective()))
+    )
+    assert np.array_equal(one.labels, other.labels)
+    assert one.cost == other.cost

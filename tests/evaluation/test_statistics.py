@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from xplain.evaluation.statistics import clustered_mean, clustered_ratio
+from xplain.evaluation.statistics import clustered_mean, clustered_ratio, clustered_share
 
 
 @given(st.lists(st.floats(-100, 100), min_size=2, max_size=30))
@@ -81,3 +81,36 @@ def test_ratios_cover_as_often_as_they_say_and_are_never_negative():
     rare = clustered_ratio([0, 0, 0, 9], [1, 1, 1, 1], range(4))
     assert rare.low == 0
     assert np.isnan(clustered_ratio([1, 2], [1, 1], [0, 0]).low)
+
+
+@pytest.mark.parametrize(
+    ("right", "of", "copies"), [(0, 10, 1), (10, 10, 3), (3, 40, 1), (3, 9, 4)]
+)
+def test_cases_that_agree_within_clusters_are_wilsons_cases_one_a_cluster(right, of, copies):
+    known = stats.binomtest(right, of).proportion_ci(method="wilson")
+    cases = np.repeat(np.arange(of) < right, copies)
+    found = clustered_share(cases, np.repeat(range(of), copies))
+    assert (found.low, found.high) == pytest.approx((known.low, known.high))
+    assert 0 <= found.low <= found.mean <= found.high <= 1
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.8])
+@pytest.mark.parametrize("alike", [0.01, 0.5, 0.9])
+def test_intervals_of_shares_cover_however_alike_the_cases_of_a_cluster_are(share, alike):
+    """Three nested cases a seed, of a correlation ``alike`` (beta-binomial)."""
+    rng, rounds, seeds = np.random.default_rng(7), 1500, 10
+    sizes = share * (1 / alike - 1), (1 - share) * (1 / alike - 1)
+    covered = 0
+    for chance in rng.beta(*sizes, size=(rounds, seeds)):
+        cases = rng.random((seeds, 3)) < chance[:, None]
+        found = clustered_share(cases.ravel(), np.repeat(range(seeds), 3))
+        covered += found.low <= share <= found.high
+    # Ten clusters: nowhere below 92 %. Taken for thirty cases, those alike cover 75 %.
+    assert covered / rounds > 0.92
+
+
+def test_a_share_that_seeds_agree_on_by_chance_is_not_certain():
+    found = clustered_share([True, False, True, True, True, False], [0, 0, 0, 1, 1, 1])
+    assert found.mean == pytest.approx(2 / 3)
+    assert found.low < 0.5 < 0.9 < found.high
+    assert np.isnan(clustered_share([True, False], [4, 4]).low)

@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.strategies import composite
 
-from xplain.explanation.by_type import ByType
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 
 
@@ -43,7 +43,7 @@ def pair_of_problems(rng: np.random.Generator, types: int, steps: int, n: int) -
         "prior": rng.dirichlet(np.ones(types)),
         "discount_per": "action" if rng.random() < 0.7 else "step",
     }
-    return Problem.of_types(ByType(relevant, p), **rest), Problem(dense, **rest)
+    return Problem(LabelTable.by_type(relevant, p), **rest), Problem(dense, **rest)
 
 
 @composite
@@ -57,4 +57,5 @@ def pairs(draw: st.DrawFn, types: int = 3, steps: int = 3, messages: int = 5) ->
 def plain(problem: Problem) -> dict[str, Any]:
     """Every field, arrays as lists."""
     values = {field.name: getattr(problem, field.name) for field in fields(problem)}
+    values |= {"relevant": problem.table.relevant, "table": problem.table.p}
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}

@@ -10,14 +10,17 @@ import numpy as np
 import pytest
 
 from xplain.errors import InputError
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
+
+HALF = np.full((1, 1, 2), 0.5)
 
 
 def unusual() -> Problem:
     """No field has its default."""
     rng = np.random.default_rng(0)
     return Problem(
-        p_explicable=rng.random((2, 3, 4)),
+        table=rng.random((2, 3, 4)),
         message_cost=np.array([0.5, 3.0]),
         inexplicability_cost=2.5,
         trade_off=0.7,
@@ -32,6 +35,7 @@ def unusual() -> Problem:
 def plain(problem: Problem) -> dict[str, Any]:
     """Every field, arrays as lists."""
     values = {field.name: getattr(problem, field.name) for field in fields(problem)}
+    values |= {"relevant": problem.table.relevant, "table": problem.table.p}
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
 
 
@@ -39,8 +43,6 @@ def test_every_field_comes_back_from_a_file(tmp_path: Path) -> None:
     problem = unusual()
     default = Problem(problem.p_explicable, np.ones(2))
     for field in fields(problem):
-        if field.name in ("relevant", "p_relevant"):  # in the place of the table, not beside it
-            continue
         if field.default is not MISSING or field.default_factory is not MISSING:
             assert plain(problem)[field.name] != plain(default)[field.name], field.name
     problem.save(tmp_path / "problem.npz")
@@ -51,7 +53,9 @@ def test_a_file_may_hold_tables_and_costs_alone(tmp_path: Path) -> None:
     problem = unusual()
     arrays = {"p_explicable": problem.p_explicable, "message_cost": problem.message_cost}
     np.savez(tmp_path / "problem.npz", **arrays)
-    assert plain(Problem.load(tmp_path / "problem.npz")) == plain(Problem(**arrays))
+    assert plain(Problem.load(tmp_path / "problem.npz")) == plain(
+        Problem(problem.p_explicable, problem.message_cost)
+    )
 
 
 def test_what_is_left_out_is_as_documented() -> None:
@@ -62,10 +66,108 @@ def test_what_is_left_out_is_as_documented() -> None:
     assert (len(problem.type_names), len(problem.message_names)) == (4, 1)
 
 
+def test_a_large_table_that_no_form_by_type_makes_smaller_stays_dense(tmp_path: Path) -> None:
+    """Thirteen messages, all of which matter to a type."""
+    problem = Problem(np.random.default_rng(1).random((2, 1, 1 << 13)), np.ones(13))
+    problem.save(tmp_path / "problem.npz")
+    with np.load(tmp_path / "problem.npz") as file:
+        assert "p_explicable" in file
+    assert plain(Problem.load(tmp_path / "problem.npz")) == plain(problem)
+
+
+def test_twenty_messages_are_the_most_of_a_dense_table() -> None:
+    assert Problem(np.full((1, 1, 1 << 20), 0.5), np.ones(20)).n_messages == 20
+    with pytest.raises(InputError, match=r"at most 2\*\*20"):
+        Problem(np.full((1, 1, 1 << 21), 0.5), np.ones(21))
+
+
+def test_62_messages_are_the_most_by_type() -> None:
+    table = LabelTable.by_type([[0]], HALF)
+    assert Problem(table, np.ones(62)).n_messages == 62
+    with pytest.raises(InputError, match="at most 62"):
+        Problem(table, np.ones(63))
+    # One cost for all, where names say how many there are.
+    named = Problem(table, np.array(2.0), message_names=("a", "b", "c"))
+    assert named.message_cost.tolist() == [2, 2, 2]
+
+
+def test_nobody_changes_a_problem_by_its_arrays() -> None:
+    problem = unusual()
+    for array in (problem.p_explicable, problem.message_cost):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+    cost, prior = np.ones(2), np.array([0.5, 0.5])
+    made = Problem(problem.p_explicable, cost, prior=prior)
+    cost[0] = prior[0] = 9
+    assert (made.message_cost[0], made.prior[0]) == (1, 0.5)
+
+
+@pytest.mark.parametrize("types", [3, 7, 10, 49])
+def test_a_mixture_of_the_sure_is_sure(types: int) -> None:
+    """Weights that sum to 1 but for rounding make no probability above 1."""
+    weights = np.full(types, 1 / types) * (1 + 4e-16)
+    problem = Problem(np.ones((types, 2, 2)), np.ones(1))
+    relevant = np.arange(types)[:, None] % 2  # not all look at the same message
+    by_type = Problem(LabelTable.by_type(relevant, np.ones((types, 2, 2))), np.ones(2))
+    for each in (problem, by_type):
+        mixed = each.mixture(weights).p_explicable
+        assert mixed == pytest.approx(np.ones(mixed.shape))
+
+
+def test_a_mixture_and_a_pessimist_by_hand() -> None:
+    p = np.array([[[0.2, 0.9]], [[0.6, 0.5]]])
+    problem = Problem(p, np.ones(1), prior=np.array([0.25, 0.75]))
+    mixed, worst = problem.mixture(problem.prior), problem.pessimistic()
+    assert mixed.p_explicable.tolist() == [[pytest.approx([0.5, 0.6])]]
+    assert worst.p_explicable.tolist() == [[[0.2, 0.5]]]
+    assert (mixed.prior.tolist(), worst.n_types) == ([1], 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("lacks", {"p_explicable": HALF}, "lacks message_cost"),
+        ("half", {"message_cost": np.ones(1), "relevant": np.array([[0]])}, "lacks p_relevant"),
+        (
+            "more",
+            {
+                "p_explicable": np.full((1, 1, 2), 0.5),
+                "message_cost": np.ones(1),
+                "why": np.ones(1),
+            },
+            "problem='why': unknown array",
+        ),
+        (
+            "pickled",
+            {"p_explicable": np.array([None]), "message_cost": np.ones(1)},
+            "not a readable",
+        ),
+        ("one.npy", np.ones(3), "not a readable .npz"),
+        ("text", b"hello", "not a readable .npz"),
+        ("absent", None, "No such file"),
+    ],
+)
+def test_a_file_of_anything_else_is_refused_in_a_line(
+    tmp_path: Path, name: str, content: Any, said: str
+) -> None:
+    path = tmp_path / name
+    if isinstance(content, dict):
+        with path.open("wb") as file:
+            np.savez(file, **content)
+    elif isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content is not None:
+        np.save(path, content)
+    with pytest.raises(InputError, match=said) as caught:
+        Problem.load(path)
+    assert "\n" not in str(caught.value)
+
+
 def test_other_types_keep_the_costs_and_are_equally_likely() -> None:
     problem = unusual()
-    other = problem.with_types(np.full((4, 3, 4), 0.25), ("a", "b", "c", "d"))
-    changed = {"p_explicable", "prior", "type_names"}
+    table = LabelTable.dense(np.full((4, 3, 4), 0.25))
+    other = problem.with_types(table, ("a", "b", "c", "d"))
+    changed = {"table", "relevant", "prior", "type_names"}
     assert {k: v for k, v in plain(other).items() if k not in changed} == {
         k: v for k, v in plain(problem).items() if k not in changed
     }
@@ -92,6 +194,10 @@ def test_a_prior_is_a_distribution_to_the_last_bit_however_often_it_is_handed_on
         ("message_cost", np.array([1.0, -1.0])),
         ("message_cost", np.ones(3)),
         ("prior", np.array([0.5, 0.4])),
+        ("prior", np.array([0.5, 0.5 + 1e-5])),
+        ("prior", np.array([0.5, np.nan])),
+        ("message_cost", np.array([1.0, np.inf])),
+        ("inexplicability_cost", np.array([1.0, 1.0])),
         ("prior", np.array([1.5, -0.5])),
         ("prior", np.ones(1)),
         ("inexplicability_cost", -1.0),
@@ -105,7 +211,8 @@ def test_a_prior_is_a_distribution_to_the_last_bit_however_often_it_is_handed_on
 )
 def test_a_bad_field_is_named(key: str, value: Any) -> None:
     given = {field.name: getattr(unusual(), field.name) for field in fields(Problem)}
+    given["table"] = unusual().p_explicable
     with pytest.raises(InputError) as caught:
-        Problem(**given | {"trade_off" if key == "lambda" else key: value})
+        Problem(**given | {{"lambda": "trade_off", "p_explicable": "table"}.get(key, key): value})
     assert caught.value.key == key
     assert "\n" not in str(caught.value)

@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,11 +9,12 @@ from sklearn.metrics import adjusted_rand_score
 from tests.learning.conftest import made
 from xplain.data.dataset import Dataset, query_index
 from xplain.errors import InputError
+from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.learning.clustering import Clusterer, Clustering, Perfect, Single
 from xplain.learning.disagreements import disagreements
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.paper_clusterer import Agglomerative, Elbow, KMeans, Partition
-from xplain.learning.user_types import AskedOnce, UserTypes, learn_types, p_explicable
+from xplain.learning.user_types import AskedOnce, UserTypes, label_table, learn_types
 
 
 class ClustererSuite:
@@ -135,7 +136,7 @@ def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> No
     for t, labeler in enumerate(types.labelers):
         own = dataset.of(np.flatnonzero(truth == t))
         assert labeler.n_train + labeler.n_test == len(np.unique(query_index(own)))
-    table = p_explicable(types.labelers, dataset.features, dataset.n_messages)
+    table = label_table(types.labelers, dataset.features).array(dataset.n_messages)
     assert table.shape == (2, len(dataset.features), 16)
     # The last type needs message 2 at transition 2, whatever else is said.
     assert (table[1, 2] > 0.5).tolist() == [bool(h & 4) for h in range(16)]
@@ -143,6 +144,56 @@ def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> No
         dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0, prior="uniform"
     )
     assert uniform.prior == pytest.approx([0.5, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
+        ({"prior": "guess"}, "prior"),
+        ({"none_of_these": float("nan")}, "none_of_these"),
+        ({"none_of_these": -0.5}, "none_of_these"),
+    ],
+)
+def test_a_prior_of_another_kind_is_refused(
+    rng: np.random.Generator, options: dict[str, Any], key: str
+) -> None:
+    dataset, truth = made(rng, [[0], [1]], per_type=1)
+    with pytest.raises(InputError, match=key):
+        learn_types(dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0, **options)
+
+
+def test_who_is_like_none_weighs_as_one_type_where_types_are_equally_likely(
+    rng: np.random.Generator,
+) -> None:
+    dataset, _ = made(rng, [[0], [1]], per_type=2)
+    given = Clustering(np.array([0, 0, 0, 1]), "test", "given")
+    types = learn_types(dataset, given, LabelerTrainer(), 0, prior="uniform", none_of_these=0.5)
+    assert types.prior == pytest.approx([0.4, 0.4, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: Elbow(KMeans(), few=1.0), "few"),
+        (lambda: Elbow(KMeans(), few=-0.1), "few"),
+        (lambda: Elbow(KMeans(), max_types=0), "max_types"),
+        (lambda: KMeans(starts=0), "starts"),
+        (lambda: Agglomerative("ward"), "linkage"),
+    ],
+)
+def test_bad_values_are_named(make: Any, key: str) -> None:
+    with pytest.raises(InputError, match=rf"clusterer\.(partition\.)?{key}="):
+        make()
+
+
+@pytest.mark.parametrize("most", [1, 2, 4, 9])
+def test_no_more_types_are_tried_than_allowed(rng: np.random.Generator, most: int) -> None:
+    """Of eight observers with many different vectors."""
+    dataset, _ = made(rng, [[0], [1], [2], [0, 3]], per_type=2, size=40, noise=0.3)
+    found = Elbow(KMeans(), max_types=most).cluster(dataset, LabelerTrainer(), 0, None)
+    assert found.curve is not None
+    assert len(found.curve) == min(most, 8)
+    assert found.n_types <= most
 
 
 def test_known_labelers_are_not_fitted_again(rng: np.random.Generator) -> None:
@@ -180,11 +231,54 @@ def test_labelers_are_asked_once_of_each_transition(
     for rows in ([0, 1, 0], [1, 2], [2, 0]):
         features, transitions = dataset.features[rows], np.zeros((len(rows), 3), np.int64)
         both = types.labelers[::-1]
-        found = once.p_explicable(both, features, n, transitions)
-        assert np.array_equal(found, p_explicable(both, features, n))
+        found = once.label_table(both, features, transitions).array(n)
+        assert np.array_equal(found, label_table(both, features).array(n))
     assert len(np.unique(dataset.features[:3], axis=0)) == 3
     # Two labelers: three transitions once through the memory, every row without it.
     assert sum(asked) == 2 * 3 + 2 * 7
+
+
+@dataclass(frozen=True)
+class ByTransition:
+    """A labeler whose table depends on the transition itself, and on ``own``. It looks at the
+    first two messages."""
+
+    own: float
+    n_messages: int
+
+    def entries(
+        self, features: NDArray[np.float64], transitions: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """[T, 4]"""
+        score = features.sum(axis=1) + transitions @ [3.0, 5.0, 7.0] + self.own
+        return np.asarray(np.cos(score[:, None] + np.arange(4)) ** 2)
+
+    def table(self, features: NDArray[np.float64], transitions: NDArray[np.int64]) -> LabelTable:
+        both = LabelTable.by_type([[0, 1]], self.entries(features, transitions)[None])
+        n = self.n_messages
+        return both.over([range(n)]) if n <= DENSE else both
+
+
+@pytest.mark.parametrize("n", [2, DENSE, DENSE + 1])
+def test_transitions_that_share_their_features_are_told_apart_when_asked_once(n: int) -> None:
+    """Beside a labeler that knows features alone, and in batches that overlap."""
+    rng = np.random.default_rng(4)
+    dataset, _ = made(rng, [[0]], n=n)
+    labelers: Any = (ByTransition(0.1, n), LabelerTrainer().fit(dataset, 0), ByTransition(0.7, n))
+    features = np.repeat(dataset.features[:3], 4, axis=0)  # four transitions of each
+    transitions = rng.permutation(36).reshape(12, 3)
+    once = AskedOnce()
+    for rows in ([0, 1, 4, 1], [1, 2, 3, 5], [*range(12)], [11, 0, 7]):
+        known = features[rows], transitions[rows]
+        found, expected = once.label_table(labelers, *known), label_table(labelers, *known)
+        for given in (0, 1, 3, (1 << n) - 1):
+            one, other = (
+                table.label_probabilities(len(rows), given) for table in (found, expected)
+            )
+            assert np.array_equal(one, other)
+            for i in (0, 2):
+                truth = labelers[i].entries(features[rows], transitions[rows])
+                assert np.array_equal(one[i], truth[:, given % 4])
 
 
 def test_a_labeler_is_that_of_its_labels_however_clusters_are_numbered(
@@ -196,7 +290,7 @@ def test_a_labeler_is_that_of_its_labels_however_clusters_are_numbered(
 
     def tables(data: Dataset, assignment: NDArray[np.int64]) -> list[NDArray[np.float64]]:
         types = learn_types(data, Clustering(assignment, "test", "given"), trainer, 7)
-        return list(p_explicable(types.labelers, data.features, data.n_messages))
+        return list(label_table(types.labelers, data.features).array(data.n_messages))
 
     # Those of the last type come first, so that clusters are numbered the other way round.
     order = np.argsort(-truth, kind="stable")
@@ -207,7 +301,7 @@ def test_a_labeler_is_that_of_its_labels_however_clusters_are_numbered(
     for one, other in zip(found, reversed(tables(turned, truth[order])), strict=True):
         assert np.array_equal(one, other)
     assert np.array_equal(tables(dataset, np.minimum(truth, 1))[0], found[0])
-    everyone = trainer.fit(dataset, 7).table(dataset.features, dataset.n_messages)
+    everyone = trainer.fit(dataset, 7).table(dataset.features).array(dataset.n_messages)[0]
     assert np.array_equal(tables(dataset, truth * 0)[0], everyone)
 
 

@@ -9,9 +9,15 @@ import numpy as np
 
 from tests.domains.configs import domain_of
 from tests.learning.conftest import made
+from xplain.data.dataset import query_index
 from xplain.data.observers import SimulatedObservers
 from xplain.data.queries import Independent, Shared
-from xplain.learning.cross_validation import fresh_accuracy
+from xplain.learning.cross_validation import (
+    folds,
+    fresh_accuracy,
+    log_likelihood,
+    log_likelihoods,
+)
 from xplain.learning.labelers import LabelerTrainer
 from xplain.users.setting import Setting
 from xplain.users.types import RandomCover
@@ -63,3 +69,27 @@ def test_it_is_what_fresh_questions_show() -> None:
     error = np.std(gaps, axis=0, ddof=1) / len(gaps) ** 0.5
     assert held_out > 2 * error[0]
     assert abs(fresh_gap) < 2 * error[1]
+
+
+def test_who_gave_no_label_before_is_predicted_by_everybodys(rng: np.random.Generator) -> None:
+    """The second type's labels are all held out: nothing is known of it but what all say."""
+    dataset, truth = made(rng, [[0], [1]], per_type=1, size=300)
+    train, test = (dataset.of(np.array([o])) for o in range(2))
+    found = log_likelihoods(train, test, truth, LabelerTrainer(), 3)
+    everybody = LabelerTrainer().fit(train, 3)
+    assert np.array_equal(found, log_likelihood(everybody, test))
+    # Each label by the labeler of its own cluster, in the order of the labels.
+    both = log_likelihoods(dataset, dataset, truth, LabelerTrainer(), 3)
+    for o in range(2):
+        own = dataset.of(np.array([o]))
+        alone = log_likelihood(LabelerTrainer().fit(own, 3), own)
+        assert np.array_equal(both[dataset.observer == o], alone)
+
+
+def test_there_are_no_more_folds_than_questions(rng: np.random.Generator) -> None:
+    dataset, _ = made(rng, [[0]], size=5)
+    for few in (1, 3):
+        own = dataset.take(np.arange(few))
+        masks = list(folds(own, 9, 0))
+        assert (np.sum(masks, axis=0) == 1).all()
+        assert len(masks) == len(np.unique(query_index(own)))

@@ -13,7 +13,7 @@ from sklearn.metrics import adjusted_rand_score
 from tests.learning.conftest import made
 from xplain.data.dataset import Dataset, query_index
 from xplain.errors import InputError, TooLargeError
-from xplain.learning.clustering import Clusterer, Perfect, Single
+from xplain.learning.clustering import Clusterer, Clustering, Perfect, Single
 from xplain.learning.cross_validation import folds, held_out_log_likelihood
 from xplain.learning.em_mixture import Mixture
 from xplain.learning.fact_model.dirichlet import DirichletMixture
@@ -22,7 +22,7 @@ from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior
 from xplain.learning.fact_model.resample_transitions import WIDE
 from xplain.learning.fact_model.split_merge import MANY_OBSERVERS
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.user_types import base_rate, learn_types, p_explicable
+from xplain.learning.user_types import base_rate, label_table, learn_types
 
 TYPES = [[0, 1], [2], [1, 3]]
 
@@ -69,6 +69,21 @@ def test_the_process_bears_noise_unequal_observers_and_one_point() -> None:
     assert adjusted_rand_score(truth[1:], found.assignment[1:]) == 1
 
 
+@pytest.mark.parametrize("noise", [0.05, 0.1, 0.15])
+def test_noise_makes_no_types(noise: float) -> None:
+    """Whoever fits the errors as well finds a type an observer."""
+    for seed in range(3):
+        dataset, truth = made(np.random.default_rng(seed), TYPES, size=250, noise=noise)
+        found = DirichletMixture().cluster(dataset, LabelerTrainer(), seed, None)
+        assert adjusted_rand_score(truth, found.assignment) == 1
+
+
+def test_noise_makes_no_components() -> None:
+    dataset, _ = made(np.random.default_rng(0), TYPES, size=250, noise=0.1)
+    found = Mixture().cluster(dataset, LabelerTrainer(), 0, None)
+    assert found.n_types <= len(TYPES)
+
+
 def test_the_posterior_is_a_distribution_and_no_more_certain_than_the_data() -> None:
     dataset, _ = made(np.random.default_rng(5), TYPES, size=250)
     sure = DirichletMixture().cluster(dataset, LabelerTrainer(), 0, None).posterior
@@ -80,6 +95,37 @@ def test_the_posterior_is_a_distribution_and_no_more_certain_than_the_data() -> 
         assert sum(posterior.values()) == pytest.approx(1)
     assert sure[3] > 0.9
     assert max(unsure.values()) < sure[3]
+
+
+@pytest.mark.parametrize(("updates", "sweeps"), [(1, 20), (9 * 30, 30), (300_000, 40)])
+def test_large_data_get_fewer_sweeps_but_twenty(updates: int, sweeps: int) -> None:
+    """Of nine observers; half of the sweeps of each of three chains are samples."""
+    dataset, _ = made(np.random.default_rng(5), TYPES, size=12)
+    mixture = DirichletMixture(updates=updates, sweeps=40, chains=3)
+    posterior = mixture.cluster(dataset, LabelerTrainer(), 0, None).posterior
+    assert posterior is not None
+    samples = np.array([*posterior.values()]) * 3 * sweeps / 2
+    assert samples == pytest.approx(np.round(samples), abs=1e-6)
+    assert len(posterior) > 1  # else any number of samples would do
+
+
+@pytest.mark.parametrize("knows", [True, False])
+def test_a_trainer_with_hypotheses_finds_the_types_where_they_know_the_data(knows: bool) -> None:
+    dataset, truth = made(np.random.default_rng(6), TYPES, size=250)
+    theirs = Clustering(np.arange(9) % 2, "theirs", "hypotheses")
+    asked = []
+
+    class Knowing(LabelerTrainer):
+        def find_types(self, data: Dataset, concentration: float, seed: int) -> Clustering | None:
+            asked.append((data, concentration, seed))
+            return theirs if knows else None
+
+    found = DirichletMixture(concentration=0.3).cluster(dataset, Knowing(), 7, truth)
+    assert asked == [(dataset, 0.3, 7)]
+    if knows:
+        assert found is theirs
+    else:
+        assert adjusted_rand_score(truth, found.assignment) == 1
 
 
 def test_chains_in_threads_change_nothing() -> None:
@@ -119,13 +165,20 @@ def test_no_type_stays_split_among_many_observers(seed: int) -> None:
     assert adjusted_rand_score(truth, found.assignment) == 1
 
 
-@pytest.mark.parametrize("concentration", [0.3, 4.0])
-def test_many_observers_whose_answers_say_nothing_share_types_as_the_process_has_it(
-    concentration: float,
+@pytest.mark.parametrize(
+    ("observers", "concentration", "temperature"),
+    [
+        (MANY_OBSERVERS + 20, 0.3, 1.0),
+        (MANY_OBSERVERS + 20, 4.0, 1.0),
+        (12, 0.3, 1.0),
+        (12, 0.3, 1000.0),  # heated sweeps are not drawn from the prior, and count for nothing
+    ],
+)
+def test_observers_whose_answers_say_nothing_share_types_as_the_process_has_it(
+    observers: int, concentration: float, temperature: float
 ) -> None:
     """Told everything, nobody's label depends on the type: the sampler draws from the prior, an urn
     with α / 4 balls of each of the four fact sets."""
-    observers = MANY_OBSERVERS + 20
     everybody = np.arange(observers)
     dataset = Dataset(
         features=np.arange(24.0)[:, None],
@@ -140,7 +193,8 @@ def test_many_observers_whose_answers_say_nothing_share_types_as_the_process_has
     answers, prior = Answers.of(dataset), Prior.of(2, 2)
     first = np.zeros(observers, dtype=np.int64)
     rng = np.random.default_rng(1)
-    found = sample(answers, prior, concentration, first, 6000, 1.0, rng).types
+    found = sample(answers, prior, concentration, first, 6000, temperature, rng).types
+    assert len(found) == 3000
     step = np.arange(observers)
     not_one = np.log((step + 0.75 * concentration) / (step + concentration)).sum()
     batches = found.reshape(20, -1).mean(axis=1)
@@ -217,11 +271,11 @@ def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
     assert types.prior == pytest.approx([0.3, 0.3, 0.3, 0.1])
     heavy = learn_types(dataset, clustering, LabelerTrainer(), 0, none_of_these=3.0)
     assert heavy.prior == pytest.approx([0.25] * 4)
-    stranger = p_explicable(types.labelers, dataset.features, dataset.n_messages)[-1]
+    stranger = label_table(types.labelers, dataset.features).array(dataset.n_messages)[-1]
     assert np.ptp(stranger) == 0
     assert stranger[0, 0] == pytest.approx(dataset.label.mean(), abs=0.01)
     only = dataset.take(np.flatnonzero(dataset.label == 0))
-    assert base_rate(only).table(only.features, only.n_messages).max() < 0.1
+    assert base_rate(only).table(only.features).array(only.n_messages)[0].max() < 0.1
     with pytest.raises(InputError, match="none_of_these"):
         learn_types(dataset, clustering, LabelerTrainer(), 0, none_of_these=-1.0)
 

@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
+from sklearn.svm import LinearSVC
 from sklearn.tree import DecisionTreeClassifier
 
 from tests.learning.conftest import made
 from xplain.data.dataset import Dataset, inputs, query_index
 from xplain.errors import InputError, TooLargeError
-from xplain.explanation.by_type import ByType
 from xplain.learning.labelers import Labeler, LabelerTrainer, split
 
 
@@ -86,7 +86,7 @@ def test_labels_of_one_kind_give_a_constant_labeler(
     assert dataset.label.all()
     trainer = LabelerTrainer(classifier) if classifier else LabelerTrainer()
     labeler = trainer.fit(dataset, 0)
-    table = labeler.table(dataset.features, dataset.n_messages)
+    table = labeler.table(dataset.features).array(dataset.n_messages)[0]
     assert (table == labeler.confidence).all()
     assert 0.5 < labeler.confidence < 1
 
@@ -101,7 +101,7 @@ def test_one_point_alone_tells_nothing(rng: np.random.Generator) -> None:
 def test_same_seed_same_labeler(rng: np.random.Generator) -> None:
     dataset, _ = made(rng, [[0, 1]], noise=0.2)
     tables = [
-        LabelerTrainer().fit(dataset, seed).table(dataset.features, dataset.n_messages)
+        LabelerTrainer().fit(dataset, seed).table(dataset.features).array(dataset.n_messages)[0]
         for seed in (5, 5, 6)
     ]
     assert (tables[0] == tables[1]).all()
@@ -220,9 +220,11 @@ def test_leaves_of_a_fitted_tree_by_hand() -> None:
     tree = DecisionTreeClassifier().fit(x, label)
     labeler = Labeler(tree, 1, 0.7, 0.7, 10, 8, calibrated=True)
     # (1 + 2 · 0.3) / (4 + 2), and (5 + 2 · 0.7) / (6 + 2)
-    assert labeler.table(np.zeros((1, 1)), 1) == pytest.approx(np.array([[1.6 / 6, 6.4 / 8]]))
+    assert labeler.table(np.zeros((1, 1))).array(1)[0] == pytest.approx(
+        np.array([[1.6 / 6, 6.4 / 8]])
+    )
     plain = Labeler(tree, 1, 0.7, 0.7, 10, 8)
-    assert plain.table(np.zeros((1, 1)), 1) == pytest.approx(np.array([[0.3, 0.7]]))
+    assert plain.table(np.zeros((1, 1))).array(1)[0] == pytest.approx(np.array([[0.3, 0.7]]))
 
 
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 7))
@@ -231,9 +233,47 @@ def test_the_table_over_what_a_tree_looks_at_is_the_whole_table(seed: int, n: in
     dataset, _ = made(np.random.default_rng(seed), [[0]], size=60, n=n)
     labeler = LabelerTrainer().fit(dataset, seed)
     features = dataset.features[:3]
-    relevant, table = labeler.relevant_table(features)
-    by_type = ByType(relevant[None], table[None])
-    assert np.array_equal(by_type.over(range(n))[0], labeler.table(features, n))
+    whole = labeler.table(features)
+    assert whole.is_dense(n)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("xplain.learning.labelers.DENSE", 0)
+        some = labeler.table(features)
+    assert np.array_equal(some.array(n), whole.array(n))
+    assert set(whole.effective()[0]) <= set(some.rows[0])
+
+
+def test_twenty_messages_are_the_most_that_are_looked_at() -> None:
+    """A tree of one path a message, in a row."""
+    for count in (20, 21):
+        x = np.zeros((count + 1, 24), dtype=np.float32)
+        x[np.arange(count), 1 + np.arange(count)] = 1
+        tree = DecisionTreeClassifier(random_state=0).fit(x, np.arange(count + 1) < count)
+        labeler = Labeler(tree, 23, 0.9, 0.9, 1, 1)
+        if count == 20:
+            found = labeler.table(np.zeros((1, 1)))
+            assert found.rows == [list(range(20))]
+            assert not found.p[0, 0, 0] > 0.5
+            assert (found.p[0, 1:, 0] > 0.5).all()
+        else:
+            with pytest.raises(TooLargeError, match="21 of 23 messages"):
+                labeler.table(np.zeros((1, 1)))
+
+
+def test_a_table_of_any_classifier_is_asked_for_entry_by_entry(rng: np.random.Generator) -> None:
+    dataset, _ = made(rng, [[0, 1]])
+    labeler = LabelerTrainer(LogisticRegression(), confidence="leaf").fit(dataset, 0)
+    whole = labeler.table(dataset.features).array(4)[0]
+    every = np.arange(16)
+    for t, row in enumerate(dataset.features):
+        one_by_one = labeler.probability(np.tile(row, (16, 1)), every)
+        # A matrix product of other rows may round otherwise.
+        assert one_by_one == pytest.approx(whole[t], abs=1e-6)
+
+
+def test_shares_of_a_leaf_need_a_classifier_that_gives_them() -> None:
+    with pytest.raises(InputError, match="leaf needs predict_proba"):
+        LabelerTrainer(LinearSVC(), confidence="leaf")
+    LabelerTrainer(LinearSVC())
 
 
 def test_a_labeler_that_looks_at_too_many_messages_is_refused(rng: np.random.Generator) -> None:
@@ -242,8 +282,6 @@ def test_a_labeler_that_looks_at_too_many_messages_is_refused(rng: np.random.Gen
     x = inputs(features, masks, n)
     tree = DecisionTreeClassifier(random_state=0).fit(x, rng.integers(0, 2, 4000))
     with pytest.raises(TooLargeError, match="labeler=pruned"):
-        Labeler(tree, n, 0.9, 0.9, 1, 1).relevant_table(features[:1])
+        Labeler(tree, n, 0.9, 0.9, 1, 1).table(features[:1])
     with pytest.raises(TooLargeError, match="labeler=pruned"):
-        Labeler(LogisticRegression().fit(x, x[:, 1]), n, 0.9, 0.9, 1, 1).relevant_table(
-            features[:1]
-        )
+        Labeler(LogisticRegression().fit(x, x[:, 1]), n, 0.9, 0.9, 1, 1).table(features[:1])

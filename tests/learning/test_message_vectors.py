@@ -12,6 +12,7 @@ from sklearn.tree import DecisionTreeClassifier
 
 from tests.learning.conftest import made
 from xplain.data.dataset import inputs
+from xplain.errors import TooLargeError
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.message_vectors import minimal_message_set, minimal_message_sets
 from xplain.learning.tree_leaves import cubes
@@ -156,3 +157,30 @@ def test_observers_vectors_are_what_their_type_needs(rng: np.random.Generator) -
     dataset, truth = made(rng, [[0, 2], [1], []], size=400)
     needed = np.array([0b0101, 0b0010, 0])
     assert minimal_message_sets(dataset, LabelerTrainer(), 0).tolist() == needed[truth].tolist()
+
+
+def test_who_gave_no_label_needs_nothing(rng: np.random.Generator) -> None:
+    dataset, _ = made(rng, [[0], [1], [2]], per_type=1, size=200)
+    heard = dataset.take(np.flatnonzero(dataset.observer != 1))
+    assert minimal_message_sets(heard, LabelerTrainer(), 0).tolist() == [0b001, 0, 0b100]
+
+
+def test_a_search_that_would_ask_too_often_is_refused_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No set helps a rule that always says 0: sets of 0, 1, 2 … of six messages are asked about
+    at two transitions each, 1 + 6 + 15 sets."""
+    asked = []
+
+    class Never(AnyOf):
+        def predict(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
+            asked.append(len(x))
+            return np.zeros(len(x), dtype=np.int64)
+
+    never, features = Never(np.zeros(2, int), np.zeros(2, int)), np.arange(2.0)[:, None]
+    monkeypatch.setattr("xplain.learning.message_vectors.MAX_PREDICTIONS", 2 * 22)
+    with pytest.raises(TooLargeError, match="no set of 2 of 6 messages"):
+        minimal_message_set(never, features, 6)
+    assert sum(asked) <= 2 * 22
+    monkeypatch.setattr("xplain.learning.message_vectors.MAX_PREDICTIONS", 2 * 64)
+    assert minimal_message_set(never, features, 6) == 0

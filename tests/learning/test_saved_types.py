@@ -13,7 +13,7 @@ from sklearn.tree import DecisionTreeClassifier
 from xplain import Explainer, LearnedTypes
 from xplain.data.dataset import Dataset
 from xplain.data.encoding import encoded
-from xplain.data.label_table import read_table
+from xplain.data.label_file import read_table
 from xplain.errors import InputError
 from xplain.learning.clustering import Clustering
 from xplain.learning.labelers import LabelerTrainer
@@ -50,6 +50,11 @@ def learned(classifier, confidence="accuracy"):
 
 # Some processors' matrix products raise the flag of numbers that they read beyond the matrix.
 @pytest.mark.filterwarnings("ignore:invalid value encountered in matmul:RuntimeWarning")
+def array_of(types, rows):
+    """[N, T, 2^n] of rows of features."""
+    return types.label_table(rows).array(len(types.messages))
+
+
 @pytest.mark.parametrize("confidence", ["accuracy", "leaf"])
 @pytest.mark.parametrize(
     "classifier",
@@ -70,7 +75,7 @@ def test_what_was_saved_says_the_same(tmp_path, classifier, confidence):
     types.save(tmp_path / "types")
     again = LearnedTypes.load(tmp_path / "types", trusted)
     rows = np.vstack([data.features, np.random.default_rng(1).normal(0, 9, (50, 2))])
-    np.testing.assert_array_equal(types.p_explicable(rows), again.p_explicable(rows))
+    np.testing.assert_array_equal(array_of(types, rows), array_of(again, rows))
     sets = np.arange(len(rows)) % 8
     for before, after in zip(types.labelers, again.labelers, strict=True):
         for ask in ("predict", "probability"):
@@ -85,7 +90,7 @@ def test_what_was_saved_says_the_same(tmp_path, classifier, confidence):
     )
     again.save(tmp_path / "types")
     twice = LearnedTypes.load(tmp_path / "types", trusted)
-    np.testing.assert_array_equal(twice.p_explicable(rows), again.p_explicable(rows))
+    np.testing.assert_array_equal(array_of(twice, rows), array_of(again, rows))
 
 
 def test_an_explainer_tells_the_learned_types_apart():
@@ -94,7 +99,7 @@ def test_an_explainer_tells_the_learned_types_apart():
     session = Explainer(types, trade_off=1.0).session(rows)
     (said,) = session.messages()  # a or b: the types are equally likely
     session.observe([0])  # who needs it alone would have said 1: this user needs the other
-    told = types.p_explicable(rows[:1])[:, 0, {"a": 0b001, "b": 0b010}[said]]
+    told = array_of(types, rows[:1])[:, 0, {"a": 0b001, "b": 0b010}[said]]
     likelihood = 1 - told
     assert list(session.belief.values()) == pytest.approx(likelihood / likelihood.sum())
     assert session.belief[{"a": "type_1", "b": "type_0"}[said]] > 0.95
@@ -110,7 +115,8 @@ def test_a_tree_needs_no_scikit_learn_to_speak(tmp_path):
     code = (
         "import sys; sys.modules['sklearn'] = None\n"
         "from xplain import LearnedTypes\n"
-        f"print(LearnedTypes.load({str(tmp_path / 'types.npz')!r}).p_explicable([[3, 0]]).shape)"
+        f"types = LearnedTypes.load({str(tmp_path / 'types.npz')!r})\n"
+        "print(types.label_table([[3, 0]]).array(3).shape)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "(2, 1, 8)"
@@ -137,9 +143,7 @@ def test_a_class_that_nobody_vouched_for_is_not_built(tmp_path):
         LearnedTypes.load(tmp_path / "types.npz")
     name = f"{Mine.__module__}.Mine"
     again = LearnedTypes.load(tmp_path / "types.npz", trusted=[name])
-    np.testing.assert_array_equal(
-        again.p_explicable(data.features), types.p_explicable(data.features)
-    )
+    np.testing.assert_array_equal(array_of(again, data.features), array_of(types, data.features))
 
 
 def doctored(path, **changes):
@@ -240,5 +244,5 @@ def test_learned_types_encode_what_they_explain():
     types, data = learned(DecisionTreeClassifier())
     row = types.encode({"column": data.features[3, 1], "row": int(data.features[3, 0])})
     np.testing.assert_array_equal(
-        types.p_explicable([row]), types.p_explicable(data.features[3:4].tolist())
+        array_of(types, [row]), array_of(types, data.features[3:4].tolist())
     )

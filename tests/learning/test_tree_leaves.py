@@ -36,7 +36,7 @@ def test_table_holds_the_probability_of_every_message_set(
     dataset, _ = made(rng, [[0, 2]], noise=0.1)
     model = RandomForestClassifier(5) if forest else DecisionTreeClassifier(min_samples_leaf=2)
     labeler = LabelerTrainer(model, confidence=confidence).fit(dataset, 3)  # type: ignore[arg-type]
-    table = labeler.table(dataset.features, dataset.n_messages)
+    table = labeler.table(dataset.features).array(dataset.n_messages)[0]
     every = np.arange(1 << dataset.n_messages)
     for row, features in zip(table, dataset.features, strict=True):
         rows = np.tile(features, (len(every), 1))

@@ -98,7 +98,7 @@ def test_as_many_messages_as_masks_hold_are_searched(monkeypatch: pytest.MonkeyP
     wide = (random_problem(rng, max_steps=3, max_messages=2) for _ in range(200))
     problem = next(p for p in wide if _open(p))
     for most, searched in ((2, True), (1, False)):
-        monkeypatch.setattr("xplain.solvers.bounds.MAX_DENSE", most)
+        monkeypatch.setattr("xplain.solvers.bounds.MAX_RELEVANT", most)
         found = bounds(problem)
         assert (found.upper - found.lower <= 1e-3) == searched
         assert found.lower - 1e-9 <= reduced_optimal_value(problem) <= found.upper + 1e-9

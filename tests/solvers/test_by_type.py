@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import xplain.solvers.restriction as restriction
 from tests.explanation.by_type_problems import pairs
 from xplain.errors import TooLargeError
-from xplain.explanation.by_type import ByType
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
 from xplain.solvers.base import Solver
@@ -168,7 +168,7 @@ def warehouse(n: int = 60, types: int = 8, facts: int = 6, steps: int = 20) -> P
     sets = np.arange(1 << facts)
     lacking = ~sets[None, None, :, None] >> np.arange(facts) & 1
     wrong = (puzzles[:, :, None, :] & (lacking == 1)).any(axis=-1)
-    return Problem.of_types(ByType(relevant, np.where(wrong, 0.05, 0.95)), np.ones(n))
+    return Problem(LabelTable.by_type(relevant, np.where(wrong, 0.05, 0.95)), np.ones(n))
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_sixty_messages_are_planned_for() -> None:
     problem = warehouse()
     qmdp, pomcp = QMDP().plan(problem), POMCP(simulations=2000).plan(problem)
     sure = np.eye(problem.n_types)[2]
-    own = sum(1 << j for j in problem.relevant[2].tolist())
+    own = sum(1 << j for j in problem.table.relevant[2].tolist())
     known, estimated = qmdp.values(10, 0, sure), pomcp.values(10, 0, sure)
     assert len(known) == len(estimated) == 61
     assert all(value <= known[chosen] + 1e-9 for chosen, value in estimated.items())

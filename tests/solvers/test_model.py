@@ -62,7 +62,7 @@ def idle_problem(**changes: object) -> Problem:
     """Three messages; the middle one changes nothing."""
     rng = np.random.default_rng(3)
     p = rng.random((2, 4, 2, 1, 2)) * np.ones((1, 1, 1, 2, 1))
-    values: dict[str, object] = {"p_explicable": p.reshape(2, 4, 8), "message_cost": np.ones(3)}
+    values: dict[str, object] = {"table": p.reshape(2, 4, 8), "message_cost": np.ones(3)}
     return Problem(**(values | changes))  # type: ignore[arg-type]
 
 

@@ -23,7 +23,7 @@ def cost_of(solver: Solver, labels: np.ndarray) -> float:
     problem = Problem(
         np.full((1, 4, 4), 0.5), np.array([0.5, 3.0]), inexplicability_cost=2.0, trade_off=1.5
     )
-    user = SimulatedUser(labels)
+    user = SimulatedUser.of(labels)
     return explain(problem, solver.plan(problem), user, Independent()).cost
 
 

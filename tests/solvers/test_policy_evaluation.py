@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from itertools import product
 
@@ -11,12 +12,13 @@ from hypothesis import given, settings
 from numpy.typing import NDArray
 
 from tests.explanation.problems import tiny_problems
-from xplain.explanation.belief import update
+from xplain.explanation.belief import rounded, update
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
 from xplain.solvers.known_type import Conformant
 from xplain.solvers.policy_evaluation import evaluate, simulate
+from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
 
@@ -71,6 +73,38 @@ def test_exact_worth_is_the_enumerated_one(problem: Problem) -> None:
         assert worth.value == pytest.approx(value, abs=1e-8)
         assert worth.cost == pytest.approx(cost, abs=1e-8)
         assert worth.value <= reduced_optimal_value(problem) + 1e-8
+
+
+class Bytes:
+    """Decides by the bytes of the belief, as a policy does that draws from a stream of its
+    question, and notes what it was asked."""
+
+    def __init__(self, messages: int) -> None:
+        self.messages_there_are = messages
+        self.beliefs: list[NDArray[np.float64]] = []
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+        self.beliefs.append(belief)
+        digest = zlib.crc32(rounded(belief).tobytes(), step)
+        return digest % (1 << self.messages_there_are) & ~given
+
+
+def test_a_value_called_exact_is_of_this_policy_where_answers_rule_types_out() -> None:
+    """Answers of probability 0: the walk must ask the policy about the same beliefs, to the bit of
+    a zero's sign, as whoever meets them one label at a time."""
+    rng, signs = np.random.default_rng(11), 0
+    for number in range(30):
+        p = rng.choice([0.0, 0.1, 0.8, 1.0], size=(3, 3, 4))
+        problem = Problem(p, np.array([0.3, 0.2]), discount=0.9)
+        search = POMCP(simulations=12, rollout="random").plan(problem, number)
+        asked = Bytes(2)
+        for policy in (search, asked):
+            worth = evaluate(problem, policy)
+            value, cost = worth_by_enumeration(problem, policy)
+            assert worth.value_is == "exact"
+            assert (worth.value, worth.cost) == pytest.approx((value, cost), abs=1e-8)
+        signs += sum(int(np.signbit(belief).sum()) for belief in asked.beliefs)
+    assert signs == 0
 
 
 def confident_problem() -> Problem:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from xplain.errors import TooLargeError
-from xplain.explanation.by_type import NONE, ByType
+from xplain.explanation.label_table import NONE, LabelTable
 from xplain.numba_kernels import lean_kernel
 from xplain.solvers.rows import Rows, delaying, is_left, make_rows, row, rows_at, spread
 
@@ -18,8 +18,8 @@ IDLE = [[0, 2, 3, 5], [2, 6, 3]]
 """Of type 0 three cost the same, and one less; of type 1 two, and one more."""
 
 
-def by_type() -> ByType:
-    return ByType(RELEVANT, np.full((2, 3, 4), 0.5))
+def by_type() -> LabelTable:
+    return LabelTable.by_type(RELEVANT, np.full((2, 3, 4), 0.5))
 
 
 def classes(t: int) -> list[list[int]]:
@@ -76,7 +76,11 @@ def test_a_class_has_the_price_of_its_messages(rows: Rows, t: int) -> None:
 def test_too_many_rows_are_refused() -> None:
     price = np.arange(1.0, 41.0)  # no two alike
     with pytest.raises(TooLargeError, match=r"40 messages or prices.*discount_per=step"):
-        make_rows(ByType(np.array([[0]]), np.full((1, 1, 2), 0.5)), price, [list(range(1, 40))])
+        make_rows(
+            LabelTable.by_type(np.array([[0]]), np.full((1, 1, 2), 0.5)),
+            price,
+            [list(range(1, 40))],
+        )
 
 
 def test_what_may_pay_as_a_delay_costs_less_than_it_saves() -> None:
@@ -91,7 +95,7 @@ def test_rows_that_a_type_lacks_cost_nothing(rows: Rows) -> None:
     """The least value over all rows bounds what is still to be paid (:func:`delaying`)."""
     table = np.random.default_rng(0).random((2, 3, 4))
     table[1, :, 2:] = table[1, :, :2]  # of a single relevant message
-    found = spread(ByType(RELEVANT, table), rows)
+    found = spread(LabelTable.by_type(RELEVANT, table), rows)
     assert found.shape == (3, rows.number.max(), 2)
     for t, own in enumerate(table):
         for given in range(1 << len(PRICE)):

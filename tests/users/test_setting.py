@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import pytest
 
 from tests.domains.configs import domain_of, setting_of
 from tests.users.corridor import SIZE, Corridor, Padded
 from xplain.domains import mdp
+from xplain.domains.base import Parameter
+from xplain.domains.warehouse import Warehouse
 from xplain.errors import InputError, TooLargeError
 from xplain.users import setting as module
 from xplain.users.setting import Setting, UserType
@@ -96,6 +101,34 @@ def test_types_that_label_alike_are_one() -> None:
     assert Setting.build(domain, types).distinct.tolist() == [0, 0, 1]
 
 
+def test_types_that_other_messages_set_right_are_two() -> None:
+    """Two facts of one effect: their types label alike as long as nothing is said."""
+
+    class Twice(Corridor):
+        parameters = (Corridor.parameters[0], Parameter("goal", "right", "left", "It is right."))
+
+        def model(self, values: Mapping[str, Any]) -> mdp.MDP:
+            left = "left" in (values["end"], values["goal"])
+            return super().model({"end": "left" if left else "right", "toll": 0.0})
+
+    one, other = UserType("one", {"end": "left"}), UserType("other", {"goal": "left"})
+    assert Setting.build(Twice(), (one, other)).distinct.tolist() == [0, 1]
+
+
+def test_a_table_of_a_million_message_sets_is_refused() -> None:
+    for facts in (20, 21):
+        warehouse = Warehouse(facts)
+        wrong = warehouse.parameters[-1]
+        setting = Setting.build(warehouse, (UserType("A", {wrong.name: wrong.inaccurate}),))
+        few = setting.reachable[:2]
+        if facts == 20:
+            assert setting.label_table(few).shape == (1, 2, 1 << 20)
+        else:
+            with pytest.raises(InputError, match="at most 20 messages"):
+                setting.label_table(few)
+        assert setting.labels_by_type(few).p.shape == (2, 2, 1)
+
+
 def test_bad_types_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     domain = domain_of(RESCUE)
     fire = UserType("A", {"fire": -1.0})
@@ -105,6 +138,8 @@ def test_bad_types_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         Setting.build(domain, (fire, fire))
     with pytest.raises(InputError, match="unknown parameter"):
         Setting.build(domain, (UserType("A", {"wind": 1.0}),))
+    monkeypatch.setattr(module, "MAX_MODELS", 4)
+    assert len(Setting.build(domain, (UserType("A", {"fire": -1.0, "fence": -1.0}),)).models) == 4
     monkeypatch.setattr(module, "MAX_MODELS", 3)
     with pytest.raises(TooLargeError, match="more than 3 task models"):
         Setting.build(domain, (UserType("A", {"fire": -1.0, "fence": -1.0}),))
@@ -113,7 +148,7 @@ def test_bad_types_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_labels_by_type_are_those_of_the_table() -> None:
     setting = setting_of(RESCUE)
     by_type = setting.labels_by_type(setting.reachable)
-    assert np.array_equal(by_type.over(range(6)), setting.label_table(setting.reachable))
+    assert np.array_equal(by_type.array(6), setting.label_table(setting.reachable))
 
 
 def test_types_that_label_alike_are_one_type() -> None:

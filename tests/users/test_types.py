@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +17,7 @@ from tests.users.corridor import Painted
 from xplain.errors import InputError
 from xplain.randomness import stream
 from xplain.users.setting import Setting, UserType
-from xplain.users.types import Completions, Explicit, RandomCover
+from xplain.users.types import Completions, Explicit, FewFacts, RandomCover
 
 RNG = stream(0, "users")
 BONUSES, OBSTACLES = {"first_aid", "fire", "refuel"}, {"rubble", "puddle", "fence"}
@@ -83,6 +84,43 @@ def test_types_that_differ_in_what_changes_nothing_are_drawn_only_if_asked_for()
             assert one != two or not distinct
             alike += one == two
     assert alike > 0
+
+
+def test_random_types_are_uniform_over_the_covers() -> None:
+    """Of three facts, all ordered pairs of different subsets that cover them, as often as any."""
+    pairs = [(a, b) for a in range(1, 8) for b in range(1, 8) if a != b and a | b == 7]
+    names = [p.name for p in Painted.parameters]
+    rng, count = np.random.default_rng(0), 4000
+    found: Counter[tuple[int, ...]] = Counter()
+    for _ in range(count):
+        types = RandomCover(2, distinct=False).types(Painted(), rng)
+        found[tuple(sum(1 << names.index(f) for f in t.inaccurate) for t in types)] += 1
+    p = 1 / len(pairs)
+    error = (p * (1 - p) / count) ** 0.5
+    assert set(found) == set(pairs)
+    assert all(abs(found[pair] / count - p) < 5 * error for pair in pairs)
+
+
+def test_few_facts_are_as_many_as_said_and_any() -> None:
+    """How many is drawn uniformly from 1, 2, 3, then which: each single one and each pair comes
+    1 time in 9, all three 1 in 3."""
+    rng, count = np.random.default_rng(0), 900
+    found = Counter(
+        frozenset(FewFacts(1, 1, 3).types(Painted(), rng)[0].inaccurate) for _ in range(count)
+    )
+    assert len(found) == 7
+    for facts, times in found.items():
+        p = 1 / 3 if len(facts) == 3 else 1 / 9
+        assert abs(times / count - p) < 5 * (p * (1 - p) / count) ** 0.5, facts
+
+
+def test_types_of_few_facts_behave_differently() -> None:
+    for seed in range(30):
+        types = FewFacts(2, 1, 2).types(Painted(), stream(seed, "users"))
+        one, two = (set(t.inaccurate) - {"colour"} for t in types)
+        assert one != two
+    with pytest.raises(InputError, match=r"users\.count.*in 5 draws"):
+        FewFacts(8, 1, 1, attempts=5).types(Painted(), RNG)
 
 
 def test_the_same_stream_draws_the_same_types() -> None:

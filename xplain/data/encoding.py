@@ -12,7 +12,7 @@ def encoded(
 ) -> tuple[float, ...]:
     """The features of a transition, in order: F numbers.
 
-    Text is one 0/1 feature a value (``zone=river``), as :mod:`xplain.data.label_table` reads it.
+    Text is one 0/1 feature a value (``zone=river``), as :mod:`xplain.data.label_file` reads it.
 
     Args:
         transition: number or text by column, each column that the features come from.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
-from xplain.data.label_table import align, read_table
+from xplain.data.label_file import align, read_table
 from xplain.data.queries import Queries
 from xplain.domains.base import transition_feature_names, transition_features
 from xplain.errors import InputError, number
@@ -125,7 +125,7 @@ def _whole_numbers(value: object) -> list[int]:
 
 @dataclass(frozen=True)
 class FileObservers:
-    """Real people's labels, from a table (see :func:`xplain.data.label_table.read_table`).
+    """Real people's labels, from a table (see :func:`xplain.data.label_file.read_table`).
 
     Attributes:
         path: a CSV or Parquet file.

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from xplain.explanation.belief import BeliefUpdate
-from xplain.explanation.by_type import ByType
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.message_sets import indices
 from xplain.sessions.interaction import Interaction
@@ -30,15 +30,25 @@ class User(Protocol):
 
 @dataclass(frozen=True)
 class SimulatedUser:
-    """Answers by the true labels of one user type: a table [m, 2^n], or one kept by type."""
+    """Answers by the true labels of one user type.
 
-    table: NDArray[np.uint8] | ByType
+    Attributes:
+        table: of this type alone.
+    """
+
+    table: LabelTable
+
+    @classmethod
+    def of(cls, labels: ArrayLike) -> SimulatedUser:
+        """Who labels as [m, 2^n] says."""
+        return cls(LabelTable.dense(np.asarray(labels)[None]))
 
     def labels(self, count: int, message_set: int) -> NDArray[np.uint8]:
         """The type's true labels of the prefix."""
-        if isinstance(self.table, ByType):
-            return np.asarray(self.table.label_probabilities(count, message_set)[0], np.uint8)
-        return self.table[:count, message_set]
+        labels: NDArray[np.uint8] = self.table.label_probabilities(count, message_set)[0].astype(
+            np.uint8
+        )
+        return labels
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,19 @@ class Estimate:
     def negated(self) -> Estimate:
         """The estimate of minus the quantity: the ends of the interval change places."""
         return Estimate(-self.mean, -self.high, -self.low)
+
+
+def half_width(error: float, freedom: int, level: float = 0.95) -> float:
+    """What stands behind ±: half of Student's interval of a mean.
+
+    Args:
+        error: standard error of the mean.
+        freedom: degrees of freedom of that error, ≥ 1.
+        level: of the interval.
+    """
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.5 + level / 2)) * error
 
 
 def clustered_ratio(
@@ -59,8 +73,6 @@ def clustered_mean(
         possible: values of the quantity; the interval is cut where the mean cannot be. (A value
             outside that was seen is possible.)
     """
-    from scipy.special import stdtrit
-
     values, clusters = np.asarray(values, dtype=float), np.asarray(clusters)
     _, index = np.unique(clusters, return_inverse=True)
     counts = np.bincount(index)
@@ -71,7 +83,41 @@ def clustered_mean(
     # Residual totals a cluster: exact for equal sizes, the usual ratio estimate otherwise.
     totals = np.bincount(index, weights=values - mean)
     variance = groups / (groups - 1) * float((totals**2).sum()) / len(values) ** 2
-    half = float(stdtrit(groups - 1, 0.5 + level / 2)) * variance**0.5
+    half = half_width(variance**0.5, groups - 1, level)
     least = min(possible[0], float(values.min()))
     most = max(possible[1], float(values.max()))
     return Estimate(mean, max(mean - half, least), min(mean + half, most))
+
+
+def clustered_share(right: ArrayLike, clusters: ArrayLike) -> Estimate:
+    """A share with Wilson's 95 % score interval (1927), which never leaves [0, 1], for cases that
+    come in clusters.
+
+    Cases of one cluster may be alike. So the interval is that of as many independent cases as would
+    leave the share as uncertain as the clusters do (Kish's effective sample size, at most the cases
+    there are), with Student's quantile for so few clusters. Where the cases of each cluster agree,
+    a cluster is one case, and the interval Wilson's own.
+
+    Args:
+        right: [E] of bool.
+        clusters: [E] the same number for cases of one cluster; one cluster leaves the interval
+            unknown.
+    """
+    from scipy.special import ndtri, stdtrit
+
+    right = np.asarray(right, dtype=float)
+    _, index = np.unique(np.asarray(clusters), return_inverse=True)
+    sizes, ones = np.bincount(index), np.bincount(index, weights=right)
+    share, groups = float(right.mean()), len(sizes)
+    if groups < 2:
+        return Estimate(share, float("nan"), float("nan"))
+    cases, agree = float(len(right)), bool(((ones == 0) | (ones == sizes)).all())
+    if agree:
+        cases *= cases / float((sizes**2).sum())
+    elif (variance := float(((ones - share * sizes) ** 2).sum()) / cases**2) > 0:
+        cases = min(cases, share * (1 - share) / variance)
+    z = float(ndtri(0.975) if agree else stdtrit(groups - 1, 0.975))
+    centre = (share + z * z / (2 * cases)) / (1 + z * z / cases)
+    spread = math.sqrt(share * (1 - share) / cases + (z / (2 * cases)) ** 2)
+    half = z / (1 + z * z / cases) * spread
+    return Estimate(share, min(share, max(0.0, centre - half)), max(share, min(1.0, centre + half)))

@@ -82,5 +82,6 @@ def update(
 
 
 def rounded(belief: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The belief to 12 decimals: the same evidence in another order gives the same belief."""
-    return np.round(belief, 12)
+    """The belief to 12 decimals, its zeros without a sign: the same evidence in another order gives
+    the same bytes."""
+    return np.round(belief, 12) + 0.0

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -11,15 +12,10 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset, inputs, query_index
 from xplain.errors import InputError, TooLargeError
-from xplain.explanation.by_type import DENSE
+from xplain.explanation.label_table import DENSE, MAX_RELEVANT, LabelTable
 from xplain.learning.tree_leaves import cubes
 from xplain.message_sets import indices
 from xplain.randomness import derived_seed, stream
-
-MAX_LOOKED_AT = 16
-"""Messages that one type's labeler may look at on one trace: a table over their subsets is made."""
-CHUNK = 1 << 20
-"""Rows of classifier input made at a time (a classifier that is no tree is asked for each)."""
 
 
 def paper_tree() -> Any:
@@ -65,48 +61,50 @@ class Labeler:
         """P(label = 1) of each (transition [T, F], message set [T]): [T], inside (0, 1)."""
         return self._probability(inputs(features, message_sets, self.n_messages))
 
-    def table(self, features: NDArray[np.float64], n_messages: int) -> NDArray[np.float64]:
-        """P(label = 1) of every transition [T, F] under every message set: [T, 2^n].
+    def table(
+        self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
+    ) -> LabelTable:
+        """P(label = 1) of T transitions, of people of one type.
 
         A tree fills it leaf by leaf (n = 20 takes tenths of a second); any other classifier is
         asked for each entry.
-        """
-        if n_messages != self.n_messages:
-            raise InputError("messages", n_messages, f"the labeler knows {self.n_messages}")
-        shape = (len(features), 1 << n_messages)
-        if hasattr(self.classifier, "tree_"):
-            tree = self.classifier.tree_
-            return cubes(tree, features, n_messages).table(self._of_leaves(), shape)
-        every = np.arange(1 << n_messages)
-        result = np.empty(shape)
-        for t, row in enumerate(features):
-            for at in range(0, len(every), CHUNK):
-                part = every[at : at + CHUNK]
-                x = inputs(np.broadcast_to(row, (len(part), len(row))), part, n_messages)
-                result[t, at : at + CHUNK] = self._probability(x)
-        return result
 
-    def relevant_table(
-        self, features: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The messages that the labeler looks at on these transitions [T, F], r of them ascending,
-        and P(label = 1) under every subset of them: [r] and [T, 2^r].
+        Args:
+            features: [T, F].
+            transitions: [T, 3] with these features, where they are known; a labeler may tell
+                transitions apart that share their features.
 
         Raises:
-            TooLargeError: r is more than MAX_LOOKED_AT, or the classifier is no tree and might
-                look at any message.
+            TooLargeError: too many messages matter on these transitions.
         """
-        if not hasattr(self.classifier, "tree_"):
+        relevant, table = self._looked_at(features)
+        return LabelTable.joined_types([relevant], [table])
+
+    def _looked_at(
+        self, features: NDArray[np.float64]
+    ) -> tuple[Sequence[int], NDArray[np.float64]]:
+        """The messages that matter, r of them ascending: all where they are few, else those that
+        the labeler looks at; and P(label = 1) under every subset of them, [T, 2^r]."""
+        n = self.n_messages
+        if hasattr(self.classifier, "tree_"):
+            found = cubes(self.classifier.tree_, features, n)
+            relevant: Sequence[int] = range(n)
+            if n > DENSE:
+                relevant = indices(int(np.bitwise_or.reduce(found.ones | found.zeros, initial=0)))
+                check_looked_at(len(relevant), n)
+            shape = len(features), 1 << len(relevant)
+            return relevant, found.over(relevant).table(self._of_leaves(), shape)
+        if n > DENSE:
             raise TooLargeError(
-                f"labeler: a classifier that is no tree may look at any of {self.n_messages} "
-                f"messages, more than {DENSE}; labeler=pruned is a tree that looks at few"
+                f"labeler: a classifier that is no tree may look at any of {n} messages, more "
+                f"than {DENSE}; labeler=pruned is a tree that looks at few"
             )
-        found = cubes(self.classifier.tree_, features, self.n_messages)
-        relevant = indices(int(np.bitwise_or.reduce(found.ones | found.zeros, initial=0)))
-        check_looked_at(len(relevant), self.n_messages)
-        packed = found.over(relevant)
-        table = packed.table(self._of_leaves(), (len(features), 1 << len(relevant)))
-        return np.array(relevant, dtype=np.int64), table
+        every = np.arange(1 << n)
+        result = np.empty((len(features), len(every)))
+        for t, row in enumerate(features):
+            x = inputs(np.broadcast_to(row, (len(every), len(row))), every, n)
+            result[t] = self._probability(x)
+        return range(n), result
 
     def _probability(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
         if hasattr(self.classifier, "tree_"):
@@ -252,11 +250,11 @@ class LabelerTrainer:
 
 
 def check_looked_at(count: int, n_messages: int) -> None:
-    """Raises TooLargeError where a labeler looks at more than MAX_LOOKED_AT messages on a trace."""
-    if count > MAX_LOOKED_AT:
+    """Raises TooLargeError where a labeler looks at more than MAX_RELEVANT messages on a trace."""
+    if count > MAX_RELEVANT:
         raise TooLargeError(
             f"labeler: a type's labeler looks at {count} of {n_messages} messages on one trace, "
-            f"more than {MAX_LOOKED_AT}; shorter traces, or a pruned tree (labeler=pruned), look "
+            f"more than {MAX_RELEVANT}; shorter traces, or a pruned tree (labeler=pruned), look "
             "at fewer"
         )
 

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
 from xplain.data.encoding import encoded
-from xplain.data.label_table import MAX_MASK
+from xplain.data.label_file import MAX_MASK
 from xplain.errors import InputError
-from xplain.explanation.by_type import LabelTable
+from xplain.explanation.label_table import LabelTable
 from xplain.learning.labelers import Labeler
-from xplain.learning.user_types import UserTypes, p_explicable
+from xplain.learning.user_types import UserTypes, label_table
 
 FORMAT = 1
 NODES = ("feature", "threshold", "children_left", "children_right", "weighted_n_node_samples")
@@ -80,8 +80,8 @@ class LearnedTypes:
         """
         return encoded(transition, self.feature_names)
 
-    def p_explicable(self, transitions: Sequence[Any]) -> LabelTable:
-        """P(label is 1 | type, message set) of T rows of features: [N, T, 2^n], or by type.
+    def label_table(self, transitions: Sequence[Any]) -> LabelTable:
+        """P(label is 1 | type, message set) of T rows of features.
 
         Raises:
             InputError: the rows are not F finite numbers each.
@@ -95,7 +95,7 @@ class LearnedTypes:
             raise InputError("trace", rows.shape, wanted)
         if not np.isfinite(rows).all():
             raise InputError("trace", "NaN or infinite", wanted)
-        return p_explicable(self.labelers, rows, len(self.messages))
+        return label_table(self.labelers, rows)
 
     def save(self, path: str | Path) -> None:
         """Writes an ``.npz`` file.

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset, inputs
 from xplain.errors import InputError
-from xplain.explanation.by_type import DENSE, ByType, LabelTable
+from xplain.explanation.label_table import DENSE, LabelTable, stacked
 from xplain.learning.clustering import Clustering
 from xplain.learning.labelers import Labeler, LabelerTrainer
 
@@ -39,68 +39,27 @@ class UserTypes:
         return {tuple(self.clustering.members(t).tolist()): self.labelers[t] for t in clusters}
 
 
-@runtime_checkable
-class KnowsTransitions(Protocol):
-    """A labeler that tells transitions apart that share their features."""
-
-    def table_of(
-        self, features: NDArray[np.float64], n_messages: int, transitions: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
-        """As ``table``, of the transitions [T, 3] with these features [T, F]: [T, 2^n]."""
-        ...
-
-    def relevant_table_of(
-        self, features: NDArray[np.float64], transitions: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """As ``relevant_table``, of these transitions: [r] and [T, 2^r]."""
-        ...
-
-
-def p_explicable(
+def label_table(
     labelers: Iterable[Labeler],
     features: NDArray[np.float64],
-    n_messages: int,
     transitions: NDArray[np.int64] | None = None,
 ) -> LabelTable:
-    """P(label = 1) of m transitions under every message set, one table a labeler: [N, m, 2^n], and
-    kept by type where messages are more than DENSE.
+    """P(label = 1) of m transitions, a type a labeler.
 
     Args:
         labelers: N ≥ 1 of them.
         features: [m, F] of the transitions, as the labelers were trained on.
-        n_messages: n; the last axis is indexed by the message set's bitmask.
         transitions: [m, 3] with these features, where they are known.
 
     Raises:
-        InputError: a labeler was trained with another number of messages.
-        TooLargeError: a labeler looks at too many of them on these transitions.
+        TooLargeError: a labeler looks at too many messages on these transitions.
     """
-    if n_messages > DENSE:
-        own = [
-            labeler.relevant_table_of(features, transitions)
-            if transitions is not None and isinstance(labeler, KnowsTransitions)
-            else labeler.relevant_table(features)
-            for labeler in labelers
-        ]
-        return ByType.padded([row for row, _ in own], [table for _, table in own])
-    return np.stack([_table(own, features, n_messages, transitions) for own in labelers])
-
-
-def _table(
-    labeler: Labeler,
-    features: NDArray[np.float64],
-    n_messages: int,
-    transitions: NDArray[np.int64] | None,
-) -> NDArray[np.float64]:
-    """P(label = 1) of m transitions under every message set: [m, 2^n]."""
-    if transitions is not None and isinstance(labeler, KnowsTransitions):
-        return labeler.table_of(features, n_messages, transitions)
-    return labeler.table(features, n_messages)
+    return stacked([labeler.table(features, transitions) for labeler in labelers])
 
 
 @dataclass(frozen=True)
 class AskedOnce:
-    """:func:`p_explicable`, but each labeler is asked of each transition once, however many traces
+    """:func:`label_table`, but each labeler is asked of each transition once, however many traces
     hold it: asking may take longer than all that follows.
 
     Attributes:
@@ -109,28 +68,27 @@ class AskedOnce:
 
     tables: dict[tuple[int, bytes], NDArray[np.float64]] = field(default_factory=dict)
 
-    def p_explicable(
+    def label_table(
         self,
         labelers: Sequence[Labeler],
         features: NDArray[np.float64],
-        n_messages: int,
         transitions: NDArray[np.int64],
     ) -> LabelTable:
-        """See :func:`p_explicable`. The labelers must live as long as this object."""
-        if n_messages > DENSE:
-            return p_explicable(labelers, features, n_messages, transitions)
-        result = np.empty((len(labelers), len(features), 1 << n_messages))
-        for table, labeler in zip(result, labelers, strict=True):
-            told_apart = isinstance(labeler, KnowsTransitions)
-            what = np.hstack([features, transitions]) if told_apart else features
-            keys = [(id(labeler), row.tobytes()) for row in what]
-            new = {key: i for i, key in enumerate(keys) if key not in self.tables}
-            if new:
-                rows = list(new.values())
-                asked = _table(labeler, features[rows], n_messages, transitions[rows])
-                self.tables.update(zip(new, asked, strict=True))
-            table[:] = [self.tables[key] for key in keys]
-        return result
+        """See :func:`label_table`. The labelers must live as long as this object."""
+        return stacked([self._of(labeler, features, transitions) for labeler in labelers])
+
+    def _of(
+        self, labeler: Labeler, features: NDArray[np.float64], transitions: NDArray[np.int64]
+    ) -> LabelTable:
+        if labeler.n_messages > DENSE:  # a trace has relevant messages of its own
+            return labeler.table(features, transitions)
+        keys = [(id(labeler), row.tobytes()) for row in np.hstack([features, transitions])]
+        new = {key: i for i, key in enumerate(keys) if key not in self.tables}
+        if new:
+            rows = list(new.values())
+            asked = labeler.table(features[rows], transitions[rows])
+            self.tables.update(zip(new, asked.p[:, :, 0], strict=True))
+        return LabelTable.dense([[self.tables[key] for key in keys]])
 
 
 def learn_types(

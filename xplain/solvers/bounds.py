@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from xplain.errors import TooLargeError
-from xplain.explanation.problem import MAX_DENSE, Problem
+from xplain.explanation.label_table import MAX_RELEVANT
+from xplain.explanation.problem import Problem
 from xplain.solvers.hsvi.explore import Effort, explore
 from xplain.solvers.hsvi.search import Start
 from xplain.solvers.hsvi.solver import tables_within
@@ -63,7 +64,7 @@ def bounds(
         TooLargeError: not even the tables of known types fit.
     """
     small, kept = restricted(problem)
-    if len(kept) > MAX_DENSE:
+    if len(kept) > MAX_RELEVANT:
         return _simple_bounds(small, effort.memory_gib)
     try:
         small, tables = tables_within(small, effort.memory_gib)

@@ -179,6 +179,7 @@ def _binomial(yes, size, start, t, likelihood, news):  # type: ignore[no-untyped
     log_yes = round(np.log(yes) * SCALE) if yes > 0.0 else 0
     log_no = round(np.log1p(-yes) * SCALE) if 0.0 <= yes < 1.0 else 0
     choose = 1.0 if yes >= 0.0 else 0.0
+    yes = max(yes, 0.0)  # a power of −1 would make 0 a −0, which has other bytes
     for ones in range(size + 1):
         probability = choose * yes**ones * (1.0 - yes) ** (size - ones)
         likelihood[start + ones, t] = probability

@@ -45,8 +45,8 @@ class Model(NamedTuple):
     """N types, m steps, n messages. Making one takes no time and no memory: tables are asked for.
 
     Attributes:
-        p: [m, rows, N] P(label 1), where dense a view of the problem's table. Read by the
-            functions of this module alone.
+        p: [m, rows, N] P(label 1), where dense the problem's own. Read by the functions of this
+            module alone.
         price: [n] λ C_e(j) of each message.
         inexplicability: C_inexp.
         discount: γ, of *explain*.
@@ -79,29 +79,29 @@ class Model(NamedTuple):
 
 def model_of(problem: Problem) -> Model:
     """The reduced POMDP of a problem; shares the problem's table where that is dense."""
-    by_type = problem.by_type
+    table = problem.table
     model = Model(
-        problem.p_explicable.transpose(1, 2, 0),
+        table.p,
         problem.trade_off * problem.message_cost,
         problem.inexplicability_cost,
         problem.discount,
         problem.discount if problem.discount_per == "action" else 1.0,
     )
-    if by_type is None:
+    if problem.is_dense:
         return model
-    rows = relevant_rows(by_type, model.price)
-    alone = model._replace(p=spread(by_type, rows), rows=rows)
-    idle = delaying(by_type, model.price, 1 - model.message_discount, optimal_values(alone))
+    rows = relevant_rows(table, model.price)
+    alone = model._replace(p=spread(table, rows), rows=rows)
+    idle = delaying(table, model.price, 1 - model.message_discount, optimal_values(alone))
     if not any(idle):
         return alone
-    rows = make_rows(by_type, model.price, idle)
-    return model._replace(p=spread(by_type, rows), rows=rows)
+    rows = make_rows(table, model.price, idle)
+    return model._replace(p=spread(table, rows), rows=rows)
 
 
 def table_bytes(problem: Problem) -> int:
-    """What one table [m + 1, rows, N] takes; kept by type, what it takes at least."""
-    rows = 1 << problem.n_messages if problem.by_type is None else problem.p_relevant.shape[2]
-    return (problem.n_steps + 1) * rows * problem.n_types * 8
+    """What one table [m + 1, rows, N] takes, at least."""
+    steps, rows, types = problem.table.p.shape
+    return int((steps + 1) * rows * types * 8)
 
 
 def dense_table_bytes(problem: Problem) -> int:

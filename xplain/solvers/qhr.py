@@ -32,9 +32,9 @@ class QHR:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says.
 
         Raises:
-            TooLargeError: kept by type, and more than MAX_DENSE messages matter.
+            TooLargeError: more than MAX_RELEVANT messages matter to some type.
         """
-        if problem.by_type is None:
+        if problem.is_dense:
             return QHRPolicy(model_of(problem))
         small, kept = coupled(problem, "qhr")
         return Restricted(QHRPolicy(model_of(small.dense())), kept)

@@ -99,7 +99,7 @@ def greedy_policy(problem: Problem, what: str, memory_gib: float, instead: str) 
     """
     kept = messages_worth_giving(problem)
     small = problem.with_messages(kept)
-    if len(kept) <= small.relevant.shape[1]:
+    if len(kept) <= small.table.relevant.shape[1]:
         small = small.dense()  # no larger than a type's own table
     check_memory(what, table_bytes(small), memory_gib, instead)
     model = model_of(small)

@@ -9,14 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import TooLargeError
-from xplain.explanation.by_type import DENSE
-from xplain.explanation.problem import MAX_DENSE, Problem
+from xplain.explanation.label_table import DENSE, MAX_RELEVANT
+from xplain.explanation.problem import Problem
 from xplain.message_sets import compress, expand
 from xplain.solvers.base import Policy
 from xplain.solvers.model import model_of, optimal_values
-
-IMAGINED = 16
-"""With so many messages an imagined type is planned for: it needs a table over all their sets."""
 
 
 def messages_worth_giving(problem: Problem) -> tuple[int, ...]:
@@ -35,11 +32,9 @@ def messages_worth_giving(problem: Problem) -> tuple[int, ...]:
     delay = 1 - problem.discount if problem.discount_per == "action" else 0.0
     if delay <= 0:
         return effective
-    small, by_type = problem.with_messages(effective), problem.by_type is not None
-    stalling = idle
-    if by_type:
-        stalling = {j for j in idle if price[j] < delay * _saying_everything(small)}
-    if stalling and (not by_type or len(effective) <= IMAGINED):
+    small = problem.with_messages(effective)
+    stalling = {j for j in idle if price[j] < delay * _saying_everything(small)}
+    if stalling and len(effective) <= MAX_RELEVANT:
         ahead = -float(optimal_values(model_of(small.pessimistic().dense())).min())
         stalling = {j for j in stalling if price[j] < delay * ahead}
     return tuple(sorted(stalling.union(effective)))
@@ -67,16 +62,16 @@ def restricted(problem: Problem) -> tuple[Problem, tuple[int, ...]]:
 
 def coupled(problem: Problem, what: str) -> tuple[Problem, tuple[int, ...]]:
     """As :func:`restricted`, for who weighs sets of all types' messages together: the problem
-    with at most MAX_DENSE messages, to be made dense where there is memory for it.
+    with at most MAX_RELEVANT messages, to be made dense where there is memory for it.
 
     Raises:
         TooLargeError: more are worth giving.
     """
     small, kept = restricted(problem)
-    if len(kept) > MAX_DENSE:
+    if len(kept) > MAX_RELEVANT:
         raise TooLargeError(
             f"{what} weighs sets of all types' messages together: {len(kept)} are worth giving on "
-            f"this trace, at most {MAX_DENSE}; solver=qmdp or pomcp plans type by type"
+            f"this trace, at most {MAX_RELEVANT}; solver=qmdp or pomcp plans type by type"
         )
     return small, kept
 

@@ -1,4 +1,4 @@
-"""Where a type's values for a message set H stand, in problems kept by type.
+"""Where a type's values for a message set H stand, where types look at messages of their own.
 
 To one type many message sets are the same. A message relevant to it is a *class* of its own. The
 others change no label; but where giving discounts, giving one puts off what is still to be paid,
@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import TooLargeError
-from xplain.explanation.by_type import NONE, ByType
+from xplain.explanation.label_table import MAX_RELEVANT, LabelTable
 from xplain.numba_kernels import inlined
 from xplain.solvers.bits import count_bits
 
-MAX_ROWS = 1 << 20
+MAX_ROWS = 1 << MAX_RELEVANT
 """Rows of a type's table, at most."""
 
 
@@ -68,23 +68,23 @@ def rows_at(rows: Rows, given: int | NDArray[np.int64]) -> NDArray[np.int64]:
     return at
 
 
-def relevant_rows(by_type: ByType, price: NDArray[np.float64]) -> Rows:
+def relevant_rows(table: LabelTable, price: NDArray[np.float64]) -> Rows:
     """Rows of relevant messages alone: exact where no message is worth giving as a delay."""
-    return make_rows(by_type, price, [[] for _ in by_type.relevant])
+    return make_rows(table, price, [[] for _ in table.relevant])
 
 
-def make_rows(by_type: ByType, price: NDArray[np.float64], idle: list[list[int]]) -> Rows:
+def make_rows(table: LabelTable, price: NDArray[np.float64], idle: list[list[int]]) -> Rows:
     """Rows of the relevant messages and, for each type, these others.
 
     Raises:
         TooLargeError: more than MAX_ROWS for a type.
     """
     classes: list[list[list[int]]] = []
-    for relevant, others in zip(by_type.relevant.tolist(), idle, strict=True):
+    for relevant, others in zip(table.rows, idle, strict=True):
         alike: dict[float, list[int]] = {}
         for j in others:
             alike.setdefault(float(price[j]), []).append(j)
-        classes.append([[j] for j in relevant if j != NONE] + list(alike.values()))
+        classes.append([[j] for j in relevant] + list(alike.values()))
     width = max(map(len, classes))
     shape = len(classes), width
     rows = Rows(
@@ -112,7 +112,7 @@ def make_rows(by_type: ByType, price: NDArray[np.float64], idle: list[list[int]]
 
 
 def delaying(
-    by_type: ByType,
+    table: LabelTable,
     price: NDArray[np.float64],
     delay: float,
     optimal: NDArray[np.float64],
@@ -120,25 +120,24 @@ def delaying(
     """For each type, the messages not relevant to it that may pay as a mere delay.
 
     Args:
-        by_type: of N types.
+        table: of N types.
         price: [n] λ C_e.
         delay: 1 − γ', what giving one saves of all that is still to be paid.
         optimal: [m + 1, rows, N] V*_t without such messages, whose least value bounds that.
     """
     if delay <= 0:
-        return [[] for _ in by_type.relevant]
+        return [[] for _ in table.relevant]
     ahead = -optimal.min(axis=(0, 1))
     return [
         [j for j in range(len(price)) if price[j] < delay * ahead[t] and j not in own]
-        for t, own in enumerate(by_type.relevant.tolist())
+        for t, own in enumerate(table.rows)
     ]
 
 
-def spread(by_type: ByType, rows: Rows) -> NDArray[np.float64]:
-    """The tables by rows: [m, rows, N]. Relevant messages are the lowest digits of a row."""
-    types, steps, _ = by_type.p.shape
-    p = np.ones((types, steps, int(rows.number.max())))
-    for t, own in enumerate(by_type.p):
-        subsets = 1 << int((by_type.relevant[t] != NONE).sum())
-        p[t, :, : rows.number[t]] = own[:, np.arange(rows.number[t]) % subsets]
-    return p.transpose(1, 2, 0)  # as a dense table lies: kernels need not be compiled for another
+def spread(table: LabelTable, rows: Rows) -> NDArray[np.float64]:
+    """The table by rows: [m, rows, N]. Relevant messages are the lowest digits of a row."""
+    p = np.ones((len(table.p), int(rows.number.max()), table.n_types))
+    for t, own in enumerate(table.rows):
+        number = int(rows.number[t])
+        p[:, :number, t] = table.p[:, np.arange(number) % (1 << len(own)), t]
+    return p

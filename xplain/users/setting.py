@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from xplain.domains import mdp
 from xplain.domains.base import Domain
 from xplain.errors import InputError, TooLargeError
-from xplain.explanation.by_type import ByType
+from xplain.explanation.label_table import MAX_RELEVANT, LabelTable
 
 MAX_MODELS = 1 << 14
 
@@ -136,21 +136,24 @@ class Setting:
         """The true labels of all types for all message sets: [N, T, 2^n].
 
         Raises:
-            InputError: more than 2^20 message sets; :meth:`labels_by_type` needs no such table.
+            InputError: more than MAX_RELEVANT messages; :meth:`labels_by_type` needs no such table.
         """
-        if self.n_messages > 20:
-            raise InputError("domain", self.n_messages, "at most 20 messages (2^20 message sets)")
+        if self.n_messages > MAX_RELEVANT:
+            raise InputError("domain", self.n_messages, f"at most {MAX_RELEVANT} messages")
         by_model = self.label_by_model(transitions)
         every = np.arange(1 << self.n_messages)
         return np.stack([by_model[self.model_index(t, every)].T for t in range(len(self.types))])
 
-    def labels_by_type(self, transitions: NDArray[np.int64]) -> ByType:
+    def labels_by_type(self, transitions: NDArray[np.int64]) -> LabelTable:
         """The true labels of all types, each over the messages that correct it."""
         by_model = self.label_by_model(transitions)
-        return ByType.padded(
-            [np.array(own, dtype=np.int64) for own in self.bits],
-            [by_model[row].T.astype(np.float64) for row in self.table],
+        return LabelTable.joined_types(
+            self.bits, [by_model[row].T.astype(np.float64) for row in self.table]
         )
+
+    def true_labels(self, transitions: NDArray[np.int64]) -> LabelTable:
+        """The true labels of all types, as solvers and simulated users take them."""
+        return self.labels_by_type(transitions).compact(self.n_messages)
 
     @cached_property
     def reachable(self) -> NDArray[np.int64]:
@@ -177,6 +180,6 @@ class Setting:
         first: dict[tuple[tuple[int, ...], bytes], int] = {}
         found = []
         for t, own in enumerate(labels.effective()):
-            key = own, labels[t].over(own).tobytes()
+            key = own, labels.of_types([t]).over([own]).p.tobytes()
             found.append(first.setdefault(key, len(first)))
         return np.array(found)

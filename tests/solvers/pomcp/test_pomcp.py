@@ -77,7 +77,7 @@ def test_is_the_plain_search(
         soft_problem(1),
         soft_problem(2, n=1, discount_per="step", prior=np.array([0.5, 0.5, 0.0])),
         soft_problem(4, n=1, discount=1.0),
-        replace(repeated, p_explicable=p),
+        replace(repeated, table=p),
     ]
     for problem, middle in product(problems, [False, True]):
         step, given = (2, 4 if problem.n_messages > 1 else 0) if middle else (0, 0)
@@ -236,7 +236,7 @@ def test_a_decision_goes_on_in_the_middle_as_from_the_start() -> None:
 def test_a_certain_type_is_worth_its_optimum_and_a_search_would_find_it(seed: int) -> None:
     """Of right and of noisy labels, at every (k, H)."""
     soft = soft_problem(seed)
-    for problem in (soft, replace(soft, p_explicable=np.round(soft.p_explicable))):
+    for problem in (soft, replace(soft, table=np.round(soft.p_explicable))):
         policy, search = POMCP().plan(problem), search_of(POMCP(simulations=3000), problem)
         for t, k, given in product(range(3), range(4), range(8)):
             belief = np.eye(3)[t]

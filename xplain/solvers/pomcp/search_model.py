@@ -67,7 +67,7 @@ class SearchModel(NamedTuple):
 
 def model_bytes(problem: Problem) -> int:
     """Memory that :func:`model_of` takes, in bytes."""
-    if problem.by_type is not None:
+    if not problem.is_dense:
         return 4 * table_bytes(problem) + CACHE
     sets, steps = 1 << problem.n_messages, problem.n_steps
     return table_bytes(problem) + sets * steps * (32 * problem.n_types + 16)

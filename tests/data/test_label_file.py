@@ -1,4 +1,5 @@
 import gzip
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -6,7 +7,7 @@ import pandas as pd
 import pytest
 
 from tests.learning.conftest import made
-from xplain.data.label_table import align, read_table, write_table
+from xplain.data.label_file import align, columns_of, read_table, write_table
 from xplain.errors import InputError
 
 ROWS = {
@@ -64,6 +65,23 @@ def test_one_hot_columns_are_text_again_when_written(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize("name", ["again.csv", "again.parquet"])
+def test_values_that_hold_an_equals_sign_stay_whole(tmp_path: Path, name: str) -> None:
+    action = ["a=b=c", "a=b", "a=b", "a=b=c", "a=b", "="]
+    dataset = read_table(table(tmp_path, action=action))
+    write_table(dataset, tmp_path / name)
+    load = pd.read_csv if name.endswith("csv") else pd.read_parquet
+    assert load(tmp_path / name)["action"].tolist() == action
+    assert columns_of(dataset)["action"][dataset.transition].tolist() == action
+    again = read_table(tmp_path / name)
+    assert again.feature_names == ("row", "action==", "action=a=b", "action=a=b=c")
+    assert np.array_equal(again.features[again.transition], dataset.features[dataset.transition])
+    # A value that the data lack, and those that share its beginning.
+    wider = align(dataset, ("row", "action==", "action=a", "action=a=b", "action=a=b=c"))
+    assert columns_of(wider)["action"][wider.transition].tolist() == action
+    assert not wider.features[:, 2].any()
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -95,6 +113,8 @@ def test_bad_tables_are_named_in_a_line(
 def test_unknown_messages_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="data='m1': unknown message in row 2; known: m0, m9"):
         read_table(table(tmp_path), messages=("m0", "m9"))
+    with pytest.raises(InputError, match="data='m1': unknown message in row 3"):
+        read_table(table(tmp_path, messages=["", "", "m1;m0", *[""] * 3]), messages=("m9",))
 
 
 @pytest.mark.parametrize("name", ["nowhere.csv", "labels.xlsx"])
@@ -143,6 +163,99 @@ def test_named_features_and_columns_left_out(tmp_path: Path) -> None:
         read_table(path, features=["colour"])
 
 
+def test_a_feature_may_have_thousands_of_values(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Rows that differ are told apart, and equal ones are one, in whatever columns they differ."""
+    count = 4000
+    rows = pd.DataFrame(
+        {
+            "observer": np.arange(count) % 3,
+            "messages": np.array(["", "m0"])[np.arange(count) % 2],
+            "near": rng.integers(1500, size=count),
+            "far": rng.integers(3, size=count),
+            "farther": rng.integers(1500, size=count) / 7,
+            "label": rng.integers(2, size=count),
+        }
+    )
+    rows = pd.concat([rows, rows.iloc[:50]])
+    rows.to_parquet(tmp_path / "many.parquet", index=False)
+    dataset = read_table(tmp_path / "many.parquet")
+    told = rows[["near", "far", "farther"]].to_numpy(dtype=float)
+    assert np.array_equal(dataset.features[dataset.transition], told)
+    assert len(dataset.features) == len(np.unique(told, axis=0))
+
+
+def test_spaces_around_names_are_none_of_them(tmp_path: Path) -> None:
+    path = table(
+        tmp_path,
+        observer=["a", "a ", " a", "b", "b", "b"],
+        messages=["", " m1", "m1 ; m0", "", "m0;", " m0"],
+    )
+    dataset = read_table(path)
+    assert dataset.observers == ("a", "b")
+    assert dataset.messages == ("m0", "m1")
+    assert dataset.message_set.tolist() == [0, 2, 3, 0, 1, 1]
+
+
+def test_observers_are_called_what_they_are_called(tmp_path: Path) -> None:
+    """Numbers keep their zeros, and "NA" is a name; written in any order, each keeps the own."""
+    dataset = read_table(table(tmp_path, observer=["NA", "NA", "007", "007", "null", "null"]))
+    assert dataset.observers == ("007", "NA", "null")
+    numbers = read_table(table(tmp_path, observer=["007", "07", "7"] * 2))
+    assert numbers.observers == ("007", "07", "7")
+    turned = replace(dataset, observers=("null", "NA", "007"))
+    write_table(turned, tmp_path / "turned.csv")
+    again = read_table(tmp_path / "turned.csv")
+    assert again.observers == ("007", "NA", "null")
+    assert (again.observer == 2 - dataset.observer).all()
+
+
+def test_yes_and_no_are_numbers(tmp_path: Path) -> None:
+    wet = [True, False, False, True, False, True]
+    pd.DataFrame({**ROWS, "wet": wet}).to_parquet(tmp_path / "labels.parquet", index=False)
+    for path in (table(tmp_path, wet=wet), tmp_path / "labels.parquet"):
+        dataset = read_table(path)
+        assert dataset.feature_names == ("row", "action=left", "action=up", "wet")
+        assert dataset.features[dataset.transition][:, 3].tolist() == wet
+
+
+def test_62_messages_are_the_most(tmp_path: Path) -> None:
+    for count in (62, 63):
+        names = [f"m{j:02}" for j in range(count)]
+        path = table(tmp_path, messages=["", *names[:4], ";".join(names)])
+        if count == 62:
+            assert read_table(path).message_set.tolist()[-1] == (1 << 62) - 1
+        else:
+            with pytest.raises(InputError, match="at most 62"):
+                read_table(path)
+
+
+def test_columns_that_are_asked_for_or_left_out_must_be_there_once(tmp_path: Path) -> None:
+    path = table(tmp_path, age=[30, 30, None, 40, 40, 40])
+    with pytest.raises(InputError, match="lacks the column height"):
+        read_table(path, ignore=["height"])
+    with pytest.raises(InputError, match="each column once"):
+        read_table(path, features=["row", "row"])
+    # Who is asked what is always read.
+    assert read_table(path, ignore=["age", "label", "observer"]).observers == ("a", "b")
+
+
+def test_a_table_without_rows(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    path.write_text(path.read_text().splitlines()[0] + "\n")
+    with pytest.raises(InputError, match="has no rows"):
+        read_table(path)
+
+
+def test_only_ones_own_other_answer_is_a_contradiction(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One question is answered both ways by b; that a and b differ is none."""
+    given = {"messages": ["", "m0;m1", "m1", "m1", "m0", "m0"], "label": [1, 1, 0, 1, 1, 0]}
+    one_place = {"row": [1] * 6, "action": ["up"] * 6}
+    read_table(table(tmp_path, **given, **one_place))
+    assert "1 questions were answered both ways" in caplog.text
+
+
 def test_people_may_contradict_themselves_or_stop_early(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -174,6 +287,8 @@ def test_features_are_put_in_the_order_of_a_domain(tmp_path: Path) -> None:
         align(dataset, (*names, "column"))
     with pytest.raises(InputError, match="unknown feature"):
         align(dataset, names[:3])
+    with pytest.raises(InputError, match="row=3"):
+        align(dataset, (*names, "row=3"))  # rows are numbers here
 
 
 def test_a_million_rows(tmp_path: Path, rng: np.random.Generator) -> None:

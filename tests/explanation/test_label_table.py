@@ -1,4 +1,4 @@
-"""A problem kept by type is the same problem as its dense table says."""
+"""A table over the messages relevant to each type says what the dense one does."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from tests.explanation.by_type_problems import pair_of_problems, pairs, plain
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.belief import update
-from xplain.explanation.by_type import ByType
+from xplain.explanation.label_table import LabelTable, joined, stacked
 from xplain.explanation.pomdp_file import lines
 from xplain.explanation.problem import Problem
 
@@ -21,7 +21,6 @@ from xplain.explanation.problem import Problem
 @given(pairs())
 def test_labels_and_beliefs_are_those_of_the_dense_table(both: tuple[Problem, Problem]) -> None:
     by_type, dense = both
-    assert by_type.by_type is not None
     assert np.array_equal(by_type.dense().p_explicable, dense.p_explicable)
     assert by_type.messages_with_effect() == dense.messages_with_effect()
     rng = np.random.default_rng(0)
@@ -56,22 +55,23 @@ def test_problems_made_of_it_are_those_made_of_the_dense_one(both: tuple[Problem
 @given(pairs())
 def test_what_is_relevant_is_found_in_a_dense_table(both: tuple[Problem, Problem]) -> None:
     by_type, dense = both
-    assert by_type.by_type is not None
-    found = ByType.of_table(dense.p_explicable)
-    assert found.effective() == by_type.by_type.effective()
-    assert np.array_equal(found.over(range(dense.n_messages)), dense.p_explicable)
+    every = [range(dense.n_messages)] * dense.n_types
+    found = dense.table.over(dense.table.effective())
+    assert found.rows == [list(row) for row in by_type.table.effective()]
+    assert dense.messages_with_effect() == tuple(sorted(set().union(*found.rows)))
+    assert np.array_equal(found.over(every).p, dense.table.p)
 
 
 def large(n: int = 60) -> Problem:
     """Of 60 messages, each of three types looks at one or two."""
     rng = np.random.default_rng(1)
     relevant = np.array([[3, 59], [40, 2], [17, -1]])
-    return Problem.of_types(ByType(relevant, rng.random((3, 4, 4))), np.ones(n))
+    return Problem(LabelTable.by_type(relevant, rng.random((3, 4, 4))), np.ones(n))
 
 
 def test_sixty_messages_come_back_from_a_file(tmp_path: Path) -> None:
     problem = large()
-    assert problem.relevant.tolist() == [[3, 59], [2, 40], [17, -1]]
+    assert problem.table.relevant.tolist() == [[3, 59], [2, 40], [17, -1]]
     problem.save(tmp_path / "problem.npz")
     assert plain(Problem.load(tmp_path / "problem.npz")) == plain(problem)
     assert (tmp_path / "problem.npz").stat().st_size < 20_000
@@ -80,7 +80,7 @@ def test_sixty_messages_come_back_from_a_file(tmp_path: Path) -> None:
 def test_a_file_holds_the_smaller_form(tmp_path: Path) -> None:
     """Fourteen messages, three of them relevant at most: by type a thousandth of the numbers."""
     by_type, dense = pair_of_problems(np.random.default_rng(5), 2, 3, 14)
-    assert by_type.relevant.shape[1] > 0
+    assert by_type.table.relevant.shape[1] > 0
     for name, problem in (("by_type", by_type), ("dense", dense)):
         problem.save(tmp_path / f"{name}.npz")
         with np.load(tmp_path / f"{name}.npz") as file:
@@ -100,6 +100,32 @@ def test_what_does_not_fit_a_dense_table_is_refused_at_once() -> None:
         next(lines(large()))
 
 
+@pytest.mark.parametrize("many", [20, 21])
+def test_twenty_relevant_messages_are_the_most(many: int) -> None:
+    """Of one type; of what types need together; and of one type over the parts of a trace."""
+    half = many // 2
+    table = np.arange(many)[None], np.broadcast_to(0.5, (1, 1, 1 << many))
+    parts = [
+        LabelTable.by_type([own], np.random.default_rng(0).random((1, 1, 1 << len(own))))
+        for own in ([*range(half)], [*range(half, many)])
+    ]
+    both = Problem(stacked(parts), np.ones(many))
+    if many == 20:
+        assert LabelTable.by_type(*table).p.shape[1] == 1 << 20
+        whole = joined(parts)
+        for given in (0, 5, 1 << half, (1 << many) - 1):
+            each = [part.label_probabilities(1, given)[0, 0] for part in parts]
+            assert whole.label_probabilities(2, given)[0].tolist() == each
+    else:
+        with pytest.raises(InputError, match="at most 20"):
+            LabelTable.by_type(*table)
+        with pytest.raises(TooLargeError, match="at most 20"):
+            joined(parts)
+        for refused in (both.pessimistic, lambda: both.mixture(both.prior), both.dense):
+            with pytest.raises(TooLargeError, match="at most 20"):
+                refused()
+
+
 HALF = np.full((2, 3, 4), 0.5)
 
 
@@ -117,28 +143,25 @@ HALF = np.full((2, 3, 4), 0.5)
         ("p_relevant", {"p_relevant": np.full((2, 12), 0.5)}),
         ("p_relevant", {"p_relevant": np.where(np.arange(4) == 2, 1.5, HALF)}),
         ("p_relevant", {"p_relevant": np.where(np.arange(4) == 2, np.nan, HALF)}),
-        ("p_explicable", {"p_explicable": HALF}),
         ("message_cost", {"message_cost": np.ones(63)}),
         ("message_cost", {"message_cost": 1.0}),
-        ("message_names", {"message_names": ("one",)}),
+        ("message_cost", {"message_names": ("one",)}),
     ],
 )
 def test_bad_tables_are_named(key: str, changes: dict[str, Any]) -> None:
-    given: dict[str, Any] = {
-        "p_explicable": np.empty((0, 0, 0)),
-        "message_cost": np.ones(5),
-        "relevant": [[0, 1], [1, 2]],
-        "p_relevant": HALF,
-    }
-    Problem(**given)
+    def problem(relevant: Any = ((0, 1), (1, 2)), p_relevant: Any = HALF, **rest: Any) -> Problem:
+        table = LabelTable.by_type(relevant, p_relevant)
+        return Problem(table, **{"message_cost": np.ones(5)} | rest)
+
+    problem()
     with pytest.raises(InputError) as caught:
-        Problem(**given | changes)
+        problem(**changes)
     assert caught.value.key == key
     assert "\n" not in str(caught.value)
 
 
 def test_a_pad_changes_nothing_whatever_stands_there() -> None:
     table = np.array([[[0.1, 0.2, np.nan, 7.0]]])
-    problem = Problem.of_types(ByType(np.array([[2, -1]]), table), np.ones(3))
+    problem = Problem(LabelTable.by_type(np.array([[2, -1]]), table), np.ones(3))
     assert problem.label_probabilities(1, 0).tolist() == [[0.1]]
     assert problem.label_probabilities(1, 0b111).tolist() == [[0.2]]

@@ -1,0 +1,112 @@
+"""The Gibbs step of the transitions against the posterior of (S, ε), all of which is enumerated."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.learning.fact_model.states import counted
+from xplain.data.dataset import Dataset
+from xplain.learning.fact_model.counts import REACH
+from xplain.learning.fact_model.gibbs import init
+from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior, State
+from xplain.learning.fact_model.resample_transitions import (
+    WIDE,
+    Scratch,
+    resample_transitions,
+    resample_transitions_wide,
+)
+
+LOG_NOISE = np.log(np.arange(1.0, len(NOISE) + 1) / np.arange(1.0, len(NOISE) + 1).sum())
+"""Some prior over the levels of noise."""
+
+
+def some_answers(rng: np.random.Generator, n: int, size: int, ones: float) -> Answers:
+    """Of three observers about two transitions, under any messages."""
+    dataset = Dataset(
+        features=np.arange(2.0)[:, None],
+        feature_names=("place",),
+        messages=tuple(f"m{j}" for j in range(n)),
+        observers=("a", "b", "c"),
+        observer=rng.integers(3, size=size),
+        transition=rng.integers(2, size=size),
+        message_set=rng.integers(1 << n, size=size),
+        label=(rng.random(size) < ones).astype(np.uint8),
+    )
+    return Answers.of(dataset)
+
+
+def log_joint(answers: Answers, prior: Prior, state: State) -> NDArray[np.float64]:
+    """[T, Z, E] log P(S, ε and the labels about a transition | everybody's R), f summed out."""
+    held = state.facts[answers.owner] & ~answers.message_set
+    found = np.empty((len(state.subset), len(prior.size), len(NOISE)))
+    for t, z, e in np.ndindex(found.shape):
+        about = answers.transition == t
+        cell = held & prior.members[z]
+        value = prior.log_subset[z] + LOG_NOISE[e]
+        for one in np.unique(cell[about]):
+            label = answers.label[about & (cell == one)]
+            ones, zeros = int(label.sum()), int((1 - label).sum())
+            right, wrong = np.log1p(-NOISE[e]), np.log(NOISE[e])
+            before = CELL[int(one == 0)]
+            value += np.logaddexp(
+                np.log(before) + ones * right + zeros * wrong,
+                np.log1p(-before) + ones * wrong + zeros * right,
+            )
+        found[t, z, e] = value
+    return found
+
+
+def begun(answers: Answers, prior: Prior, facts: Any) -> tuple[State, NDArray[np.int64], Scratch]:
+    state = init(answers, prior, np.array(facts))
+    scratch = Scratch.of(
+        answers.transition_start, len(prior.size), prior.subsets.shape[1], len(NOISE)
+    )
+    return state, state.facts[answers.owner] & ~answers.message_set, scratch
+
+
+@pytest.mark.parametrize(
+    ("n", "depth", "size", "step", "temperature"),
+    [
+        (2, 2, 24, resample_transitions, 1.0),
+        (2, 2, 24, resample_transitions, 3.0),
+        # Few labels, so that no fact may matter, which more blocks are drawn from than one.
+        (WIDE + 18, 1, 6, resample_transitions_wide, 1.0),
+    ],
+)
+def test_subsets_and_noise_are_drawn_from_their_posterior(
+    n: int, depth: int, size: int, step: Any, temperature: float
+) -> None:
+    rng = np.random.default_rng(3)
+    answers, prior = some_answers(rng, n, size, 0.6), Prior.of(n, depth)
+    state, held, scratch = begun(answers, prior, [(1 << n) - 1, 1, 3])
+    visits = np.zeros((20, 2, len(prior.size), len(NOISE)))
+    for batch in visits:
+        for _ in range(1000):
+            state.log_noise[:] = LOG_NOISE
+            step(answers, prior, state, held, temperature, rng, scratch)
+            batch[[0, 1], state.subset, state.noise] += 1e-3
+    assert (state.counts == counted(answers, prior, state)).all()
+    share = np.bincount(state.noise, minlength=len(NOISE)) + 0.02
+    assert np.exp(state.log_noise) == pytest.approx(share / share.sum())
+    expected = log_joint(answers, prior, state) / temperature
+    expected = np.exp(expected - expected.max(axis=(1, 2), keepdims=True))
+    expected /= expected.sum(axis=(1, 2), keepdims=True)
+    # Of 20 batches the mean; where a state is rare, by the binomial law of 20,000 draws.
+    error = visits.std(axis=0, ddof=1) / 20**0.5 + (expected * (1 - expected) / 20_000) ** 0.5
+    assert (np.abs(visits.mean(axis=0) - expected) < 5 * error + 2e-4).all()
+
+
+@pytest.mark.parametrize("ones", [0.0, 0.5, 1.0])
+def test_the_score_is_the_sum_over_all_of_them_however_many_labels_agree(ones: float) -> None:
+    """Also beyond the table's reach, where hundreds of labels of a cell are alike."""
+    rng = np.random.default_rng(4)
+    answers, prior = some_answers(rng, 2, 12 * REACH, ones), Prior.of(2, 2)
+    state, held, scratch = begun(answers, prior, [3, 1, 0])
+    state.log_noise[:] = LOG_NOISE
+    score = resample_transitions(answers, prior, state, held, 1.0, rng, scratch)
+    expected = np.logaddexp.reduce(log_joint(answers, prior, state).reshape(2, -1), axis=1)
+    assert score == pytest.approx(expected.sum(), rel=1e-9)

@@ -1,0 +1,293 @@
+"""P(label is 1 | transition, type, message set): all that a solver knows of the users.
+
+To a user only those messages matter that change this user's labels on the trace: about facts held
+wrong, or that the type's labeler looks at. So each type's probabilities stand over the messages
+relevant to it, and N types of r relevant messages need m · 2^r · N numbers, however many messages
+there are. A dense table is the case where every message is relevant to every type.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xplain.errors import InputError, TooLargeError
+
+MAX_MESSAGES = 62
+"""A message set is a signed integer of 64 bits."""
+MAX_RELEVANT = 20
+"""Messages that a table is over: it holds 2^20 entries a transition and type at most."""
+DENSE = 12
+"""Up to so many messages a table is dense: small all the same, and quicker to work with."""
+NONE = -1
+"""In ``relevant``: no message. Pads stand last in a row."""
+
+Rows = Sequence[Sequence[int]]
+
+
+@dataclass(frozen=True)
+class LabelTable:
+    """N types, m transitions. Made by :meth:`dense` and :meth:`by_type`.
+
+    Attributes:
+        relevant: [N, r] int64, the messages relevant to a type, ascending, padded with NONE.
+        p: [m, 2^r, N] float64, C-contiguous, P(label is 1); bit j of the middle axis is message
+            ``relevant[t, j]``, and where that is a pad it changes nothing.
+    """
+
+    relevant: NDArray[np.int64]
+    p: NDArray[np.float64]
+
+    @classmethod
+    def dense(cls, table: ArrayLike) -> LabelTable:
+        """Of P(label is 1 | type, transition, message set), [N, m, 2^n].
+
+        Raises:
+            InputError: no such table, or one of more than MAX_RELEVANT messages.
+        """
+        p = _array("p_explicable", table)
+        if p.ndim != 3 or min(p.shape[0], p.shape[2]) < 1:
+            raise InputError("p_explicable", p.shape, "a table [types, steps, 2**messages]")
+        n = int(p.shape[2]).bit_length() - 1
+        if n > MAX_RELEVANT:
+            allowed = f"at most 2**{MAX_RELEVANT} message sets; a table by type holds more"
+            raise InputError("p_explicable", p.shape, allowed)
+        if p.shape[2] != 1 << n:
+            raise InputError("p_explicable", p.shape, "the last axis must be a power of two")
+        _check_probabilities("p_explicable", p)
+        relevant = np.tile(np.arange(n, dtype=np.int64), (len(p), 1))
+        return cls(relevant, np.ascontiguousarray(p.transpose(1, 2, 0)))
+
+    @classmethod
+    def by_type(cls, relevant: ArrayLike, tables: ArrayLike) -> LabelTable:
+        """Of tables that each type has over messages of its own.
+
+        Args:
+            relevant: [N, r] message indices in any order, −1 for none.
+            tables: [N, m, 2^r]; bit j of the last axis is message ``relevant[t, j]``.
+
+        Raises:
+            InputError: indices that are no messages or named twice, or a table of another width.
+        """
+        indices = np.asarray(relevant)
+        if indices.ndim != 2 or (indices.size and indices.dtype.kind not in "iu"):
+            raise InputError("relevant", indices.shape, "message indices [types, r], −1 pads")
+        types, width = indices.shape
+        p = _array("p_relevant", tables)
+        if p.ndim != 3 or min(p.shape[0], p.shape[2]) < 1 or len(p) != types:
+            raise InputError("p_relevant", p.shape, f"a table [{types}, steps, 2**r]")
+        if width > MAX_RELEVANT:
+            raise InputError("relevant", indices.shape, f"at most {MAX_RELEVANT} messages a type")
+        if p.shape[2] != 1 << width:
+            allowed = f"2**{width} = {1 << width} entries, as relevant has {width} columns"
+            raise InputError("p_relevant", p.shape, allowed)
+        outside = indices[(indices < NONE) | (indices >= MAX_MESSAGES)]
+        if outside.size:
+            raise InputError(
+                "relevant", int(outside[0]), f"a message 0 … {MAX_MESSAGES - 1}, or −1"
+            )
+        own = [[j for j in row if j != NONE] for row in indices.tolist()]
+        for row in own:
+            if len(set(row)) < len(row):
+                raise InputError("relevant", row, "each message once a type")
+        given = cls(indices.astype(np.int64), np.ascontiguousarray(p.transpose(1, 2, 0)))
+        table = given._read_over([sorted(row) for row in own])  # in whatever order, pads anywhere
+        _check_probabilities("p_relevant", table.p)
+        return table
+
+    @classmethod
+    def joined_types(
+        cls, relevant: Sequence[ArrayLike], tables: Sequence[NDArray[np.float64]]
+    ) -> LabelTable:
+        """Of types with different numbers of relevant messages: rows [r_t], ascending, and tables
+        [m, 2^r_t]."""
+        rows = [np.asarray(row, dtype=np.int64).tolist() for row in relevant]
+        width = max(map(len, rows))
+        sets = np.arange(1 << width)
+        own = [p[:, sets & (1 << len(row)) - 1] for row, p in zip(rows, tables, strict=True)]
+        return cls(_padded(rows, width), np.stack(own, axis=-1))
+
+    @property
+    def n_types(self) -> int:
+        """N."""
+        return len(self.relevant)
+
+    @property
+    def rows(self) -> list[list[int]]:
+        """For each type its relevant messages, ascending."""
+        return [[j for j in row if j != NONE] for row in self.relevant.tolist()]
+
+    def is_dense(self, n: int) -> bool:
+        """Whether each type looks at all of n messages: a row of ``p`` is a message set."""
+        return self.relevant.shape[1] == n and bool((self.relevant == np.arange(n)).all())
+
+    def effective(self) -> list[tuple[int, ...]]:
+        """For each type the messages that do change some label, ascending."""
+        return [
+            tuple(row[i] for i in _effective_bits(self.p[..., t : t + 1]) if i < len(row))
+            for t, row in enumerate(self.rows)
+        ]
+
+    def effective_of_any(self) -> tuple[int, ...]:
+        """The messages that change some label of some type, ascending."""
+        if (self.relevant == self.relevant[0]).all():
+            return tuple(self.rows[0][i] for i in _effective_bits(self.p) if i < len(self.rows[0]))
+        return tuple(sorted(set().union(*self.effective())))
+
+    def subset(self, given: int) -> NDArray[np.int64]:
+        """[N] where each type's entry for H is."""
+        bits = (given >> np.maximum(self.relevant, 0) & 1) * (self.relevant != NONE)
+        where: NDArray[np.int64] = (bits << np.arange(bits.shape[1])).sum(axis=-1)
+        return where
+
+    def label_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
+        """[N, count] P(label 1) of the first so many transitions, with message set H given."""
+        own = self.p[:count, self.subset(given), np.arange(self.n_types)]
+        return np.ascontiguousarray(own.T)
+
+    def over(self, rows: Rows) -> LabelTable:
+        """The table over these messages of each type, ascending; the others are never given.
+
+        Raises:
+            TooLargeError: more than MAX_RELEVANT messages of a type.
+        """
+        wanted = [list(row) for row in rows]
+        same = wanted == self.rows and max(map(len, wanted)) == self.relevant.shape[1]
+        return self if same else self._read_over(wanted)
+
+    def _read_over(self, rows: Rows) -> LabelTable:
+        width = max(map(len, rows))
+        if width > MAX_RELEVANT:
+            raise TooLargeError(
+                f"{width} messages matter to some type on this trace, and a table over "
+                f"all their subsets holds at most {MAX_RELEVANT}; solver=qmdp or pomcp plans "
+                "type by type"
+            )
+        places: dict[tuple[tuple[int, ...], tuple[int, ...]], NDArray[np.int64]] = {}
+        where = []
+        for row, old in zip(rows, self.relevant.tolist(), strict=True):
+            key = tuple(row), tuple(old)
+            if key not in places:
+                places[key] = _places(row, old, width)
+            where.append(places[key])
+        if len(places) == 1:
+            p = self.p[:, where[0]]
+        else:
+            p = np.stack([self.p[:, at, t] for t, at in enumerate(where)], axis=-1)
+        return LabelTable(_padded(rows, width), p)
+
+    def array(self, n: int) -> NDArray[np.float64]:
+        """[N, m, 2^n] P(label is 1 | type, transition, message set) of n messages, all sets.
+
+        Raises:
+            TooLargeError: more than MAX_RELEVANT messages.
+        """
+        return self.over([range(n)] * self.n_types).p.transpose(2, 0, 1)
+
+    def compact(self, n: int) -> LabelTable:
+        """As tables are kept: dense where messages are few, else over what changes some label."""
+        return self.over([range(n)] * self.n_types if n <= DENSE else self.effective())
+
+    def with_messages(self, kept: Sequence[int]) -> LabelTable:
+        """The table where only some messages (ascending positions) are ever given; they are
+        numbered anew."""
+        number = {j: i for i, j in enumerate(kept)}
+        some = self.over([[j for j in row if j in number] for row in self.rows])
+        renamed = [[number[j] for j in row] for row in some.rows]
+        return LabelTable(_padded(renamed, some.relevant.shape[1]), some.p)
+
+    def of_types(self, types: Sequence[int]) -> LabelTable:
+        """Some of the types."""
+        return LabelTable(self.relevant[list(types)], self.p[:, :, list(types)])
+
+    def of_steps(self, steps: Sequence[int]) -> LabelTable:
+        """Some of the transitions, in this order."""
+        return LabelTable(self.relevant, self.p[list(steps)])
+
+    def mixed(self, weights: NDArray[np.float64]) -> LabelTable:
+        """One type in the place of all, drawn by ``weights`` [N] anew for every label.
+
+        Raises:
+            TooLargeError: more than MAX_RELEVANT messages matter to some type.
+        """
+        # Weights may sum to a hair more than 1.
+        return self._as_one(lambda p: (p * weights).sum(axis=-1, keepdims=True).clip(0, 1))
+
+    def worst(self) -> LabelTable:
+        """One type in the place of all, to whom each transition is as inexplicable as to any.
+
+        Raises:
+            TooLargeError: as :meth:`mixed`.
+        """
+        return self._as_one(lambda p: p.min(axis=-1, keepdims=True))
+
+    def _as_one(self, merge: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> LabelTable:
+        union = self.effective_of_any()
+        together = self.over([union] * self.n_types)
+        return LabelTable(together.relevant[:1], merge(together.p))
+
+
+def joined(parts: Sequence[LabelTable]) -> LabelTable:
+    """Tables of one trace's parts, one after the other.
+
+    Raises:
+        TooLargeError: more than MAX_RELEVANT messages matter to one type.
+    """
+    types = range(parts[0].n_types)
+    union = [sorted({j for part in parts for j in part.rows[t]}) for t in types]
+    whole = [part.over(union) for part in parts]
+    return LabelTable(whole[0].relevant, np.concatenate([part.p for part in whole]))
+
+
+def stacked(parts: Sequence[LabelTable]) -> LabelTable:
+    """Tables of the same transitions, the types of one after those of the other."""
+    rows = [row for part in parts for row in part.rows]
+    tables = [part.p[:, :, t] for part in parts for t in range(part.n_types)]
+    return LabelTable.joined_types(rows, tables)
+
+
+def _padded(rows: Rows, width: int) -> NDArray[np.int64]:
+    relevant = np.full((len(rows), width), NONE, dtype=np.int64)
+    for own, row in zip(relevant, rows, strict=True):
+        own[: len(row)] = row
+    return relevant
+
+
+def _places(row: Sequence[int], old: Sequence[int], width: int) -> NDArray[np.int64]:
+    """[2^width] where the entries of subsets of ``row`` are in a table over ``old``."""
+    sets = np.arange(1 << width)
+    where = np.zeros_like(sets)
+    for i, j in enumerate(row):
+        if j in old:
+            where |= (sets >> i & 1) << old.index(j)
+    return where
+
+
+def _array(key: str, value: ArrayLike) -> NDArray[np.float64]:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(key, value, "numbers") from None
+
+
+def _check_probabilities(key: str, p: NDArray[np.float64]) -> None:
+    """Raises InputError for what is outside [0, 1], NaN among it."""
+    if p.size and not (p.min() >= 0 and p.max() <= 1):
+        raise InputError(key, float(p[~((p >= 0) & (p <= 1))][0]), "probabilities in [0, 1]")
+
+
+def _effective_bits(p: NDArray[np.float64]) -> tuple[int, ...]:
+    """The bits of the middle axis [m, 2^n, N] that change some entry, ascending."""
+    n = p.shape[1].bit_length() - 1
+    alone = (p[:, [1 << j for j in range(n)]] != p[:, :1]).any(axis=(0, 2))
+    effective = []
+    for j in reversed(range(n)):
+        pairs = p.reshape(len(p), p.shape[1] >> j + 1, 2, 1 << j, p.shape[2])
+        if alone[j] or (pairs[:, :, 0] != pairs[:, :, 1]).any():
+            effective.append(j)
+        else:
+            p = pairs[:, :, 0].reshape(len(p), p.shape[1] >> 1, p.shape[2])  # half is left
+    return tuple(reversed(effective))
