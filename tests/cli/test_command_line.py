@@ -146,6 +146,14 @@ def test_a_key_of_another_choice_says_which(xplain):
     assert "did you mean certify.traces?" in err
 
 
+def test_a_key_within_a_components_key_says_what_there_is_and_how_to_add_one(xplain):
+    _, _, err = xplain("domain=blocks", "domain.facts={jam: {change: {action: stack, cost: 2}}}")
+    assert err.startswith("xplain: domain.facts.jam: no such key; domain.facts has one_hand, tower")
+    assert err.endswith("+domain.facts.jam=… adds this one\n")
+    _, _, err = xplain("domain=blocks", "domain.facts.towr.message=Yes")
+    assert "did you mean domain.facts.tower?" in err
+
+
 def test_prices_of_messages_come_all_by_name(xplain):
     _, _, err = xplain("message_cost.fire=2")
     assert err.startswith("xplain: message_cost.fire: no such key; ")

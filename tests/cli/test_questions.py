@@ -9,6 +9,7 @@ import pytest
 from xplain import Hypotheses, LearnedTypes
 from xplain.cli.questions import questions
 from xplain.errors import InputError
+from xplain.questions.committee import next_screen_of
 
 TABLE = """text,image,inexplicable_if
 Drives over the cable,cable.jpg,cable
@@ -99,7 +100,7 @@ def test_answers_to_chosen_questions_find_types_that_a_file_keeps(tmp_path, comm
     assert said["n_types"] == 5
     types = LearnedTypes.load(tmp_path / "outputs/discover/types.npz")
     known = Hypotheses.load(tmp_path / "h.npz").told_apart_by_features()
-    table = types.p_explicable(known.features)
+    table = types.label_table(known.features).array(known.n_messages)
     held = [["fire", "rubble"], ["first_aid", "fence"]]  # of the shipped types, two
     for facts in held:
         mask = sum(1 << known.messages.index(name) for name in facts)
@@ -151,6 +152,25 @@ def test_a_screen_is_a_form_whose_answers_go_back(tmp_path):
     assert {row["observer"] for row in again} == {"new"}
     assert {row["label"] for row in again} == {""}
     assert len(again) == 6  # a screen asks about each transition once
+
+
+def test_every_screen_draws_from_a_stream_of_its_own(tmp_path, monkeypatch):
+    """Seeds, observers, and the screens of one observer; asked again, the same."""
+    drawn = {}
+
+    def noted(pool, answers, observer, count, rng):
+        drawn.setdefault(case, set()).add(rng.bit_generator.state["state"]["state"])
+        return next_screen_of(pool, answers, observer, count, rng)
+
+    monkeypatch.setattr("xplain.questions.committee.next_screen_of", noted)
+    cases = [("bob", 0, 0), ("bob", 1, 0), ("bob", 4, 0), ("ann", 1, 0), ("bob", 1, 1)]
+    for case in [*cases, cases[1]]:
+        who, answers, seed = case
+        rows = [("bob", t, "m0", 1) for t in range(answers)]
+        data = (answers_file(tmp_path, rows),) if rows else ()
+        next_form(tmp_path, *data, f"observer={who}", f"seed={seed}")
+    assert [len(own) for own in drawn.values()] == [1] * len(cases)
+    assert len(set().union(*drawn.values())) == len(cases)
 
 
 def test_a_domains_screen_is_a_table_that_discover_reads(tmp_path):

@@ -1,6 +1,6 @@
 """Finds the user types in people's labels: ``xplain discover data=FILE``.
 
-The file is read as :mod:`xplain.data.label_table` says. Into the folder ``output`` go
+The file is read as :mod:`xplain.data.label_file` says. Into the folder ``output`` go
 
 - ``types.npz``: the types and their labelers, as :class:`xplain.learning.saved_types.LearnedTypes`
   loads them (for ``xplain.Explainer``);
@@ -40,7 +40,7 @@ Row = dict[str, Any]
 def discover(arguments: list[str]) -> Row:
     """Finds the types and writes the files; returns what the command prints. ``arguments``
     override conf/discover.yaml."""
-    from xplain.data.label_table import align, read_table
+    from xplain.data.label_file import align, read_table
     from xplain.experiment.pipeline import learn
     from xplain.learning.cross_validation import held_out_log_likelihood
     from xplain.questions.hypotheses import Hypotheses

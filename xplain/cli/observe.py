@@ -23,7 +23,7 @@ def observe(arguments: list[str]) -> dict[str, Any]:
     conf/observe.yaml."""
     import pandas as pd
 
-    from xplain.data.label_table import check_format, write_table
+    from xplain.data.label_file import check_format, write_table
     from xplain.experiment import pipeline
 
     cfg = composed("observe", arguments, with_hydra=True)

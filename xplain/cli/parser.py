@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from typing import NoReturn
+from pathlib import Path
+from typing import Any, NoReturn
 
 from xplain.errors import XplainError
 
@@ -17,3 +18,28 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raises XplainError with argparse's message and where the help is."""
         raise XplainError(f"{message}; see {self.prog} --help")
+
+
+def parsed(prog: str, words: list[str], *names: str, **flags: Any) -> argparse.Namespace:
+    """What a command was given.
+
+    Args:
+        prog: the command.
+        words: that followed it.
+        names: of what has to be given, in order; ``database`` and ``folder`` are paths.
+        flags: with their defaults, or the type of one without; ``...`` stands for a text that has
+            to be given, False for a switch.
+    """
+    parser = Parser(prog)
+    for name in names:
+        parser.add_argument(name, type=Path if name in ("database", "folder") else str)
+    for name, default in flags.items():
+        flag = f"--{name.replace('_', '-')}"
+        if default is False:
+            parser.add_argument(flag, action="store_true")
+        elif isinstance(default, type) or default is ...:
+            kind = str if default is ... else default
+            parser.add_argument(flag, type=kind, required=default is ...)
+        else:
+            parser.add_argument(flag, type=type(default), default=default)
+    return parser.parse_args(words)

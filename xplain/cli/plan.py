@@ -7,7 +7,8 @@ The last line on standard output is one JSON object:
   depend on a type that only the solver is told (oracle, clairvoyant);
 - ``value``: expected discounted return of the executed policy under the model; for a solver that
   is told the type, Σ_t prior(t) V*_t;
-- ``value_is``: "exact", or "simulated" with ``value_se``;
+- ``value_is``: "exact", or "simulated" with its standard error ``value_se`` and half of its 95 %
+  interval, ``value_half_width``;
 - ``optimal_lower``, ``optimal_upper``: bounds of the optimal value; null where not computed;
 - ``seconds``: time to plan and to take the first decision.
 
@@ -46,6 +47,7 @@ def plan(arguments: list[str]) -> Row | list[Row]:
 
 
 def _plan_one(cfg: DictConfig, known: Bounds | None = None) -> Row:
+    from xplain.evaluation.statistics import half_width
     from xplain.explanation.problem import Problem
     from xplain.message_sets import indices
     from xplain.solvers.bounds import known_type_value
@@ -69,6 +71,7 @@ def _plan_one(cfg: DictConfig, known: Bounds | None = None) -> Row:
         row |= {"value": worth.value, "value_is": worth.value_is}
         if worth.value_is == "simulated":
             row["value_se"] = worth.value_se
+            row["value_half_width"] = half_width(worth.value_se, cfg.value.episodes - 1)
     lower, upper = None, None
     if isinstance(policy, CertifiedPolicy):
         lower, upper = policy.lower, policy.upper
@@ -87,6 +90,17 @@ def _bounds(problem: Problem, cfg: DictConfig) -> Bounds | None:
     return bounds(problem, effort)
 
 
+def _how_known(row: Row) -> str:
+    """``simulated ± 0.0412``, half of the 95 % interval."""
+    from xplain.report.run_summary import BY_CHANCE
+
+    if "value_half_width" not in row:
+        return str(row["value_is"])
+    upper = row["optimal_upper"]
+    beyond = upper is not None and row["value"] > upper
+    return f"simulated ± {row['value_half_width']:.4f}" + (BY_CHANCE if beyond else "")
+
+
 def _compare(rows: list[Row]) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -94,12 +108,11 @@ def _compare(rows: list[Row]) -> None:
     table = Table("solver", "first messages", "value", "", "optimum", "seconds")
     for row in rows:
         first, lower, upper = row["first_messages"], row["optimal_lower"], row["optimal_upper"]
-        error = f"{row['value_is']}" + (f" ± {row['value_se']:.4f}" if "value_se" in row else "")
         table.add_row(
             row["solver"],
             "by type" if first is None else " ".join(map(str, first)) or "none",
             f"{row['value']:.4f}",
-            error,
+            _how_known(row),
             "" if lower is None else f"{lower:.4f} … {upper:.4f}",
             f"{row['seconds']:.3f}",
         )

@@ -83,7 +83,7 @@ def _battery(cfg: DictConfig, design: Battery) -> Row:
 
 
 def _screen(cfg: DictConfig, design: Adaptive) -> Row:
-    from xplain.data.label_table import align, columns_of, read_table
+    from xplain.data.label_file import align, columns_of, read_table
     from xplain.message_sets import names_of
     from xplain.questions.committee import next_screen_of
     from xplain.randomness import stream

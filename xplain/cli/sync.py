@@ -1,7 +1,7 @@
 """Sends results on disk to MLflow: ``xplain sync [FOLDER ...] [tracking.uri=URI]``.
 
 Without folders, every result below ``outputs/``. Sweeps arrive as a parent with its children.
-What is in MLflow already is not sent again.
+What is in MLflow already is not sent again; what was left open or half-sent is mended.
 """
 
 from __future__ import annotations
@@ -14,39 +14,33 @@ from xplain.config import composed
 from xplain.errors import InputError
 from xplain.experiment.results import RESULTS
 from xplain.runs.folder import SWEEP, SweepFolder
-from xplain.runs.mlflow import MLflow, log_folder
-from xplain.runs.mlflow_mirror import Mirror
-from xplain.runs.mlflow_views import describe_experiment
+from xplain.runs.mlflow import MLflow
+from xplain.runs.reuse import runs_and_sweeps
 
 
 def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
-    """Sends every result at or below the folders; returns how many there are.
+    """Sends every run and sweep at or below the folders; returns how many results there are.
 
     Raises:
         InputError: a folder is not there, or holds no results.
-        OSError, MlflowException: the store cannot be reached.
+        OSError, sqlite3.Error, MlflowException: the store cannot be reached.
     """
-    sweeps: dict[Path, int] = {}
-    alone: list[Path] = []
+    count = 0
     for folder in folders:
-        below = sorted(path.parent for path in folder.rglob(RESULTS))
+        inside = folder.parent.name == "jobs" and (folder.parents[1] / SWEEP).exists()
+        below = list(runs_and_sweeps(folder.parents[1] if inside else folder))
         if not below:
             raise InputError("folder", str(folder), f"a folder with {RESULTS} in it or below")
-        for result in below:
-            sweep = result.parents[1]
-            if result.parent.name == "jobs" and (sweep / SWEEP).exists():
-                sweeps[sweep] = sweeps.get(sweep, 0) + 1
-            else:
-                alone.append(result)
-    with tracking.client(outputs) as (client, experiment_id):
-        for result in alone:
-            log_folder(client, experiment_id, result)
-        describe_experiment(client, experiment_id)
-    for path in sweeps:
-        sweep_folder = SweepFolder(path)
-        with sweep_folder.alone(f"{path.name}: it is running; waiting for its end"):
-            Mirror(tracking, outputs, sweep_folder, sweep_folder.jobs()).send()
-    return len(alone) + sum(sweeps.values())
+        for one in below:
+            if not (one / SWEEP).exists():
+                tracking.send(one, outputs)
+                count += 1
+                continue
+            sweep = SweepFolder(one)
+            with sweep.alone(f"{one.name}: it is running; waiting for its end"):
+                tracking.send(one, outputs)
+            count += sum(sweep.state(job) == "finished" for job in sweep.jobs())
+    return count
 
 
 def main(arguments: list[str]) -> None:

@@ -4,14 +4,8 @@ from a snapshot).
     xplain collect export DATABASE FOLDER
 """
 
-from __future__ import annotations
+from functools import partial
 
-from xplain.cli.study.export import given, said
+from xplain.cli import people
 
-
-def main(arguments: list[str]) -> None:
-    """Writes the tables and their codebook into the folder."""
-    database, folder = given("xplain collect export", arguments)
-    from xplain.collect.analysis.export import export
-
-    said(folder, export(database, folder))
+main = partial(people.export, "collect")

@@ -6,15 +6,8 @@
 was then. The database is one that no server has open. Exit code 1 where anything differs.
 """
 
-from __future__ import annotations
+from functools import partial
 
-from xplain.cli.study.replay import compare
+from xplain.cli import people
 
-
-def main(arguments: list[str]) -> None:
-    """Compares, and ends the process with exit code 1 where anything differs."""
-    from xplain.collect.analysis.replay import replay
-    from xplain.collect.probes import collection_of
-    from xplain.collect.protocol.plan import CollectPlan
-
-    compare(arguments, CollectPlan, collection_of, replay)
+main = partial(people.replay, "collect")

@@ -10,22 +10,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from xplain.cli.parser import Parser
+from xplain.cli.parser import parsed
 
 
 def main(arguments: list[str]) -> None:
     """Writes and prints Table 2 of an export."""
-    parser = Parser("xplain study analyse")
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--stream", default="person")
-    parser.add_argument("--exclude", type=Path)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path)
-    given = parser.parse_args(arguments)
+    flags = {"stream": "person", "exclude": Path, "seed": 0, "out": Path}
+    given = parsed("xplain study analyse", arguments, "folder", **flags)
     from rich.console import Console
 
-    from xplain.study.analysis.report import exclusions, save, show
-    from xplain.study.analysis.table2 import analyse, read
+    from xplain.people.study.report import exclusions, save, show
+    from xplain.people.study.table2 import analyse, read
 
     analysis = analyse(read(given.folder), given.stream, exclusions(given.exclude), seed=given.seed)
     out = given.out or given.folder

@@ -8,21 +8,16 @@ is written to the log, which can still be checked. Exports and backups made befo
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from xplain.cli.parser import Parser
+from xplain.cli.parser import parsed
 from xplain.errors import InputError
 
 
 def main(arguments: list[str]) -> None:
     """Erases, for ever."""
-    parser = Parser("xplain study erase")
-    parser.add_argument("database", type=Path)
-    parser.add_argument("reference")
-    given = parser.parse_args(arguments)
+    given = parsed("xplain study erase", arguments, "database", "reference")
     if not given.database.is_file():
         raise InputError("database", str(given.database), "a study's database")
-    from xplain.participants.server.database import Database
+    from xplain.people.server.database import Database
 
     database = Database(given.database)
     try:

@@ -26,9 +26,9 @@ def main(arguments: list[str]) -> None:
     given = parser.parse_intermixed_args(arguments)
     for key in ("people", "studies", "n"):
         whole_number(f"--{key}", getattr(given, key), 2)
-    from xplain.study.policies import study_of
-    from xplain.study.prepare import study_plan
-    from xplain.study.simulation import power
+    from xplain.people.study import power
+    from xplain.people.study.policies import study_of
+    from xplain.people.study.prepare import study_plan
 
     study = study_of(study_plan(composed("study", given.overrides)))
     power.write(study, given.out, given.people, given.studies, given.n)

@@ -10,19 +10,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from xplain.cli.parser import Parser
+from xplain.cli.parser import parsed
 
 
 def main(arguments: list[str]) -> None:
     """Prints the document, or writes it into a file."""
-    parser = Parser("xplain study preregister")
-    parser.add_argument("database", type=Path)
-    parser.add_argument("--out", type=Path)
-    given = parser.parse_args(arguments)
+    given = parsed("xplain study preregister", arguments, "database", out=Path)
     from xplain.errors import InputError
-    from xplain.participants.stored import read_plan
-    from xplain.study.preregistration import document
-    from xplain.study.protocol.plan import StudyPlan
+    from xplain.people.analysis.stored import read_plan
+    from xplain.people.study.plan import StudyPlan
+    from xplain.people.study.preregistration import document
 
     plan = read_plan(given.database, StudyPlan)
     if plan is None:

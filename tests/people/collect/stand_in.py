@@ -1,0 +1,80 @@
+"""A collection about a street: a domain that has no texts of its own, with few simulated people."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from tests.people.study.stand_in import TYPES, Street
+from xplain.config import CONF
+from xplain.people.collect.bot import Habits, collection_of, probes
+from xplain.people.collect.flow import Collection
+from xplain.people.collect.plan import CollectPlan, Rules
+from xplain.people.collect.prepare import assemble, domain_source
+from xplain.questions.designs import Adaptive, Battery
+from xplain.users.types import Explicit
+
+FAULTLESS = Habits(error=0.0, mistake=0.0)
+RULES: dict[str, Any] = {"people": 6, "repeats": 2, "attention": True, "timeout_minutes": 30}
+STREET = Street()
+EXPECTED = {
+    "people": 6.0,
+    "labels": 12.0,
+    "error": 0.05,
+    "runs": 1.0,
+    "rand_index": 1.0,
+    "rand_index_least": 1.0,
+    "rand_index_more": 1.0,
+}
+
+
+def wording(**changes: Any) -> dict[str, Any]:
+    """The texts that every task has."""
+    texts: Any = OmegaConf.to_container(OmegaConf.load(CONF / "collect" / "texts" / "en.yaml"))
+    texts["words"] |= OmegaConf.to_container(OmegaConf.load(CONF / "words" / "en.yaml"))
+    questions = [
+        {"name": "age", "label": "Your age", "kind": "number", "low": 18, "high": 110},
+        {"name": "comment", "label": "Anything else?", "kind": "text", "max_length": 200},
+    ]
+    return {str(key): value for key, value in texts.items()} | {"questions": questions} | changes
+
+
+def street_plan(
+    design: Adaptive | Battery | None = None,
+    points: int = 12,
+    briefing: str = "none",
+    seed: int = 3,
+    words: dict[str, Any] | None = None,
+    **rules: Any,
+) -> CollectPlan:
+    """A plan for the street, expectation made up."""
+    users = Explicit({one.name: list(one.inaccurate) for one in TYPES})
+    config = {"seed": seed, "briefing": briefing, "wording": words or wording(), "points": points}
+    plan = assemble(
+        domain_source(STREET, users, seed),
+        design or Adaptive(),
+        Rules(points=points, **RULES | rules),
+        config,
+    )
+    return at_work(plan).plan
+
+
+def at_work(plan: CollectPlan) -> Collection:
+    """A plan with an expectation that is made up."""
+    plan = replace(plan, expectation=EXPECTED)
+    return Collection(CollectPlan.from_text(replace(plan, probes=probes(Collection(plan))).text))
+
+
+def street_collection(*args: Any, **changes: Any) -> Collection:
+    """The same, at work."""
+    return collection_of(street_plan(*args, **changes))
+
+
+def telling() -> Collection:
+    """One in which every question comes with other messages: the street's own need none."""
+    plan = street_plan()
+    transitions = plan.hypotheses.n_transitions
+    listed = tuple((told % transitions, told) for told in range(2, 14))
+    return Collection(replace(plan, questions=listed, expectation=EXPECTED))

@@ -1,0 +1,216 @@
+"""From answers to tables and types: who is left out, what is learned, what more people bring."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.people.collect.stand_in import FAULTLESS, street_collection
+from xplain.data.label_file import read_table, write_table
+from xplain.errors import InputError
+from xplain.people.analysis.stored import opened, plan_of
+from xplain.people.collect.asking import ATTENTION, State, shared
+from xplain.people.collect.bot import Habits, bot, take_part
+from xplain.people.collect.flow import Collection
+from xplain.people.collect.labels import (
+    dataset_of,
+    expected_new,
+    fact_sets,
+    found_types,
+    why_left_out,
+)
+from xplain.people.collect.plan import CollectPlan
+from xplain.people.collect.site import CollectSite
+from xplain.people.collect.tables import export
+from xplain.people.server.store import Store
+from xplain.people.simulation.bots import answer
+from xplain.people.study.site import StudySite
+
+COLLECTION = street_collection()
+
+
+def person(number: int, habits: Habits = FAULTLESS) -> State:
+    return take_part(COLLECTION, bot(COLLECTION.plan, habits, 0, number), number, {})
+
+
+def with_stage(state: State, stage: str) -> State:
+    return replace(state, stage=stage)
+
+
+def inattentive(state: State) -> State:
+    answered = tuple(
+        replace(clip, labels=(1,)) if clip.purpose == ATTENTION else clip for clip in state.answered
+    )
+    return replace(state, answered=answered)
+
+
+def test_only_who_finished_and_looked_is_learned_from() -> None:
+    done = person(0)
+    assert why_left_out(done) == ""
+    assert why_left_out(with_stage(done, "beliefs")) == ""  # every clip is answered
+    assert why_left_out(with_stage(done, "clips")) == "unfinished"
+    for end in ("withdrawn", "declined", "timed_out"):
+        assert why_left_out(with_stage(done, end)) == end
+    assert why_left_out(inattentive(done)) == "inattentive"
+
+
+def test_the_table_of_labels_holds_every_question_once_and_reads_back(tmp_path: Path) -> None:
+    people = {f"p{number}": person(number) for number in range(3)}
+    dataset = dataset_of(COLLECTION.plan, people)
+    assert len(dataset) == 3 * 12
+    assert np.bincount(dataset.observer).tolist() == [12, 12, 12]
+    known = COLLECTION.plan.hypotheses
+    for o, state in enumerate(people.values()):
+        own = dataset.of(np.array([o]))
+        given = [(c.transitions[0], c.told, c.labels[0]) for c in state.questions()]
+        for row, (transition, told, label) in enumerate(given):
+            assert own.features[own.transition[row]].tolist() == known.features[transition].tolist()
+            assert (own.message_set[row], own.label[row]) == (told, label)
+    write_table(dataset, tmp_path / "labels.csv")
+    again = read_table(tmp_path / "labels.csv", known.messages)
+    assert again.label.tolist() == dataset.label.tolist()
+    assert again.message_set.tolist() == dataset.message_set.tolist()
+
+
+def test_faultless_people_are_sorted_into_the_types_they_are() -> None:
+    plan = COLLECTION.plan
+    people = [person(number) for number in range(9)]
+    facts, error = fact_sets(plan, people)
+    assert facts.tolist() == [plan.roles[number % 3].held for number in range(9)]
+    assert error < 0.02
+    found = found_types(plan, people)
+    assert found is not None
+    assert sorted(len(one.members) for one in found.types) == [3, 3, 3]
+    assert {one.wrong for one in found.types} == {
+        ("bridge", "market"),
+        ("market", "school"),
+        ("school", "tunnel"),
+    }
+    assert min(one.posterior for one in found.types) > 0.9
+    assert found.unlike < 0.1
+    assert found_types(plan, people[:1]) is None
+
+
+@pytest.mark.parametrize("people", [5, 24, 200])
+def test_new_types_are_those_of_ewens(people: int) -> None:
+    """The concentration is the one that expects as many types as were seen; then the sums are
+    those of the Chinese restaurant process."""
+    before = -1.0
+    for types in range(1, people + 1, max(people // 10, 1)):
+        next_new, ten = expected_new(types, people, 10)
+        alpha = next_new * people / (1 - next_new) if next_new < 1 else np.inf
+        if types > 1 and next_new < 1:
+            seen = (alpha / (alpha + np.arange(people))).sum()
+            assert seen == pytest.approx(types, abs=1e-6) or seen > types
+        if next_new < 1:
+            after = (alpha / (alpha + people + np.arange(10))).sum()
+            assert ten == pytest.approx(after)
+        assert 0 < next_new <= 1
+        assert next_new > before or next_new == pytest.approx(before)  # more seen, more to come
+        before = next_new
+    assert expected_new(people, people, 10) == (1.0, 10.0)
+
+
+def test_more_people_of_the_same_types_make_new_types_less_likely() -> None:
+    few, many = expected_new(5, 24, 10), expected_new(5, 240, 10)
+    assert many[0] < few[0] / 5
+    assert many[1] < few[1] / 5
+
+
+Fill = Callable[[Store, int], str]
+
+
+def filled(path: Path, collection: Collection, count: int = 4) -> list[str]:
+    """A database in which people answered: all but the last, who withdraws amid the clips."""
+    store, found = Store(path, CollectSite(collection)), []
+    for number in range(count):
+        who = store.enter_invited(store.invite(1, "person")[0])
+        someone = bot(collection.plan, Habits(mistake=0), 1, number)
+        state = store.submit(
+            who, 0, "consent", {"agree": 1, "text": collection.plan.texts.consent_hash}
+        )
+        while not state.over:
+            store.shown(who, state.accepted, state.stage)
+            kind, payload = answer(collection, someone, state)
+            if number == count - 1 and len(state.answered) == 5:
+                kind, payload = "withdraw", {}
+            if kind == "answers":
+                payload = {"age": "33", "comment": "=HYPERLINK(1)"}
+            state = store.submit(who, state.accepted, kind, payload)
+        found.append(who)
+    store.close()
+    return found
+
+
+def test_the_export_says_who_gave_which_labels(tmp_path: Path) -> None:
+    path, out = tmp_path / "c.sqlite", tmp_path / "out"
+    everybody = filled(path, COLLECTION)
+    export(path, out)
+    observers = pd.read_csv(out / "observers.csv").set_index("observer")
+    assert observers.index.tolist() == everybody
+    kept = observers[observers["in_labels"] == 1]
+    labels = pd.read_csv(out / "labels.csv", keep_default_na=False)
+    assert set(labels["observer"]) == set(kept.index)
+    assert set(labels.groupby("observer").size()) == {12}
+    assert not (out / "labels_bot.csv").exists()
+    last = everybody[-1]
+    assert observers.loc[last, "left_out"] == "withdrawn"
+    clips = pd.read_csv(out / "clips.csv")
+    assert last not in set(clips["observer"])  # nothing they answered leaves the database
+    assert observers.loc[last, ["likeliest", "stated_bridge", "answer_age"]].isna().all()
+    assert set(clips.groupby("observer").size()) == {15}
+    assert (clips["seconds"] >= 0).all()
+    assert (kept["clips_s"] >= 0).all()
+    assert set(observers["answer_comment"].dropna()) == {"'=HYPERLINK(1)"}
+    assert set(kept["stated_bridge"]) <= {"accurate", "inaccurate"}
+    columns = set(pd.read_csv(out / "codebook.csv").query("table == 'observers'")["column"])
+    families = ("stated_", "answer_")
+    assert {c for c in observers.reset_index() if not c.startswith(families)} == {
+        c for c in columns if not c.endswith("…")
+    }
+
+
+def test_a_replay_knows_every_clip(tmp_path: Path) -> None:
+    path = tmp_path / "c.sqlite"
+    filled(path, COLLECTION)
+    with opened(path) as connection:
+        found = CollectSite(COLLECTION).replay(connection)
+        assert plan_of(connection, CollectPlan).hash == COLLECTION.plan.hash
+    assert (found.differences, found.participants) == ([], 4)
+    assert found.steps == 3 * 15 + 6  # the sixth clip was on the page when the last one left
+
+
+def test_priors_come_from_those_who_had_finished_before(tmp_path: Path) -> None:
+    path = tmp_path / "c.sqlite"
+    everybody = filled(path, COLLECTION)
+    store = Store(path, CollectSite(COLLECTION))
+    states = [store.participant(who).state for who in everybody]
+    assert states[0].others == {}
+    assert states[1].others == shared([states[0].belief])
+    (token,) = store.invite(1, "bot")
+    bot = store.enter_invited(token)
+    text = COLLECTION.plan.texts.consent_hash
+    state = store.submit(bot, 0, "consent", {"agree": 1, "text": text})
+    assert state.others == {}  # people and bots never mix
+    store.close()
+
+
+def test_a_studys_database_is_not_a_collections(tmp_path: Path) -> None:
+    from tests.people.study.stand_in import street_study
+    from xplain.errors import XplainError
+    from xplain.people.analysis.stored import read_plan
+    from xplain.people.study.plan import StudyPlan
+
+    Store(tmp_path / "s.sqlite", StudySite(street_study())).close()
+    with pytest.raises(XplainError, match="another study plan"):
+        Store(tmp_path / "s.sqlite", CollectSite(COLLECTION))
+    with pytest.raises(InputError, match="that of a collection"):
+        export(tmp_path / "s.sqlite", tmp_path / "out")
+    Store(tmp_path / "c.sqlite", CollectSite(COLLECTION)).close()
+    with pytest.raises(InputError, match="that of a study"):
+        read_plan(tmp_path / "c.sqlite", StudyPlan)

@@ -1,0 +1,272 @@
+"""The pure protocol: its way, what it asks and in which order, what it lets nobody see."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.people.collect.stand_in import FAULTLESS, street_collection, telling
+from xplain.errors import InputError
+from xplain.people.collect import flow
+from xplain.people.collect.asking import (
+    ATTENTION,
+    QUESTION,
+    REPEAT,
+    Clip,
+    State,
+    belief,
+    schedule,
+    shared,
+)
+from xplain.people.collect.bot import Habits, Observer, take_part
+from xplain.people.collect.flow import Collection
+from xplain.people.collect.plan import CollectPlan
+from xplain.people.simulation.bots import answer
+from xplain.questions.designs import Battery
+
+COLLECTION = street_collection()
+KINDS = {one.name: one.kind for one in COLLECTION.STAGES}
+numbers = st.integers(0, 10_000)
+
+
+def somebody(
+    collection: Collection, held: int, number: int = 0, habits: Habits = FAULTLESS
+) -> State:
+    """An observer in the bare protocol, to the end."""
+    person = Observer(collection.plan, held, habits, np.random.default_rng(number))
+    return take_part(collection, person, number, {})
+
+
+def consent(collection: Collection, **changes: Any) -> dict[str, Any]:
+    text = collection.plan.texts.consent_hash
+    return {"agree": 1, "text": text, "number": 5, "role": None, "others": {}} | changes
+
+
+def states(collection: Collection, held: int = 3, number: int = 5) -> list[State]:
+    """Every state on the way."""
+    person = Observer(collection.plan, held, FAULTLESS, np.random.default_rng(number))
+    found = [State()]
+    kind, payload = "consent", consent(collection, number=number)
+    while not found[-1].over:
+        found.append(collection.advance(found[-1], kind, payload).state)
+        if not found[-1].over:
+            kind, payload = answer(collection, person, found[-1])
+    return found
+
+
+def test_the_way_from_consent_to_done() -> None:
+    seen = [state.stage for state in states(COLLECTION)]
+    clips = 12 + 2 + 1
+    assert seen == [
+        *("consent", "task", "practice", "practice"),
+        *["clips"] * clips,
+        *("beliefs", "questions", "done"),
+    ]
+
+
+@settings(deadline=None)
+@given(numbers)
+def test_a_schedule_has_every_question_one_obvious_step_and_looks_back(number: int) -> None:
+    tasks = schedule(COLLECTION.plan, number)
+    purposes = [task.purpose for task in tasks]
+    assert purposes.count(QUESTION) == 12
+    assert purposes.count(ATTENTION) == 1
+    again = [task.again for task in tasks if task.purpose == REPEAT]
+    assert len(set(again)) == 2  # two different questions
+    for place, task in enumerate(tasks):
+        if task.purpose == REPEAT:
+            # Long enough after the first time, which was a question that had been asked.
+            asked = purposes[:place].count(QUESTION)
+            assert asked - task.again >= 3
+        if task.purpose == ATTENTION:
+            assert 3 < place < len(tasks) - 3
+
+
+def test_schedules_and_questions_differ_between_people() -> None:
+    assert len({schedule(COLLECTION.plan, number) for number in range(20)}) > 10
+
+
+def test_a_repeated_question_is_the_same_question() -> None:
+    for number in range(5):
+        state = somebody(COLLECTION, held=5, number=number)
+        questions = {(clip.transitions, clip.told) for clip in state.questions()}
+        repeats = [clip for clip in state.answered if clip.purpose == REPEAT]
+        assert len(repeats) == 2
+        assert {(clip.transitions, clip.told) for clip in repeats} <= questions
+
+
+@pytest.mark.parametrize("design", [None, Battery(redundancy=2)])
+def test_whoever_never_errs_is_found_consistent_and_attentive(design: Battery | None) -> None:
+    collection = COLLECTION if design is None else street_collection(design, points=16)
+    known = collection.plan.hypotheses
+    for row, held in enumerate(known.facts.tolist()):
+        state = somebody(collection, held, number=row)
+        assert state.attentive is True
+        assert state.consistency == 1.0
+        likeliest = max((f for f in state.belief if f != "none"), key=lambda f: state.belief[f])
+        assert int(likeliest) == known.essential[row]
+        assert state.belief[likeliest] > 0.9
+
+
+def test_whoever_tosses_coins_is_neither() -> None:
+    habits = Habits(error=0.5, mistake=0.0)
+    found = [somebody(COLLECTION, 3, number, habits) for number in range(40)]
+    # 80 repeated labels, 40 obvious steps: both are fair coins.
+    assert 0.35 < np.mean([state.consistency for state in found]) < 0.65
+    assert 0.25 < np.mean([state.attentive for state in found]) < 0.75
+
+
+def test_a_list_is_the_same_for_everybody_in_an_order_of_their_own() -> None:
+    collection = street_collection(Battery(redundancy=1), points=10)
+    asked = [
+        [(clip.transitions, clip.told) for clip in somebody(collection, 2, number).questions()]
+        for number in range(4)
+    ]
+    assert len(asked[0]) == 10
+    assert all(sorted(one) == sorted(asked[0]) for one in asked)
+    assert any(one != asked[0] for one in asked)
+
+
+def test_what_is_kept_of_earlier_answers_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Three who answer alike, in turn: two of one number, one of them with a prior of others.
+    monkeypatch.setattr("xplain.people.collect.flow.QUESTIONNAIRES", 5)
+    shared_by_all = street_collection()
+    people = [State(number=4), State(number=4, others={"6": 1.0}), State(number=5)]
+    rng = np.random.default_rng(0)
+    for step in range(12):
+        clips = [Clip(QUESTION, (int(rng.integers(4)),), 0, (int(rng.integers(2)),))] * 3
+        if step == 6:
+            clips[2] = replace(clips[2], purpose=ATTENTION)  # is no answer
+        people = [
+            replace(one, answered=(*one.answered, clip))
+            for one, clip in zip(people, clips, strict=True)
+        ]
+        for one in people:
+            found = shared_by_all.questionnaire(one)
+            alone = street_collection().questionnaire(one)
+            assert found.posterior.tobytes() == alone.posterior.tobytes()
+            assert found.next() == alone.next()
+            assert found.asked == alone.asked
+            found.answer([1], ([0], 0))  # whoever asks for it may go on with it
+    assert shared_by_all.kept.cache_info().currsize == 5
+
+
+@settings(max_examples=25, deadline=None)
+@given(numbers, st.integers(0, 15))
+def test_the_posterior_is_one_and_depends_on_the_answers_alone(number: int, held: int) -> None:
+    habits = Habits(error=0.2, mistake=0.0)
+    state = somebody(COLLECTION, held, number, habits)
+    assert abs(sum(state.belief.values()) - 1) < 1e-4  # but for what is not written down
+    assert belief(COLLECTION.questionnaire(state)) == state.belief
+
+
+def test_nothing_of_what_is_behind_a_clip_is_on_its_page() -> None:
+    collection = telling()
+    plan = collection.plan
+    for state in states(collection):
+        view = collection.view(state)
+        text = json.dumps(view, default=str)
+        for hidden in (QUESTION + '"', ATTENTION, REPEAT, 'belief"', "posterior", "bits"):
+            assert hidden not in text
+        if state.stage == "clips" and state.clip is not None:
+            assert len(view["told"]) == state.clip.told.bit_count()
+            assert set(view["told"]) <= {fact.message for fact in plan.facts}
+
+
+def test_half_of_a_prior_is_what_others_hold_wrong() -> None:
+    """By hand: half the prior of 16 equally likely sets, half on {0, 1} and {2} as 3 to 1."""
+    first = State(number=0, others={"3": 0.75, "4": 0.25})
+    prior = COLLECTION.questionnaire(first).posterior / (1 - 0.01)
+    known = COLLECTION.plan.hypotheses
+    expected = np.full(16, 0.5 / 16)
+    expected[known.row(np.array(3))] += 0.5 * 0.75
+    expected[known.row(np.array(4))] += 0.5 * 0.25
+    np.testing.assert_allclose(prior, expected, atol=1e-12)
+
+
+@given(st.permutations(range(4)))
+def test_what_is_shared_is_a_mean_in_any_order(order: list[int]) -> None:
+    posteriors = [
+        {"0": 0.5, "3": 0.25, "none": 0.25},
+        {"3": 0.9, "none": 0.1},
+        {"3": 1.0, "none": 0.0},
+        {"5": 0.0001, "0": 0.9999, "none": 0.0},
+    ]
+    found = shared([posteriors[i] for i in order])
+    # By hand: 3 has 1/3, 1, 1, 0 of those that some hypothesis fits; 5 is too little to keep.
+    assert found == {"0": round((2 / 3 + 0.9999) / 4, 6), "3": round((1 / 3 + 2) / 4, 6)}
+    assert shared([]) == {}
+
+
+def test_later_people_need_fewer_questions() -> None:
+    """What everybody before holds wrong is believed of the next one sooner."""
+    held = 6
+
+    def needed(others: dict[str, float]) -> int:
+        person = Observer(COLLECTION.plan, held, FAULTLESS, np.random.default_rng(0))
+        state = take_part(COLLECTION, person, 0, others)
+        known = COLLECTION.questionnaire(State(number=0, others=others))
+        for count, clip in enumerate(state.questions()):
+            if known.posterior[COLLECTION.plan.hypotheses.row(np.array(held))] > 0.9:
+                return count
+            known.answer(list(clip.labels), (list(clip.transitions), clip.told))
+        return 99
+
+    assert needed({str(held): 1.0}) < needed({})
+
+
+def test_assigned_briefings_tell_what_a_role_knows_and_it_is_found_again() -> None:
+    collection = street_collection(briefing="assigned")
+    plan = collection.plan
+    for index, role in enumerate(plan.roles):
+        # Nothing is known of them but what they read.
+        person = Observer(plan, 0, FAULTLESS, np.random.default_rng(index))
+        state = take_part(collection, person, index, {}, role=index)
+        row = int(plan.hypotheses.row(np.array(role.held)))
+        assert state.belief[str(plan.hypotheses.essential[row])] > 0.9
+        assert [state.stated[j] for j in range(len(plan.facts))] == [
+            role.held >> j & 1 for j in range(len(plan.facts))
+        ]
+
+
+def test_people_as_they_are_get_no_briefing() -> None:
+    for state in states(COLLECTION):
+        assert "briefing" not in COLLECTION.view(state)
+
+
+def test_a_plan_is_what_its_text_says() -> None:
+    plan = COLLECTION.plan
+    assert CollectPlan.from_text(plan.text).text == plan.text
+    with pytest.raises(InputError, match="that of a collection"):
+        CollectPlan.from_text('{"version": 1}')
+
+
+@pytest.mark.parametrize(
+    ("rules", "key"),
+    [
+        ({"repeats": 4}, "rules.repeats"),
+        ({"people": 1}, "rules.people"),
+        ({"timeout_minutes": 0}, "rules.timeout_minutes"),
+        ({"points": 0, "repeats": 0}, "points"),
+    ],
+)
+def test_rules_that_cannot_be_are_named(rules: dict[str, Any], key: str) -> None:
+    with pytest.raises(InputError, match=key):
+        street_collection(**rules)
+
+
+def test_changed_code_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    from xplain.errors import XplainError
+    from xplain.people.collect.bot import collection_of
+
+    plan = COLLECTION.plan
+    collection_of(plan)
+    monkeypatch.setattr(flow, "derived_seed", lambda *names: 7)
+    with pytest.raises(XplainError, match="asks differently"):
+        collection_of(plan)

@@ -1,0 +1,42 @@
+"""Stores and applications on a domain that the study has never seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from flask import Flask
+from flask.testing import FlaskClient
+
+from tests.people.study.conftest import person as person
+from tests.people.study.conftest import study as study
+from tests.people.visitors import GENEROUS, Visitor
+from xplain.people.server.app import create_app
+from xplain.people.server.store import Store
+from xplain.people.study.flow import Study
+from xplain.people.study.site import StudySite
+
+
+@pytest.fixture
+def store(tmp_path: Path, study: Study) -> Iterator[Store]:
+    opened = Store(tmp_path / "study.sqlite", StudySite(study))
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def browser(store: Store) -> Callable[[], Visitor]:
+    """A new browser at each call."""
+    app = create_app(store, GENEROUS)
+    return lambda: Visitor(app.test_client())
+
+
+@pytest.fixture
+def app(store: Store) -> Flask:
+    return create_app(store, GENEROUS)
+
+
+@pytest.fixture
+def client(app: Flask) -> FlaskClient:
+    return app.test_client()

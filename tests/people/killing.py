@@ -1,0 +1,119 @@
+"""kill -9 while people take part: nothing that the server acknowledged may be lost or doubled."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from tests.people.server_process import ServerProcess
+from xplain.people.server.store import Store
+from xplain.people.simulation.bots import Researcher
+from xplain.people.simulation.browser import Browser, Page
+
+RATE = ("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6")
+
+
+class Person(Protocol):
+    """Fills in pages."""
+
+    def fill(self, page: Page) -> Any:
+        """The fields of a page's answer, first of a tuple."""
+
+
+class Careful:
+    """A participant who writes down every answer that the server acknowledged."""
+
+    def __init__(self, url: str, person: Person, invitation: str) -> None:
+        self.browser = Browser(url, patience=90)
+        self.person, self.invitation = person, invitation
+        self.acknowledged: list[int] = []
+
+    def take_part(self) -> str:
+        """To the end, however often the server dies; the outbox is this loop."""
+        _, html = self.browser.get(f"/?invitation={self.invitation}")
+        fields = [*Page.of_html(html).hidden.items(), ("invitation", self.invitation)]
+        page = Page.of_html(self.browser.post("/enter", fields)[1])
+        while page.hidden:
+            time.sleep(0.1)
+            answer = [*page.hidden.items(), *self.person.fill(page)[0]]
+            status, html = self.browser.post("/study", answer)
+            assert status == 200, html
+            self.acknowledged.append(int(page.hidden["sequence"]))
+            page = Page.of_html(html)
+        return page.stage
+
+
+def survive(
+    database: Path,
+    site: Any,
+    command: str,
+    person: Callable[[int, int], Person],
+    kills: int,
+    people: int,
+) -> tuple[int, int]:
+    """Kills the server while people answer, and compares what is stored with what they were told.
+
+    Args:
+        database: with a plan in it.
+        site: of the plan, as the server runs it.
+        command: ``study`` or ``collect``.
+        person: who comes as the i-th into the place of the j-th.
+        kills: of the server.
+        people: at a time.
+
+    Returns:
+        How many answers were acknowledged, and how many are stored.
+    """
+    server = ServerProcess(database, *RATE, command=command)
+    server.start()
+    ended = threading.Event()
+
+    def parade(place: int) -> list[Careful]:
+        """One person after another, until the last kill."""
+        own: list[Careful] = []
+        while not ended.is_set():
+            visitor = Careful(server.url, person(len(own), place), invitations[place].pop())
+            assert visitor.take_part() == "done"
+            own.append(visitor)
+        return own
+
+    researcher = Researcher(server.url, server.key)
+    invitations = [researcher.invite(100) for _ in range(people)]
+    with ThreadPoolExecutor(people) as pool:
+        futures = [pool.submit(parade, place) for place in range(people)]
+        pause = np.random.default_rng(0)
+        for _ in range(kills):
+            time.sleep(0.4 + pause.random())
+            server.kill()
+            server.start()
+        ended.set()
+        visitors = [visitor for future in futures for visitor in future.result()]
+    server.stop()
+    return _compare(Store(database, site), visitors)
+
+
+def _compare(store: Store, visitors: list[Careful]) -> tuple[int, int]:
+    stored = 0
+    for visitor in visitors:
+        who = store.enter_invited(visitor.invitation)
+        rows = store.query(
+            "SELECT source_sequence AS n FROM event WHERE participant = ? AND "
+            "source = 'protocol' ORDER BY sequence",
+            (who,),
+        )
+        numbers = [row["n"] for row in rows]
+        assert numbers == list(range(len(rows)))  # none lost, none doubled
+        # Everybody saw every page once, in order: they went on where they were.
+        assert visitor.acknowledged == sorted(set(visitor.acknowledged))
+        assert set(visitor.acknowledged) <= set(numbers)
+        assert store.participant(who).state.stage == "done"
+        stored += len(rows)
+    assert store.query("PRAGMA integrity_check") == [{"integrity_check": "ok"}]
+    store.close()
+    return sum(len(visitor.acknowledged) for visitor in visitors), stored

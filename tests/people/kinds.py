@@ -1,0 +1,52 @@
+"""Both kinds of flow, for tests of what they share: a site on the street, and its people."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.people.collect import stand_in as collecting
+from tests.people.study import stand_in as studying
+from tests.people.visitors import GENEROUS, Visitor
+from xplain.people.collect.bot import Observer
+from xplain.people.collect.site import CollectSite
+from xplain.people.server.app import create_app
+from xplain.people.server.site import Site
+from xplain.people.server.store import Store
+from xplain.people.simulation.bots import Bot
+from xplain.people.simulation.browser import visit
+from xplain.people.study.bot import Person
+from xplain.people.study.site import StudySite
+
+KINDS = ("study", "collect")
+
+
+@cache
+def site_of(kind: str) -> Site[Any]:
+    """One for all tests; nothing that is computed depends on what it keeps."""
+    if kind == "study":
+        return StudySite(studying.street_study())
+    return CollectSite(collecting.street_collection())
+
+
+def bot_of(site: Site[Any], *seeds: int) -> Bot[Any, Any]:
+    """Somebody faultless."""
+    rng = np.random.default_rng(seeds)
+    if isinstance(site, StudySite):
+        return Person(site.plan, studying.FAULTLESS, rng)
+    roles = site.plan.roles
+    return Observer(site.plan, roles[seeds[-1] % len(roles)].held, collecting.FAULTLESS, rng)
+
+
+def filled(kind: str, path: Path, people: int = 3) -> list[str]:
+    """A database in which so many people went all the way; their ids in the order they came."""
+    store = Store(path, site_of(kind))
+    app = create_app(store, GENEROUS)
+    for number, token in enumerate(store.invite(people, "person")):
+        assert visit(Visitor(app.test_client()), bot_of(store.site, number), token) == "done"
+    found = [row["id"] for row in store.query("SELECT id FROM participant ORDER BY number")]
+    store.close()
+    return found

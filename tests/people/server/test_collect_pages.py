@@ -1,0 +1,217 @@
+"""The pages on which labels are collected, over the same server as the study's."""
+
+from __future__ import annotations
+
+import base64
+import gc
+import io
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.people.collect.stand_in import FAULTLESS, street_collection, street_plan, telling
+from tests.people.visitors import GENEROUS, Visitor, enter, field
+from xplain.people.collect.asking import State, belief
+from xplain.people.collect.bot import bot
+from xplain.people.collect.flow import Collection
+from xplain.people.collect.labels import Found
+from xplain.people.collect.plan import Picture
+from xplain.people.collect.site import CollectSite
+from xplain.people.server.app import create_app
+from xplain.people.server.security import Keys
+from xplain.people.server.store import Store
+from xplain.people.simulation.browser import Page
+from xplain.questions.questionnaire import Questionnaire
+
+
+@pytest.fixture(scope="module")
+def collection() -> Collection:
+    return street_collection()
+
+
+@pytest.fixture
+def store(tmp_path: Path, collection: Collection) -> Iterator[Store]:
+    opened = Store(tmp_path / "c.sqlite", CollectSite(collection))
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def browser(store: Store) -> Callable[[], Visitor]:
+    app = create_app(store, GENEROUS)
+    return lambda: Visitor(app.test_client())
+
+
+def walk(
+    visitor: Visitor, store: Store, number: int = 0, **habits: Any
+) -> Iterator[tuple[str, Page]]:
+    """Every page of one observer's way, before it is answered."""
+    person = bot(store.site.plan, replace(FAULTLESS, **habits), 0, number)
+    html = enter(visitor, store.invite(1, "person")[0])
+    while True:
+        page = Page.of_html(html)
+        yield html, page
+        if not page.hidden:
+            return
+        fields = [*page.hidden.items(), *person.fill(page)[0]]
+        status, html = visitor.post("/study", fields)
+        assert status == 200
+
+
+def agrees(store: Store, collection: Collection) -> None:
+    assert CollectSite(collection).replay(store._connection).differences == []
+
+
+def test_of_the_erased_nothing_stays_in_memory(
+    store: Store, browser: Callable[[], Visitor]
+) -> None:
+    store.site.forget()  # of people of other tests, who may have answered the same
+    gc.collect()
+    earlier = [one for one in gc.get_objects() if isinstance(one, (Questionnaire, Found))]
+    known = {id(one) for one in earlier}
+    for number in range(2):
+        list(walk(browser(), store, number))
+    store.site.glance(store.query)
+    gone, kept = store.query("SELECT id, state FROM participant ORDER BY number")
+    state = store.site.state(gone["state"])
+    beliefs = {f: p for f, p in state.belief.items() if f != "none"}
+    del state
+
+    def remembered() -> set[str]:
+        gc.collect()
+        alive = gc.get_objects()
+        states = {one.text for one in alive if isinstance(one, State)}
+        new = [one for one in alive if id(one) not in known]
+        held = [belief(one) for one in new if isinstance(one, Questionnaire) and one.asked]
+        return {
+            *({"state"} if gone["state"] in states else ()),
+            *({"questionnaire"} if any(beliefs.items() <= one.items() for one in held) else ()),
+            *({"types"} if any(isinstance(one, Found) for one in new) else ()),
+        }
+
+    assert remembered() == {"state", "questionnaire", "types"}
+    store.erase(gone["id"])
+    assert remembered() == set()
+    assert store.site.state(kept["state"]).text == kept["state"]
+
+
+def test_a_clip_shows_just_what_is_told_there(tmp_path: Path) -> None:
+    collection = telling()
+    plan, told = collection.plan, set()
+    store = Store(tmp_path / "t.sqlite", CollectSite(collection))
+    for html, page in walk(Visitor(create_app(store, GENEROUS).test_client()), store, 1):
+        if page.stage != "clips":
+            continue
+        (row,) = store.query("SELECT state FROM participant")
+        clip = store.site.state(row["state"]).clip
+        known = {fact.message: 1 << j for j, fact in enumerate(plan.facts)}
+        assert sum(known[sentence] for sentence in page.messages) == clip.told
+        assert list(page.steps) == list(clip.transitions)
+        assert len(page.fields) == clip.size
+        assert "question" not in html.replace("Questions?", "").replace("questions", "")
+        told.add(clip.told)
+    assert len(told) > 8
+    agrees(store, collection)
+    store.close()
+
+
+def test_practice_is_repeated_until_it_is_understood(
+    store: Store, browser: Callable[[], Visitor]
+) -> None:
+    visitor = browser()
+    pages = walk(visitor, store)
+    page = next(page for _, page in pages if page.stage == "practice")
+    status, html = visitor.post("/study", [*page.hidden.items(), ("label", "1")])
+    assert status == 200
+    assert "Not quite" in html
+    assert Page.of_html(html).messages == page.messages
+
+
+def test_what_is_missing_is_said(store: Store, browser: Callable[[], Visitor]) -> None:
+    visitor = browser()
+    for html, page in walk(visitor, store):
+        if page.stage in ("practice", "clips", "beliefs"):
+            status, html = visitor.post("/study", list(page.hidden.items()))
+            assert status == 400
+            assert 'role="alert"' in html
+            assert Page.of_html(html).hidden == page.hidden
+
+
+def test_the_researcher_sees_labels_types_and_what_more_people_bring(
+    store: Store, browser: Callable[[], Visitor], collection: Collection
+) -> None:
+    researcher = browser()
+    key = Keys(store.secret).researcher
+    html = researcher.post("/researcher/login", [("key", key)])[1]
+    assert "Two people have to finish first" in html
+    for number in range(6):
+        list(walk(browser(), store, number))
+    html = researcher.get("/researcher")[1]
+    assert "<strong>72</strong> labels" in html
+    assert "<strong>3</strong> types found" in html
+    for wrong in ("bridge, market", "market, school", "school, tunnel"):
+        assert f"<td>{wrong}</td>" in html
+    assert "another ten are expected to bring" in html
+    reply = researcher.client.post("/researcher/export", data={"token": field(html, "token")})
+    with zipfile.ZipFile(io.BytesIO(reply.data)) as archive:
+        assert {"study/labels.csv", "study/observers.csv"} <= set(archive.namelist())
+    _, html = researcher.post(
+        "/researcher/invitations",
+        [("token", field(html, "token")), ("count", "3"), ("stream", "pilot")],
+    )
+    assert html.count("?invitation=") == 3
+
+
+def test_assigned_briefings_are_balanced_and_shown_again(tmp_path: Path) -> None:
+    collection = street_collection(briefing="assigned")
+    store = Store(tmp_path / "a.sqlite", CollectSite(collection))
+    app = create_app(store, GENEROUS)
+    for number in range(6):
+        for _, page in walk(Visitor(app.test_client()), store, number):
+            if page.stage in ("task", "clips"):
+                assert tuple(page.facts) in [role.briefing for role in collection.plan.roles]
+    roles = store.query("SELECT json_extract(state, '$.role') AS role FROM participant")
+    assert sorted(row["role"] for row in roles) == [0, 0, 1, 1, 2, 2]
+    # Each answered as the briefing says, whoever they were before.
+    rows = store.query("SELECT state FROM participant")
+    for row in rows:
+        state = store.site.state(row["state"])
+        held = collection.plan.roles[state.role].held
+        assert sum(1 << j for j, one in enumerate(state.stated) if one == 1) == held
+    agrees(store, collection)
+    store.close()
+
+
+def test_images_of_own_transitions_are_served(tmp_path: Path) -> None:
+    content = b"\x89PNG picture"
+    plan = street_plan()
+    picture = Picture("image/png", base64.b64encode(content).decode())
+    plan = replace(plan, pictures=(picture, *[None] * (plan.hypotheses.n_transitions - 1)))
+    store = Store(tmp_path / "p.sqlite", CollectSite(Collection(plan)))
+    client = create_app(store, GENEROUS).test_client()
+    reply = client.get("/picture/0")
+    assert (reply.status_code, reply.data) == (200, content)
+    assert reply.headers["Content-Type"] == "image/png"
+    assert reply.headers["X-Content-Type-Options"] == "nosniff"
+    for name in ("1", "99", "-1", "x", "..%2f0", "0x0"):
+        assert client.get(f"/picture/{name}").status_code == 404
+    store.close()
+
+
+def test_many_at_once_share_what_was_known_when_they_came(
+    store: Store, browser: Callable[[], Visitor], collection: Collection
+) -> None:
+    ways = [walk(browser(), store, number) for number in range(4)]
+    for _ in range(40):  # a page each in turn
+        for way in ways:
+            next(way, None)
+    list(walk(browser(), store, 5))
+    rows = store.query(
+        "SELECT json_extract(payload, '$.after') AS after FROM event WHERE kind = 'consent'"
+    )
+    assert [row["after"] for row in rows] == ["[]"] * 4 + ["[1,2,3,4]"]
+    agrees(store, collection)

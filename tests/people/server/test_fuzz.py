@@ -1,0 +1,261 @@
+"""Thousands of hostile requests on every route: a clear page or a 4xx, and the data unharmed."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, urlencode
+
+import numpy as np
+import pytest
+
+from tests.people.kinds import bot_of, site_of
+from tests.people.server_process import ServerProcess
+from tests.people.visitors import GENEROUS, Visitor, consent, pages
+from xplain.people.server.app import create_app
+from xplain.people.server.security import Keys
+from xplain.people.server.store import Store
+from xplain.people.simulation.bots import Researcher
+from xplain.people.study.flow import Study
+from xplain.people.study.site import StudySite
+
+Send = Callable[[str, str, dict[str, str], bytes], int]
+ROUTES = (
+    *("/", "/enter", "/study", "/events", "/alive", "/researcher", "/researcher/login"),
+    *("/researcher/invitations", "/researcher/export", "/static/study.js", "/static/../app.py"),
+    *(
+        "/picture/0",
+        "/picture/%2e%2e",
+        "/static/%2e%2e/schema.sql",
+        "/nowhere",
+        "//",
+        "/study/",
+        "/%00",
+        "/study;x=1",
+    ),
+)
+METHODS = ("GET", "POST", "POST", "POST", "POST", "PUT", "DELETE", "HEAD", "OPTIONS", "PATCH")
+KINDS = (
+    "application/x-www-form-urlencoded",
+    "application/x-www-form-urlencoded",
+    "application/x-www-form-urlencoded; charset=utf-7",
+    "application/json",
+    "multipart/form-data; boundary=b",
+    "multipart/form-data",
+    "text/xml",
+    "",
+)
+NAMES = (
+    *("token", "sequence", "kind", "agree", "text", "label", "ms", "true", "age", "comment"),
+    *("label_0", "label_1", "label_2", "label_3", "q0", "q1", "q2", "q3", "invitation", "count"),
+    *("PROLIFIC_PID", "STUDY_ID", "SESSION_ID", "stream", "key", "user_type", "condition"),
+    *("orders", "labels", "answers", "chosen", "tab", "items", "belief", "__class__", "a[b]"),
+    *("fact_0", "fact_1", "fact_2", "fact_3", "stated", "others", "role"),
+)
+EVENTS = (
+    *("consent", "read", "example", "eligibility", "labels", "labels", "quiz", "beliefs"),
+    *("answers", "withdraw"),
+)
+
+
+class Fuzzer:
+    """Draws requests; some of them nearly right.
+
+    Args:
+        rng: its stream.
+        cookies: of participants that the attacker owns, with their forms' tokens.
+    """
+
+    def __init__(self, rng: np.random.Generator, cookies: list[tuple[str, str]]) -> None:
+        self.rng, self.cookies = rng, cookies
+
+    def pick(self, choices: Any) -> Any:
+        return choices[int(self.rng.integers(len(choices)))]
+
+    def value(self) -> str:
+        """A text: plausible, hostile or random."""
+        draws: tuple[Callable[[], str], ...] = (
+            lambda: str(self.rng.integers(-2, 30)),
+            lambda: "<script>alert(1)</script>",
+            lambda: "' OR 1=1; DROP TABLE event; --",
+            lambda: "{{7*7}}${7*7}%s%n../../etc/passwd",
+            lambda: "\x00\r\nSet-Cookie: participant=x\u202e\ud800".encode(
+                errors="replace"
+            ).decode(),
+            lambda: self.rng.bytes(int(self.rng.integers(40))).decode("latin-1"),
+            lambda: "9" * int(self.rng.integers(1, 5000)),
+            lambda: self.pick(EVENTS),
+            lambda: self.pick(("NaN", "-0", "1e999", "٣", "0x10", " 1", "1 ", "+1", "true", "[]")),
+            lambda: "ü" * int(self.rng.integers(300)),
+        )
+        return str(self.pick(draws)())
+
+    def json(self, depth: int = 0) -> Any:
+        if depth > 3 or self.rng.random() < 0.4:
+            return self.pick((None, True, -1, 0, 1e308, 10**30, self.value(), [], {}, self.value()))
+        if self.rng.random() < 0.5:
+            return [self.json(depth + 1) for _ in range(int(self.rng.integers(4)))]
+        return {self.pick(NAMES): self.json(depth + 1) for _ in range(int(self.rng.integers(5)))}
+
+    def request(self) -> tuple[str, str, dict[str, str], bytes]:
+        """Method, path, headers, body."""
+        method, path, kind = self.pick(METHODS), self.pick(ROUTES), self.pick(KINDS)
+        cookie, token = self.pick(self.cookies)
+        near = self.rng.random()
+        fields = [(self.pick(NAMES), self.value()) for _ in range(int(self.rng.integers(6)))]
+        if near < 0.5:  # the right place, the right token, then nonsense
+            fields = [("token", token), ("sequence", str(self.rng.integers(12))), *fields]
+            fields += [("kind", self.pick(EVENTS))]
+            method, path = "POST", self.pick(("/study", "/events", "/enter", "/study"))
+        body: bytes
+        if "json" in kind or path == "/events":
+            value = self.json()
+            if isinstance(value, dict) and near < 0.5:
+                item = {"n": self.json(3), "kind": "visible", "ms": self.json(3), "at": 5}
+                value |= {"token": token, "tab": "0123456789abcdef", "items": [item]}
+            body = json.dumps(value).encode()
+        elif "multipart" in kind:
+            parts = [
+                f'--b\r\nContent-Disposition: form-data; name="{n}"; filename="{v[:9]}"\r\n\r\n{v}'
+                for n, v in fields
+            ]
+            body = "\r\n".join(parts).encode(errors="replace") + b"\r\n--b--"
+        else:
+            body = urlencode(fields, errors="replace").encode()
+        if self.rng.random() < 0.1:
+            body = self.rng.bytes(int(self.rng.integers(3000)))
+        if self.rng.random() < 0.01:
+            body = b"a=" + b"x" * 200_000
+        query = quote(self.value(), errors="replace") if self.rng.random() < 0.4 else ""
+        headers = {"Content-Type": kind} if kind else {}
+        held = self.pick((cookie, cookie, cookie, cookie[:-1] + "0", "x", cookie.split(".")[0]))
+        headers["Cookie"] = f"participant={held}; visitor={'a' * 32}; researcher=0"
+        if self.rng.random() < 0.1:
+            headers["X-Forwarded-For"] = self.pick(("127.0.0.1", "x" * 300, "1.1.1.1, 2.2.2.2"))
+        return method, path + (f"?{query}={query}" if query else ""), headers, body
+
+
+def attack(send: Send, count: int, seed: int, cookies: list[tuple[str, str]]) -> Counter[int]:
+    """Sends; counts the answers by status."""
+    fuzzer = Fuzzer(np.random.default_rng(seed), cookies)
+    statuses: Counter[int] = Counter()
+    for _ in range(count):
+        request = fuzzer.request()
+        status = send(*request)
+        assert status < 500, f"{status} for {request}"
+        statuses[status] += 1
+    return statuses
+
+
+def prey(store: Store) -> tuple[list[tuple[str, str]], list[str]]:
+    """Participants at every stage: some owned by the attacker, and as many others."""
+    keys, owned, others = Keys(store.secret), [], []
+    app = create_app(store, GENEROUS)
+    for number in range(20):
+        (invitation,) = store.invite(1, "bot")
+        visitor = Visitor(app.test_client())
+        way = pages(visitor, bot_of(store.site, number), invitation)
+        for index, (_, page) in enumerate(way):
+            if index >= number // 2 or not page.hidden:
+                break
+        who = store.enter_invited(invitation)
+        if number % 2:
+            others.append(who)
+        else:
+            owned.append((keys.cookie(who), keys.form(who)))
+    return owned, others
+
+
+def records(store: Store, who: list[str]) -> dict[str, Any]:
+    """Everything that is stored about some participants."""
+    marks = ",".join("?" * len(who))
+    made = {row["name"] for row in store.query("SELECT name FROM sqlite_master")}
+    return {
+        table: store.query(f"SELECT * FROM {table} WHERE {column} IN ({marks})", who)
+        for table, column in (
+            ("participant", "id"),
+            ("event", "participant"),
+            ("step", "participant"),
+            ("slot", "holder"),  # of a study
+        )
+        if table in made
+    }
+
+
+def unharmed(store: Store, who: list[str], before: dict[str, Any]) -> None:
+    """Nobody else's data has changed, the file is sound, and every answer was a legal one."""
+    assert records(store, who) == before
+    assert store.query("PRAGMA integrity_check") == [{"integrity_check": "ok"}]
+    assert store.site.replay(store._connection).differences == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "count"),
+    [("study", 1000), ("collect", 500), pytest.param("collect", 10_000, marks=pytest.mark.slow)],
+)
+def test_hostile_requests_harm_nothing(tmp_path: Path, kind: str, count: int) -> None:
+    store = Store(tmp_path / "s.sqlite", site_of(kind))
+    cookies, others = prey(store)
+    before = records(store, others)
+    app = create_app(store, GENEROUS)
+    client = app.test_client(use_cookies=False)
+
+    def send(method: str, path: str, headers: dict[str, str], body: bytes) -> int:
+        with client.open(path, method=method, headers=headers, data=body) as reply:
+            assert "Traceback" not in reply.text
+            assert "<script>alert" not in reply.text
+            return reply.status_code
+
+    statuses = attack(send, count, 0, cookies)
+    assert {200, 400, 403, 404, 405} <= statuses.keys()
+    unharmed(store, others, before)
+    store.close()
+
+
+@pytest.mark.slow
+def test_ten_thousand_hostile_requests_to_the_real_server(
+    tmp_path: Path, study: Study, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "s.sqlite"
+    store = Store(path, StudySite(study))
+    cookies, others = prey(store)
+    before = records(store, others)
+    store.close()
+    limits = ("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6")
+    with ServerProcess(path, *limits) as server:
+        garbage = np.random.default_rng(5)
+        connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
+
+        def send(method: str, target: str, headers: dict[str, str], body: bytes) -> int:
+            nonlocal connection
+            try:
+                connection.request(method, target, body, headers)
+                reply = connection.getresponse()
+                reply.read()
+            except (ConnectionError, http.client.HTTPException):
+                # The server may hang up on what it will not read to the end; it never hangs.
+                connection.close()
+                connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5)
+                return 499
+            return reply.status
+
+        statuses = attack(send, 10_000, 1, cookies)
+        connection.close()
+        for _ in range(200):  # what is no HTTP at all
+            with socket.create_connection(("127.0.0.1", server.port), timeout=10) as raw:
+                raw.sendall(garbage.bytes(int(garbage.integers(1, 2000))) + b"\r\n\r\n")
+        # It still serves, and knows everybody.
+        assert Researcher(server.url, server.key).invite(1)
+        assert "Traceback" not in server.log()
+    with capsys.disabled():
+        print(f"\n{dict(sorted(statuses.items()))}")
+    assert statuses[499] < 300
+    store = Store(path, StudySite(study))
+    unharmed(store, others, before)
+    consent(store, store.enter_invited(store.invite(1, "person")[0]))
+    store.close()

@@ -1,0 +1,70 @@
+"""The way through the pages of a study and of a collection, one page at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from flask import Flask
+
+from tests.people.kinds import KINDS, bot_of, site_of
+from tests.people.visitors import GENEROUS, Visitor, enter, pages
+from xplain.people.server.app import create_app
+from xplain.people.server.store import Store
+from xplain.people.simulation.browser import Page
+
+BEFORE = {
+    "study": ("consent", "briefing", "training", "training", "eligibility"),
+    "collect": ("consent", "task", "practice", "practice"),
+}
+STEPS = {"study": ["evaluation"] * 4, "collect": ["clips"] * 15}
+AFTER = {"study": ("quiz", "questions", "done"), "collect": ("beliefs", "questions", "done")}
+
+
+@pytest.fixture(params=KINDS)
+def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
+    """Of one of the flows."""
+    opened = Store(tmp_path / f"{request.param}.sqlite", site_of(request.param))
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def app(store: Store) -> Flask:
+    return create_app(store, GENEROUS)
+
+
+def test_the_way_from_entrance_to_code(store: Store, app: Flask) -> None:
+    kind, (token,) = store.path.stem, store.invite(1, "person")
+    seen = list(pages(Visitor(app.test_client()), bot_of(store.site, 0), token))
+    stages = [page.stage for _, page in seen]
+    assert stages == [*BEFORE[kind], *STEPS[kind], *AFTER[kind]]
+    last = seen[-1][0]
+    assert store.participant(store.enter_invited(token)).code in last
+    for paragraph in store.site.plan.texts.debriefing:
+        assert paragraph.split("'")[0] in last  # debriefed
+    assert store.site.replay(store._connection).differences == []
+
+
+def test_reload_back_second_tab_and_double_click_change_nothing(store: Store, app: Flask) -> None:
+    (token,) = store.invite(1, "person")
+    one, two, old = Visitor(app.test_client()), Visitor(app.test_client()), []
+    stages = []
+    for _, page in pages(one, bot_of(store.site, 0), token):
+        stages.append(page.stage)
+        again = Page.of_html(one.get("/study")[1])  # reload
+        assert (again.stage, again.steps) == (page.stage, page.steps)
+        enter(two, token)  # another tab, another device
+        assert Page.of_html(two.get("/study")[1]).hidden == page.hidden
+        for fields in old:  # every page before, sent once more
+            status, html = one.post("/study", fields)
+            assert status == 200
+            assert Page.of_html(html).hidden == page.hidden
+        if page.hidden:
+            other = [(name, choices[-1][0]) for name, choices in page.fields.items()]
+            old.append([*page.hidden.items(), *other])
+    kinds = [e["kind"] for e in store.query("SELECT kind FROM event WHERE source = 'protocol'")]
+    waits = {one.name: one.kind for one in store.site.flow.STAGES}
+    assert kinds == [waits[stage] for stage in stages[:-1]]
+    assert store.site.replay(store._connection).differences == []

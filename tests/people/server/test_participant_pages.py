@@ -1,0 +1,188 @@
+"""The way through the participants' pages, one page at a time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.people.study.stand_in import FAULTLESS, street_plan
+from tests.people.visitors import GENEROUS, Visitor, field, pages
+from xplain.errors import InputError
+from xplain.people.server.app import create_app
+from xplain.people.server.http import Server
+from xplain.people.server.map_svg import CELL, picture
+from xplain.people.server.store import Store
+from xplain.people.simulation.browser import Page, visit
+from xplain.people.study.bot import Person
+from xplain.people.study.plan import StudyPlan
+from xplain.people.study.policies import study_of
+from xplain.people.study.site import StudySite
+
+
+def test_earlier_labels_stay_and_only_the_new_one_is_needed(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+) -> None:
+    visitor = browser()
+    for _, page in pages(visitor, person(), store.invite(1, "person")[0]):
+        if page.stage == "evaluation":
+            break
+    hidden = dict(page.hidden)
+    _, html = visitor.post("/study", [*hidden.items(), ("label_0", "0")])
+    hidden = Page.of_html(html).hidden
+    assert 'name="label_0" value="0" required checked' in html
+    status, html = visitor.post("/study", [*hidden.items()])
+    assert status == 400
+    assert "Please say whether" in html
+    status, html = visitor.post("/study", [*hidden.items(), ("label_1", "1")])
+    assert status == 200
+    labels = store.query("SELECT labels FROM step WHERE k = 1")
+    assert labels == [{"labels": "[0, 1]"}]
+
+
+def test_pages_have_no_inline_script_or_style_and_load_nothing_from_elsewhere(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+) -> None:
+    for html, page in pages(browser(), person(), store.invite(1, "bot")[0]):
+        assert not re.search(r"<script(?! src=\"/static)", html), page.stage
+        assert not re.search(r"\son\w+=|\sstyle=|<style|javascript:", html), page.stage
+        assert not re.search(r"(src|href)=\"(?!/|#)", html), page.stage
+        assert "Simulated participant" in html  # bots are marked on every page too
+        assert not re.search(r"conformant|personalized|type [XYZ]", html), page.stage
+
+
+def test_what_people_write_is_escaped_everywhere(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+) -> None:
+    attack = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)>{{7*7}}\x00\u202e"
+    visitor = browser()
+    _, html = visitor.get("/?invitation=" + "%3Cscript%3Ealert(1)%3C/script%3E&PROLIFIC_PID=%22%3E")
+    assert "<script>alert" not in html
+    for html, page in pages(visitor, person(), store.invite(1, "person")[0]):
+        assert "<script>alert" not in html
+        if page.stage == "questions":
+            fields = [*page.hidden.items(), ("age", attack), ("comment", attack)]
+            status, html = visitor.post("/study", fields)
+            assert status == 400
+            assert "<script>alert" not in html
+            visitor.post("/study", [*page.hidden.items(), ("age", "30"), ("comment", attack)])
+            break
+    (row,) = store.query("SELECT payload FROM event WHERE kind = 'answers'")
+    assert "<script>" in row["payload"]  # kept as it was written
+    _, html = visitor.get("/researcher")
+    assert "<script>alert" not in html
+    # The domain's own sentences are text, too.
+    plan = street_plan()
+    assert "<robot>" in plan.facts[0].belief
+
+
+def test_sentences_of_the_domain_are_escaped(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+) -> None:
+    for html, page in pages(browser(), person(), store.invite(1, "person")[0]):
+        assert "<robot>" not in html
+        if page.stage == "briefing":
+            assert "&lt;robot&gt;" in html
+            assert "fine for the robot &amp; quick" in html
+
+
+def test_entry_is_as_configured(store: Store) -> None:
+    closed = create_app(store, Server(entry=("prolific",), prolific_studies=("s",))).test_client()
+    html = closed.get("/").text
+    visitor = field(html, "token")
+    assert 'name="invitation"' not in html
+    (token,) = store.invite(1, "person")
+    for data in ({"invitation": token}, {}, {"invitation": ""}):
+        assert closed.post("/enter", data=data | {"token": visitor}).status_code == 403
+    ids = {"PROLIFIC_PID": "p", "STUDY_ID": "s", "SESSION_ID": "x"}
+    assert closed.post("/enter", data=ids).status_code == 403  # without the form's token
+    assert closed.post("/enter", data=ids | {"token": visitor}).status_code == 303
+    long = ids | {"PROLIFIC_PID": "p" * 101, "token": visitor}
+    assert closed.post("/enter", data=long).status_code == 403
+    with pytest.raises(InputError, match=r"server\.entry"):
+        Server(entry=("anybody",))
+
+
+def test_the_platform_gets_its_code_back(store: Store, person: Callable[[], Person]) -> None:
+    server = Server(
+        completion_url="https://example.org/back?cc={code}",
+        completion_code="C0DE",
+        burst=1e9,
+        visitor_burst=1e9,
+    )
+    visitor = Visitor(create_app(store, server).test_client())
+    *_, (html, _) = pages(visitor, person(), store.invite(1, "person")[0])
+    assert 'href="https://example.org/back?cc=C0DE"' in html
+
+
+def test_a_domain_without_a_map_gets_its_study(tmp_path: Path) -> None:
+    from xplain.people.study.policies import study_of
+
+    study = study_of(street_plan(map_shown=False, questions=[]))
+    store = Store(tmp_path / "s.sqlite", StudySite(study))
+    visitor = Visitor(create_app(store, GENEROUS).test_client())
+    person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
+    assert visit(visitor, person, store.invite(1, "bot")[0]) == "done"
+    store.close()
+
+
+def test_without_a_map_the_page_lists_what_each_step_changed(
+    tmp_path: Path, person: Callable[[], Person]
+) -> None:
+    """Up to the step that is shown, and no further."""
+    plan = street_plan(map_shown=False)
+    told = tuple((f"now past place {k}", f"no longer at <{k}>") for k in range(plan.n_steps))
+    plan = StudyPlan.from_text(replace(plan, changes=told).text)
+    assert plan.changes == told
+    opened = Store(tmp_path / "listed.sqlite", StudySite(study_of(plan)))
+    (token,) = opened.invite(1, "person")
+    visitor = Visitor(create_app(opened, GENEROUS).test_client())
+    shown = [
+        re.findall(r"now past place (\d+); no longer at &lt;\d+&gt;</li>", html)
+        for html, page in pages(visitor, person(), token)
+        if page.stage == "evaluation"
+    ]
+    assert shown == [[str(i) for i in range(k + 1)] for k in range(plan.n_steps)]
+    opened.close()
+
+
+def test_nobody_is_a_person_by_making_up_ids(store: Store) -> None:
+    """By default invitations alone let people in; a platform's, only of the configured study."""
+    ids = {"PROLIFIC_PID": "p", "STUDY_ID": "made up", "SESSION_ID": "x"}
+    for server in (Server(), Server(entry=("prolific",), prolific_studies=("ours",))):
+        client = create_app(store, server).test_client()
+        token = field(client.get("/").text, "token")
+        assert client.post("/enter", data=ids | {"token": token}).status_code == 403
+    ours = ids | {"STUDY_ID": "ours", "token": token}
+    assert client.post("/enter", data=ours).status_code == 303
+    with pytest.raises(InputError, match=r"server\.prolific_studies"):
+        Server(entry=("prolific",))
+
+
+def test_taken_things_leave_the_map_and_places_have_names() -> None:
+    plan = street_plan()
+    gone = ("bridge", "market", "school", "tunnel")
+    taken = [picture(plan, plan.path, plan.n_steps, gone[:n]) for n in range(5)]
+    assert [len(re.findall('font-size="22"|M3 12L12 4L21 12', svg)) for svg in taken] == [
+        4,
+        3,
+        2,
+        1,
+        0,
+    ]
+    rulers = re.findall(r"<text[^>]*>([^<]+)</text>", picture(plan, plan.path, 0))
+    assert set("ABCDE12") <= set(rulers)
+
+
+def test_numbers_on_the_map_do_not_reach_into_the_next_cell() -> None:
+    plan = street_plan()
+    there_and_back = tuple(((0, k % 2), (0, (k + 1) % 2)) for k in range(40))
+    svg = picture(plan, there_and_back, 40)
+    widths = [float(w) for w in re.findall(r'<rect x="1" y="1" width="([\d.]+)"', svg)]
+    assert len(widths) == 2
+    assert max(widths) < CELL - 2
+    assert "40<" in svg  # the newest is always shown

@@ -1,0 +1,133 @@
+"""The researcher's page: nothing without the key."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+from flask import Flask
+from flask.testing import FlaskClient
+
+from tests.people.visitors import GENEROUS, consent, field
+from xplain.errors import Refused
+from xplain.people.server.app import create_app
+from xplain.people.server.security import Keys
+from xplain.people.server.store import Store, Unknown
+
+
+def test_the_researchers_page_needs_its_key(store: Store, client: FlaskClient) -> None:
+    assert "Who is where" not in client.get("/researcher").text
+    for path in ("/researcher/invitations", "/researcher/export"):
+        assert client.post(path, data={"count": "1", "stream": "bot"}).status_code == 403
+    assert client.post("/researcher/login", data={"key": "guess"}).status_code == 403
+    keys = Keys(store.secret)
+    done = client.post("/researcher/login", data={"key": keys.researcher})
+    assert done.status_code == 303
+    assert "SameSite=Strict" in done.headers["Set-Cookie"]
+    first = done.headers["Set-Cookie"]
+    html = client.get("/researcher").text
+    assert "Who is where" in html
+    token = field(html, "token")
+    good = {"token": token, "count": "3", "stream": "pilot"}
+    for bad in ({"count": "0"}, {"count": "501"}, {"count": "x"}, {"stream": "king"}):
+        assert client.post("/researcher/invitations", data=good | bad).status_code == 400
+    assert client.post("/researcher/invitations", data=good | {"token": ""}).status_code == 403
+    made = client.post("/researcher/invitations", data=good)
+    assert made.status_code == 303
+    html = client.get(made.headers["Location"]).text
+    tokens = re.findall(r"\?invitation=([\w-]+)", html)
+    assert len(tokens) == 3
+    # A reload shows them again and makes no others.
+    assert re.findall(r"\?invitation=([\w-]+)", client.get(made.headers["Location"]).text) == tokens
+    assert store.query("SELECT count(*) AS n FROM invitation") == [{"n": 3}]
+    assert store.participant(store.enter_invited(tokens[0])).stream == "pilot"
+    archive = client.post("/researcher/export", data={"token": token})
+    assert archive.data[:2] == b"PK"
+    # Each login has a cookie of its own, and the end of a session ends it.
+    again = client.post("/researcher/login", data={"key": keys.researcher})
+    assert again.headers["Set-Cookie"] != first
+    token = field(client.get("/researcher").text, "token")
+    held = client.get_cookie("researcher")
+    assert held is not None
+    assert client.post("/researcher/logout", data={"token": token}).status_code == 303
+    client.set_cookie("researcher", held.value)
+    assert "Who is where" not in client.get("/researcher").text
+
+
+def logged_in(client: FlaskClient, store: Store) -> str:
+    """The token of the researcher's forms."""
+    client.post("/researcher/login", data={"key": Keys(store.secret).researcher})
+    return field(client.get("/researcher").text, "token")
+
+
+def test_the_researcher_is_blinded_unless_they_want_it_otherwise(
+    store: Store, client: FlaskClient
+) -> None:
+    consent(store, store.enter_invited(store.invite(1, "person")[0]))
+    logged_in(client, store)
+    names = [role.name for role in store.site.plan.roles]
+    cell = re.compile(rf"<td>({'|'.join([*names, 'personalized', 'conformant'])})</td>")
+    assert cell.search(client.get("/researcher").text)
+    blind = create_app(store, replace(GENEROUS, blinded=True)).test_client()
+    logged_in(blind, store)
+    html = blind.get("/researcher").text
+    assert "Who is where" in html
+    assert not cell.search(html)
+
+
+def test_links_come_from_the_configured_address_not_from_the_request(store: Store) -> None:
+    app = create_app(store, replace(GENEROUS, address="https://study.example.org/"))
+    client = app.test_client()
+    token = logged_in(client, store)
+    good = {"token": token, "count": "1", "stream": "person"}
+    made = client.post("/researcher/invitations", data=good)
+    held = client.get_cookie("researcher")
+    assert held is not None
+    headers = {"Host": "evil.example.com", "Cookie": f"researcher={held.value}"}
+    visitor = app.test_client(use_cookies=False)  # which sends the header as it is
+    html = visitor.get(made.headers["Location"], headers=headers).text
+    assert "https://study.example.org/?invitation=" in html
+    assert "evil" not in html
+
+
+def test_any_type_and_condition_can_be_looked_at(store: Store, app: Flask) -> None:
+    plan = store.site.plan
+    people = store.query("SELECT * FROM slot WHERE stream = 'person'")
+    for cell, (user_type, condition) in enumerate(plan.cells):
+        client = app.test_client()
+        token = logged_in(client, store)
+        done = client.post("/researcher/preview", data={"token": token, "cell": str(cell)})
+        assert done.status_code == 303
+        who = store.query("SELECT id FROM participant ORDER BY number DESC LIMIT 1")[0]["id"]
+        state = consent(store, who)
+        assert (state.user_type, state.condition) == (user_type, condition)
+        assert store.participant(who).stream == "pilot"
+        bad = client.post("/researcher/preview", data={"token": token, "cell": "99"})
+        assert bad.status_code == 400
+    assert store.query("SELECT * FROM slot WHERE stream = 'person'") == people
+
+
+def test_a_pause_lets_nobody_new_in_and_whoever_has_begun_go_on(
+    store: Store, client: FlaskClient
+) -> None:
+    begun, new = (store.enter_invited(token) for token in store.invite(2, "person"))
+    consent(store, begun)
+    token = logged_in(client, store)
+    client.post("/researcher/pause", data={"token": token, "on": "1"})
+    with pytest.raises(Refused, match="paused"):
+        consent(store, new)
+    assert store.submit(begun, 1, "read", {}).stage == "training"
+    client.post("/researcher/pause", data={"token": token, "on": "0"})
+    assert consent(store, new).stage == "briefing"
+
+
+def test_the_researcher_erases_who_asks_for_it(store: Store, client: FlaskClient) -> None:
+    who = store.enter_invited(store.invite(1, "person")[0])
+    token = logged_in(client, store)
+    data = {"token": token, "reference": "0000-0000-0000-0000"}
+    assert client.post("/researcher/erase", data=data).status_code == 404
+    data["reference"] = "-".join(re.findall("....", who)).upper()
+    assert client.post("/researcher/erase", data=data).status_code == 303
+    with pytest.raises(Unknown):
+        store.participant(who)

@@ -1,0 +1,75 @@
+"""Cookies and tokens that only the server can make, and the limit of requests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from flask import Flask
+
+from tests.people.visitors import Visitor, enter, field
+from xplain.people.server.security import Keys, RateLimit
+from xplain.people.server.store import Store
+
+
+def test_nobody_can_be_somebody_else(
+    store: Store, app: Flask, browser: Callable[[], Visitor]
+) -> None:
+    one, two = browser(), browser()
+    first, second = (
+        enter(v, t) for v, t in zip((one, two), store.invite(2, "person"), strict=True)
+    )
+    # The other one's form with one's own cookie.
+    fields = [(n, field(first, n)) for n in ("token", "sequence", "kind", "text")]
+    status, _ = two.post("/study", [*fields, ("agree", "1")])
+    assert status == 403
+    assert field(first, "token") != field(second, "token")
+    # A cookie made from the other one's id, without the server's key.
+    ids = [row["id"] for row in store.query("SELECT id FROM participant")]
+    for value in (*ids, f"{ids[0]}.", f"{ids[0]}.{'0' * 64}", "." * 9, "\x00", "é" * 40):
+        client = app.test_client()
+        client.set_cookie("participant", value)
+        assert client.get("/study").status_code == 403
+        assert client.post("/events", json={}).status_code == 403
+
+
+def test_what_is_signed_is_good_for_one_purpose_one_owner_and_one_server() -> None:
+    keys, others = Keys(b"k" * 32), Keys(b"o" * 32)
+    cookie, token = keys.cookie("anna"), keys.form("anna")
+    assert keys.owner(cookie) == "anna"
+    assert others.owner(cookie) is None
+    assert keys.owner(cookie.replace("anna", "bert")) is None
+    assert keys.owner(f"anna.{token}") is None  # a form's token makes no cookie
+    assert keys.owns_form("anna", token)
+    assert not others.owns_form("anna", token)
+    assert not keys.owns_form("bert", token)
+    assert not keys.owns_form("anna", cookie.partition(".")[2])
+    assert not keys.owns_form("anna", "\ud800")  # half a character, as JSON may bring it
+    session = keys.session_cookie("one")
+    assert keys.session(session) == "one"
+    assert others.session(session) is None
+    assert keys.session(keys.cookie("one")) is None
+    assert keys.is_researcher(keys.researcher)
+    assert not keys.is_researcher(others.researcher)
+    assert not keys.is_researcher("é")
+    assert "kkkk" not in repr(keys)
+
+
+def test_after_a_long_silence_no_more_than_the_burst_is_allowed() -> None:
+    now = [0.0]
+    limit = RateLimit(5.0, 40.0, lambda: now[0])
+    for silence in (0.0, 1.0, 3600.0, 1e6):
+        now[0] += silence
+        allowed = sum(limit.allows("a") for _ in range(200))
+        assert allowed == (min(40, 5 * silence) if silence else 40)
+
+
+def test_a_bucket_fills_up_again_and_forgets_the_oldest() -> None:
+    now = [0.0]
+    limit = RateLimit(2.0, 3.0, lambda: now[0], most=2)
+    assert [limit.allows("a") for _ in range(4)] == [True, True, True, False]
+    now[0] = 0.5
+    assert [limit.allows("a") for _ in range(2)] == [True, False]
+    limit.allows("b")
+    limit.allows("c")
+    assert len(limit._buckets) == 2
+    assert limit.allows("a")

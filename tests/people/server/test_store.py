@@ -1,0 +1,555 @@
+"""The store: once and only once, balanced, on the disk, nobody else's."""
+
+from __future__ import annotations
+
+import gc
+import json
+import sqlite3
+import threading
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from filelock import FileLock
+
+from tests.people.server.test_fuzz import records
+from tests.people.study.stand_in import FAULTLESS, street_plan, street_study
+from tests.people.visitors import GENEROUS, Visitor, consent
+from xplain.errors import InputError, Refused, XplainError
+from xplain.people.analysis.stored import read_plan
+from xplain.people.server.app import create_app
+from xplain.people.server.database import Clock, Database
+from xplain.people.server.http import Context, Server
+from xplain.people.server.security import Keys
+from xplain.people.server.site import Full
+from xplain.people.server.store import MAX_TAB_EVENTS, Store, Unknown
+from xplain.people.simulation.browser import visit
+from xplain.people.study.bot import Habits, Person
+from xplain.people.study.flow import State, Study
+from xplain.people.study.plan import StudyPlan
+from xplain.people.study.site import StudySite
+
+
+class Time:
+    """A clock that stands still until it is told."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def clock(self) -> Clock:
+        return Clock(lambda: self.now, lambda: self.now, "boot")
+
+
+def test_an_answer_that_comes_twice_counts_once(store: Store) -> None:
+    who = store.enter_invited(store.invite(1, "person")[0])
+    first = consent(store, who)
+    before = store.query("SELECT * FROM event")
+    assert consent(store, who) == first
+    assert store.query("SELECT * FROM event") == before
+    assert store.query("SELECT count(*) AS n FROM slot WHERE holder IS NOT NULL") == [{"n": 1}]
+
+
+def test_an_answer_out_of_order_is_refused(store: Store) -> None:
+    who = store.enter_invited(store.invite(1, "person")[0])
+    with pytest.raises(Refused):
+        store.submit(who, 3, "labels", {"labels": [1]})
+    with pytest.raises(Refused):
+        store.submit(who, 0, "labels", {"labels": [1]})
+    assert store.participant(who).state.accepted == 0
+
+
+def whole(store: Store) -> str:
+    """Everything in the database, as text."""
+    return "\n".join(store._connection.iterdump())
+
+
+def wrong_page(store: Store, who: str) -> None:
+    store.submit(who, 0, "labels", {"labels": [1]})
+
+
+def wrong_sequence(store: Store, who: str) -> None:
+    store.submit(who, 3, "read", {})
+
+
+def no_choice(store: Store, who: str) -> None:
+    store.submit(who, 0, "consent", {})
+
+
+def another_consent_text(store: Store, who: str) -> None:
+    """By now a place has been reserved, and silent participants have been timed out."""
+    store.submit(who, 0, "consent", {"agree": 1, "text": "another"})
+
+
+def nobody(store: Store, who: str) -> None:
+    consent(store, "nobody")
+
+
+def no_such_invitation(store: Store, who: str) -> None:
+    store.enter_invited("none")
+
+
+def second_session(store: Store, who: str) -> None:
+    store.enter_prolific("P", "S", "another session", keep=True)
+
+
+def too_many_events(store: Store, who: str) -> None:
+    store.from_tab(who, "a" * 16, [(n, "visible", 1.0, {}) for n in range(MAX_TAB_EVENTS + 1)])
+
+
+def events_of_which_the_last_cannot_be_kept(store: Store, who: str) -> None:
+    store.from_tab(who, "a" * 16, [(0, "visible", 1.0, {}), (1, "visible", 2.0, {"at": {1}})])
+
+
+@pytest.mark.parametrize(
+    "refused",
+    [
+        wrong_page,
+        wrong_sequence,
+        no_choice,
+        another_consent_text,
+        nobody,
+        no_such_invitation,
+        second_session,
+        too_many_events,
+        events_of_which_the_last_cannot_be_kept,
+    ],
+)
+def test_a_refusal_leaves_the_database_as_it_was(
+    tmp_path: Path, study: Study, refused: Callable[[Store, str], None]
+) -> None:
+    time = Time()
+    path = tmp_path / "s.sqlite"
+    store = Store(path, StudySite(study), time.clock())
+    silent, who = (store.enter_invited(token) for token in store.invite(2, "person"))
+    consent(store, silent)
+    store.enter_prolific("P", "S", "X", keep=True)
+    time.now += 31 * 60
+    before = whole(store)
+    with pytest.raises((Refused, Unknown, TypeError)):
+        refused(store, who)
+    assert whole(store) == before
+    store.close()
+    store = Store(path, StudySite(study), time.clock())  # nor did anything reach the disk
+    assert whole(store) == before
+    store.close()
+
+
+def test_who_finds_no_place_leaves_the_database_as_it_was(store: Store) -> None:
+    places = len(store.site.plan.cells) * store.site.plan.rules.per_cell
+    everybody = [store.enter_invited(token) for token in store.invite(places + 1, "person")]
+    for who in everybody[:-1]:
+        consent(store, who)
+    before = whole(store)
+    with pytest.raises(Full):
+        consent(store, everybody[-1])
+    assert whole(store) == before
+
+
+def test_everybody_gets_an_order_of_questions_of_their_own(tmp_path: Path, study: Study) -> None:
+    def orders(name: str) -> list[dict[str, tuple[int, ...]]]:
+        store = Store(tmp_path / name, StudySite(study))
+        found = []
+        for token in store.invite(10, "person"):
+            state = consent(store, store.enter_invited(token))
+            role = study.plan.roles[state.user_type]
+            assert sorted(state.orders["eligibility"]) == list(range(len(role.eligibility)))
+            assert sorted(state.orders["quiz"]) == list(range(len(role.quiz)))
+            found.append(state.orders)
+        store.close()
+        return found
+
+    first = orders("one.sqlite")
+    for name in ("eligibility", "quiz"):
+        # Ten draws of 24 orders: about eight differ.
+        assert len({order[name] for order in first}) > 4
+    assert orders("two.sqlite") == first  # the seed's, not the day's
+
+
+def test_the_same_answer_from_many_threads_counts_once(store: Store) -> None:
+    who = store.enter_invited(store.invite(1, "person")[0])
+    threads = [threading.Thread(target=consent, args=(store, who)) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    kinds = [row["kind"] for row in store.query("SELECT kind FROM event")]
+    assert kinds.count("consent") == 1
+
+
+def test_places_are_blocks_with_every_cell_once(store: Store, study: Study) -> None:
+    rows = store.query("SELECT * FROM slot ORDER BY position")
+    cells = [(row["user_type"], row["condition"]) for row in rows]
+    size = len(study.plan.cells)
+    assert len(cells) == size * study.plan.rules.per_cell
+    for block in range(study.plan.rules.per_cell):
+        assert sorted(cells[block * size : (block + 1) * size]) == sorted(study.plan.cells)
+    assert cells[:size] != cells[size : 2 * size]  # an order drawn for each block
+
+
+def test_the_log_says_which_place_somebody_got(store: Store) -> None:
+    for token in store.invite(3, "person"):
+        who = store.enter_invited(token)
+        consent(store, who)
+        (event,) = store.query(
+            "SELECT payload FROM event WHERE participant = ? AND kind = 'consent'", (who,)
+        )
+        (place,) = store.query("SELECT * FROM slot WHERE holder = ?", (who,))
+        said = json.loads(event["payload"])
+        for key in ("position", "user_type", "condition"):
+            assert said[key] == place[key]
+
+
+def test_only_completion_uses_a_place_up(tmp_path: Path, study: Study) -> None:
+    time = Time()
+    store = Store(tmp_path / "s.sqlite", StudySite(study), time.clock())
+    everybody = [store.enter_invited(token) for token in store.invite(14, "person")]
+    places = len(study.plan.cells) * study.plan.rules.per_cell
+    for who in everybody[:places]:
+        consent(store, who)
+    with pytest.raises(Full):
+        consent(store, everybody[places])
+    assert store.participant(everybody[places]).state.stage == "consent"
+    taken = store.query("SELECT position FROM slot WHERE holder = ?", (everybody[3],))
+    state = store.participant(everybody[3]).state
+    store.submit(everybody[3], state.accepted, "withdraw", {})
+    consent(store, everybody[places])
+    now = store.query("SELECT position FROM slot WHERE holder = ?", (everybody[places],))
+    assert now == taken  # the very place that came back
+    # Silence frees a place too, when somebody asks for one: half an hour of it.
+    time.now += 29 * 60
+    assert store.time_out_stale() == 0
+    time.now += 2 * 60
+    for who in everybody[:2]:
+        store.shown(who, 1, "briefing")  # signs of life
+    consent(store, everybody[places + 1])
+    assert store.participant(everybody[5]).state.stage == "timed_out"
+    assert store.participant(everybody[0]).state.stage == "briefing"
+    store.close()
+
+
+def test_cells_are_balanced_in_spite_of_drop_outs(tmp_path: Path) -> None:
+    study = street_study(
+        rules={"per_cell": 4, "max_attempts": 2, "timeout_minutes": 30, "recall": True}
+    )
+    time = Time()
+    store = Store(tmp_path / "s.sqlite", StudySite(study), time.clock())
+    app = create_app(store, GENEROUS)
+    stages: Counter[str] = Counter()
+    for number in range(400):
+        if stages["done"] == 24:
+            break
+        habits = Habits(leaving=0.06, mistake=0.05)
+        person = Person(study.plan, habits, np.random.default_rng(number))
+        token = store.invite(1, "person")[0]
+        stages[visit(Visitor(app.test_client()), person, token)] += 1
+        time.now += 40 * 60  # whoever left has been silent for too long by now
+    assert stages["done"] == 24
+    assert stages["left"] > 5
+    done = store.query(
+        "SELECT json_extract(state, '$.user_type') AS t, json_extract(state, '$.condition') AS c, "
+        "count(*) AS n FROM participant WHERE json_extract(state, '$.stage') = 'done' GROUP BY 1, 2"
+    )
+    assert {(row["t"], row["c"]): row["n"] for row in done} == dict.fromkeys(study.plan.cells, 4)
+    store.close()
+
+
+def test_bots_and_pilots_do_not_touch_peoples_places(store: Store) -> None:
+    before = store.query("SELECT * FROM slot WHERE stream = 'person'")
+    for token in store.invite(40, "bot"):
+        consent(store, store.enter_invited(token))
+    consent(store, store.enter_open())
+    assert store.query("SELECT * FROM slot WHERE stream = 'person'") == before
+    cells = store.query(
+        "SELECT count(*) AS n FROM slot WHERE stream = 'bot' AND holder IS NOT NULL "
+        "GROUP BY user_type, condition"
+    )
+    assert max(c["n"] for c in cells) - min(c["n"] for c in cells) <= 1
+    positions = store.query("SELECT position FROM slot WHERE stream = 'bot' ORDER BY position")
+    assert [row["position"] for row in positions] == list(range(len(positions)))
+    held = store.query("SELECT holder FROM slot WHERE stream = 'bot' ORDER BY position")
+    assert [row["holder"] is not None for row in held] == [i < 40 for i in range(len(held))]
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "INSERT OR REPLACE INTO event SELECT * FROM event WHERE kind = 'consent'",
+        "INSERT OR REPLACE INTO meta VALUES ('plan', '{}')",
+        "UPDATE meta SET value = 'x' WHERE key = 'plan_hash'",
+        "DELETE FROM meta",
+        "DELETE FROM slot",
+        "UPDATE slot SET condition = 'personalized', user_type = user_type + 1",
+        "UPDATE slot SET used = 0 WHERE used = 1",
+        "DELETE FROM step",
+        "UPDATE step SET messages = 0",
+        "DELETE FROM invitation",
+        "UPDATE invitation SET participant = NULL WHERE participant IS NOT NULL",
+        "UPDATE participant SET code = 'X'",
+        "UPDATE event SET payload = '{}'",
+        "DELETE FROM event",
+        "UPDATE participant SET stream = 'person'",
+        "DELETE FROM participant",
+        "UPDATE step SET labels = '[0]' WHERE labels IS NOT NULL",
+    ],
+)
+def test_the_log_only_grows_and_a_bot_stays_a_bot(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person], sql: str
+) -> None:
+    visit(browser(), person(), store.invite(1, "bot")[0])
+    with pytest.raises(sqlite3.IntegrityError), store.transaction() as do:
+        do(sql)
+
+
+def test_who_has_not_agreed_yet_is_never_timed_out(tmp_path: Path, study: Study) -> None:
+    """A link that was opened, or refused at a full study, stays good."""
+    time = Time()
+    store = Store(tmp_path / "s.sqlite", StudySite(study), time.clock())
+    places = len(study.plan.cells) * study.plan.rules.per_cell
+    *first, late = (store.enter_invited(token) for token in store.invite(places + 1, "person"))
+    for who in first:
+        consent(store, who)
+    with pytest.raises(Full):
+        consent(store, late)
+    time.now += 7 * 86400
+    store.time_out_stale()
+    assert store.participant(late).state.stage == "consent"
+    assert consent(store, late).stage == "briefing"
+    store.close()
+
+
+def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
+    tmp_path: Path, study: Study
+) -> None:
+    time = Time()
+    store = Store(tmp_path / "s.sqlite", StudySite(study), time.clock())
+    places = len(study.plan.cells) * study.plan.rules.per_cell
+    everybody = [store.enter_invited(token) for token in store.invite(places + 1, "person")]
+    away, other = everybody[0], everybody[-1]
+    consent(store, away)
+    before = store.submit(away, 1, "read", {})
+    time.now += 31 * 60
+    assert store.time_out_stale() == 1
+    state = store.submit(away, 3, "return", {})
+    assert (state.stage, state.user_type, state.condition) == (
+        before.stage,
+        before.user_type,
+        before.condition,
+    )
+    held = "SELECT user_type, condition FROM slot WHERE holder = ?"
+    assert store.query(held, (away,)) == [
+        {"user_type": state.user_type, "condition": state.condition}
+    ]
+    # The log says which place they hold now.
+    said = "SELECT payload FROM event WHERE participant = ? AND kind = 'return'"
+    (place,) = store.query("SELECT position FROM slot WHERE holder = ?", (away,))
+    assert [json.loads(row["payload"]) for row in store.query(said, (away,))] == [place]
+    for who in everybody[1:-1]:
+        consent(store, who)
+    time.now += 31 * 60
+    for who in everybody[1:-1]:
+        store.shown(who, 1, "briefing")  # signs of life
+    consent(store, other)  # takes the only place, which was theirs
+    with pytest.raises(Full):
+        store.submit(away, 5, "return", {})
+    assert StudySite(study).replay(store._connection).differences == []
+    store.close()
+
+
+def states_in_memory() -> set[str]:
+    gc.collect()
+    return {one.text for one in gc.get_objects() if isinstance(one, State)}
+
+
+def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, study: Study) -> None:
+    path = tmp_path / "s.sqlite"
+    store = Store(path, StudySite(study))
+    app = create_app(store, GENEROUS)
+    someone = [Person(study.plan, FAULTLESS, np.random.default_rng(n)) for n in range(2)]
+    for person, token in zip(someone, store.invite(2, "person"), strict=True):
+        visit(Visitor(app.test_client()), person, token)
+    (gone, said), (kept, _) = (
+        tuple(row.values())
+        for row in store.query("SELECT id, state FROM participant ORDER BY number")
+    )
+    store.site.state(said)
+    assert said in states_in_memory()
+    store.from_tab(gone, "a" * 16, [(0, "visible", 1.0, {"what": "whatnobodyelsesaid"})])
+    (place,) = store.query("SELECT position FROM slot WHERE holder = ?", (gone,))
+    before = records(store, [kept])
+    store.erase(gone)
+    assert said not in states_in_memory()
+    assert records(store, [kept]) == before
+    when = "SELECT DISTINCT wall, monotonic, boot, browser FROM event WHERE participant = ?"
+    assert store.query(when, (gone,)) == [
+        {"wall": 0.0, "monotonic": 0.0, "boot": "", "browser": None}
+    ]
+    assert store.query("SELECT * FROM step WHERE participant = ?", (gone,)) == []
+    holder = "SELECT holder, used FROM slot WHERE stream = 'person' AND position = ?"
+    assert store.query(holder, (place["position"],)) == [{"holder": None, "used": 0}]
+    found = StudySite(study).replay(store._connection)
+    assert (found.differences, found.participants) == ([], 1)
+    with pytest.raises(InputError, match="reference"):
+        store.erase(gone)
+    store.close()
+    content = b"".join(file.read_bytes() for file in tmp_path.glob("s.sqlite*"))
+    assert b"whatnobodyelsesaid" not in content
+    # What says that it was erased, but is not in the log as erased, is a change.
+    with sqlite3.connect(path) as connection:
+        connection.execute("DROP TRIGGER event_fixed")
+        connection.execute(
+            "UPDATE event SET kind = 'erased', payload = '{}' WHERE participant = ?", (kept,)
+        )
+    connection.close()
+    store = Store(path, StudySite(study))
+    assert StudySite(study).replay(store._connection).differences
+    store.close()
+
+
+def test_each_is_erased_alone_and_afterwards_nothing_can_be_changed(
+    tmp_path: Path, study: Study
+) -> None:
+    store = Store(tmp_path / "s.sqlite", StudySite(study))
+    people = [store.enter_invited(token) for token in store.invite(3, "person")]
+    for who in people[:2]:
+        store.erase(who)
+        with pytest.raises(sqlite3.IntegrityError), store.transaction() as do:
+            do("UPDATE event SET kind = 'other' WHERE participant = ?", (who,))
+    erased = store.query("SELECT id FROM participant WHERE erased ORDER BY number")
+    assert [row["id"] for row in erased] == people[:2]
+    store.close()
+
+
+@pytest.mark.parametrize("beyond", [False, True])
+def test_a_place_that_is_not_in_the_plan_is_refused(
+    store: Store, study: Study, beyond: bool
+) -> None:
+    with pytest.raises(Refused, match="not_understood"), store.transaction() as do:
+        store.site.pin(do, "somebody", len(study.plan.cells) if beyond else -1)
+
+
+def test_codes_are_letters_and_no_ending_has_that_of_another(store: Store) -> None:
+    own = Context(store, Server())
+    found = [store.participant(store.enter_open()) for _ in range(20)]
+    stages = ("done", "declined", "screened_out", "ineligible", "withdrawn", "timed_out")
+    codes = [
+        own.code(replace(one, state=replace(one.state, stage=stage)))
+        for one in found
+        for stage in stages
+    ]
+    assert len(set(codes)) == len(codes)
+    assert all(code.isalpha() and len(code) == 8 for code in codes)
+    set_ = Context(store, Server(completion_code="ALL", codes={"screened_out": "OUT"}))
+    assert set_.code(replace(found[0], state=replace(found[0].state, stage="done"))) == "ALL"
+    out = replace(found[0], state=replace(found[0].state, stage="screened_out"))
+    assert set_.code(out) == "OUT"
+    left = replace(found[0], state=replace(found[0].state, stage="withdrawn"))
+    assert set_.code(left) not in ("ALL", "OUT")
+
+
+def test_events_of_a_page_are_kept_once_and_not_without_end(store: Store) -> None:
+    who = store.enter_invited(store.invite(1, "person")[0])
+    items = [(n, "visible", 1.0 * n, {"at": 1.0}) for n in range(50)]
+    store.from_tab(who, "a" * 16, items)
+    store.from_tab(who, "a" * 16, items)
+    count = "SELECT count(*) AS n FROM event WHERE source LIKE 'tab:%'"
+    assert store.query(count) == [{"n": 50}]
+    for batch in range(MAX_TAB_EVENTS // 50 - 1):
+        more = [(n + 50 * batch, "visible", 1.0, {"at": 1.0}) for n in range(50)]
+        store.from_tab(who, "b" * 16, more)
+    with pytest.raises(Refused):
+        store.from_tab(who, "c" * 16, items[:1])
+    assert store.query(count)[0]["n"] == MAX_TAB_EVENTS
+
+
+def test_invitations_and_outside_ids_lead_back_to_the_same_participant(store: Store) -> None:
+    (token,) = store.invite(1, "person")
+    assert store.enter_invited(token) == store.enter_invited(token)
+    with pytest.raises(Unknown):
+        store.enter_invited(token + "x")
+    first = store.enter_prolific("P", "S", "X", keep=False)
+    assert store.enter_prolific("P", "S", "X", keep=False) == first
+    with pytest.raises(Unknown):  # the same person in another session
+        store.enter_prolific("P", "S", "Y", keep=False)
+    # Another study of the platform's has other people, though it calls them alike.
+    assert store.enter_prolific("P", "T", "X", keep=False) != first
+    assert store.keyed("ab", "c") != store.keyed("a", "bc")
+    store.enter_prolific("Q", "S", "Z", keep=True)
+    dump = "\n".join(store._connection.iterdump())
+    assert token not in dump
+    assert "'P'" not in dump
+    assert '"PROLIFIC_PID": "Q"' in dump
+
+
+def test_a_database_has_one_process_and_one_plan(
+    tmp_path: Path, study: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "s.sqlite"
+    store = Store(path, StudySite(study))
+    acquire = FileLock.acquire
+    with monkeypatch.context() as patch:
+        patch.setattr(FileLock, "acquire", lambda lock, timeout: acquire(lock, timeout=0.1))
+        with pytest.raises(XplainError, match="another process"):
+            Store(path, StudySite(study))
+    assert path.stat().st_mode & 0o077 == 0
+    assert path.with_name("s.sqlite.key").stat().st_mode & 0o077 == 0
+    stored = read_plan(path, StudyPlan)
+    assert stored is not None
+    assert stored.hash == study.plan.hash
+    store.close()
+    with pytest.raises(XplainError, match="another study plan"):
+        Store(path, StudySite(street_study(seed=4)))
+    Store(path, StudySite(study)).close()
+    assert street_plan(seed=4).hash != study.plan.hash
+
+
+def test_a_damaged_or_foreign_file_is_named(tmp_path: Path, study: Study) -> None:
+    path = tmp_path / "s.sqlite"
+    path.write_text("no database at all, but long enough to look like something\n" * 20)
+    with pytest.raises(XplainError, match=r"s\.sqlite"):
+        read_plan(path, StudyPlan)
+    with pytest.raises(XplainError, match=r"s\.sqlite") as error:
+        Store(path, StudySite(study))
+    # Once it is mended it can be used, though whoever keeps the error keeps what was open.
+    path.unlink()
+    Store(path, StudySite(study)).close()
+    assert "cannot be used" in str(error.value)
+
+
+def test_a_database_that_is_refused_is_let_go(
+    tmp_path: Path, study: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "s.sqlite"
+    with monkeypatch.context() as patched:
+        patched.setattr(Database, "_check", lambda self: 1 / 0)
+        with pytest.raises(ZeroDivisionError) as error:
+            Store(path, StudySite(study))
+    Store(path, StudySite(study)).close()
+    assert error.value is not None  # nor did it go with the error
+
+
+def test_state_survives_a_restart(tmp_path: Path, study: Study) -> None:
+    store = Store(tmp_path / "s.sqlite", StudySite(study))
+    (token,) = store.invite(1, "person")
+    who = store.enter_invited(token)
+    state = consent(store, who)
+    cookie = Keys(store.secret).cookie(who)
+    store.close()
+    store = Store(tmp_path / "s.sqlite", StudySite(study))
+    assert store.participant(who).state == state
+    assert Keys(store.secret).cookie(who) == cookie  # cookies stay valid
+    assert store.enter_invited(token) == who
+    store.close()
+
+
+def test_previews_hold_places_of_their_own_in_the_cell_that_was_chosen(
+    store: Store, study: Study
+) -> None:
+    cells = study.plan.cells
+    chosen = [len(cells) - 1, 0, 0, 2]
+    shown = [store.enter_preview(cell) for cell in chosen]
+    slots = "SELECT holder, user_type, condition FROM slot WHERE stream = ? ORDER BY position"
+    found = [tuple(row.values()) for row in store.query(slots, ("preview",))]
+    assert found == [(who, *cells[cell]) for who, cell in zip(shown, chosen, strict=True)]

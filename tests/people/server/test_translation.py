@@ -1,0 +1,178 @@
+"""Every word of the pages comes from files: in a made-up language nothing of English is left."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.people.collect import stand_in as collect_stand_in
+from tests.people.collect.stand_in import wording
+from tests.people.kinds import bot_of
+from tests.people.study.stand_in import CONFIG, english_words, street_plan
+from tests.people.visitors import GENEROUS, Visitor, enter
+from xplain.errors import InputError
+from xplain.people.collect.flow import Collection
+from xplain.people.collect.site import CollectSite
+from xplain.people.server.app import create_app
+from xplain.people.server.store import Store
+from xplain.people.simulation.browser import Page
+from xplain.people.study.policies import study_of
+from xplain.people.study.site import StudySite
+
+PLACES = ("bridge", "market", "school", "tunnel")
+
+
+def made_up(text: str) -> str:
+    """Every word with Q before it, what is filled in as it is."""
+    return re.sub(r"\{\w+\}|[^\W\d_]+", lambda m: m[0] if m[0][0] == "{" else f"Q{m[0]}", text)
+
+
+def translated(value: Any) -> Any:
+    if isinstance(value, str):
+        return made_up(value)
+    if isinstance(value, dict):
+        return {key: translated(item) for key, item in value.items()}
+    return [translated(item) for item in value] if isinstance(value, list) else value
+
+
+class Words(HTMLParser):
+    """Every word that somebody may see or hear."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.found: set[str] = set()
+        self.feed(html)
+
+    def handle_data(self, data: str) -> None:
+        self.found |= set(re.findall(r"[^\W\d_]+", data))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if name in ("alt", "aria-label", "title", "placeholder", "data-lost"):
+                self.handle_data(value or "")
+
+
+SENTENCES = {
+    place: {"message": f"The {place} is fine", "belief": f"The {place} is bad"} for place in PLACES
+}
+PHRASES = {word: made_up(word) for word in ("goes", "straight", "around", "at", "the", *PLACES)}
+
+
+LANGUAGE = {"icons": {}, "facts": translated(SENTENCES), "phrases": PHRASES}
+KEPT = {"words", "rewards", "icons", "hide", "phrases", "facts", "questions"}
+QUESTIONS = [
+    {"name": "a", "label": made_up("number"), "kind": "number", "low": 1, "high": 9},
+    {"name": "b", "label": made_up("which"), "kind": "choice", "required": True}
+    | {"choices": [made_up("one"), made_up("two")]},
+    {"name": "c", "label": made_up("scale"), "kind": "scale", "low": 1, "high": 5}
+    | {"ends": [made_up("no"), made_up("yes")]},
+]
+
+
+def in_the_language(english: dict[str, Any]) -> dict[str, Any]:
+    """Texts of a study or a collection, every word translated."""
+    own = {key: value if key in KEPT else translated(value) for key, value in english.items()}
+    words = translated(english["words"]) | {"language": "q"}
+    return own | LANGUAGE | {"words": words, "questions": QUESTIONS}
+
+
+def foreign_study() -> StudySite:
+    texts = in_the_language(CONFIG["wording"])
+    texts["rewards"] = translated(texts["rewards"])
+    plan = street_plan(wording=texts, before=QUESTIONS[1:2], questions=QUESTIONS)
+    return StudySite(study_of(plan))
+
+
+def foreign_collection(briefing: str) -> CollectSite:
+    words = in_the_language(wording())
+    return CollectSite(Collection(collect_stand_in.street_plan(briefing=briefing, words=words)))
+
+
+@pytest.fixture(params=["study", "none", "assigned"])
+def foreign(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Store]:
+    """A study, or a collection without or with a briefing, in the made-up language."""
+    of_study = request.param == "study"
+    site = foreign_study() if of_study else foreign_collection(request.param)
+    store = Store(tmp_path / "s.sqlite", site)
+    yield store
+    store.close()
+
+
+def left_over(html: str) -> set[str]:
+    """Words of no made-up language; letters of the map and its items are none."""
+    return {
+        word for word in Words(html).found if word[0] != "Q" and not re.fullmatch("[A-Z]", word)
+    }
+
+
+def test_nothing_of_english_is_left_in_another_language(foreign: Store) -> None:
+    visitor = Visitor(create_app(foreign, GENEROUS).test_client())
+    person, (token,) = bot_of(foreign.site, 0), foreign.invite(1, "bot")
+    code = {foreign.participant(foreign.enter_invited(token)).code}
+    for path in ("/", "/nowhere", "/study"):
+        assert left_over(visitor.get(path)[1]) == set()
+    stages, html = set(), enter(visitor, token)
+    while True:
+        page = Page.of_html(html)
+        stages.add(page.stage)
+        reference = re.findall(r'id="reference">([^<]*)<', html)
+        assert left_over(html.replace(reference[0], "") if reference else html) <= code, page.stage
+        assert '<html lang="q">' in html
+        if not page.hidden:
+            break
+        # What cannot be done is said first, then it is done.
+        for fields in ({"kind": "x"}, {"a": "x", "text": "another"}):
+            status, answer = visitor.post("/study", list({**page.hidden, **fields}.items()))
+            if status == 400:
+                assert left_over(answer) == set(), page.stage
+        html = visitor.post("/study", [*page.hidden.items(), *person.fill(page)[0]])[1]
+    assert stages == {*foreign.site.flow.stages}
+
+
+def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(foreign: Store) -> None:
+    """However a part ends; and in the other language, again."""
+    app, texts, codes = create_app(foreign, GENEROUS), foreign.site.plan.texts, set()
+    first = foreign.site.flow.stages[1]
+    for ending in (*foreign.site.flow.STATE.ENDS, "done"):
+        (token,) = foreign.invite(1, "bot")
+        who = foreign.enter_invited(token)
+        state = f"""'{{"stage": "{ending}", "left": "{first}"}}'"""
+        change = f"UPDATE participant SET over = 1, state = json_patch(state, {state}) WHERE id = ?"
+        with foreign.transaction() as do:
+            do(change, (who,))
+        visitor = Visitor(app.test_client())
+        enter(visitor, token)
+        html = visitor.get("/study")[1]
+        assert all(paragraph in html for paragraph in texts.debriefing), ending
+        reference = "-".join(re.findall("....", who))
+        assert reference in html, ending
+        (code,) = re.findall(r'id="code">([A-Z]{8})<', html)
+        codes.add(code)
+        assert left_over(html.replace(reference, "").replace(code, "")) == set(), ending
+        assert 'href="/consent.txt"' in html
+        if (ending, first) == ("timed_out", "task"):  # whoever was away goes on where they were
+            with foreign.transaction() as do:
+                do("UPDATE participant SET state = json_patch(state, '{\"number\": 1}')")
+            page = Page.of_html(html)
+            again = visitor.post("/study", list(page.hidden.items()))[1]
+            assert Page.of_html(again).stage == "task"
+    assert len(codes) == len(foreign.site.flow.STATE.ENDS) + 1
+    copy = app.test_client().get("/consent.txt").text
+    assert all(paragraph in copy for paragraph in texts.consent)
+    assert texts.consent_hash in copy
+
+
+def test_a_language_without_all_its_words_is_refused() -> None:
+    words = english_words()
+    del words["quiz_hint"]
+    with pytest.raises(InputError, match=r"wording\.words\.quiz_hint"):
+        street_plan(wording=CONFIG["wording"] | {"words": words})
+    words = wording()["words"]
+    del words["sense"]
+    with pytest.raises(InputError, match=r"wording\.words\.sense"):
+        collect_stand_in.street_plan(words=wording(words=words))

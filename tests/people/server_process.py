@@ -1,0 +1,96 @@
+"""A study server as a lab starts it, in a process of its own, for tests and benchmarks."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+from types import TracebackType
+
+from tests import processes
+
+ROOT = Path(__file__).parent.parent.parent
+
+
+def free_port() -> int:
+    """A port that was free just now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class ServerProcess:
+    """``python -m xplain study`` (or ``collect``) on 127.0.0.1, over a database that holds a plan
+    already."""
+
+    def __init__(self, database: Path, *overrides: str, command: str = "study") -> None:
+        self.command = command
+        self.database, self.port, self.overrides = database, free_port(), overrides
+        self.url = f"http://127.0.0.1:{self.port}"
+        self.key = ""
+        self._process: subprocess.Popen[str] | None = None
+        self._log = database.with_suffix(".log")
+
+    def start(self) -> None:
+        """Returns when the server answers."""
+        command = [
+            *(sys.executable, "-m", "xplain", self.command, f"port={self.port}"),
+            *(f"database={self.database}", *self.overrides),
+        ]
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        with self._log.open("w", encoding="utf-8") as log:
+            self._process = processes.start(
+                command, cwd=self.database.parent, env=environment, stderr=log, stdout=log
+            )
+        until = time.monotonic() + 60
+        while time.monotonic() < until:
+            try:
+                with urllib.request.urlopen(f"{self.url}/alive", timeout=2):
+                    break
+            except OSError:
+                if self._process.poll() is not None:
+                    raise RuntimeError(self.log()) from None
+                time.sleep(0.05)
+        else:
+            raise RuntimeError(f"no answer: {self.log()}")
+        found = re.search(r"key (\w+)", self.log())
+        assert found, self.log()
+        self.key = found.group(1)
+
+    def log(self) -> str:
+        """What the server said."""
+        return self._log.read_text(encoding="utf-8")
+
+    def kill(self) -> None:
+        """kill -9 of the server with its worker, in the middle of whatever they do."""
+        self._end(signal.SIGKILL)
+
+    def stop(self) -> None:
+        """SIGTERM: the server answers what it has begun, then ends."""
+        self._end(signal.SIGTERM)
+
+    def _end(self, how: signal.Signals) -> None:
+        if self._process is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, how)
+            self._process.wait(timeout=30)
+            self._process = None
+
+    def __enter__(self) -> ServerProcess:
+        self.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()

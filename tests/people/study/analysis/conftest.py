@@ -1,0 +1,47 @@
+"""A snapshot of a study in which simulated participants took part."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.people.study.stand_in import FAULTLESS
+from tests.people.visitors import GENEROUS, Visitor
+from xplain.people.server.app import create_app
+from xplain.people.server.store import Store
+from xplain.people.simulation.browser import visit
+from xplain.people.study.bot import Habits, Person
+from xplain.people.study.flow import Study
+from xplain.people.study.site import StudySite
+
+
+@pytest.fixture(scope="package")
+def collected(tmp_path_factory: pytest.TempPathFactory, study: Study) -> tuple[bytes, str]:
+    """A snapshot of 24 bots, some of whom leave, one person, one who only looked in; and the
+    server's secret."""
+    folder = tmp_path_factory.mktemp("collected")
+    store = Store(folder / "study.sqlite", StudySite(study))
+    app = create_app(store, GENEROUS)
+
+    def take_part(number: int, habits: Habits, token: str) -> None:
+        someone = Person(study.plan, habits, np.random.default_rng(number))
+        visit(Visitor(app.test_client()), someone, token)
+
+    for number, token in enumerate(store.invite(24, "bot")):
+        take_part(number, Habits(leaving=0.05, mistake=0.1), token)
+    take_part(0, FAULTLESS, store.invite(1, "person")[0])
+    store.enter_invited(store.invite(1, "person")[0])
+    store.snapshot(folder / "snapshot.sqlite")
+    secret = store.secret.hex()
+    store.close()
+    return (folder / "snapshot.sqlite").read_bytes(), secret
+
+
+@pytest.fixture
+def snapshot(collected: tuple[bytes, str], tmp_path: Path) -> Path:
+    """A copy of one's own."""
+    path = tmp_path / "snapshot.sqlite"
+    path.write_bytes(collected[0])
+    return path

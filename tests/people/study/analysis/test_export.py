@@ -1,0 +1,84 @@
+"""The exported tables and the codebook that describes them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+from tests.people.conftest import store as store
+from xplain.cli.main import main
+from xplain.people.server.store import Store
+from xplain.people.study.codebook import CODEBOOK
+from xplain.people.study.flow import Study
+
+
+def test_tables_say_what_their_codebook_says(
+    snapshot: Path, collected: tuple[bytes, str], study: Study, tmp_path: Path
+) -> None:
+    main(["study", "export", str(snapshot), str(tmp_path / "out")])
+    for name, columns in CODEBOOK.items():
+        csv = pd.read_csv(tmp_path / "out" / f"{name}.csv")
+        parquet = pd.read_parquet(tmp_path / "out" / f"{name}.parquet")
+        assert list(csv.columns) == list(parquet.columns) == list(columns)
+        assert pq.read_schema(tmp_path / "out" / f"{name}.parquet").names == list(columns)
+        assert len(csv) == len(parquet)
+    out = tmp_path / "out"
+    people = pd.read_csv(out / "participants.csv").set_index("participant")
+    assert (people["stream"] == "bot").sum() == 24
+    done = people[people["stage"] == "done"]
+    assert len(done) > 3
+    labels, quiz = pd.read_csv(out / "labels.csv"), pd.read_csv(out / "quiz.csv")
+    events = pd.read_csv(out / "events.csv")
+    last = labels[labels["k"] == study.plan.n_steps - 1]
+    for who, row in done.iterrows():
+        own = last[last["participant"] == who]
+        assert row["inexplicable_transitions"] == (own["label"] == 0).sum()
+        assert row["quiz_score"] == quiz.loc[quiz["participant"] == who, "correct"].sum()
+        own = events[events["participant"] == who]
+        shown = own[(own["kind"] == "shown") & own["payload"].str.contains("evaluation")]
+        until = own.loc[own["kind"] == "labels", "wall"].max()
+        assert row["interaction_time_s"] == pytest.approx(until - shown["wall"].min(), abs=1e-3)
+    shown_for = done["interaction_time_s"] - done["hidden_s"]
+    np.testing.assert_allclose(done["visible_time_s"], shown_for, atol=1e-3)
+    assert json.loads((out / "plan.json").read_text())["seed"] == study.plan.seed
+    pages, steps = pd.read_csv(out / "pages.csv"), pd.read_csv(out / "steps.csv")
+    for who in done.index:
+        own = pages[pages["participant"] == who]
+        assert own["seconds"].iloc[:-1].notna().all()
+        in_steps = steps.loc[steps["participant"] == who, "seconds"].sum()
+        of_pages = own.loc[own["stage"] == "evaluation", "seconds"].sum()
+        assert in_steps == pytest.approx(of_pages)
+        # Pages follow one another: no more time passes on them than passed.
+        assert own["seconds"].sum() <= events.loc[events["participant"] == who, "wall"].agg(
+            lambda wall: wall.max() - wall.min()
+        )
+    codebook = pd.read_csv(out / "codebook.csv").set_index(["table", "column"])
+    for name in CODEBOOK:
+        table = pd.read_csv(out / f"{name}.csv")
+        for column in table:
+            numeric = pd.api.types.is_numeric_dtype(table[column]) and table[column].notna().any()
+            stated = codebook.loc[(name, column), "type"]
+            assert not (numeric and stated == "text" and column != "answer"), (name, column)
+    assert people["completion_code"].dropna().str.isalpha().all()
+    assert len((out / "head.txt").read_text().strip()) == 64
+    everything = "".join(path.read_text() for path in out.glob("*.csv"))
+    assert collected[1] not in everything
+
+
+def test_a_database_in_use_is_not_read(
+    store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["study", "export", str(store.path), str(tmp_path / "out")])
+    assert ended.value.code == 2
+    assert "in use by a server" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as ended:
+        main(["study", "replay", str(tmp_path / "nothing.sqlite")])
+    assert ended.value.code == 2
+    assert "nothing.sqlite" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,135 @@
+"""The command that prints and draws the analysis."""
+
+from __future__ import annotations
+
+import io
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.collections import PathCollection
+from matplotlib.figure import Figure
+from rich.console import Console
+from scipy import stats
+
+from tests.people.study.analysis.completed import completed
+from xplain.cli.main import main
+from xplain.errors import InputError
+from xplain.people.study.report import draw, exclusions, save, show
+from xplain.people.study.table2 import CONDITIONS, Analysis, Row, analyse, paper_table
+from xplain.people.study.tables import export
+
+
+def test_streams_are_never_mixed(
+    snapshot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    export(snapshot, out)
+    main(["study", "analyse", str(out), "--stream", "bot"])
+    said = capsys.readouterr().out
+    assert "SIMULATED PARTICIPANTS" in said
+    for value in ("120.48", "100.85", "0.032", "3.45"):
+        assert value in said  # the paper's, beside ours
+    assert (out / "measures.png").stat().st_size > 10_000
+    people = pd.read_csv(out / "participants.csv")
+    flow = pd.read_csv(out / "flow.csv").set_index("stage")
+    bots = people[people["stream"] == "bot"]
+    assert flow.loc["entered", "all"] == 24
+    assert flow.loc["completed", "all"] == (bots["stage"] == "done").sum()
+    ends = ("completed", "declined", "ineligible", "withdrawn", "timed out", "still on their way")
+    assert sum(flow.loc[end, "all"] for end in ends) == 24
+    with pytest.raises(SystemExit) as ended:  # one person is no study
+        main(["study", "analyse", str(out)])
+    assert ended.value.code == 2
+    assert "at least 2 completed" in capsys.readouterr().err
+
+
+def test_a_file_that_lists_nobody_to_exclude_is_named(tmp_path: Path) -> None:
+    (tmp_path / "participants.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match="participant, reason"):
+        exclusions(tmp_path / "participants.csv")
+
+
+@pytest.fixture(scope="module")
+def analysis() -> Analysis:
+    return analyse(completed(20), "person", {})
+
+
+def _both(analysis: Analysis, row: Row) -> list[pd.Series[float]]:
+    return [
+        analysis.data.loc[analysis.data["condition"] == c, row.measure].astype(float)
+        for c in CONDITIONS
+    ]
+
+
+def test_each_figure_on_the_terminal_stands_under_its_heading(analysis: Analysis) -> None:
+    console = Console(width=260, record=True, file=io.StringIO())
+    show(analysis, console)
+    lines = console.export_text().splitlines()
+    first = itertools.takewhile(lambda line: not line.startswith("│"), lines)
+    above = [[part.strip() for part in line.split("┃")] for line in first if "┃" in line]
+    headings = [" ".join(parts).strip() for parts in zip(*above, strict=True)]
+    for row in analysis.rows[:3]:
+        (line,) = (line for line in lines if line.startswith(f"│ {row.title} "))
+        cells = dict(zip(headings, (c.strip() for c in line.split("│")), strict=True))
+        a, b = _both(analysis, row)
+        assert cells["Conformant mean (SD), n"] == f"{a.mean():.2f} ({a.std():.2f}), {len(a)}"
+        assert cells["Personalized mean (SD), n"] == f"{b.mean():.2f} ({b.std():.2f}), {len(b)}"
+        student, welch = stats.ttest_ind(a, b), stats.ttest_ind(a, b, equal_var=False)
+        assert _number(cells["Student's p"]) == pytest.approx(student.pvalue, abs=1e-3)
+        assert _number(cells["Welch's p"]) == pytest.approx(welch.pvalue, abs=1e-3)
+        assert _number(cells["p, Holm"]) >= _number(cells["Student's p"])
+        paper = paper_table()[row.measure]
+        assert cells["Paper: means, p"].startswith(f"{paper['conformant']:g}, ")
+
+
+def _number(p: str) -> float:
+    return float(p.removeprefix("<"))
+
+
+def test_the_file_has_each_measure_with_its_figures(analysis: Analysis, tmp_path: Path) -> None:
+    save(analysis, tmp_path / "new" / "folder")
+    table = pd.read_csv(tmp_path / "new" / "folder" / "table2.csv", index_col="measure")
+    assert list(table.index) == [row.measure for row in analysis.rows]
+    for row in analysis.rows:
+        of, (a, b) = table.loc[row.measure], _both(analysis, row)
+        assert (of["n_conformant"], of["n_personalized"]) == (len(a), len(b))
+        assert of["mean_conformant"] == pytest.approx(a.mean())
+        assert of["mean_personalized"] == pytest.approx(b.mean())
+        assert of["sd_personalized"] == pytest.approx(b.std())
+        assert of["student_p"] == pytest.approx(stats.ttest_ind(a, b).pvalue)
+        assert of["welch_p"] == pytest.approx(stats.ttest_ind(a, b, equal_var=False).pvalue)
+        pooled = np.sqrt((a.var() + b.var()) / 2)  # as many in both
+        correction = 1 - 3 / (4 * (len(a) + len(b) - 2) - 1)
+        g = (a.mean() - b.mean()) / pooled * correction
+        assert of["hedges_g"] == pytest.approx(g, rel=1e-3)
+        assert of["g_low"] < of["hedges_g"] < of["g_high"]
+        assert 0 < of["permutation_p"] <= 1
+    for measure, paper in paper_table().items():
+        assert table.loc[measure, "paper_p_value"] == paper["p_value"]
+        assert table.loc[measure, "student_p_holm"] >= table.loc[measure, "student_p"]
+
+
+def test_the_picture_shows_everybody_and_the_means(
+    analysis: Analysis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    draw(analysis, tmp_path / "measures.png")
+    for column, row in enumerate(analysis.rows[:3]):
+        axis, paper = drawn[0].axes[column], paper_table()[row.measure]
+        dots = [c for c in axis.collections if isinstance(c, PathCollection)]
+        assert [label.get_text() for label in axis.get_xticklabels()] == list(CONDITIONS)
+        groups = zip(CONDITIONS, _both(analysis, row), dots, axis.containers, strict=True)
+        for x, (condition, values, cloud, interval) in enumerate(groups):
+            spread = np.asarray(cloud.get_offsets())
+            assert sorted(spread[:, 1]) == sorted(values)
+            assert np.abs(spread[:, 0] - x).max() < 0.2  # nearer than the other condition
+            mean, _, (bar,) = interval.lines
+            assert mean.get_ydata()[0] == pytest.approx(values.mean())
+            ends = stats.t.interval(0.95, len(values) - 1, values.mean(), stats.sem(values))
+            assert np.asarray(bar.get_segments()[0])[:, 1] == pytest.approx(ends)
+            stars = [line.get_ydata()[0] for line in axis.lines if line.get_marker() == "*"]
+            assert stars[x] == paper[condition]

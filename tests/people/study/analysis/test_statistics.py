@@ -1,0 +1,159 @@
+"""Statistics against published figures, other programs, brute force, and their own promises."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from xplain.people.study.statistics import (
+    compare,
+    d_from_p,
+    hedges,
+    holm,
+    stratified_permutation,
+    student_p,
+    t_power,
+)
+from xplain.people.study.table2 import paper_table
+
+
+def test_the_papers_p_values_imply_these_effects_and_sizes() -> None:
+    published = paper_table()
+    effects = {m: d_from_p(row["p_value"], 20) for m, row in published.items()}
+    assert [round(d, 2) for d in effects.values()] == [0.67, 0.70, 0.74]
+    assert all(0.54 <= t_power(d, 20) <= 0.64 for d in effects.values())
+    adjusted = holm([row["p_value"] for row in published.values()])
+    assert adjusted == pytest.approx([0.072, 0.072, 0.072])
+    needed = [
+        next(n for n in range(20, 99) if t_power(d, n, 0.05 / 3) >= 0.8) for d in effects.values()
+    ]
+    assert min(needed) >= 40
+    assert max(needed) <= 48
+
+
+def test_holm_by_hand() -> None:
+    # Holm (1979): 4 tests, α multiplied by 4, 3, 2, 1 from the smallest p on.
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.5, 0.9]) == pytest.approx([1.0, 1.0])
+    with_gap = holm([0.01, float("nan"), 0.04])
+    assert with_gap[0] == pytest.approx(0.02)
+    assert np.isnan(with_gap[1])
+    # Each study is corrected by itself, with as many tests as it has.
+    together = holm([[0.01, float("nan"), 0.04], [0.01, 0.04, 0.03]])
+    assert together[0] == pytest.approx(with_gap, nan_ok=True)
+    assert together[1] == pytest.approx([0.03, 0.06, 0.06])
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=8))
+def test_holm_lies_between_plain_and_bonferroni(p: list[float]) -> None:
+    adjusted = holm(p)
+    assert (adjusted >= np.array(p)).all()
+    assert (adjusted <= np.minimum(1, len(p) * np.array(p)) + 1e-12).all()
+    order = np.argsort(p, kind="stable")
+    assert (np.diff(adjusted[order]) >= 0).all()
+
+
+def test_hedges_interval_holds_the_truth_as_often_as_it_says() -> None:
+    rng, delta, hits, rounds = np.random.default_rng(1), 0.7, 0, 600
+    for _ in range(rounds):
+        a, b = rng.normal(delta, 1, 15), rng.normal(0, 1, 12)
+        # The small-sample factor scales both ends; it belongs to the estimate, not to the truth.
+        _, low, high = hedges(float(stats.ttest_ind(a, b).statistic), 15, 12)
+        factor = 1 - 3 / (4 * 25 - 1)
+        hits += low <= delta * factor <= high
+    assert 0.93 <= hits / rounds <= 0.97
+
+
+def test_hedges_is_unbiased_and_mirrors() -> None:
+    rng = np.random.default_rng(2)
+    a, b = rng.normal(1, 1, (4000, 6)), rng.normal(0, 1, (4000, 6))
+    t = stats.ttest_ind(a, b, axis=1).statistic
+    correction = hedges(1.0, 6, 6)[0]  # g is proportional to t
+    assert abs((t * correction).mean() - 1.0) < 0.04
+    g, low, high = hedges(2.5, 20, 18)
+    assert hedges(-2.5, 20, 18) == pytest.approx((-g, -high, -low))
+    # Zero lies on the interval's edge exactly when the test's p is .05.
+    critical = float(stats.t.isf(0.025, 36))
+    assert hedges(critical, 19, 19)[1] == pytest.approx(0, abs=1e-9)
+
+
+@given(st.floats(-300, 300), st.integers(2, 200), st.integers(2, 200))
+@settings(max_examples=100, deadline=None)
+def test_hedges_interval_exists_for_any_t(t: float, n: int, m: int) -> None:
+    g, low, high = hedges(t, n, m)
+    assert low <= g <= high or abs(t) > 20  # far out the factor pulls g below the median
+    assert low < high
+
+
+def test_permutation_test_is_the_share_of_all_arrangements() -> None:
+    x, y = np.array([3.0, 5.0, 9.0, 1.0]), np.array([2.0, 4.0, 4.0, 0.0])
+    strata_x, strata_y = np.array(["a", "a", "b", "b"]), np.array(["a", "a", "b", "b"])
+    a, b = np.array([3.0, 5, 2, 4]), np.array([9.0, 1, 4, 0])
+    total, observed = a.sum() + b.sum(), abs(x.mean() - y.mean())
+    extreme = [
+        abs(
+            (a[list(i)].sum() + b[list(j)].sum()) / 4
+            - (total - a[list(i)].sum() - b[list(j)].sum()) / 4
+        )
+        >= observed - 1e-9
+        for i in combinations(range(4), 2)
+        for j in combinations(range(4), 2)
+    ]
+    exact = np.mean(extreme)
+    found = stratified_permutation(x, y, strata_x, strata_y, seed=0, permutations=40_000)
+    assert found == pytest.approx(exact, abs=0.012)
+
+
+def test_figures_of_two_groups_by_hand() -> None:
+    # Means 4 and 2, squared deviations 8 and 2: a pooled variance of 10 / 4, t = 2 / √(5/3).
+    found = compare([2.0, 4.0, 6.0], [1.0, 2.0, 3.0], ["a"] * 3, ["a"] * 3, 0)
+    assert (found.a.mean, found.a.sd, found.a.n) == (4.0, 2.0, 3)
+    assert (found.b.mean, found.b.sd, found.b.n) == (2.0, 1.0, 3)
+    assert found.student.t == found.welch.t == pytest.approx(2 / (5 / 3) ** 0.5)
+    assert (found.student.df, found.welch.df) == (4, pytest.approx(50 / 17))
+    # Hedges (1981): J(4) = Γ(2) / (√2 Γ(3/2)) of d = 2 / √2.5.
+    assert found.g == pytest.approx(2 / 2.5**0.5 / (2**0.5 * np.pi**0.5 / 2))
+    unequal = compare([0.0, 9.0], [1.0, 2.0, 2.0, 1.0], ["a"] * 2, ["a"] * 4, 0)
+    assert unequal.g == pytest.approx(hedges(unequal.student.t, 2, 4)[0])
+
+
+def test_permutation_p_is_never_zero() -> None:
+    # Of 20 arrangements two are as extreme; of none drawn, the one observed is.
+    x, y, strata = np.array([7.0, 8, 9]), np.array([1.0, 2, 3]), np.array(["a"] * 3)
+    exact = stratified_permutation(x, y, strata, strata, seed=0, permutations=40_000)
+    assert exact == pytest.approx(0.1, abs=0.006)
+    assert stratified_permutation(x, y, strata, strata, seed=0, permutations=0) == 1.0
+
+
+def test_power_without_an_effect_is_the_level_on_both_sides() -> None:
+    for level in (0.05, 0.2):
+        assert t_power(0.0, 12, level) == pytest.approx(level)
+        assert t_power(-0.5, 12, level) == pytest.approx(t_power(0.5, 12, level))
+
+
+def test_permutation_test_does_not_take_a_type_for_an_effect() -> None:
+    # Both conditions are alike within each type; only the types differ.
+    values = np.array([10.0] * 8 + [0.0] * 2)
+    other = np.array([10.0] * 2 + [0.0] * 8)
+    strata = np.array(["a"] * 8 + ["b"] * 2), np.array(["a"] * 2 + ["b"] * 8)
+    assert stratified_permutation(values, other, *strata, seed=0) == 1.0
+    assert compare(values, other, list(strata[0]), list(strata[1]), 0).student.p < 0.01
+
+
+def test_many_t_tests_at_once_are_scipys() -> None:
+    rng = np.random.default_rng(8)
+    x, y = rng.normal(0.4, 1, (50, 12, 3)), rng.normal(0, 2, (50, 9, 3))
+    assert student_p(x, y) == pytest.approx(stats.ttest_ind(x, y, axis=1).pvalue)
+    assert (student_p(np.ones((2, 5, 1)), np.ones((2, 5, 1))) == 1).all()
+
+
+def test_a_group_without_spread_is_compared_without_a_warning() -> None:
+    """By hand: means 6 and 3, pooled variance 1 / 2, error √(1 / 2 (1 / 3 + 1 / 3)) = √(1 / 3)."""
+    found = compare([6, 6, 6], [2, 3, 4], ["a"] * 3, ["a"] * 3, 0)
+    assert found.student.t == pytest.approx(3 * np.sqrt(3))
+    assert found.student.df == 4

@@ -1,0 +1,63 @@
+"""Table 2 from the data of people, against scipy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.people.study.analysis.completed import completed
+from xplain.errors import InputError
+from xplain.people.study.table2 import analyse as analysis_of
+from xplain.people.study.table2 import paper_table, read
+
+
+def test_the_table_is_what_scipy_computes_from_people_alone() -> None:
+    from scipy import stats
+
+    data = completed(20)
+    found = analysis_of(data, "person", {"conformant3": "was interrupted"})
+    assert found.excluded == {"was interrupted": 1}
+    own = data[(data["stream"] == "person") & (data["participant"] != "conformant3")]
+    for row in found.rows:
+        a, b = (own.loc[own["condition"] == c, row.measure] for c in ("conformant", "personalized"))
+        student, welch = stats.ttest_ind(a, b), stats.ttest_ind(a, b, equal_var=False)
+        assert row.ours.student.p == pytest.approx(student.pvalue)
+        assert row.ours.student.df == 37
+        assert row.ours.welch.p == pytest.approx(welch.pvalue)
+        assert (row.ours.a.n, row.ours.b.n) == (19, 20)
+        assert row.ours.a.mean == pytest.approx(a.mean())
+    assert [row.measure for row in found.rows][:3] == list(paper_table())
+    with pytest.raises(InputError, match="exclude"):
+        analysis_of(data, "person", {"nobody": "x"})
+    with pytest.raises(InputError, match="stream"):
+        analysis_of(data, "people", {})
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_small_studies_are_analysed_or_refused(n: int, tmp_path: Path) -> None:
+    data = completed(n + 1).iloc[: 2 * n] if n < 2 else completed(n)
+    data.assign(interaction_time_s=5.0).to_csv(tmp_path / "participants.csv", index=False)
+    if n < 2:
+        with pytest.raises(InputError):
+            analysis_of(read(tmp_path), "person", {})
+    else:  # no spread in time: no t test, but no failure
+        found = analysis_of(read(tmp_path), "person", {})
+        assert np.isnan(found.rows[0].ours.student.p)
+        assert found.rows[0].ours.permutation_p == 1
+
+
+def test_files_that_are_no_export_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"participants\.csv"):
+        read(tmp_path)
+    (tmp_path / "participants.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match="lacks the column participant"):
+        read(tmp_path)
+
+
+def test_too_few_participants_are_counted_by_condition() -> None:
+    data = completed(3)
+    excluded = dict.fromkeys(("conformant0", "conformant1"), "left the room")
+    with pytest.raises(InputError, match=r"'conformant': 1, 'personalized': 3"):
+        analysis_of(data, "person", excluded)

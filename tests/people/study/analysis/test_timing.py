@@ -1,0 +1,107 @@
+"""How long an evaluation took: the server's clocks, and time in which no page was seen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from xplain.people.analysis.export import Participant
+from xplain.people.study.flow import State
+from xplain.people.study.tables import hidden, interaction, pages
+
+
+def event(source: str, kind: str, at: float, **payload: Any) -> dict[str, Any]:
+    """At ``at`` seconds, on every clock."""
+    tab = source.startswith("tab:")
+    return {
+        "source": source,
+        "kind": kind,
+        "wall": 1e9 + at,
+        "monotonic": 5.0 + at,
+        "boot": "one",
+        "payload": {"at": 1e12 + 1000 * at} | payload if tab else payload,
+    }
+
+
+def seen(at: float, tab: str = "a", stage: str = "evaluation") -> dict[str, Any]:
+    return event(f"tab:{tab}", "visible", at, what=stage)
+
+
+def gone(at: float, tab: str = "a") -> dict[str, Any]:
+    return event(f"tab:{tab}", "hidden", at, what="evaluation")
+
+
+LABELS = [
+    event("shown", "shown", 0, stage="evaluation"),
+    event("protocol", "labels", 40),
+    event("shown", "shown", 41, stage="evaluation"),
+    event("protocol", "labels", 100),
+    event("shown", "shown", 101, stage="quiz"),
+]
+
+
+def test_time_runs_from_the_first_rendering_to_the_last_label() -> None:
+    found = interaction(LABELS)
+    assert (found.wall, found.monotonic, found.hidden, found.visible) == (100, 100, None, None)
+    restarted = [*LABELS[:3], LABELS[3] | {"boot": "two", "monotonic": 0.5}]
+    assert (interaction(restarted).wall, interaction(restarted).monotonic) == (100, None)
+    assert interaction(LABELS[:1]).wall is None
+
+
+@pytest.mark.parametrize(
+    ("reports", "away"),
+    [
+        ([], None),
+        ([seen(0), seen(41, "b"), seen(101, "c", "quiz")], 0),
+        ([seen(0), gone(10), seen(30), seen(41, "b"), seen(101, "c", "quiz")], 20),
+        # Two tabs: from one to the other and back is not away; both hidden is.
+        ([seen(0), gone(10), seen(10, "b"), gone(20, "b"), seen(20), gone(50), seen(57, "b")], 7),
+        # The page before stays "visible" for ever, since an answer led on from it.
+        ([seen(0), seen(41, "b"), gone(50, "b"), seen(60, "b")], 10),
+        # Hidden before and after the evaluation is not counted.
+        ([seen(-9, "z", "briefing"), gone(-8, "z"), seen(-2, "z", "briefing"), seen(0)], 0),
+        ([seen(0), seen(101, "c", "quiz"), gone(110, "c"), seen(150, "c", "quiz")], 0),
+        # Closed, and opened again later.
+        ([seen(0), gone(30), seen(90, "b"), seen(101, "c", "quiz")], 60),
+    ],
+)
+def test_hidden_time_is_when_no_page_is_looked_at(
+    reports: list[dict[str, Any]], away: float | None
+) -> None:
+    assert hidden(reports) == (None if away is None else pytest.approx(away))
+    found = interaction([*LABELS, *reports])
+    assert found.visible == (None if away is None else pytest.approx(100 - away))
+
+
+def test_every_page_has_its_place_and_the_time_until_its_answer() -> None:
+    def at(sequence: int, found: dict[str, Any], **more: Any) -> dict[str, Any]:
+        return found | {"participant": "ann", "source_sequence": sequence, "browser": None} | more
+
+    events = [
+        at(4, event("shown", "shown", 0, stage="briefing")),
+        at(4, event("protocol", "continue", 3)),
+        at(5, event("shown", "shown", 3, stage="evaluation")),
+        at(9, event("tab:a", "visible", 4, what="evaluation")),
+        at(5, event("protocol", "labels", 40), browser=36_500),
+        at(6, event("shown", "shown", 41, stage="evaluation")),
+        at(6, event("protocol", "labels", 100)),
+        at(7, event("shown", "shown", 101, stage="quiz")),
+    ]
+    keys = ("participant", "sequence", "stage", "step", "shown", "seconds", "browser_ms")
+    rows = [
+        ("ann", 4, "briefing", None, 1e9, 3, None),
+        ("ann", 5, "evaluation", 0, 1e9 + 3, 37, 36_500),
+        ("ann", 6, "evaluation", 1, 1e9 + 41, 59, None),
+        ("ann", 7, "quiz", None, 1e9 + 101, None, None),
+    ]
+    assert pages(events) == [dict(zip(keys, row, strict=True)) for row in rows]
+
+
+def test_what_was_answered_is_taken_from_the_protocol_s_events() -> None:
+    consent = event("protocol", "consent", -5) | {"payload": {"text": "a1b2", "width": 1280}}
+    forged = event("tab:a", "consent", -6, text="c3")
+    one = Participant({}, State(), (forged, consent, *LABELS))
+    assert one.first("consent") == {"text": "a1b2", "width": 1280}
+    assert one.answers("labels") == [LABELS[1], LABELS[3]]
+    assert one.first("answers") == {}

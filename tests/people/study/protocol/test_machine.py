@@ -1,0 +1,197 @@
+"""The protocol as a pure machine: what it accepts, what it never shows, what the policies do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.people.study.stand_in import FAULTLESS, street_study
+from xplain.errors import Refused
+from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.explanation.belief import Independent, Persistent
+from xplain.people.study.bot import take_part
+from xplain.people.study.flow import State, Study
+
+ORDERS = {"eligibility": (2, 0, 1, 3), "quiz": (3, 2, 1, 0)}
+
+
+def at_evaluation(study: Study, user_type: int, condition: str) -> State:
+    slot = {"user_type": user_type, "condition": condition, "orders": ORDERS}
+    text = study.plan.texts.consent_hash
+    right = [q.answer for q in study.plan.roles[user_type].eligibility]
+    state = State()
+    for kind, payload in (
+        ("consent", {"agree": 1, "text": text, **slot}),
+        ("read", {}),
+        ("example", {"label": 0}),
+        ("example", {"label": 1}),
+        ("eligibility", {"answers": right}),
+    ):
+        assert (state.given, state.new, state.heard) == (0, 0, ())  # nothing was told yet
+        state = study.advance(state, kind, payload).state
+    return state
+
+
+@pytest.mark.parametrize("condition", ["personalized", "conformant"])
+@pytest.mark.parametrize("user_type", range(3))
+def test_participants_meet_what_the_offline_experiment_computes(
+    study: Study, user_type: int, condition: str
+) -> None:
+    plan = study.plan
+    user = SimulatedUser.of(plan.true_labels[user_type])
+    offline = explain(plan.problem, study.policies[condition], user, study.belief)
+    state = at_evaluation(study, user_type, condition)
+    for k in range(plan.n_steps):
+        assert (state.step, state.new) == (k, offline.messages[k])
+        assert state.belief == tuple(offline.beliefs[k].tolist())
+        labels = plan.true_labels[user_type, : k + 1, state.given].tolist()
+        state = study.advance(state, "labels", {"labels": labels}).state
+    assert state.stage == "quiz"
+    assert state.new == 0  # nothing is marked as new after the last step
+    assert state.belief == tuple(offline.beliefs[-1].tolist())
+
+
+def test_conformant_does_not_listen_and_personalized_does(study: Study) -> None:
+    def given(condition: str, user_type: int) -> int:
+        state = at_evaluation(study, user_type, condition)
+        while state.stage == "evaluation":
+            labels = study.plan.true_labels[user_type, : state.step + 1, state.given].tolist()
+            state = study.advance(state, "labels", {"labels": labels}).state
+        return state.given
+
+    assert len({given("conformant", t) for t in range(3)}) == 1
+    assert len({given("personalized", t) for t in range(3)}) > 1
+
+
+def test_a_faultless_participant_errs_only_where_nothing_was_said(study: Study) -> None:
+    plan = study.plan
+    for user_type, condition in plan.cells:
+        user = SimulatedUser.of(plan.true_labels[user_type])
+        offline = explain(plan.problem, study.policies[condition], user, study.belief)
+        found = take_part(study, user_type, condition, FAULTLESS, np.random.default_rng(0))
+        assert found is not None
+        assert found.inexplicable == (offline.labels[-1] == 0).sum()
+        assert found.messages == offline.n_messages
+        told = sum(int(mask) for mask in offline.messages)
+        untold = [j for j in plan.roles[user_type].wrong if not told >> j & 1]
+        assert found.score == 4 - len(untold)
+
+
+def test_failing_the_check_leads_to_the_briefing_then_to_a_polite_end(study: Study) -> None:
+    wrong = [1 - q.answer for q in study.plan.roles[0].eligibility]
+    state = State(stage="eligibility", user_type=0, condition="conformant")
+    state = study.advance(state, "eligibility", {"answers": wrong}).state
+    assert (state.stage, state.attempts, state.wrong) == ("briefing", 1, True)
+    assert study.view(state)["attempts_left"] == 1
+    state = study.advance(state, "read", {}).state
+    assert state.stage == "eligibility"  # the practice is not repeated
+    state = study.advance(state, "eligibility", {"answers": wrong}).state
+    assert (state.stage, state.over) == ("ineligible", True)
+
+
+def test_quiz_scores_every_statement_judged_rightly(study: Study) -> None:
+    state = State(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
+    true = [i for i, s in enumerate(study.plan.roles[1].quiz) if s.true]
+    for none in ([4], [-1], [0.0], ["0"], [0] * 5, None, "0"):
+        with pytest.raises(Refused):
+            study.advance(state, "quiz", {"chosen": none})
+    for chosen, score in ((true, 4), ([], 2), ([0, 1, 2, 3], 2), (true[:1], 3)):
+        outcome = study.advance(state, "quiz", {"chosen": chosen})
+        assert outcome.state.score == score
+
+
+def test_pages_show_the_trace_so_far_the_messages_apart_and_questions_in_their_order(
+    study: Study,
+) -> None:
+    plan = study.plan
+    asked = State(stage="eligibility", user_type=1, condition="conformant", orders=ORDERS)
+    shown = study.view(asked)["questions"]
+    assert shown == [(i, plan.roles[1].eligibility[i]) for i in (2, 0, 1, 3)]
+    quiz = State(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
+    statements = study.view(quiz)["statements"]
+    assert statements == [(i, plan.roles[1].quiz[i].text) for i in (3, 2, 1, 0)]
+    state = State(
+        stage="evaluation",
+        user_type=1,
+        step=2,
+        given=0b0111,
+        new=0b0100,
+        labels=(1, 0),
+        heard=(1, 0, 2),
+    )
+    view = study.view(state)
+    assert view["trace"] == plan.trace[:3]
+    assert view["labels"] == (1, 0)
+    assert view["old"] == [plan.facts[1].message, plan.facts[0].message]  # as they came
+    assert view["new"] == [plan.facts[2].message]
+
+
+def test_pages_carry_nothing_that_tells_type_condition_or_answers(study: Study) -> None:
+    for user_type, condition in study.plan.cells:
+        state = at_evaluation(study, user_type, condition)
+        view = study.view(state)
+        assert not view.keys() & {"belief", "condition", "user_type", "true", "score", "values"}
+        quiz = State(stage="quiz", user_type=user_type, condition=condition, orders=ORDERS)
+        texts = [text for _, text in study.view(quiz)["statements"]]
+        assert sorted(texts) == sorted(s.text for s in study.plan.roles[user_type].quiz)
+
+
+def test_persistent_belief_is_taken_from_the_configuration(study: Study) -> None:
+    other = street_study(belief={"_target_": "xplain.explanation.belief.Persistent"})
+    final = []
+    for one, belief in ((study, Independent()), (other, Persistent())):
+        state = at_evaluation(one, 0, "personalized")
+        user = SimulatedUser.of(one.plan.true_labels[0])
+        offline = explain(one.plan.problem, one.policies["personalized"], user, belief)
+        while state.stage == "evaluation":
+            labels = one.plan.true_labels[0, : state.step + 1, state.given].tolist()
+            state = one.advance(state, "labels", {"labels": labels}).state
+        assert state.belief == tuple(offline.beliefs[-1].tolist())
+        final.append(state.belief)
+    assert final[0] != final[1]
+
+
+CHECK = {"name": "blue", "label": "Choose blue", "kind": "choice", "choices": ["red", "blue"]}
+RATING = {"name": "robots", "label": "I know robots", "kind": "scale", "low": 1, "high": 7}
+RULES = {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30, "recall": True}
+
+
+def agreed(study: Study, **more: object) -> State:
+    slot = {"user_type": 0, "condition": "conformant", "orders": ORDERS}
+    payload = {"agree": 1, "text": study.plan.texts.consent_hash, **slot, **more}
+    return study.advance(State(), "consent", payload).state
+
+
+def test_a_missed_attention_check_ends_the_part_before_it_begins() -> None:
+    rating = RATING | {"ends": ["not at all", "very well"], "required": True}
+    study = street_study(before=[CHECK | {"right": "blue"}, rating])
+    state = agreed(study)
+    assert state.stage == "before"
+    assert [q.name for q in study.view(state)["asked"]] == ["blue", "robots"]
+    for missing in ({}, {"blue": "blue"}, {"robots": "3"}, {"blue": "blue", "robots": "8"}):
+        with pytest.raises(Refused):
+            study.advance(state, "screening", missing)
+    for blue, stage in (("blue", "briefing"), ("red", "screened_out")):
+        answers = {"blue": blue, "robots": "7"}
+        assert study.advance(state, "screening", answers).state.stage == stage
+
+
+def test_a_plan_may_refuse_narrow_windows() -> None:
+    study = street_study(rules=RULES | {"min_width": 900})
+    for width in (None, 390, 899, "1280"):
+        with pytest.raises(Refused, match="900 pixels"):
+            agreed(study, width=width)
+    assert agreed(study, width=900).stage == "briefing"
+    assert agreed(street_study(), width=390).stage == "briefing"
+
+
+def test_messages_stay_in_the_order_in_which_they_came(study: Study) -> None:
+    for user_type, condition in study.plan.cells:
+        state, told = at_evaluation(study, user_type, condition), []
+        while state.stage == "evaluation":
+            view = study.view(state)
+            assert view["old"] == told
+            told += view["new"]
+            assert len(told) == state.given.bit_count()
+            labels = study.plan.true_labels[user_type, : state.step + 1, state.given].tolist()
+            state = study.advance(state, "labels", {"labels": labels}).state

@@ -1,0 +1,89 @@
+"""Power curves against theory, and what simulated participants do to them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from tests.people.study.stand_in import street_study
+from xplain.errors import InputError
+from xplain.people.study.bot import Habits
+from xplain.people.study.power import SWEEPS, Pool, draw_sensitivity, power, simulate
+from xplain.people.study.statistics import (
+    t_power,
+)
+from xplain.people.study.table2 import MEASURES
+
+
+def test_false_alarms_are_as_rare_as_promised() -> None:
+    rng = np.random.default_rng(3)
+    noise = rng.normal(size=(5, 300, len(MEASURES)))
+    pool = Pool({"conformant": noise, "personalized": noise})
+    plain, corrected = power(pool, 20, 4000, rng)
+    assert (np.abs(plain - 0.05) < 0.015).all()
+    assert corrected.max() < 0.03
+
+
+def test_simulated_power_agrees_with_theory() -> None:
+    rng = np.random.default_rng(4)
+    a, b = rng.normal(0.7, 1, (1, 40_000, 3)), rng.normal(0, 1, (1, 40_000, 3))
+    plain, corrected = power(Pool({"conformant": a, "personalized": b}), 20, 3000, rng)
+    assert plain == pytest.approx(t_power(0.7, 20), abs=0.035)
+    assert (corrected <= plain).all()
+
+
+def test_what_people_forget_changes_what_the_study_would_find() -> None:
+    study = street_study()
+    perfect = simulate(study, Habits(0, 0, 0, 0, mistake=0), 20, seed=0)
+    overloaded = simulate(study, Habits(0, 0, 0.4, 0, mistake=0), 20, seed=0)
+    slow = simulate(study, Habits(message_seconds=30, spread=0.1), 20, seed=0)
+    fast = simulate(study, Habits(message_seconds=0, spread=0.1), 20, seed=0)
+    inexplicable = list(MEASURES).index("inexplicable_transitions")
+    for condition in ("conformant", "personalized"):
+        better, worse = (
+            p.values[condition][..., inexplicable].mean() for p in (perfect, overloaded)
+        )
+        assert better < worse
+        assert fast.values[condition][..., 0].mean() < slow.values[condition][..., 0].mean()
+    # Whoever needs long for a message gains most from getting fewer of them.
+    assert slow.effect()[0] > fast.effect()[0]
+    with pytest.raises(InputError):
+        simulate(study, Habits(mistake=1), 2, seed=0)
+    with pytest.raises(InputError):
+        Habits(label_noise=2)
+
+
+@pytest.mark.parametrize("habit", SWEEPS)
+def test_assumptions_are_varied_upwards_around_their_default(habit: str) -> None:
+    values = SWEEPS[habit]
+    assert list(values) == sorted(set(values))
+    assert values[0] <= getattr(Habits(), habit) <= values[-1]
+    Habits(**{habit: values[0]})
+    Habits(**{habit: values[-1]})
+
+
+def test_pictures_show_every_figure_at_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    rng = np.random.default_rng(5)
+    rows = [
+        {"assumption": assumption, "value": value, "measure": measure, "effect": rng.normal()}
+        for assumption, values in SWEEPS.items()
+        for value in values
+        for measure in MEASURES
+    ]
+    draw_sensitivity(rows, tmp_path / "sensitivity.png")
+    for axis, (assumption, values) in zip(drawn[0].axes, SWEEPS.items(), strict=True):
+        assert axis.get_xlabel().startswith(assumption.replace("_", " "))
+        *lines, nothing = axis.lines
+        for line, (measure, title) in zip(lines, MEASURES.items(), strict=True):
+            own = (row for row in rows if row["assumption"] == assumption)
+            effects = [row["effect"] for row in own if row["measure"] == measure]
+            assert (list(line.get_xdata()), list(line.get_ydata())) == (list(values), effects)
+            assert line.get_label() == title
+        assert list(nothing.get_ydata()) == [0, 0]

@@ -1,0 +1,151 @@
+"""A domain that the study has never seen: that a new one needs no new code.
+
+A street with crossings. At each the robot goes straight on, or walks around (one step longer).
+Whoever believes that going straight is bad there expects it to walk around.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import yaml
+
+from xplain.config import CONF
+from xplain.domains.base import Item, Parameter, Scene
+from xplain.domains.mdp import MDP
+from xplain.people.study.bot import Habits
+from xplain.people.study.flow import Study
+from xplain.people.study.plan import StudyPlan
+from xplain.people.study.policies import study_of
+from xplain.people.study.prepare import drafted, stored
+from xplain.users.setting import Setting, UserType
+
+FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
+"""Of a participant who errs, forgets and leaves nowhere."""
+
+PLACES = ("bridge", "market", "school", "tunnel")
+
+
+class Street:
+    """The smallest domain with four facts; one of them is no number."""
+
+    name = "street"
+    actions = ("straight", "around")
+    feature_names = ("crossing", "aside")
+
+    def __init__(self, map_shown: bool = True) -> None:
+        self.map_shown = map_shown
+        self.parameters = tuple(
+            Parameter(
+                place,
+                True if place == "tunnel" else 0.0,
+                False if place == "tunnel" else -3.0,
+                f"The {place} is fine for the robot & quick.",
+                f"The {place} is bad for the <robot>.",
+            )
+            for place in PLACES
+        )
+        n = len(PLACES)
+        self.state_features = np.array([[s % (n + 1), s // (n + 1)] for s in range(2 * n + 2)])
+        self.starts = np.array([0])
+
+    def model(self, values: Mapping[str, Any]) -> MDP:
+        n = len(PLACES)
+        states = 2 * (n + 1)  # crossings 0 … n, then the ways around them
+        successor = np.zeros((states, 2, 1), dtype=np.int64)
+        probability = np.zeros((states, 2, 1))
+        reward = np.zeros((states, 2, 1))
+        for j, place in enumerate(PLACES):
+            value = values[place]
+            cost = (0.0 if value else -3.0) if isinstance(value, bool) else float(value)
+            successor[j, 0], successor[j, 1], successor[n + 1 + j, 0] = j + 1, n + 1 + j, j + 1
+            probability[j], probability[n + 1 + j, 0] = 1.0, 1.0
+            reward[j, 0] = cost + 5.0 * (j == n - 1)
+            reward[n + 1 + j, 0] = 5.0 * (j == n - 1)
+        terminal = np.zeros(states, dtype=bool)
+        terminal[[n, 2 * n + 1]] = True
+        return MDP(successor, probability, reward, 0.9, terminal)
+
+    def describe(self, transition: Any) -> str:
+        return f"goes {self.actions[int(transition[1])]} at the {PLACES[int(transition[0])]}"
+
+    def position(self, state: int) -> tuple[int, int] | None:
+        n = len(PLACES)
+        return (1 if state > n else 0, state % (n + 1)) if self.map_shown else None
+
+    @property
+    def scene(self) -> Scene | None:
+        if not self.map_shown:
+            return None
+        items = tuple(Item(place, place[0].upper(), ((0, j),)) for j, place in enumerate(PLACES))
+        return Scene(2, len(PLACES) + 1, (), items)
+
+
+TYPES = (
+    UserType("X", {"bridge": -3.0, "market": -3.0}),
+    UserType("Y", {"market": -3.0, "school": -3.0}),
+    UserType("Z", {"school": -3.0, "tunnel": False}),
+)
+
+
+def english_words() -> dict[str, str]:
+    """Everything that the pages say, in English."""
+    shared = yaml.safe_load((CONF / "words" / "en.yaml").read_text(encoding="utf-8"))
+    own = yaml.safe_load((CONF / "study" / "texts" / "en.yaml").read_text(encoding="utf-8"))
+    return {**shared, **own["words"]}
+
+
+CONFIG: dict[str, Any] = {
+    "seed": 3,
+    "lambda": 1.0,
+    "message_cost": 1.0,
+    "inexplicability_cost": 1.0,
+    "discount": 0.95,
+    "discount_per": "action",
+    "prior": "uniform",
+    "conditions": {
+        "personalized": {"_target_": "xplain.solvers.qmdp.QMDP"},
+        "conformant": {"_target_": "xplain.solvers.known_type.Conformant"},
+    },
+    "belief": {"_target_": "xplain.explanation.belief.Independent"},
+    "rules": {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30, "recall": True},
+    "briefing": "assigned",
+    "before": [],
+    "questions": [
+        {"name": "age", "label": "Your age", "kind": "number", "low": 18, "high": 110},
+        {"name": "comment", "label": "Anything else?", "kind": "text", "max_length": 200},
+    ],
+    "wording": {
+        "title": "A street",
+        "contact": "nobody",
+        "consent": ["Do you want to?"],
+        "introduction": ["A robot walks."],
+        "introduction_natural": [],
+        "briefed": {"consent": ["Not all is right."], "debriefing": ["On purpose."]},
+        "task": ["Label."],
+        "debriefing": ["Bye."],
+        "known": [],
+        "facts": {},
+        "phrases": {},
+        "words": english_words(),
+        "training": {"belief": "b", "action": "a", "message": "m"},
+        "rewards": {"bridge": "Crossing the bridge"},
+        "hide": [],
+        "icons": {"market": "M3 12L12 4L21 12"},
+    },
+}
+
+
+def street_plan(map_shown: bool = True, **changes: Any) -> StudyPlan:
+    """A plan for the street; its one optimal trace goes straight at every crossing."""
+    setting = Setting.build(Street(map_shown), TYPES)
+    trace = np.array([[j, 0, j + 1] for j in range(len(PLACES))])
+    labels = setting.label_table(trace)
+    return stored(drafted(setting, trace, 0.02 + 0.96 * labels, CONFIG | changes))
+
+
+def street_study(**changes: Any) -> Study:
+    """The same, at work."""
+    return study_of(street_plan(**changes))

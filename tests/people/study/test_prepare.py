@@ -1,0 +1,199 @@
+"""From a configuration to the plan of a study."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.domains.configs import setting_of
+from tests.people.study.stand_in import FAULTLESS, TYPES, Street, street_plan
+from tests.people.visitors import GENEROUS, Visitor
+from xplain.config import composed
+from xplain.domains.base import cell_name
+from xplain.errors import InputError
+from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.explanation.label_table import LabelTable
+from xplain.people.server.app import create_app
+from xplain.people.server.store import Store
+from xplain.people.simulation.browser import visit
+from xplain.people.study import known_types, prepare
+from xplain.people.study.bot import Person
+from xplain.people.study.content import needed
+from xplain.people.study.plan import StudyPlan
+from xplain.people.study.policies import difference, study_of
+from xplain.people.study.prepare import ranked_traces, study_plan
+from xplain.people.study.site import StudySite
+from xplain.people.wording import phrases_of
+from xplain.users.setting import Setting
+
+
+def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
+
+    cfg = composed("study", ["seed=0", "trace.candidates=40"])
+    plan = study_plan(cfg)
+    assert study_plan(cfg).hash == plan.hash  # same configuration, same study
+    study_of(plan)
+    assert (len(plan.roles), plan.problem.trade_off) == (5, 1.0)
+    assert set(plan.conditions) == {"personalized", "conformant"}
+    agree = (plan.problem.p_explicable > 0.5) == plan.true_labels.astype(bool)
+    assert agree.mean() > 0.95
+    assert plan.scene is not None
+    assert set(plan.icons) >= {item.name for item in plan.scene.items}
+    for role in plan.roles:
+        assert len(role.wrong) == 2
+        signs = ("0 points or more", "less than 0 points")
+        assert all(q.options == signs for q in role.eligibility)
+        assert [q.answer for q in role.eligibility] == [int(j in role.wrong) for j in range(6)]
+    assert json.loads(plan.text)["config"]["lambda"] == 1.0
+
+
+def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) -> None:
+
+    cfg = composed(
+        "study",
+        ["seed=0", "domain=four_rooms", "observers.points=150", "trace.candidates=60"],
+    )
+    plan = study_plan(cfg)
+    assert plan.scene is not None
+    assert plan.scene.items == ()  # goals and penalties are among what types hold wrong
+    assert "four rooms" in plan.texts.introduction[0]
+    for role in plan.roles:
+        assert len(role.quiz) == 4
+    study = study_of(plan)
+    store = Store(tmp_path / "s.sqlite", StudySite(study))
+    client = Visitor(create_app(store, GENEROUS).test_client())
+    person = Person(plan, FAULTLESS, np.random.default_rng(0))
+    assert visit(client, person, store.invite(1, "bot")[0]) == "done"
+    store.close()
+    with pytest.raises(InputError, match=r"wording\.hide"):
+        study_plan(
+            composed("study", ["domain=four_rooms", "wording.hide=[Q]", "observers.points=50"])
+        )
+
+
+def street() -> Setting:
+    return Setting.build(Street(), TYPES)
+
+
+def trace_rules(**changes: object) -> dict[str, object]:
+    return {"start": None, "candidates": 3, "min_steps": 1} | changes
+
+
+def test_a_trace_has_the_steps_that_are_asked_for() -> None:
+    setting = street()
+    assert len(ranked_traces(setting, trace_rules(min_steps=4), 20, 0)[0]) == 4
+    with pytest.raises(InputError, match=r"trace\.min_steps=5: 4 steps or fewer"):
+        ranked_traces(setting, trace_rules(min_steps=5), 20, 0)
+
+
+def test_traces_that_tell_most_come_first_the_shortest_among_equals() -> None:
+    setting = setting_of("domain=four_rooms", "users.count=3")
+    ranked = ranked_traces(setting, trace_rules(candidates=80), 40, 0)
+    facts = [
+        sum(needed(of_type).bit_count() for of_type in setting.label_table(one)) for one in ranked
+    ]
+    assert facts == sorted(facts, reverse=True)
+    lengths = [[len(o) for o, own in zip(ranked, facts, strict=True) if own == f] for f in {*facts}]
+    assert all(own == sorted(own) for own in lengths)
+    assert any(own[0] < own[-1] for own in lengths)  # there is something to order
+    assert len({one.tobytes() for one in ranked}) == len(ranked)
+
+
+def test_a_trace_starts_where_it_is_told_to() -> None:
+    setting = street()
+    domain = setting.domain
+    here = domain.position(int(domain.starts[0]))
+    assert here is not None
+    anywhere = ranked_traces(setting, trace_rules(), 20, 0)
+    told = ranked_traces(setting, trace_rules(start=list(here)), 20, 0)
+    assert [one.tolist() for one in told] == [one.tolist() for one in anywhere]  # one start
+    (elsewhere,) = {domain.position(int(s)) for s in told[0][-1:, 2]} - {here}
+    assert elsewhere is not None
+    with pytest.raises(InputError, match=r"trace\.start"):
+        ranked_traces(setting, trace_rules(start=list(elsewhere)), 20, 0)
+
+
+def test_conditions_that_say_the_same_differ_by_nothing() -> None:
+    plan = street_plan()
+    same = dict.fromkeys(("personalized", "conformant"), plan.conditions["conformant"])
+    assert difference(street_plan(conditions=same)) == 0
+    # Conformant tells everybody all four facts, personalized each of three types its own two.
+    given = [
+        explain(plan.problem, policy, SimulatedUser.of(labels), study_of(plan).belief).n_messages
+        for policy in study_of(plan).policies.values()
+        for labels in plan.true_labels
+    ]
+    expected = np.abs(np.subtract(given[:3], given[3:])).mean()
+    assert difference(plan) == pytest.approx(expected)
+
+
+def test_a_study_whose_conditions_are_alike_is_refused() -> None:
+    with pytest.raises(InputError, match=r"conditions=.*differ by a message"):
+        study_plan(
+            composed(
+                "study",
+                [
+                    *("seed=0", "observers.points=50", "trace.candidates=5"),
+                    "conditions.personalized={_target_: xplain.solvers.known_type.Conformant}",
+                ],
+            )
+        )
+
+
+def test_the_first_trace_on_which_the_conditions_differ_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of the best traces by what types need, the first is passed over where nothing differs."""
+    cfg = composed("study", ["seed=0", "observers.points=50", "trace.candidates=20"])
+    tried: list[tuple[str, ...]] = []
+
+    def gap(plan: StudyPlan) -> float:
+        tried.append(plan.trace)
+        return 0.0 if len(tried) < 3 else 1.0
+
+    monkeypatch.setattr(prepare, "difference", gap)
+    assert study_plan(cfg).trace == tried[2]
+    assert len(set(tried)) == 3
+
+
+def test_learned_types_are_found_by_their_labels_whatever_their_order(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    setting = street()
+
+    def tables(order: list[int], *unused: object) -> LabelTable:
+        shown = np.array([[j, 0, j + 1] for j in range(4)])
+        return setting.labels_by_type(shown).of_types(order)
+
+    def learned(order: list[int]) -> known_types.Learned:
+        names = tuple(str(one) for one in order)
+        return known_types.Learned(names, order, np.ones(len(order)), (0, 1, 2, 3, 4), "types")  # type: ignore[arg-type]
+
+    monkeypatch.setattr(known_types, "label_table", tables)
+    for order in ([0, 1, 2], [2, 0, 1], [1, 0, 2]):
+        found = known_types.matched(setting, learned(order), 0)
+        assert [order[one] for one in found] == [0, 1, 2]
+    for unclear in ([0, 0, 2], [1, 1, 1]):
+        with pytest.raises(InputError, match="types="):
+            known_types.matched(setting, learned(unclear), 0)
+    with pytest.raises(InputError, match="types=2"):
+        known_types.matched(setting, learned([0, 1]), 0)
+
+
+def test_places_have_letters_and_numbers_and_phrases_their_words() -> None:
+    in_words = phrases_of({"first aid": "kit", "first": "1st", "north": "drives north"}, True)
+    assert in_words("picks up the first aid") == "picks up the kit"
+    assert in_words("moves to (2, 3)") == "moves to D3"
+    assert in_words("a goal in row 6, column 9") == "a goal in J7"
+    assert in_words("northern") == "northern"
+    assert phrases_of({}, False)("moves to (2, 3)") == "moves to (2, 3)"
+    assert [cell_name(0, c) for c in (0, 25, 26)] == ["A1", "Z1", "AA1"]
+
+
+def test_each_study_draws_a_seed_of_its_own() -> None:
+    cfg = composed("study", ["observers.points=50", "trace.candidates=20"])
+    assert cfg.seed is None
+    assert len({study_plan(cfg).seed for _ in range(2)}) == 2

@@ -1,0 +1,65 @@
+"""What is registered follows from the plan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.people.study.stand_in import street_plan, street_study
+from xplain.cli.main import main
+from xplain.people.server.store import Store
+from xplain.people.study.preregistration import document
+from xplain.people.study.site import StudySite
+
+RULES = {"per_cell": 7, "max_attempts": 3, "timeout_minutes": 45, "recall": True, "min_width": 900}
+CHECK = {"name": "blue", "label": "Choose blue", "kind": "choice", "choices": ["red", "blue"]}
+
+
+def test_the_document_says_what_the_plan_does() -> None:
+    plan = street_plan(rules=RULES, before=[CHECK | {"right": "blue"}])
+    text = document(plan)
+    for part in (
+        plan.hash,
+        "7 who finish in each of 6 cells: 21 a condition, 42 in all",
+        "failed 3 times",
+        "45 minutes",
+        "less than 900 pixels",
+        "“Choose blue” answered otherwise than “blue” before the briefing: the part ends",
+        "Before the briefing: “Choose blue” (choice, `blue`).",
+        "After the quiz: “Your age” (number, `age`); “Anything else?” (text, `comment`).",
+        "QMDP",
+        "Conformant",
+        "Holm",
+        *plan.trace,
+        *(role.name for role in plan.roles),
+    ):
+        assert part in text, part
+    # Without them nothing of them is promised.
+    plain = document(street_plan())
+    assert "pixels" not in plain
+    assert "answered otherwise" not in plain
+
+
+def test_the_paper_s_power_is_that_of_the_published_effects() -> None:
+    """20 a condition: .55 to .63 (from the rounded p values), and 40 to 48 a condition for .8 with
+    a third of α."""
+    twenty = document(street_plan(rules=RULES | {"per_cell": 20}))  # 60 a condition
+    rows = [line.split("|") for line in twenty.splitlines() if line.startswith("| ")][1:]
+    assert len(rows) == 3
+    assert all(float(row[4]) > 0.8 for row in rows)
+    small = document(street_plan(rules=RULES | {"per_cell": 6}))  # 18 a condition
+    rows = [line.split("|") for line in small.splitlines() if line.startswith("| ")][1:]
+    assert all(0.45 < float(row[3]) < 0.63 for row in rows)
+
+
+def test_the_command_reads_a_study_that_was_started(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = street_study()
+    Store(tmp_path / "s.sqlite", StudySite(study)).close()
+    main(["study", "preregister", str(tmp_path / "s.sqlite"), "--out", str(tmp_path / "p.md")])
+    assert (tmp_path / "p.md").read_text() == document(study.plan)
+    with pytest.raises(SystemExit):
+        main(["study", "preregister", str(tmp_path / "none.sqlite")])
+    assert "a study was started" in capsys.readouterr().err

@@ -1,0 +1,414 @@
+"""A real Chromium: participants at a screen, by keyboard, without network, seen by axe-core.
+
+Screenshots of every page, on a desktop and on a phone, are left in ``outputs/study/screenshots``
+(``XPLAIN_SCREENSHOTS`` names another folder).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import tarfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from filelock import FileLock
+
+from tests.people.server_process import ROOT, ServerProcess
+from tests.people.study.stand_in import FAULTLESS, street_study
+from xplain.cli.main import main
+from xplain.people.server.store import Store
+from xplain.people.simulation.bots import Researcher
+from xplain.people.simulation.browser import Page
+from xplain.people.simulation.chromium import (
+    Driver,
+    answer,
+    browser,
+    choose,
+    go_in,
+    missing,
+    press,
+    sequence,
+    take_part,
+    wait,
+)
+from xplain.people.study.bot import Habits, Person
+from xplain.people.study.flow import Study
+from xplain.people.study.policies import study_of
+from xplain.people.study.prepare import study_plan
+from xplain.people.study.site import StudySite
+
+By = pytest.importorskip("selenium.webdriver.common.by", reason="selenium is not installed").By
+Keys = pytest.importorskip("selenium.webdriver.common.keys").Keys
+
+pytestmark = pytest.mark.browser
+
+SCREENSHOTS = Path(os.environ.get("XPLAIN_SCREENSHOTS", ROOT / "outputs/study/screenshots"))
+
+
+@pytest.fixture
+def driver() -> Iterator[Driver]:
+    """A new Chromium with an empty profile."""
+    if what := missing():
+        pytest.skip(f"no browser to drive: install {what}")
+    with browser() as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def axe(request: pytest.FixtureRequest) -> str:
+    """axe-core's script, fetched from npm once and kept in pytest's cache, not in the project."""
+    assert request.config.cache is not None
+    folder = Path(request.config.cache.mkdir("axe-core"))
+    with FileLock(folder / ".lock"):  # tests run in several processes
+        if not list(folder.glob("axe-core-*.tgz")):
+            if not shutil.which("npm"):
+                pytest.skip("no npm here to fetch axe-core with")
+            fetch = ["npm", "pack", "axe-core@4"]
+            done = subprocess.run(fetch, cwd=folder, capture_output=True, text=True, timeout=120)
+            if done.returncode:
+                pytest.skip(f"npm could not fetch axe-core: {done.stderr.strip()[-200:]}")
+    (archive,) = folder.glob("axe-core-*.tgz")
+    with tarfile.open(archive) as content:
+        script = content.extractfile("package/axe.min.js")
+        assert script is not None
+        return script.read().decode()
+
+
+@pytest.fixture(scope="module")
+def rescue() -> Study:
+    """The rescue study with every kind of question, learned from few labels to save time."""
+    from xplain.config import composed
+
+    questions = (
+        "questions=[{name: age, label: Your age, kind: number, low: 18, high: 110},"
+        "{name: gender, label: Your gender, kind: choice, choices: [woman, man, another]},"
+        "{name: comment, label: 'Was anything unclear?', kind: text}]"
+    )
+    return study_of(study_plan(composed("study", ["seed=0", "observers.points=150", questions])))
+
+
+def serving(path: Path, study: Study) -> ServerProcess:
+    Store(path, StudySite(study)).close()
+    return ServerProcess(path, "server.burst=1e6", "server.visitor_burst=1e6")
+
+
+def moved_on(driver: Driver, before: str) -> bool:
+    """Whether another page is there, whole."""
+    return sequence(driver) not in (before, None)
+
+
+def faults(driver: Driver, axe: str) -> list[str]:
+    """What axe-core finds serious or critical, by WCAG 2.2 A and AA and its best practices."""
+    driver.execute_script(axe)
+    found = driver.execute_async_script(
+        "const done = arguments[0]; axe.run(document, {resultTypes: ['violations']}).then(done)"
+    )
+    assert found["passes"], "axe-core looked at nothing"
+    return [
+        f"{v['id']} ({v['impact']}): {v['help']}: {[n['html'][:120] for n in v['nodes']]}"
+        for v in found["violations"]
+        if v["impact"] in ("serious", "critical", "moderate")
+    ]
+
+
+def photograph(driver: Driver, name: str) -> None:
+    """The whole page, on a desktop and on a phone; nothing sticks out sideways."""
+    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+    for width in (1280, 390):
+        size = {"width": width, "height": 700, "deviceScaleFactor": 1, "mobile": width < 500}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        height = driver.execute_script("return document.documentElement.scrollHeight")
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size | {"height": height})
+        # New messages fade in.
+        driver.execute_script("document.getAnimations().forEach(one => one.finish())")
+        driver.save_screenshot(str(SCREENSHOTS / f"{name}-{width}.png"))
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= width, name
+    driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def complaints(driver: Driver) -> list[str]:
+    """What the browser's console reports as an error, broken content policies among it."""
+    return [line["message"] for line in driver.get_log("browser") if line["level"] == "SEVERE"]
+
+
+def test_every_page_is_accessible_and_is_photographed(
+    driver: Driver, axe: str, rescue: Study, tmp_path: Path
+) -> None:
+    plan = rescue.plan
+    with serving(tmp_path / "s.sqlite", rescue) as server:
+        researcher = Researcher(server.url, server.key)
+        seen: set[str] = set()
+
+        def look(page: Page) -> None:
+            shown = len(page.fields) if page.stage == "evaluation" else len(page.messages)
+            name = page.stage
+            if name == "evaluation":
+                name += f"-{shown:02d}"
+            elif name == "training":
+                name += f"-{shown + 1}"
+            seen.add(name)
+            assert faults(driver, axe) == [], name
+            if page.stage != "evaluation" or shown in (1, plan.n_steps // 2, plan.n_steps):
+                photograph(driver, name)
+
+        driver.get(f"{server.url}/?invitation={researcher.invite(1, 'pilot')[0]}")
+        assert faults(driver, axe) == []
+        photograph(driver, "entrance")
+        press(driver)
+        wait(lambda: moved_on(driver, "none"))
+        person = Person(plan, FAULTLESS, np.random.default_rng(0))
+        assert take_part(driver, person, look=look) == "done"
+        assert len(seen) == plan.n_steps + 8
+        assert complaints(driver) == []
+
+        # The pages off the way: a failed check, the ends, errors, the researcher's.
+        go_in(driver, server.url, researcher.invite(1, "pilot")[0])
+        forgetful = Person(plan, Habits(mistake=1), np.random.default_rng(0))
+        for _ in range(20):
+            page = Page.of_html(driver.page_source)
+            if not page.hidden:
+                break
+            fields = forgetful.fill(page)[0]
+            if page.stage == "training":
+                fields = [("label", str(len(page.messages)))]
+            if "Not all of your answers" in driver.page_source:
+                look_at(driver, axe, "briefing-again")
+            answer(driver, page, fields)
+        look_at(driver, axe, "ineligible")
+        go_in(driver, server.url, researcher.invite(1, "pilot")[0])
+        driver.find_element(By.CSS_SELECTOR, "details.leave summary").click()
+        look_at(driver, axe, "leaving")
+        driver.find_element(By.CSS_SELECTOR, "details.leave button").click()
+        wait(lambda: "You have left the study" in driver.page_source)
+        look_at(driver, axe, "withdrawn")
+        driver.get(f"{server.url}/nowhere")
+        look_at(driver, axe, "error")
+        driver.get(f"{server.url}/researcher")
+        look_at(driver, axe, "researcher-login")
+        driver.find_element(By.ID, "key").send_keys(server.key)
+        press(driver)
+        wait(lambda: "Who is where" in driver.page_source)
+        driver.find_element(By.CSS_SELECTOR, "form.inline button").click()
+        wait(lambda: "New invitations" in driver.page_source)
+        look_at(driver, axe, "researcher")
+
+
+def look_at(driver: Driver, axe: str, name: str) -> None:
+    assert faults(driver, axe) == [], name
+    photograph(driver, name)
+
+
+def preview(driver: Driver, server: ServerProcess, cell: int) -> None:
+    """Begins as a pilot of that type and condition, from the researcher's page."""
+    driver.get(f"{server.url}/researcher")
+    if driver.find_elements(By.ID, "key"):
+        driver.find_element(By.ID, "key").send_keys(server.key)
+        press(driver)
+    wait(lambda: bool(driver.find_elements(By.ID, "cell")))
+    box = driver.find_element(By.ID, "cell")
+    driver.execute_script("arguments[0].value = arguments[1]", box, str(cell))
+    box.find_element(By.XPATH, "./ancestor::form//button").click()
+    wait(lambda: sequence(driver) is not None)
+
+
+# At once: a call of the driver for each of the thousands of clicks takes minutes.
+FILLED = """
+let y = 0, total = 0;
+for (const selector of arguments[0]) {
+  const found = document.querySelector(selector);
+  if (found.checked) continue;
+  found.scrollIntoView({block: 'nearest'});
+  total += Math.abs(window.scrollY - y);
+  y = window.scrollY;
+  if (found.matches('input')) found.click();
+}
+return total;
+"""
+
+
+def scrolled(driver: Driver, person: Person) -> float:
+    """Pixels that a participant scrolls in the evaluation: to every answer that they click, and to
+    the button, no further than they have to."""
+    total = 0.0
+    while (page := Page.of_html(driver.page_source)).hidden:
+        fields = person.fill(page)[0]
+        targets = [f'input[name="{name}"][value="{value}"]' for name, value in fields]
+        pixels = driver.execute_script(FILLED, [*targets[::-1], "main form button"])
+        if page.stage == "evaluation":
+            total += pixels
+        answer(driver, page, [])
+    assert page.stage == "done"
+    return total
+
+
+def test_scrolling_hangs_on_no_condition(driver: Driver, rescue: Study, tmp_path: Path) -> None:
+    """At three window sizes: over a whole study the conditions differ by less than a tenth."""
+    plan, measured = rescue.plan, {}
+    driver.implicitly_wait(0)
+    with serving(tmp_path / "s.sqlite", rescue) as server:
+        for width, height in ((1920, 1080), (1280, 800), (390, 844)):
+            size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+            driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+            total = dict.fromkeys(plan.conditions, 0.0)
+            for cell, (user_type, condition) in enumerate(plan.cells):
+                if user_type == 0:  # the other types meet the same pages
+                    preview(driver, server, cell)
+                    total[condition] += scrolled(
+                        driver, Person(plan, FAULTLESS, np.random.default_rng(0))
+                    )
+            measured[width] = total
+    print(measured)
+    for total in measured.values():
+        assert max(total.values()) - min(total.values()) <= 0.1 * max(total.values()), measured
+
+
+def test_bots_in_chromium_take_part_and_replay_agrees(
+    driver: Driver, study: Study, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "s.sqlite"
+    with serving(path, study) as server:
+        for number, invitation in enumerate(Researcher(server.url, server.key).invite(3)):
+            go_in(driver, server.url, invitation)
+            person = Person(study.plan, Habits(mistake=0), np.random.default_rng(number))
+            assert take_part(driver, person) == "done"
+            assert "Simulated participant" in driver.page_source
+    main(["study", "replay", str(path)])
+    assert "all equal" in capsys.readouterr().out
+    store = Store(path, StudySite(study))
+    (times,) = store.query(
+        "SELECT count(*) AS n, min(browser) AS low FROM event WHERE kind = 'labels'"
+    )
+    assert times["n"] == 3 * study.plan.n_steps
+    assert times["low"] > 0  # the page's own clock came along
+    pages = store.query("SELECT count(*) AS n FROM event WHERE kind = 'visible'")
+    assert pages[0]["n"] >= 3 * (study.plan.n_steps + 6)
+    store.close()
+
+
+def test_the_keyboard_is_enough(driver: Driver, study: Study, tmp_path: Path) -> None:
+    path = tmp_path / "s.sqlite"
+    with serving(path, study) as server:
+        (invitation,) = Researcher(server.url, server.key).invite(1)
+        driver.get(f"{server.url}/?invitation={invitation}")
+        _tab_to(driver, "button")
+        driver.switch_to.active_element.send_keys(Keys.ENTER)
+        wait(lambda: moved_on(driver, "none"))
+        person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
+        while (page := Page.of_html(driver.page_source)).hidden:
+            wanted = dict(person.fill(page)[0])
+            for name, value in wanted.items():
+                _tab_to(driver, f'input[name="{name}"]')
+                for _ in range(4):  # arrows move within a group of radio buttons
+                    box = driver.switch_to.active_element
+                    if box.get_attribute("value") == value:
+                        break
+                    box.send_keys(Keys.TAB if page.stage == "quiz" else Keys.ARROW_DOWN)
+                if not driver.switch_to.active_element.is_selected():
+                    driver.switch_to.active_element.send_keys(Keys.SPACE)
+            _tab_to(driver, "main form button")
+            driver.switch_to.active_element.send_keys(Keys.ENTER)
+            wait(lambda before=page.hidden["sequence"]: moved_on(driver, before))  # type: ignore[misc]
+        assert page.stage == "done"
+
+
+def _tab_to(driver: Driver, selector: str) -> None:
+    """Presses Tab until what has the focus is wanted; every stop shows where it is."""
+    for _ in range(80):
+        focus = driver.switch_to.active_element
+        if driver.execute_script("return arguments[0].matches(arguments[1])", focus, selector):
+            outline = focus.value_of_css_property("outline-style")
+            assert outline != "none", f"{selector}: the focus is not to be seen"
+            return
+        focus.send_keys(Keys.TAB)
+    raise AssertionError(f"Tab does not lead to {selector}")
+
+
+def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
+    driver: Driver, study: Study, tmp_path: Path
+) -> None:
+    path = tmp_path / "s.sqlite"
+    server = serving(path, study)
+    with server:
+        (invitation,) = Researcher(server.url, server.key).invite(1)
+        go_in(driver, server.url, invitation)
+        person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
+        for _ in range(5):
+            page = Page.of_html(driver.page_source)
+            choose(driver, person.fill(page)[0])
+            button = driver.find_element(By.CSS_SELECTOR, "main form button")
+            driver.execute_script("arguments[0].click(); arguments[0].click()", button)
+            wait(lambda before=page.hidden["sequence"]: moved_on(driver, before))  # type: ignore[misc]
+        page = Page.of_html(driver.page_source)
+        assert page.stage == "evaluation"
+        choose(driver, person.fill(page)[0])
+        server.kill()
+        press(driver)
+        wait(lambda: "No connection" in driver.find_element(By.ID, "connection").text)
+        stored = driver.execute_script("return JSON.stringify(localStorage)")
+        assert "labels" in stored  # the outbox
+        server.start()
+        wait(lambda: moved_on(driver, page.hidden["sequence"]))
+        assert len(Page.of_html(driver.page_source).fields) == 2
+        assert driver.execute_script("return localStorage.length") == 0
+        # Back and forth again: always where they are.
+        here = driver.find_element(By.TAG_NAME, "body").get_attribute("data-sequence")
+        driver.refresh()
+        driver.back()
+        driver.forward()
+        driver.get(f"{server.url}/study")
+        assert driver.find_element(By.TAG_NAME, "body").get_attribute("data-sequence") == here
+        # An answer left in the outbox when the page was closed is sent by the next page.
+        page = Page.of_html(driver.page_source)
+        fields = [*page.hidden.items(), ("label_0", "1"), ("label_1", "0")]
+        item = {"action": f"{server.url}/study", "fields": fields, "sequence": int(here)}
+        name = "study-outbox-" + page.hidden["token"][:16]
+        driver.execute_script(
+            "localStorage.setItem(arguments[0], arguments[1])", name, json.dumps(item)
+        )
+        driver.refresh()
+        wait(lambda: moved_on(driver, here))
+        assert len(Page.of_html(driver.page_source).fields) == 3
+    store = Store(path, StudySite(study))
+    kinds = [row["kind"] for row in store.query("SELECT kind FROM event WHERE source = 'protocol'")]
+    assert kinds == ["consent", "read", "example", "example", "eligibility", "labels", "labels"]
+    store.close()
+
+
+def test_new_messages_are_announced(driver: Driver, study: Study, tmp_path: Path) -> None:
+    with serving(tmp_path / "s.sqlite", study) as server:
+        go_in(driver, server.url, Researcher(server.url, server.key).invite(1)[0])
+        announced: list[str] = []
+        driver.implicitly_wait(0)  # most steps bring no message
+
+        def look(page: Page) -> None:
+            new = [e.text for e in driver.find_elements(By.CSS_SELECTOR, ".message.new")]
+            if new:
+                live = driver.find_element(By.CSS_SELECTOR, "[aria-live]#announce")
+                wait(lambda: bool(live.get_attribute("textContent")))
+                said = " ".join(str(live.get_attribute("textContent")).split())
+                assert said == " ".join(" ".join(new).split())
+                announced.extend(new)
+
+        take_part(driver, Person(study.plan, FAULTLESS, np.random.default_rng(0)), look=look)
+        assert len(announced) > 1  # practice, then at least one of the robot's
+
+
+def test_what_is_missing_is_said_on_the_page(driver: Driver, tmp_path: Path) -> None:
+    study = street_study()
+    with serving(tmp_path / "s.sqlite", study) as server:
+        (invitation,) = Researcher(server.url, server.key).invite(1)
+        go_in(driver, server.url, invitation)
+        # A browser that does not insist on mandatory fields.
+        driver.execute_script("document.querySelectorAll('form').forEach(f => f.noValidate = true)")
+        press(driver)
+        wait(lambda: bool(driver.find_elements(By.CSS_SELECTOR, "[role=alert]")))
+        assert "choose whether" in driver.find_element(By.CSS_SELECTOR, "[role=alert]").text
+        choose(driver, [("agree", "1")])
+        press(driver)
+        wait(lambda: moved_on(driver, "0"))
+        assert Page.of_html(driver.page_source).stage == "briefing"

@@ -1,0 +1,136 @@
+"""Collecting labels in a real Chromium: a few observers, every page seen by axe-core and kept as a
+picture (``outputs/study/screenshots/collect``; ``XPLAIN_SCREENSHOTS`` names another folder)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.people import test_browser
+from tests.people.collect.stand_in import FAULTLESS, at_work, street_collection
+from tests.people.server_process import ServerProcess
+from tests.people.test_browser import By, complaints, look_at, moved_on
+from tests.people.test_browser import axe as axe
+from tests.people.test_browser import driver as driver
+from xplain.cli.main import main
+from xplain.people.collect.bot import bot
+from xplain.people.collect.flow import Collection
+from xplain.people.collect.plan import Rules
+from xplain.people.collect.site import CollectSite
+from xplain.people.server.store import Store
+from xplain.people.simulation.bots import Researcher
+from xplain.people.simulation.browser import Page
+from xplain.people.simulation.chromium import Driver, answer, go_in, press, take_part, wait
+from xplain.questions.designs import Adaptive
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(autouse=True)
+def own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(test_browser, "SCREENSHOTS", test_browser.SCREENSHOTS / "collect")
+
+
+@pytest.fixture(scope="module")
+def rescue() -> Collection:
+    """The rescue task with clips of two steps and the lab's questions; no expectation, to save
+    time."""
+    from xplain.config import composed
+    from xplain.people.collect.prepare import assemble, source_of
+    from xplain.people.wording import fixed
+
+    questions = (
+        "wording.questions=[{name: age, label: Your age, kind: number, low: 18, high: 110},"
+        "{name: comment, label: 'Was anything unclear?', kind: text}]"
+    )
+    cfg = composed("collect", ["points=8", questions])
+    config = fixed(cfg)
+    rules = Rules(points=8, **config["rules"])
+    plan = assemble(source_of(cfg), Adaptive(clip=2), rules, config)
+    return at_work(plan)
+
+
+def serving(path: Path, collection: Collection) -> ServerProcess:
+    Store(path, CollectSite(collection)).close()
+    limits = ("server.burst=1e6", "server.visitor_burst=1e6")
+    return ServerProcess(path, *limits, command="collect")
+
+
+def test_every_page_is_accessible_and_is_photographed(
+    driver: Driver, axe: str, rescue: Collection, tmp_path: Path
+) -> None:
+    with serving(tmp_path / "c.sqlite", rescue) as server:
+        researcher = Researcher(server.url, server.key)
+        seen: dict[str, int] = {}
+
+        def look(page: Page) -> None:
+            count = seen[page.stage] = seen.get(page.stage, 0) + 1
+            if page.stage != "clips" or count < 3 or not page.steps:
+                look_at(driver, axe, f"{page.stage}-{count:02d}")
+
+        go_in(driver, server.url, researcher.invite(1, "pilot")[0])
+        person = bot(rescue.plan, FAULTLESS, 0, 0)
+        assert take_part(driver, person, look=look) == "done"
+        assert set(seen) == {*rescue.stages}
+        assert complaints(driver) == []
+
+        # Off the way: practice gone wrong, leaving, the researcher's page.
+        go_in(driver, server.url, researcher.invite(1, "pilot")[0])
+        for _ in range(2):
+            page = Page.of_html(driver.page_source)
+            answer(driver, page, person.fill(page)[0])
+        answer(driver, Page.of_html(driver.page_source), [("label", "1")])
+        look_at(driver, axe, "practice-wrong")
+        driver.find_element(By.CSS_SELECTOR, "details.leave summary").click()
+        driver.find_element(By.CSS_SELECTOR, "details.leave button").click()
+        wait(lambda: "You have left" in driver.page_source)
+        main(["collect", "bots", "--url", server.url, "--key", server.key, "--count", "4"])
+        driver.get(f"{server.url}/researcher")
+        driver.find_element(By.ID, "key").send_keys(server.key)
+        press(driver)
+        wait(lambda: "Types found so far" in driver.page_source)
+        driver.find_element(By.CSS_SELECTOR, "form.inline button").click()
+        wait(lambda: "New invitations" in driver.page_source)
+        look_at(driver, axe, "researcher")
+
+
+def test_bots_in_a_browser_answer_as_those_without(
+    driver: Driver, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    collection = street_collection()
+    path = tmp_path / "c.sqlite"
+    with serving(path, collection) as server:
+        arguments = ["--url", server.url, "--key", server.key, "--count", "3", "--at-once", "1"]
+        main(["collect", "bots", *arguments, "--error", "0", "--chromium"])
+        assert "3 done" in capsys.readouterr().out
+    main(["collect", "replay", str(path)])
+    assert "all equal" in capsys.readouterr().out
+    store = Store(path, CollectSite(collection))
+    plan = collection.plan
+    for number, row in enumerate(store.query("SELECT state FROM participant ORDER BY number")):
+        state = store.site.state(row["state"])
+        held = plan.roles[number].held
+        best = max((f for f in state.belief if f != "none"), key=lambda f: state.belief[f])
+        assert int(best) == plan.hypotheses.essential[plan.hypotheses.row(np.array(held))]
+    store.close()
+
+
+def test_a_lost_network_loses_no_label(driver: Driver, tmp_path: Path) -> None:
+    collection = street_collection()
+    with serving(tmp_path / "c.sqlite", collection) as server:
+        go_in(driver, server.url, Researcher(server.url, server.key).invite(1)[0])
+        person = bot(collection.plan, FAULTLESS, 0, 0)
+        while (page := Page.of_html(driver.page_source)).stage != "clips":
+            answer(driver, page, person.fill(page)[0])
+        server.kill()
+        from xplain.people.simulation.chromium import choose
+
+        choose(driver, person.fill(page)[0])
+        press(driver)
+        wait(lambda: "kept here" in driver.find_element(By.ID, "connection").text)
+        server.start()
+        wait(lambda: moved_on(driver, page.hidden["sequence"]), 40)
+        after = Page.of_html(driver.page_source)
+        assert int(after.hidden["sequence"]) == int(page.hidden["sequence"]) + 1

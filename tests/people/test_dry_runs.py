@@ -1,0 +1,220 @@
+"""The real server: dry runs over HTTP, kill -9, one process a database."""
+
+from __future__ import annotations
+
+import time
+import zipfile
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from sklearn.metrics import adjusted_rand_score
+
+from tests.conftest import Command
+from tests.people.collect.stand_in import street_collection
+from tests.people.killing import RATE, survive
+from tests.people.kinds import KINDS, bot_of, site_of
+from tests.people.server_process import ServerProcess
+from tests.people.study.stand_in import street_study
+from xplain.cli.main import main
+from xplain.learning.saved_types import LearnedTypes
+from xplain.message_sets import names_of
+from xplain.people.collect.site import CollectSite
+from xplain.people.server.store import Store
+from xplain.people.simulation.bots import Researcher
+from xplain.people.simulation.browser import Browser, Refusal, visit
+from xplain.people.study.bot import Habits, Person
+from xplain.people.study.flow import Study
+from xplain.people.study.site import StudySite
+from xplain.people.study.tables import export
+
+
+@pytest.fixture
+def database(tmp_path: Path, study: Study) -> Path:
+    """With a plan in it."""
+    path = tmp_path / "study.sqlite"
+    Store(path, StudySite(study)).close()
+    return path
+
+
+def test_bots_take_part_and_the_data_goes_all_the_way(
+    database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with ServerProcess(database, *RATE) as server:
+        archive = tmp_path / "study.zip"
+        arguments = ["--url", server.url, "--key", server.key, "--count", "24", "--at-once", "6"]
+        main(["study", "bots", *arguments, "--leaving", "0.01", "--save", str(archive)])
+        with pytest.raises(SystemExit) as ended:
+            main(["study", "bots", "--url", server.url, "--key", "wrong"])
+        assert ended.value.code == 2
+        assert "researcher's key" in capsys.readouterr().err
+    with zipfile.ZipFile(archive) as out:
+        out.extractall(tmp_path)
+    capsys.readouterr()
+    for path in (tmp_path / "study" / "snapshot.sqlite", database):
+        main(["study", "replay", str(path)])
+        assert "all equal" in capsys.readouterr().out
+    main(["study", "analyse", str(tmp_path / "study"), "--stream", "bot"])
+    people = pd.read_csv(tmp_path / "study" / "participants.csv")
+    assert set(people["stream"]) == {"bot"}
+    assert (people["stage"] == "done").sum() >= 12
+
+
+def everything_replays(kind: str, database: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    main([kind, "replay", str(database)])
+    assert "all equal" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("kills", "people", "least"), [(1, 3, 10), pytest.param(20, 8, 200, marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize("kind", KINDS)
+def test_kill_9_loses_nothing_that_was_acknowledged(
+    kind: str,
+    kills: int,
+    people: int,
+    least: int,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    site, path = site_of(kind), tmp_path / "s.sqlite"
+    Store(path, site).close()
+    acknowledged, stored = survive(path, site, kind, partial(bot_of, site), kills, people)
+    with capsys.disabled():
+        print(f"\n{kills} kills: {acknowledged} answers acknowledged, {stored} stored")
+    assert least < acknowledged <= stored
+    everything_replays(kind, path, capsys)
+
+
+def test_from_bots_to_types(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The whole first half of the method, over HTTP: 24 who err and lapse, then the types."""
+    monkeypatch.chdir(tmp_path)
+    collection, database = street_collection(points=20), tmp_path / "collect.sqlite"
+    Store(database, CollectSite(collection)).close()
+    with ServerProcess(database, *RATE, command="collect") as server:
+        assert "adjusted Rand index" in server.log()
+        archive = tmp_path / "collect.zip"
+        arguments = ["--url", server.url, "--key", server.key, "--count", "24", "--at-once", "6"]
+        habits = ["--error", "0.05", "--lapse", "0.02"]
+        main(["collect", "bots", *arguments, *habits, "--save", str(archive)])
+        assert "24 done" in capsys.readouterr().out
+    with zipfile.ZipFile(archive) as out:
+        out.extractall(tmp_path)
+    data = tmp_path / "study"
+    for path in (data / "snapshot.sqlite", database):
+        everything_replays("collect", path, capsys)
+    main(["collect", "export", str(database), "again"])
+    assert (tmp_path / "again/labels_bot.csv").read_text() == (data / "labels_bot.csv").read_text()
+    assert not (data / "labels.csv").exists()  # nobody but bots was there
+    labels = [f"data={data}/labels_bot.csv", f"hypotheses={data}/hypotheses.npz"]
+    main(["discover", *labels, "labeler=hypotheses", "output=found", "held_out=false"])
+    found = pd.read_csv(tmp_path / "found" / "assignment.csv").set_index("observer")["type"]
+    observers = pd.read_csv(data / "observers.csv").set_index("observer").loc[found.index]
+    # What they state is what they are: simulated people know what they hold wrong.
+    stated = observers.filter(like="stated_").agg("".join, axis=1)
+    assert adjusted_rand_score(stated, found) >= 0.95
+    types = LearnedTypes.load(tmp_path / "found" / "types.npz")
+    assert len(types.labelers) == len(collection.plan.roles)
+    messages = collection.plan.hypotheses.messages
+    wrong = {names_of(role.held, messages) for role in collection.plan.roles}
+    likeliest = {tuple(sorted(one.split(";"))) for one in observers["likeliest"]}
+    assert wrong <= likeliest
+
+
+def fill_every_place(study: Study, path: Path, habits: Habits) -> Counter[str]:
+    """People's places, filled over HTTP by simulated people some of whom drop out for good."""
+    Store(path, StudySite(study)).close()
+    places = len(study.plan.cells) * study.plan.rules.per_cell
+    stages: Counter[str] = Counter()
+    with ServerProcess(path, *RATE) as server:
+        invitations = Researcher(server.url, server.key).invite(400, "person")
+
+        def one(number: int) -> str:
+            person = Person(study.plan, habits, np.random.default_rng(number))
+            try:
+                return visit(Browser(server.url), person, invitations.pop())
+            except Refusal as refusal:
+                if refusal.args[0] != 503:
+                    raise
+                time.sleep(0.5)  # every place is taken for now
+                return "full"
+
+        with ThreadPoolExecutor(4) as pool:
+            while stages["done"] < places:
+                begun = sum(stages.values())
+                stages.update(pool.map(one, range(begun, begun + 4)))
+    return stages
+
+
+def every_cell_is_full(study: Study, path: Path, out: Path) -> None:
+    export(path, out)
+    people = pd.read_csv(out / "participants.csv")
+    done = people[people["stage"] == "done"]
+    assert set(done.groupby(["type", "condition"]).size()) == {study.plan.rules.per_cell}
+    assert len(done) == len(study.plan.cells) * study.plan.rules.per_cell
+
+
+RULES = {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 0.04, "recall": True}
+
+
+def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study, path = street_study(rules=RULES), tmp_path / "study.sqlite"
+    stages = fill_every_place(study, path, Habits(leaving=0.04, mistake=0.03))
+    assert stages["left"] > 0
+    every_cell_is_full(study, path, tmp_path / "out")
+    everything_replays("study", path, capsys)
+
+
+@pytest.mark.slow
+def test_forty_bots_in_the_rescue_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from xplain.config import composed
+    from xplain.people.study.policies import study_of
+    from xplain.people.study.prepare import study_plan
+
+    study = study_of(
+        study_plan(composed("study", ["rules.per_cell=4", "rules.timeout_minutes=0.05"]))
+    )
+    path = tmp_path / "study.sqlite"
+    stages = fill_every_place(study, path, Habits(leaving=0.02))
+    assert stages["done"] == 40
+    assert stages["left"] > 3
+    every_cell_is_full(study, path, tmp_path / "out")
+    main(["study", "analyse", str(tmp_path / "out")])
+    main(["study", "replay", str(path)])
+    said = capsys.readouterr().out
+    assert "all equal" in said
+    with capsys.disabled():
+        print(f"\n{dict(stages)}\n{said}")
+
+
+def test_one_process_a_database(database: Path, command: Command) -> None:
+    with ServerProcess(database):
+        second = command("xplain study", f"database={database}", "port=1")
+    assert second.returncode == 2
+    assert "another process is using it" in second.stderr
+    assert "Traceback" not in second.stderr
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "named"),
+    [("study", "rules.per_cell=99 lambda=2", "lambda"), ("collect", "points=30", "points")],
+)
+def test_a_running_server_keeps_its_plan(
+    kind: str, changes: str, named: str, tmp_path: Path
+) -> None:
+    site, path = site_of(kind), tmp_path / "s.sqlite"
+    Store(path, site).close()
+    with ServerProcess(path, *changes.split(), command=kind) as server:
+        assert "are ignored" in server.log()
+        assert named in server.log()
+        plan = Researcher(server.url, server.key).plan(site.PLAN)
+    assert plan.hash == site.plan.hash

@@ -1,0 +1,50 @@
+"""Exported tables: no column without a meaning, no meaning without a column, no formula."""
+
+from __future__ import annotations
+
+import pytest
+
+from xplain.people.analysis.export import defused, described
+
+CODEBOOK = {"who": "who it is", "stated_…": "of each fact", "number": "how many"}
+
+
+def test_columns_are_those_of_the_codebook_in_its_order_and_others_last() -> None:
+    rows = [{"number": n, "stated_b": 1, "who": name, "stated_a": 0} for n, name in enumerate("xy")]
+    table = described("people", rows, CODEBOOK)
+    assert list(table.columns) == ["who", "number", "stated_b", "stated_a"]
+    assert table.to_dict("records") == rows
+
+
+def test_without_rows_it_has_its_columns_still() -> None:
+    assert list(described("people", [], CODEBOOK).columns) == ["who", "number"]
+
+
+@pytest.mark.parametrize(
+    ("row", "named"),
+    [
+        ({"who": "x", "number": 1, "age": 3}, "age"),  # nobody would know what it means
+        ({"who": "x"}, "number"),  # it would be lost
+        ({"who": "x", "number": 1, "stated": 1}, "stated"),
+        ({"who": "x", "number": 1, "stated_…": 1}, "stated_…"),
+    ],
+)
+def test_a_row_that_is_not_as_its_codebook_says_is_refused(
+    row: dict[str, object], named: str
+) -> None:
+    with pytest.raises(ValueError, match=f"^people: .*'{named}'"):
+        described("people", [row], CODEBOOK)
+
+
+def test_a_column_of_some_rows_alone_is_refused() -> None:
+    known = {"who": "x", "number": 1}
+    for rows in ([known | {"stated_a": 1}, known], [known, known | {"stated_a": 1}]):
+        with pytest.raises(ValueError, match="stated_a"):
+            described("people", rows, CODEBOOK)
+
+
+def test_no_cell_is_a_formula() -> None:
+    for text in ("=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1"):
+        assert defused(text) == f"'{text}"
+    for harmless in ("1 + 1", "a=b", "", -1, -1.5, None, "[1, 0]"):
+        assert defused(harmless) == harmless

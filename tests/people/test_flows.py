@@ -1,0 +1,181 @@
+"""What a study and a collection share as pure machines: consent, practice, questions, ends."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.people.kinds import KINDS, bot_of, site_of
+from xplain.errors import Refused
+from xplain.people.flow import State
+from xplain.people.simulation.bots import answer
+
+ADMITTED: dict[str, dict[str, Any]] = {
+    "study": {"user_type": 0, "condition": "personalized"}
+    | {"orders": {"eligibility": (2, 0, 1, 3), "quiz": (3, 2, 1, 0)}},
+    "collect": {"number": 5, "role": None, "others": {}},
+}
+PAYLOADS = st.recursive(
+    st.none() | st.booleans() | st.integers(-5, 9) | st.text("aZ09 é٤<&", max_size=5) | st.floats(),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text("ab", max_size=3), inner),
+    max_leaves=6,
+)
+KEYS = ("agree", "text", "label", "labels", "answers", "chosen", "stated", "age", "comment")
+kinds = pytest.mark.parametrize("kind", KINDS)
+
+
+def consent(kind: str, **changes: Any) -> dict[str, Any]:
+    text = site_of(kind).plan.texts.consent_hash
+    return {"agree": 1, "text": text} | ADMITTED[kind] | changes
+
+
+@cache
+def states(kind: str) -> list[Any]:
+    """Every state on the way of somebody faultless."""
+    flow, person = site_of(kind).flow, bot_of(site_of(kind), 5)
+    found = [flow.STATE(), flow.advance(flow.STATE(), "consent", consent(kind)).state]
+    while not found[-1].over:
+        found.append(flow.advance(found[-1], *answer(flow, person, found[-1])).state)
+    return found
+
+
+def at(kind: str, kind_of_event: str) -> Any:
+    """The first state that waits for such an event."""
+    flow = site_of(kind).flow
+    return next(state for state in states(kind) if flow.waits_for(state) == kind_of_event)
+
+
+@kinds
+def test_a_flow_knows_no_web_no_store_no_configuration(kind: str) -> None:
+    script = f"import sys, xplain.people.{kind}.flow; print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    outer = {"flask", "werkzeug", "sqlite3", "hydra", "omegaconf", "gunicorn", "requests", "lxml"}
+    assert not outer & set(done.stdout.split())
+
+
+@kinds
+def test_the_way_leads_through_every_stage_in_order(kind: str) -> None:
+    seen = dict.fromkeys(state.stage for state in states(kind))
+    assert tuple(seen) == site_of(kind).flow.stages
+    assert [state.accepted for state in states(kind)] == list(range(len(states(kind))))
+
+
+@kinds
+def test_states_survive_as_text(kind: str) -> None:
+    for state in states(kind):
+        assert type(state).from_text(state.text) == state
+    odd = replace(states(kind)[0], left="consent", accepted=7)
+    assert type(odd).from_text(odd.text) == odd
+
+
+@kinds
+def test_every_page_hears_its_own_event_alone_and_nothing_after_the_end(kind: str) -> None:
+    flow = site_of(kind).flow
+    heard = {one.kind for one in flow.STAGES} | {"return", "nonsense"}
+    for state in states(kind):
+        for other in heard - {flow.waits_for(state)} | ({"withdraw"} if state.over else set()):
+            with pytest.raises(Refused):
+                flow.advance(state, other, consent(kind))
+
+
+@kinds
+def test_what_is_missing_or_cannot_be_is_refused(kind: str) -> None:
+    flow = site_of(kind).flow
+    for state in states(kind)[:-1]:
+        if flow.waits_for(state) in ("read", "answers"):
+            continue  # reading and answering nothing are both allowed
+        for wrong in ({}, {"labels": [2]}, {"labels": [None]}, {"labels": [1] * 9, "stated": [0]}):
+            with pytest.raises(Refused):
+                flow.advance(state, flow.waits_for(state), wrong)
+
+
+@kinds
+def test_practice_goes_on_until_it_is_understood(kind: str) -> None:
+    flow, state = site_of(kind).flow, at(kind, "example")
+    wrong = flow.advance(state, "example", {"label": 1}).state
+    assert (wrong.stage, wrong.part, wrong.wrong) == (state.stage, 0, True)
+    half = flow.advance(wrong, "example", {"label": 0}).state
+    assert (half.stage, half.part, half.wrong) == (state.stage, 1, False)
+    again = flow.advance(half, "example", {"label": 0}).state
+    assert (again.stage, again.part, again.wrong) == (state.stage, 1, True)
+    done = flow.advance(again, "example", {"label": 1}).state
+    assert (done.stage != state.stage, done.wrong) == (True, False)
+    with pytest.raises(Refused):
+        flow.advance(state, "example", {"label": 2})
+
+
+@kinds
+@pytest.mark.parametrize(
+    ("answers", "accepted"),
+    [
+        ({}, True),
+        ({"age": "18", "comment": "x" * 200}, True),
+        ({"age": "110"}, True),
+        ({"age": "17"}, False),
+        ({"age": "111"}, False),
+        ({"age": "40.5"}, False),
+        ({"age": "-40"}, False),
+        ({"age": "٤٠"}, False),
+        ({"age": 40}, False),
+        ({"comment": "x" * 201}, False),
+        ({"shoe": "42"}, False),
+    ],
+)
+def test_questions_take_what_lies_within_their_bounds(
+    kind: str, answers: dict[str, object], accepted: bool
+) -> None:
+    flow, state = site_of(kind).flow, at(kind, "answers")
+    if accepted:
+        assert flow.advance(state, "answers", answers).state.stage == "done"
+    else:
+        with pytest.raises(Refused):
+            flow.advance(state, "answers", answers)
+
+
+@kinds
+def test_who_declines_leaves_or_is_silent_ends(kind: str) -> None:
+    flow = site_of(kind).flow
+    declined = flow.advance(flow.STATE(), "consent", consent(kind, agree=0)).state
+    assert declined == flow.STATE(stage="declined", accepted=1)  # and nothing is known of them
+    with pytest.raises(Refused, match="changed"):
+        flow.advance(flow.STATE(), "consent", consent(kind, text="another"))
+    for state in states(kind)[:-1]:
+        left = flow.advance(state, "withdraw", {}).state
+        assert (left.stage, left.over) == ("withdrawn", True)
+
+
+@kinds
+def test_who_comes_back_is_where_they_were(kind: str) -> None:
+    flow = site_of(kind).flow
+    for before in states(kind)[:-1]:
+        away = flow.advance(before, "time_out", {}).state
+        assert (away.stage, away.over, flow.waits_for(away)) == ("timed_out", True, "return")
+        back = flow.advance(away, "return", {"position": 0}).state
+        assert replace(back, accepted=before.accepted) == before
+
+
+@kinds
+@settings(max_examples=200, deadline=None)
+@given(data=st.data())
+def test_whatever_comes_is_refused_or_leads_to_a_stage(kind: str, data: Any) -> None:
+    flow, state = site_of(kind).flow, data.draw(st.sampled_from(states(kind)))
+    own = [one.kind for one in flow.STAGES if one.kind != "consent"]
+    event = data.draw(st.sampled_from([*own, "return", "withdraw", "", "x"]))
+    payload = data.draw(st.dictionaries(st.sampled_from(KEYS), PAYLOADS))
+    try:
+        after: State = flow.advance(state, event, payload).state
+    except Refused:
+        return
+    assert after.accepted == state.accepted + 1
+    assert after.stage in (*flow.stages, *after.ENDS)
+    assert type(after).from_text(after.text) == after
+    flow.view(after)

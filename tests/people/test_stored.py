@@ -1,0 +1,56 @@
+"""Reading a study's database: also one that an older version wrote, or nobody finished."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from pathlib import Path
+
+import pytest
+from hydra.utils import get_class
+
+from tests.people.study.stand_in import street_plan
+from xplain.errors import InputError
+from xplain.people.analysis.stored import MOVED, plan_of, read_plan, reading, renamed
+from xplain.people.study.plan import StudyPlan
+from xplain.people.study.policies import study_of
+
+
+@pytest.mark.parametrize(("old", "new"), MOVED.items())
+def test_a_moved_class_is_where_the_table_says_and_no_longer_where_it_was(
+    old: str, new: str
+) -> None:
+    assert get_class(new).__name__ == old.rpartition(".")[2]
+    with pytest.raises(ImportError):
+        get_class(old)
+
+
+def test_names_are_renamed_wherever_a_class_is_named_and_nowhere_else() -> None:
+    old, new = next(iter(MOVED.items()))
+    config = {"a": [{"_target_": old, "note": old}], "b": {"_target_": "builtins.dict"}, "c": 1.5}
+    expected = {"a": [{"_target_": new, "note": old}], "b": {"_target_": "builtins.dict"}, "c": 1.5}
+    assert renamed(config) == expected
+    assert config["a"][0]["_target_"] == old  # type: ignore[index]
+
+
+def test_a_plan_with_names_of_before_goes_on_and_keeps_its_hash() -> None:
+    new = "xplain.solvers.pomcp.solver.POMCP"
+    solvers = {"personalized": {"_target_": new, "simulations": 50}}
+    plan = street_plan(conditions=solvers | {"conformant": solvers["personalized"]})
+    old = next(key for key, value in MOVED.items() if value == new)
+    text = plan.text.replace(json.dumps(new), json.dumps(old))
+    assert text != plan.text
+    study = study_of(StudyPlan.from_text(text))
+    assert study.plan.text == text
+    assert study.plan.probes == plan.probes
+
+
+def test_a_database_without_a_plan_is_a_start_for_the_server_and_no_data(tmp_path: Path) -> None:
+    path = tmp_path / "study.sqlite"
+    with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)")
+    connection.close()
+    assert read_plan(path, StudyPlan) is None
+    assert read_plan(tmp_path / "none.sqlite", StudyPlan) is None
+    with pytest.raises(InputError, match="its plan"), reading(path) as opened:
+        plan_of(opened, StudyPlan)

@@ -1,0 +1,137 @@
+"""The whole method with simulated people: labels over the pages, types, and a study of people as
+they are, whose policies know these types alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.people.study.stand_in import FAULTLESS
+from tests.people.visitors import GENEROUS, Visitor, pages
+from xplain.cli.discover import discover
+from xplain.cli.main import main
+from xplain.config import composed
+from xplain.errors import InputError
+from xplain.learning.saved_types import LearnedTypes
+from xplain.people.collect.bot import Habits, bot
+from xplain.people.collect.flow import Collection
+from xplain.people.collect.plan import Rules
+from xplain.people.collect.prepare import assemble, source_of
+from xplain.people.collect.site import CollectSite
+from xplain.people.collect.tables import export
+from xplain.people.server.app import create_app
+from xplain.people.server.site import Site
+from xplain.people.server.store import Store
+from xplain.people.simulation.browser import Visitor as Bot
+from xplain.people.simulation.browser import visit
+from xplain.people.study.bot import Person
+from xplain.people.study.plan import StudyPlan
+from xplain.people.study.policies import study_of
+from xplain.people.study.prepare import study_plan
+from xplain.people.study.site import StudySite
+from xplain.people.wording import fixed
+from xplain.questions.designs import Adaptive
+
+
+def over_the_pages(path: Path, site: Site[Any], count: int, person: Callable[[int], Bot]) -> None:
+    """Bots take part; the database is closed afterwards."""
+    store = Store(path, site)
+    app = create_app(store, GENEROUS)
+    for number, token in enumerate(store.invite(count, "bot")):
+        assert visit(Visitor(app.test_client()), person(number), token) == "done"
+    store.close()
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the tables of 24 people × 20 adaptive questions at 5 % wrong answers."""
+    folder = tmp_path_factory.mktemp("labels")
+    cfg = composed("collect", [])
+    plan = assemble(source_of(cfg), Adaptive(), Rules(points=20, **fixed(cfg)["rules"]), fixed(cfg))
+
+    def person(number: int) -> Bot:
+        return bot(plan, Habits(error=0.05), 1, number)
+
+    over_the_pages(folder / "c.sqlite", CollectSite(Collection(plan)), 24, person)
+    export(folder / "c.sqlite", folder)
+    return folder
+
+
+def found(data: Path, folder: Path, *arguments: str) -> Path:
+    """The file of the types in these labels."""
+    given = (f"data={data}/labels_bot.csv", f"hypotheses={data}/hypotheses.npz", "held_out=false")
+    discover([*given, "labeler=hypotheses", f"output={folder}", *arguments])
+    return folder / "types.npz"
+
+
+@pytest.fixture(scope="module")
+def types(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return found(data, tmp_path_factory.mktemp("found"))
+
+
+def planned(types: Path, *arguments: str) -> StudyPlan:
+    return study_plan(composed("study", [f"types={types}", "seed=0", *arguments]))
+
+
+def test_people_as_they_are_get_fewer_messages_by_the_types_that_were_found(
+    types: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = planned(types, "briefing=none")
+    assert plan.problem.type_names == LearnedTypes.load(types).names
+    assert [role.briefing for role in plan.roles] == [()]
+    path = tmp_path / "study.sqlite"
+
+    def person(number: int) -> Bot:
+        return Person(plan, FAULTLESS, np.random.default_rng(number))
+
+    over_the_pages(path, StudySite(study_of(plan)), 16, person)
+    main(["study", "replay", str(path)])
+    assert "all equal" in capsys.readouterr().out
+    main(["study", "export", str(path), str(tmp_path / "out")])
+    main(["study", "analyse", str(tmp_path / "out"), "--stream", "bot"])
+    assert "Messages" in capsys.readouterr().out
+    people = pd.read_csv(tmp_path / "out" / "participants.csv")
+    means = people.groupby("condition")[["messages_given", "inexplicable_transitions"]].mean()
+    assert people.groupby("condition").size().tolist() == [8, 8]
+    assert means["messages_given"]["personalized"] < means["messages_given"]["conformant"] - 1
+    wrong = means["inexplicable_transitions"]
+    assert wrong["personalized"] <= wrong["conformant"]
+
+
+def test_people_as_they_are_are_told_nothing_and_not_tested_on_it(
+    types: Path, tmp_path: Path
+) -> None:
+    plan = planned(types, "briefing=none")
+    store = Store(tmp_path / "s.sqlite", StudySite(study_of(plan)))
+    visitor = Visitor(create_app(store, GENEROUS).test_client())
+    person = Person(plan, FAULTLESS, np.random.default_rng(3))
+    facts = {sentence for fact in plan.facts for sentence in (fact.message, fact.belief)}
+    stages = []
+    for html, page in pages(visitor, person, store.invite(1, "person")[0]):
+        stages.append(page.stage)
+        if page.stage not in ("evaluation", "quiz"):
+            assert not [sentence for sentence in facts if sentence in html], page.stage
+        assert "not right" not in html  # nobody is deceived
+    assert "eligibility" not in stages
+    assert stages[0] == "consent"
+    assert stages[-1] == "done"
+    store.close()
+
+
+def test_roles_are_matched_by_labels_or_refused(data: Path, types: Path, tmp_path: Path) -> None:
+    plan = planned(types)
+    agree = (plan.problem.p_explicable > 0.5) == plan.true_labels.astype(bool)
+    # In whatever order they were found; also of steps that nobody was asked about.
+    assert (agree.mean(axis=(1, 2)) > 0.95).all()
+    one = found(data, tmp_path / "one", "clusterer=single")
+    with pytest.raises(InputError, match=r"types=1: as many learned types as .*briefing=none"):
+        planned(one)
+    with pytest.raises(InputError, match=r"types=.*messages are those of four_rooms"):
+        planned(types, "domain=four_rooms")
+    with pytest.raises(InputError, match=r"briefing='some'"):
+        planned(types, "briefing=some")

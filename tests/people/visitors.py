@@ -1,0 +1,69 @@
+"""Browsers without a network, and the ways that they take through the pages."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from flask.testing import FlaskClient
+from werkzeug.datastructures import MultiDict
+
+from xplain.people.server.http import Server
+from xplain.people.server.store import Store
+from xplain.people.simulation.browser import Browser, Page
+from xplain.people.study.bot import Person
+
+GENEROUS = Server(
+    ("invitation", "prolific", "open"), ("s",), burst=1e9, visitor_burst=1e9, blinded=False
+)
+
+
+class Visitor(Browser):
+    """A browser that talks to the application directly."""
+
+    def __init__(self, client: FlaskClient) -> None:
+        super().__init__("http://localhost")
+        self.client = client
+
+    def send(
+        self, method: str, path: str, fields: list[tuple[str, str]] | None = None
+    ) -> tuple[int, str]:
+        reply = self.client.open(
+            path, method=method, data=MultiDict(fields or ()), follow_redirects=True
+        )
+        return reply.status_code, reply.text
+
+
+def field(html: str, name: str) -> str:
+    """The value of a hidden field."""
+    found = re.search(rf'name="{name}" value="([^"]*)"', html)
+    assert found, f"no field {name} in {html}"
+    return found.group(1)
+
+
+def enter(visitor: Visitor, invitation: str) -> str:
+    """Up to the consent page."""
+    _, html = visitor.get(f"/?invitation={invitation}")
+    fields = [("token", field(html, "token")), ("invitation", invitation)]
+    status, html = visitor.post("/enter", fields)
+    assert status == 200
+    return html
+
+
+def consent(store: Store, who: str) -> Any:
+    """Agrees, straight at the store."""
+    payload = {"agree": 1, "text": store.site.plan.texts.consent_hash}
+    return store.submit(who, 0, "consent", payload)
+
+
+def pages(visitor: Visitor, person: Person, invitation: str) -> Iterator[tuple[str, Page]]:
+    """Every page on the way, before it is answered."""
+    html = enter(visitor, invitation)
+    while True:
+        page = Page.of_html(html)
+        yield html, page
+        if not page.hidden:
+            return
+        status, html = visitor.post("/study", [*page.hidden.items(), *person.fill(page)[0]])
+        assert status == 200

@@ -1,0 +1,208 @@
+"""What the commands of the study and of a collection share; ``name`` is study or collect."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import fields
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import OmegaConf
+
+from xplain.cli.parser import parsed
+from xplain.config import composed
+from xplain.errors import InputError, XplainError
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from xplain.people.server.http import Server
+    from xplain.people.server.site import Site
+
+
+def site(name: str) -> type[Site[Any]]:
+    """The flow's site, imported when it is needed."""
+    found: type[Site[Any]] = getattr(
+        import_module(f"xplain.people.{name}.site"), f"{name.capitalize()}Site"
+    )
+    return found
+
+
+def serve(name: str, arguments: list[str]) -> None:
+    """Serves what overrides of the flow's configuration describe, until it is stopped.
+
+    Raises:
+        XplainError: the configuration or the database cannot be used.
+    """
+    cfg = composed(name, arguments)
+    # Before the work of a plan: a key that cannot be is refused at once.
+    server, path = server_of(cfg), database_of(cfg)
+    kind = site(name)
+    made = kind.of(running(name, cfg, path, kind))
+    print(made.announcement(), end="", file=sys.stderr)
+    run_server(made, name, server, path, cfg)
+
+
+def database_of(cfg: DictConfig) -> Path:
+    """The database's path, in a folder that is there.
+
+    Raises:
+        InputError: it cannot be written to.
+    """
+    path = Path(cfg.database).absolute()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(path.parent, os.W_OK):
+        raise InputError("database", str(path), "a file in a folder that can be written to")
+    return path
+
+
+def server_of(cfg: DictConfig) -> Server:
+    """How the pages are served; links lead to host and port where no other address is given.
+
+    Raises:
+        InputError: a key that cannot be.
+    """
+    from xplain.people.server.http import Server
+
+    for key, most in (("port", 65535), ("threads", 256)):
+        if not isinstance(cfg[key], int) or not 1 <= cfg[key] <= most:
+            raise InputError(key, cfg[key], f"a whole number from 1 to {most}")
+    given: Any = OmegaConf.to_container(cfg.server, resolve=True)
+    address = given.get("address") or f"http://{cfg.host}:{cfg.port}"
+    return Server(**{k: v for k, v in given.items() if k != "_target_"} | {"address": address})
+
+
+def running(name: str, cfg: DictConfig, path: Path, kind: type[Site[Any]]) -> Any:
+    """The plan in the database, or a new one. Names the keys of ``cfg`` that it does not follow."""
+    from xplain.people.analysis.stored import read_plan, renamed
+    from xplain.people.wording import fixed
+
+    plan = read_plan(path, kind.PLAN)
+    if plan is None:
+        print(f"{name}: preparing {kind.PLAN.OF} …", file=sys.stderr)
+        return kind.new_plan(cfg)
+    now = fixed(cfg)
+    if now["seed"] is None:
+        del now["seed"]  # drawn once, at the first start
+    ignored = [key for key in now if now[key] != renamed(plan.config.get(key))]
+    if ignored:
+        print(
+            f"{name}: goes on as it was started; these keys differ now and are ignored: "
+            f"{', '.join(ignored)}",
+            file=sys.stderr,
+        )
+    return plan
+
+
+def run_server(site: Site[Any], name: str, server: Server, path: Path, cfg: DictConfig) -> None:
+    """Serves until it is stopped."""
+    from gunicorn.app.base import BaseApplication  # type: ignore[import-untyped]
+
+    from xplain.people.server.app import create_app
+    from xplain.people.server.security import Keys
+    from xplain.people.server.store import Store
+
+    class Application(BaseApplication):  # type: ignore[misc]
+        def load_config(self) -> None:
+            for key, value in {
+                "bind": f"{cfg.host}:{cfg.port}",
+                "workers": 1,
+                "worker_class": "gthread",
+                "threads": cfg.threads,
+                "worker_connections": 2000,
+                "backlog": 512,
+                "keepalive": 30,
+                "timeout": 60,
+                "graceful_timeout": 10,
+                "limit_request_line": 4094,
+                "limit_request_fields": 60,
+                "max_requests": 0,
+                "accesslog": None,
+                "loglevel": "warning",
+                "proc_name": f"xplain-{name}",
+                "control_socket_disable": True,
+            }.items():
+                if key in self.cfg.settings:
+                    self.cfg.set(key, value)
+
+        def load(self) -> Any:
+            # In the worker: a connection to SQLite must not be carried over a fork.
+            return create_app(Store(path, site), server)
+
+    # Opened once before the server starts, so that what is wrong with it is one clear line.
+    store = Store(path, site)
+    key = Keys(store.secret).researcher
+    store.close()
+    print(
+        f"{name}: http://{cfg.host}:{cfg.port}/  ·  researcher's page: /researcher, key {key}\n"
+        f"{name}: database {path}, plan {site.plan.hash[:16]}",
+        file=sys.stderr,
+        flush=True,
+    )
+    Application().run()
+
+
+def bots(name: str, arguments: list[str]) -> None:
+    """Lets bots take part, prints how far each came, and saves the export.
+
+    Raises:
+        XplainError: a number out of its range, no browser to drive, or the server went away.
+    """
+    from requests import RequestException
+
+    from xplain.people.simulation import chromium
+    from xplain.people.simulation.bots import Researcher, crowd
+
+    own = import_module(f"xplain.people.{name}.bot")
+    habits = {one.name: one.default for one in fields(own.Habits)}
+    server = {"url": "http://127.0.0.1:8080", "key": ..., "chromium": False, "save": Path}
+    numbers = {"count": 40, "at_once": 8, "pace": 0.0, "seed": 0}
+    given = parsed(f"xplain {name} bots", arguments, **server, **numbers, **habits)
+    for flag, value in (("--count", given.count), ("--at-once", given.at_once)):
+        if not 0 < value <= 10_000:
+            raise InputError(flag, value, "a whole number from 1 to 10000")
+    if given.chromium and (what := chromium.missing()):
+        raise InputError("--chromium", "not here", f"install {what}")
+    habits = own.Habits(**{habit: getattr(given, habit) for habit in habits})
+    try:
+        researcher = Researcher(given.url, given.key)
+        person = partial(own.bot, researcher.plan(site(name).PLAN), habits, given.seed)
+        stages = crowd(researcher, given.count, given.at_once, given.pace, person, given.chromium)
+        archive = researcher.archive() if given.save else b""
+    except (RequestException, ConnectionError, TimeoutError) as error:
+        raise XplainError(f"--url={given.url}: the server went away ({error})") from None
+    if given.save:
+        given.save.write_bytes(archive)
+    print(", ".join(f"{number} {stage}" for stage, number in stages.most_common()))
+
+
+def export(name: str, arguments: list[str]) -> None:
+    """Writes the tables and their codebook into the folder, and prints the head of the log."""
+    given = parsed(f"xplain {name} export", arguments, "database", "folder")
+    head = site(name).export(given.database, given.folder)
+    print(f"tables and codebook in {given.folder}\nhead of the log: {head}")
+
+
+def replay(name: str, arguments: list[str]) -> None:
+    """Compares, says what was compared and what differs; exit code 1 where anything does."""
+    given = parsed(f"xplain {name} replay", arguments, "database", head="")
+    from xplain.people.analysis.log import head_of
+    from xplain.people.analysis.stored import plan_of, reading
+
+    kind = site(name)
+    with reading(given.database) as connection:
+        found = kind.of(plan_of(connection, kind.PLAN)).replay(connection, given.head)
+        head = head_of(connection)
+    for difference in found.differences:
+        print(difference, file=sys.stderr)
+    verdict = f"{len(found.differences)} differences" if found.differences else "all equal"
+    print(
+        f"{found.participants} participants, {found.events} answers, {found.steps} steps "
+        f"replayed{f', {found.erased} erased' if found.erased else ''}: {verdict}\n"
+        f"head of the log: {head}"
+    )
+    if found.differences:
+        sys.exit(1)

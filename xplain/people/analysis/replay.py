@@ -1,0 +1,99 @@
+"""Computes participants again from the log, and compares with what was stored, to the last bit.
+
+The log is checked first: no event was changed, left out or put in (xplain/people/analysis/log.py).
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from xplain.errors import Refused
+from xplain.people.analysis import log
+from xplain.people.analysis.export import Participant, Row, everybody
+from xplain.people.flow import Flow, S
+
+Steps = dict[int, dict[str, Any]]
+"""By step k, the columns of the step table."""
+
+
+@dataclass
+class Findings:
+    """How much was compared, and what differs."""
+
+    participants: int = 0
+    events: int = 0
+    steps: int = 0
+    erased: int = 0
+    differences: list[str] = field(default_factory=list)
+
+
+def replayed(
+    connection: sqlite3.Connection, flow: Flow[Any, S], head: str, step: str
+) -> tuple[Findings, list[Participant[S]]]:
+    """What differs, and everybody whose events could be replayed, with the states as computed
+    again; erased participants are counted, not replayed.
+
+    Args:
+        connection: to the database; its rows are mappings.
+        flow: at work.
+        head: of the log, as an earlier export printed it, or its first characters; "" for none.
+        step: what the flow calls a step.
+    """
+    found, people = Findings(differences=log.differences(connection, head)), []
+    (found.erased,) = connection.execute("SELECT count(*) FROM participant WHERE erased").fetchone()
+    for row, events in everybody(connection):
+        one, differences = Participant(row, flow.STATE(), events), list[str]()
+        about = {key: row[key] for key in ("entry", "stream", "code")}
+        if [e["payload"] for e in events if e["kind"] == "enter"] != [about]:
+            differences.append("who they are is not what the log says")
+        own = [event for event in events if event["source"] == "protocol"]
+        found.participants, found.events = found.participants + 1, found.events + len(own)
+        try:
+            state, steps = _advanced(flow, own)
+        except Refused as error:
+            differences.append(str(error))
+        else:
+            people.append(Participant(row, state, one.events))
+            if state.text != row["state"] or state.over != bool(row["over"]):
+                differences.append("the stored state differs")
+            stored = connection.execute("SELECT * FROM step WHERE participant = ?", (one.id,))
+            kept = {row["k"]: row for row in stored}
+            found.steps += len(kept.keys() & steps.keys())
+            differences += _unequal(kept, steps, step)
+        found.differences += [f"{one.id}: {difference}" for difference in differences]
+    return found, people
+
+
+def _advanced(flow: Flow[Any, S], events: Sequence[Row]) -> tuple[S, Steps]:
+    """The last state, and the steps on the way.
+
+    Raises:
+        Refused: an event that does not follow from those before.
+    """
+    state: S = flow.STATE()
+    steps: Steps = {}
+    for event in events:
+        if event["source_sequence"] != state.accepted:
+            raise Refused(f"event {event['sequence']} is out of order")
+        try:
+            outcome = flow.advance(state, event["kind"], event["payload"])
+        except (Refused, KeyError) as error:
+            raise Refused(f"event {event['sequence']} is refused: {error}") from None
+        if answer := outcome.answer:
+            steps[answer.step] |= answer.columns
+        if decision := outcome.decision:
+            steps[decision.step] = dict(decision.columns)
+        state = outcome.state
+    return state, steps
+
+
+def _unequal(stored: Mapping[int, sqlite3.Row], steps: Steps, name: str) -> Iterator[str]:
+    if stored.keys() != steps.keys():
+        yield f"{name}s {sorted(stored)} are stored, not {sorted(steps)}"
+    for k in stored.keys() & steps.keys():
+        for column, value in steps[k].items():
+            if stored[k][column] != value:
+                yield f"{name} {k}: {column} is {stored[k][column]}, replayed {value}"

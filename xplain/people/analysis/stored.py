@@ -1,0 +1,101 @@
+"""The database, read only: for exports, replays, and the next start of its server."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any, TypeVar
+
+from filelock import FileLock, Timeout
+
+from xplain.errors import InputError
+from xplain.people.plan import StoredPlan
+
+Plan = TypeVar("Plan", bound=StoredPlan)
+STREAMS = ("person", "pilot", "bot")
+"""Whose data it is; fixed by the invitation, and never mixed in an analysis."""
+MOVED = {
+    "xplain.learning.dirichlet.DirichletMixture": (
+        "xplain.learning.fact_model.dirichlet.DirichletMixture"
+    ),
+    "xplain.learning.mixture.Mixture": "xplain.learning.em_mixture.Mixture",
+    "xplain.solvers.certified.Certified": "xplain.solvers.hsvi.solver.Certified",
+    "xplain.solvers.pomcp.POMCP": "xplain.solvers.pomcp.solver.POMCP",
+    "xplain.users.observers.FileObservers": "xplain.data.observers.FileObservers",
+    "xplain.users.observers.SimulatedObservers": "xplain.data.observers.SimulatedObservers",
+}
+"""Classes by the names that older plans carry. A stored plan is never rewritten: its hash is in
+the data. What it names is looked up here whenever it is used."""
+
+
+def renamed(config: Any) -> Any:
+    """A stored configuration with today's names of classes, wherever a ``_target_`` stands."""
+    if isinstance(config, Mapping):
+        return {
+            key: MOVED.get(value, value) if key == "_target_" else renamed(value)
+            for key, value in config.items()
+        }
+    return [renamed(value) for value in config] if isinstance(config, list | tuple) else config
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[sqlite3.Connection]:
+    """A read-only connection to a study's database.
+
+    Raises:
+        InputError: it is no study's database.
+    """
+    connection = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+    connection.row_factory = sqlite3.Row
+    try:
+        connection.execute("SELECT 1 FROM meta")
+        yield connection
+    except sqlite3.DatabaseError as error:
+        raise InputError("database", str(path), f"not a study's database ({error})") from None
+    finally:
+        connection.close()
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[sqlite3.Connection]:
+    """A read-only connection to a study's database that no server has open.
+
+    Raises:
+        InputError: there is none, it is in use, or it is no study's database.
+    """
+    if not path.is_file():
+        raise InputError("database", str(path), "a study's database or a snapshot of one")
+    lock = Path(f"{path}.lock")
+    try:
+        with FileLock(lock, timeout=0) if lock.exists() else nullcontext(), opened(path) as read:
+            yield read
+    except Timeout:
+        wanted = "in use by a server; take the snapshot that the researcher's page offers"
+        raise InputError("database", str(path), wanted) from None
+
+
+def plan_of(connection: sqlite3.Connection, kind: type[Plan]) -> Plan:
+    """The plan that the data was collected under.
+
+    Raises:
+        InputError: there is none yet, or it is one of another kind or version.
+    """
+    row = connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()
+    if row is None:
+        raise InputError("database", "its plan", f"a database in which {kind.OF} was started")
+    return kind.from_text(row[0])
+
+
+def read_plan(path: Path, kind: type[Plan]) -> Plan | None:
+    """The plan in a database; None where there is none yet.
+
+    Raises:
+        InputError: the file is no such database.
+    """
+    if not path.exists() or not path.stat().st_size:
+        return None
+    with opened(path) as connection:
+        started = connection.execute("SELECT 1 FROM meta WHERE key = 'plan'").fetchone()
+        return plan_of(connection, kind) if started else None

@@ -1,0 +1,186 @@
+"""Where a participant is, which clip comes next, and what the answers so far say.
+
+Questions are those of :class:`xplain.questions.questionnaire.Questionnaire`, or of one list for
+everybody. Among them are an obvious step, and some of the first questions a second time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.people import flow as core
+from xplain.people.collect.plan import CollectPlan
+from xplain.questions.questionnaire import Questionnaire
+from xplain.randomness import stream
+
+FINISHED = ("beliefs", "questions", "done")
+"""Stages of those who have answered every clip."""
+QUESTION, REPEAT, ATTENTION = "question", "repeat", "attention"
+STATED = ("accurate", "inaccurate", "unsure")
+"""What somebody may say of a fact, by the number in the payload."""
+KEPT = 1e-6
+"""Fact sets with a smaller posterior are left out of what is written down."""
+SHARED = 1e-3
+"""… and of what the next participant's prior takes from others."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A few transitions under one message set, and their labels once they are given.
+
+    Attributes:
+        purpose: QUESTION, REPEAT or ATTENTION (which has no transitions, and one label).
+        transitions: rows of the hypotheses.
+        told: bitmask of the messages shown.
+        labels: one a transition; empty before the answer.
+    """
+
+    purpose: str
+    transitions: tuple[int, ...]
+    told: int
+    labels: tuple[int, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Steps on the page."""
+        return max(len(self.transitions), 1)
+
+
+@dataclass(frozen=True)
+class State(core.State):
+    """Where a participant is. The first value is the start.
+
+    Attributes:
+        number: the participant's, which seeds their questions; None before consent.
+        role: index of the role whose briefing they got; None for people as they are.
+        others: {fact set: its share among those asked before}.
+        answered: clips with their labels.
+        clip: the one on the page.
+        belief: {fact set, or "none": its posterior}, after the last question.
+        stated: of each fact an index into STATED.
+    """
+
+    number: int | None = None
+    role: int | None = None
+    others: Mapping[str, float] = field(default_factory=dict)
+    answered: tuple[Clip, ...] = ()
+    clip: Clip | None = None
+    belief: Mapping[str, float] = field(default_factory=dict)
+    stated: tuple[int, ...] = ()
+
+    @property
+    def person(self) -> int:
+        """The participant's number, in the stages after consent."""
+        assert self.number is not None, f"no number at {self.stage}"
+        return self.number
+
+    def questions(self) -> list[Clip]:
+        """The answered clips that are questions: what is learned from."""
+        return [clip for clip in self.answered if clip.purpose == QUESTION]
+
+    @property
+    def attentive(self) -> bool | None:
+        """Whether the obvious step was labelled as anybody would; None before it was seen."""
+        seen = [clip.labels[0] for clip in self.answered if clip.purpose == ATTENTION]
+        return None if not seen else seen[0] == 0
+
+    @property
+    def consistency(self) -> float | None:
+        """Share of the labels of repeated clips that are as before; None where none is."""
+        first = {(c.transitions, c.told): c.labels for c in reversed(self.questions())}
+        pairs = [
+            pair
+            for clip in self.answered
+            if clip.purpose == REPEAT
+            for pair in zip(clip.labels, first[clip.transitions, clip.told], strict=True)
+        ]
+        return sum(a == b for a, b in pairs) / len(pairs) if pairs else None
+
+
+class Task(NamedTuple):
+    """What one clip is for: a question, a second look at the question ``again``, or attention."""
+
+    purpose: str
+    again: int = -1
+
+
+def schedule(plan: CollectPlan, number: int) -> tuple[Task, ...]:
+    """What the clips of one participant are for, in order: questions, the obvious step amid them,
+    and near the end some of the first questions again."""
+    asked = questions_of(plan)
+    rng = stream(plan.seed, "schedule", number)
+    tasks = [Task(QUESTION)] * asked
+    again = rng.permutation(max(asked // 2, 1))[: plan.rules.repeats].tolist()
+    late = np.sort(rng.integers(asked - asked // 4, asked + 1, len(again)))[::-1].tolist()
+    for place, question in zip(late, again, strict=True):
+        tasks.insert(place, Task(REPEAT, question))
+    if plan.rules.attention:
+        tasks.insert(int(rng.integers(asked // 3, asked - asked // 3 + 1)), Task(ATTENTION))
+    return tuple(tasks)
+
+
+def shared(beliefs: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """What people asked before hold wrong, as the next one's prior takes it: the mean of their
+    posteriors, rounded, so that it does not depend on who came first."""
+    total: dict[str, float] = {}
+    for belief in beliefs:
+        some = 1 - belief.get("none", 0.0)
+        for facts, share in belief.items():
+            if facts != "none" and some > 0:
+                total[facts] = total.get(facts, 0.0) + share / some / len(beliefs)
+    return {f: round(total[f], 6) for f in sorted(total, key=int) if total[f] >= SHARED}
+
+
+def prior(plan: CollectPlan, others: Mapping[str, float]) -> NDArray[np.float64]:
+    """[C] of the fact sets; in part what is known of others, where there are any."""
+    known = plan.hypotheses
+    if not others or not plan.design.from_others:
+        return known.prior
+    weight = np.zeros(len(known.facts))
+    for facts, share in others.items():
+        weight[known.row(np.array(int(facts)))] = share
+    mixed = plan.design.from_others * weight / weight.sum()
+    return np.asarray((1 - plan.design.from_others) * known.prior + mixed)
+
+
+def belief(asking: Questionnaire) -> dict[str, float]:
+    """The posterior {facts of a class, or "none": probability}; what is less than KEPT is left
+    out."""
+    known = asking.hypotheses
+    facts, first = np.unique(known.classes, return_index=True)
+    weight = asking.classes
+    found = {str(known.essential[first[c]]): float(weight[c]) for c in facts if weight[c] >= KEPT}
+    return found | {"none": asking.none}
+
+
+def questions_of(plan: CollectPlan) -> int:
+    """Questions a participant; the last one may be shorter than a clip."""
+    return -(-plan.rules.points // plan.design.clip)
+
+
+def clip(plan: CollectPlan, state: State, task: Task, asking: Questionnaire) -> Clip:
+    """The clip for a task, after all that was answered."""
+    questions = state.questions()
+    if task.purpose == REPEAT:
+        return replace(questions[task.again], purpose=REPEAT, labels=())
+    if task.purpose == ATTENTION:
+        return Clip(ATTENTION, (), 0)
+    left = plan.rules.points - sum(one.size for one in questions)
+    if plan.questions:
+        order = _order(plan.seed, state.person, len(plan.questions))
+        transition, told = plan.questions[order[len(questions)]]
+        return Clip(QUESTION, (transition,), told)
+    about, told = asking.next()
+    return Clip(QUESTION, tuple(np.atleast_1d(about)[:left].tolist()), told)
+
+
+@cache
+def _order(seed: int, number: int, count: int) -> tuple[int, ...]:
+    """In which order one participant is asked the list."""
+    return tuple(stream(seed, "order", number).permutation(count).tolist())

@@ -1,0 +1,145 @@
+"""Simulated observers: they read what a page says, answer as what they hold wrong makes them, err
+now and then, lapse, and leave.
+
+The same observer takes part in the bare flow, over HTTP, and in a real browser. What a plan asks
+some of them is stored with it, so that changed code is noticed before it changes a running
+collection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from xplain.errors import XplainError
+from xplain.people.collect.asking import State
+from xplain.people.collect.flow import Collection
+from xplain.people.collect.plan import CollectPlan
+from xplain.people.simulation import bots
+from xplain.people.simulation.browser import Fields, Page
+from xplain.randomness import stream
+
+PROBES = 4
+"""Simulated people whose questions a changed code would have to repeat."""
+
+
+@dataclass(frozen=True)
+class Habits(bots.Habits):
+    """Assumptions about observers.
+
+    Attributes:
+        error: probability of the wrong label, step by step.
+        lapse: probability that a page is clicked through: its labels are tosses of a coin.
+        seconds: to read and judge a step; σ of its logarithm is 0.4.
+    """
+
+    error: float = 0.05
+    lapse: float = 0.0
+    seconds: float = 6.0
+
+
+class Observer(bots.Bot[CollectPlan, Habits]):
+    """One simulated observer.
+
+    Args:
+        plan: for the sentences, and the labels of people of each role.
+        held: bitmask of the facts that they hold wrong; a briefing changes it.
+        habits: how they behave.
+        rng: their stream.
+    """
+
+    def __init__(
+        self, plan: CollectPlan, held: int, habits: Habits, rng: np.random.Generator
+    ) -> None:
+        super().__init__(plan, habits, rng)
+        self.held = held
+
+    def at_task(self, page: Page) -> None:
+        """Takes over what a briefing says."""
+        if page.facts:
+            told = [role.briefing for role in self.plan.roles]
+            self.held = self.plan.roles[told.index(tuple(page.facts))].held
+
+    def at_practice(self, page: Page) -> Fields:
+        """Makes sense under the one sentence only."""
+        return self.practises(int(list(page.messages) == [self.plan.example.speaks_for]))
+
+    def at_clips(self, page: Page) -> tuple[Fields, float]:
+        """A label a step."""
+        labels, seconds = self.labels(page.steps, page.messages)
+        return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], seconds
+
+    def at_beliefs(self, page: Page) -> Fields:
+        """What they believe of each fact."""
+        facts = [int(name.removeprefix("fact_")) for name in page.fields]
+        return [(f"fact_{j}", str(self.held >> j & 1)) for j in facts]
+
+    def labels(self, transitions: Sequence[int], told: Sequence[str]) -> tuple[list[int], float]:
+        """Labels of a clip's transitions with these messages on the page, and the seconds that it
+        took; none stands for the obvious step."""
+        sentences = [fact.message for fact in self.plan.facts]
+        mask = sum(1 << sentences.index(sentence) for sentence in told)
+        known = self.plan.hypotheses
+        row = int(known.row(np.array(self.held & ~mask)))
+        true = [int(known.labels[row, t]) for t in transitions] or [0]
+        if self.chance(self.habits.lapse):
+            labels = self.rng.integers(0, 2, len(true)).tolist()
+        else:
+            labels = [label ^ self.chance(self.habits.error) for label in true]
+        seconds = self.habits.seconds * self.rng.lognormal(0, 0.4, len(true)).sum()
+        return labels, float(seconds)
+
+
+def bot(plan: CollectPlan, habits: Habits, seed: int, number: int) -> Observer:
+    """The simulated observer with a number; the roles take turns."""
+    held = plan.roles[number % len(plan.roles)].held
+    return Observer(plan, held, habits, stream(seed, "bots", number))
+
+
+def take_part(
+    collection: Collection,
+    person: Observer,
+    number: int,
+    others: Mapping[str, float],
+    role: int | None = None,
+) -> State:
+    """One observer in the bare flow, to the end or to where they leave.
+
+    Args:
+        collection: the plan at work.
+        person: who answers.
+        number: of the participant.
+        others: what those asked before hold wrong (:func:`xplain.people.collect.asking.shared`).
+        role: whose briefing they get, if any.
+    """
+    consent = {"number": number, "role": role, "others": others}
+    state = collection.after(State(), **collection.admitted(consent)).state
+    return bots.take_part(collection, person, state)
+
+
+def probes(collection: Collection) -> tuple[str, ...]:
+    """The clips and the last posterior of some simulated people, one text a person."""
+    found = []
+    for number in range(PROBES):
+        person = bot(collection.plan, Habits(0.1, mistake=0), 0, number)
+        state = take_part(collection, person, number, {})
+        clips = [(one.transitions, one.told) for one in state.answered]
+        found.append(f"{clips} {[float(share).hex() for share in state.belief.values()]}")
+    return tuple(found)
+
+
+def collection_of(plan: CollectPlan) -> Collection:
+    """A plan at work.
+
+    Raises:
+        XplainError: the installed code asks differently from the code that made the plan.
+    """
+    collection = Collection(plan)
+    if probes(collection) != plan.probes:
+        raise XplainError(
+            "database: this version of xplain asks differently from the one that started the "
+            "collection; go on with that version, or start anew in another database"
+        )
+    return collection

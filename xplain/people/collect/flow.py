@@ -1,0 +1,203 @@
+"""The flow of a collection: consent → task → practice → clips → beliefs → questions → done."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any, ClassVar
+
+from xplain.message_sets import indices
+from xplain.people import flow as core
+from xplain.people.collect import asking
+from xplain.people.collect.asking import ATTENTION, QUESTION, STATED, Clip, State
+from xplain.people.collect.plan import CollectPlan
+from xplain.people.flow import (
+    Answer,
+    Consent,
+    Decision,
+    Flow,
+    Form,
+    Questions,
+    Stage,
+    choices,
+    small,
+)
+from xplain.questions.questionnaire import Questionnaire
+from xplain.randomness import derived_seed, stream
+
+Outcome = core.Outcome[State]
+QUESTIONNAIRES = 512
+"""Kept at a time: more than people answer at once."""
+
+
+class Task(Stage["Collection", State]):
+    """What the robot does, told neutrally."""
+
+    def view(self, flow: Collection, state: State) -> dict[str, Any]:
+        """With the briefing, where there is one."""
+        return flow.briefing(state)
+
+
+class Practice(core.Practice["Collection", State]):
+    """An action that makes no sense under one sentence, and sense under another."""
+
+    def view(self, flow: Collection, state: State) -> dict[str, Any]:
+        """One of the sentences at a time."""
+        example = flow.plan.example
+        told = example.speaks_for if state.part else example.against
+        return {"part": state.part, "told": [told], "action": example.action}
+
+
+class Clips(Stage["Collection", State]):
+    """A few steps in a row under some messages, one clip after the other."""
+
+    def enter(self, flow: Collection, state: State) -> Outcome:
+        """The first clip."""
+        return self._next(flow, replace(state, wrong=False), None)
+
+    def view(self, flow: Collection, state: State) -> dict[str, Any]:
+        """Nothing of the hypotheses, the posterior, or what a clip is for."""
+        assert state.clip is not None, "a clip is on the page"
+        return flow.briefing(state) | {
+            **_clip(flow.plan, state.clip),
+            "clip_number": len(state.answered) + 1,
+            "clip_count": len(asking.schedule(flow.plan, state.person)),
+        }
+
+    def read(self, flow: Collection, state: State, form: Form) -> dict[str, Any]:
+        """A label a step."""
+        steps = range(state.clip.size if state.clip else 0)
+        return {"labels": [small(form.get(f"label_{i}")) for i in steps]}
+
+    def advance(self, flow: Collection, state: State, payload: Mapping[str, Any]) -> Outcome:
+        """To the next clip, or on from the last one."""
+        clip = state.clip
+        assert clip is not None, "a clip is on the page"
+        chosen = choices(payload.get("labels"), [2] * clip.size, flow.words["choose_each"])
+        answered = (*state.answered, replace(clip, labels=chosen))
+        return self._next(flow, replace(state, answered=answered, clip=None), chosen)
+
+    def _next(self, flow: Collection, state: State, labels: tuple[int, ...] | None) -> Outcome:
+        """The next clip, or the end of the clips; ``labels`` were given to the last one."""
+        step, known = len(state.answered), flow.questionnaire(state)
+        belief = asking.belief(known)
+        answer = None if labels is None else Answer(step - 1, labels, belief)
+        state = replace(state, belief=belief)
+        tasks = asking.schedule(flow.plan, state.person)
+        if step == len(tasks):
+            return replace(flow.after(state), answer=answer)
+        clip = asking.clip(flow.plan, state, tasks[step], known)
+        question = clip.purpose == QUESTION
+        why = {
+            "purpose": clip.purpose,
+            "transitions": clip.transitions,
+            "bits": known.information((list(clip.transitions), clip.told)) if question else 0.0,
+        }
+        decision = Decision(step, belief, clip.told, 0, why)
+        return replace(state.to(stage=self.name, clip=clip), decision=decision, answer=answer)
+
+
+class Beliefs(Stage["Collection", State]):
+    """What they say they thought of each fact."""
+
+    def view(self, flow: Collection, state: State) -> dict[str, Any]:
+        """The facts in the participant's order."""
+        shown = statements(flow.plan, state.person)
+        fields = {f"fact_{j}": pair for j, pair in shown}
+        return flow.briefing(state) | {"statements": shown, "fields": fields}
+
+    def read(self, flow: Collection, state: State, form: Form) -> dict[str, Any]:
+        """An index into STATED a fact."""
+        facts = range(len(flow.plan.facts))
+        return {"stated": [small(form.get(f"fact_{j}")) for j in facts]}
+
+    def advance(self, flow: Collection, state: State, payload: Mapping[str, Any]) -> Outcome:
+        """All of them are needed."""
+        counts = [len(STATED)] * len(flow.plan.facts)
+        return flow.after(
+            state, stated=choices(payload.get("stated"), counts, flow.words["answer_all"])
+        )
+
+
+@dataclass(frozen=True)
+class Collection(Flow[CollectPlan, State]):
+    """A plan with its questionnaire at work.
+
+    The questionnaires of the latest participants are kept, so that an answer is added to those
+    before and not all of them are taken anew. Nothing that is computed depends on it.
+    """
+
+    STATE: ClassVar = State
+    STAGES: ClassVar = (
+        Consent("consent", "consent"),
+        Task("task", "read"),
+        Practice("practice", "example", "choose"),
+        Clips("clips", "labels"),
+        Beliefs("beliefs", "beliefs"),
+        Questions("questions", "answers"),
+    )
+
+    def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
+        """The number, whose briefing they get, and what others hold wrong."""
+        return {key: payload[key] for key in ("number", "role", "others")}
+
+    def briefing(self, state: State) -> dict[str, Any]:
+        """What they were told, if anything."""
+        return {} if state.role is None else {"briefing": self.plan.roles[state.role].briefing}
+
+    @cached_property
+    def blank(self) -> Questionnaire:
+        """The questionnaire before anybody was asked."""
+        known, own = self.plan.hypotheses, self.plan.design
+        return Questionnaire(known, own.error, None, own.clip, none=own.none, misread=own.misread)
+
+    @cached_property
+    def kept(self) -> Any:
+        """A cached function: the questionnaire of a person with a number, a prior of others and
+        answers."""
+
+        @lru_cache(QUESTIONNAIRES)
+        def kept(number: int, others: frozenset[Any], answers: tuple[Any, ...]) -> Questionnaire:
+            if not answers:
+                prior = asking.prior(self.plan, dict(others))
+                return self.blank.anew(prior, derived_seed(self.plan.seed, "queries", number))
+            after = copy.copy(kept(number, others, answers[:-1]))
+            labels, transitions, told = answers[-1]
+            after.answer(list(labels), (list(transitions), told))
+            return after
+
+        return kept
+
+    def questionnaire(self, state: State) -> Questionnaire:
+        """That of a participant, with all that they answered."""
+        answers = tuple((one.labels, one.transitions, one.told) for one in state.questions())
+        known: Questionnaire = self.kept(state.person, frozenset(state.others.items()), answers)
+        return copy.copy(known)
+
+
+def statements(plan: CollectPlan, number: int) -> list[tuple[int, list[tuple[int, str]]]]:
+    """The facts in an order of the participant's own, each with its two sentences, of which the
+    first is not always the true one: [(fact, [(index into STATED, sentence), …])]."""
+    rng = stream(plan.seed, "beliefs", number)
+    found = []
+    for j in rng.permutation(len(plan.facts)).tolist():
+        fact = plan.facts[j]
+        pair = [(0, fact.message), (1, fact.belief)]
+        found.append((j, pair if rng.random() < 0.5 else pair[::-1]))
+    return found
+
+
+def _clip(plan: CollectPlan, clip: Clip) -> dict[str, Any]:
+    told = [plan.facts[j].message for j in indices(clip.told)]
+    if clip.purpose == ATTENTION:
+        return {"told": told, "steps": [plan.attention], "transitions": (), "situation": ()}
+    steps = clip.transitions
+    return {
+        "told": told,
+        "steps": [f"{plan.subject} {plan.hypotheses.phrases[t]}".strip() for t in steps],
+        "transitions": steps,
+        "situation": plan.situations[steps[0]] if plan.situations else (),
+        "pictures": [t for t in steps if plan.pictures and plan.pictures[t] is not None],
+    }

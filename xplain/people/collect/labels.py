@@ -1,0 +1,157 @@
+"""From participants to a table of labels, and to the types that are in it so far."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from xplain.data.dataset import Dataset
+from xplain.message_sets import names_of
+from xplain.people.collect.asking import FINISHED, State
+from xplain.people.collect.plan import CollectPlan
+from xplain.questions.fact_sets import partition
+from xplain.questions.known_transitions import Answers, KnownTransitions
+from xplain.randomness import stream
+
+CONCENTRATION = 1.0
+"""Of the process over types; that of ``clusterer=dirichlet``."""
+SURE = 0.95
+"""Posterior above which it is known what somebody holds wrong."""
+
+
+def why_left_out(state: State) -> str:
+    """Why a participant's labels are not learned from; "" where they are."""
+    if state.stage not in FINISHED:
+        return state.stage if state.over else "unfinished"
+    return "inattentive" if state.attentive is False else ""
+
+
+def dataset_of(plan: CollectPlan, people: Mapping[str, State]) -> Dataset:
+    """The labels of the questions of these people, as :mod:`xplain.data.label_file` writes them.
+    Second looks and the obvious step are no questions."""
+    known = plan.hypotheses
+    assert known.features is not None, "a plan's hypotheses have features"
+    rows = [
+        (o, transition, clip.told, label)
+        for o, state in enumerate(people.values())
+        for clip in state.questions()
+        for transition, label in zip(clip.transitions, clip.labels, strict=True)
+    ]
+    observer, transition, told, label = np.array(rows, dtype=np.int64).reshape(-1, 4).T
+    distinct, which = np.unique(known.features[transition], axis=0, return_inverse=True)
+    return Dataset(
+        features=distinct,
+        feature_names=known.feature_names,
+        messages=known.messages,
+        observers=tuple(people),
+        observer=observer,
+        transition=which.ravel(),
+        message_set=told,
+        label=label.astype(np.uint8),
+    )
+
+
+@dataclass(frozen=True)
+class FoundType:
+    """A type that was found.
+
+    Attributes:
+        wrong: names of the facts that it holds wrong.
+        members: positions of its people.
+        posterior: mean probability that one of them, judged alone, holds exactly these wrong.
+    """
+
+    wrong: tuple[str, ...]
+    members: tuple[int, ...]
+    posterior: float
+
+
+@dataclass(frozen=True)
+class Found:
+    """What is known after N people.
+
+    Attributes:
+        types: the largest first.
+        error: share of wrong answers that was learned.
+        unsure: people of whom no fact set has a posterior above SURE.
+        unlike: mean probability that no hypothesis fits somebody.
+        new_types: that another ten people are expected to bring.
+        next_new: probability that the next person is of a type not seen so far.
+    """
+
+    types: tuple[FoundType, ...]
+    error: float
+    unsure: int
+    unlike: float
+    new_types: float
+    next_new: float
+
+
+def fact_sets(plan: CollectPlan, people: Sequence[State]) -> tuple[NDArray[np.int64], float]:
+    """[N] the facts that each person's type holds wrong, and the share of wrong answers: the
+    Dirichlet process over fact sets that ``discover`` runs with the same hypotheses."""
+    known = KnownTransitions.of(plan.hypotheses)
+    place = known.find(known.hypotheses.features)  # type: ignore[arg-type]  # never None here
+    observers = []
+    for state in people:
+        rows = [
+            (place[t], clip.told, label)
+            for clip in state.questions()
+            for t, label in zip(clip.transitions, clip.labels, strict=True)
+        ]
+        transition, told, label = np.array(rows, dtype=np.int64).reshape(-1, 3).T
+        observers.append(Answers(transition, told, label, np.ones(len(rows))))
+    found = partition(known, observers, CONCENTRATION, stream(plan.seed, "types"))
+    return found.facts, found.error
+
+
+def found_types(plan: CollectPlan, people: Sequence[State]) -> Found | None:
+    """The types so far; None before the second person."""
+    if len(people) < 2:
+        return None
+    facts, error = fact_sets(plan, people)
+    types = []
+    for held in np.unique(facts).tolist():
+        members = np.flatnonzero(facts == held).tolist()
+        alone = [people[i].belief.get(str(held), 0.0) for i in members]
+        wrong = names_of(held, plan.hypotheses.messages)
+        types.append(FoundType(wrong, tuple(members), float(np.mean(alone))))
+    types.sort(key=lambda one: -len(one.members))
+    best = [max([p for f, p in s.belief.items() if f != "none"], default=0.0) for s in people]
+    next_new, new_types = expected_new(len(types), len(people), 10)
+    return Found(
+        types=tuple(types),
+        error=error,
+        unsure=sum(one <= SURE for one in best),
+        unlike=float(np.mean([state.belief.get("none", 0.0) for state in people])),
+        new_types=new_types,
+        next_new=next_new,
+    )
+
+
+def expected_new(types: int, people: int, more: int) -> tuple[float, float]:
+    """What more people bring, after ``types`` were seen in ``people`` (Ewens' sampling formula).
+
+    The concentration α is the one under which so many types are expected, Σ α / (α + i) over
+    i < people; but at least one under which about half a type beside the first is, or one type
+    alone would rule out every other for ever.
+
+    Returns:
+        The probability that the next person is of a new type, and the number of new types
+        expected in ``more`` people.
+    """
+
+    def expected(alpha: float) -> float:
+        return float((alpha / (alpha + np.arange(people))).sum())
+
+    if types >= people:  # everybody is unlike everybody else: nothing is known to come to an end
+        return 1.0, float(more)
+    low = 0.5 / np.log1p(people)
+    # brentq needs a sign change: expected(low) may exceed one type already.
+    alpha = low if expected(low) >= types else brentq(lambda a: expected(a) - types, low, 1e6)
+    new = alpha / (alpha + people + np.arange(more))
+    return float(new[0]), float(new.sum())

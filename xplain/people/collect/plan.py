@@ -1,0 +1,124 @@
+"""The plan of a collection: everything a participant may meet, fixed before the first one comes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from xplain.errors import InputError, number, whole_number
+from xplain.people.plan import StoredPlan, Told, Way
+from xplain.questions.designs import Adaptive
+from xplain.questions.hypotheses import Hypotheses
+
+
+@dataclass(frozen=True)
+class Example:
+    """The practice: an action that does not occur later, once under each of two messages.
+
+    Attributes:
+        action: what the robot does.
+        against: a sentence under which the action makes no sense.
+        speaks_for: one under which it does.
+    """
+
+    action: str
+    against: str
+    speaks_for: str
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Numbers of the protocol.
+
+    Attributes:
+        people: wanted; the page stays open when more come.
+        points: labels a person, those for consistency and attention not counted.
+        repeats: questions asked a second time, for consistency.
+        attention: whether an obvious step is among them.
+        timeout_minutes: without a sign of life after which a participant's part ends.
+    """
+
+    people: int
+    points: int
+    repeats: int
+    attention: bool
+    timeout_minutes: float
+
+    def __post_init__(self) -> None:
+        """Raises InputError: a number out of its range."""
+        whole_number("rules.people", self.people, 2)
+        whole_number("points", self.points, 1)
+        most = self.points // 4
+        if whole_number("rules.repeats", self.repeats, 0) > most:
+            raise InputError("rules.repeats", self.repeats, f"at most a quarter of points: {most}")
+        if not number("rules.timeout_minutes", self.timeout_minutes) > 0:
+            raise InputError("rules.timeout_minutes", self.timeout_minutes, "a number above 0")
+
+
+@dataclass(frozen=True)
+class Role:
+    """Somebody who holds certain facts wrong: simulated people are one of several, and with
+    assigned briefings real ones are told what one knows, to see whether it is found again.
+
+    Attributes:
+        name: of the user type.
+        held: bitmask of the facts that it holds wrong.
+        briefing: one sentence a fact, as this type knows it.
+    """
+
+    name: str
+    held: int
+    briefing: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image of a transition: its media type, and its bytes in base 64."""
+
+    media: str
+    content: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollectPlan(StoredPlan):
+    """A collection about T transitions and n facts.
+
+    Attributes:
+        example, rules: see their types.
+        roles: of simulated people.
+        assigned: whether each participant is told what one of the roles knows.
+        hypotheses: what people might hold wrong, with phrases.
+        whole: the same of all transitions, also those that nobody is asked about because others
+            have the same features: what types are learned with. None where these are all.
+        subject: who does what the phrases say; "" where they are whole sentences.
+        questions: the list that everybody is asked, as (transition, message set); empty where
+            each question depends on the answers before.
+        design: of these adaptive questions; of a list, how its answers are weighed.
+        situations: [T] what is so when the transition begins, as sentences; or none.
+        gone: [T] names of the items that are on the map no more when it begins; or none.
+        paths: [T] on the map; or none.
+        pictures: [T] of own transitions, None where one has no image; or none.
+        attention: the obvious step that does not make sense.
+        expectation: what simulated observers let one expect, by figure.
+        probes: what is asked of simulated people, to notice changed code.
+    """
+
+    VERSION = "collect 2"
+    OF = "a collection of labels"
+
+    example: Example
+    rules: Rules
+    roles: tuple[Role, ...]
+    assigned: bool
+    hypotheses: Hypotheses
+    whole: Hypotheses | None
+    subject: str
+    questions: tuple[tuple[int, int], ...]
+    design: Adaptive
+    situations: Told
+    gone: Told
+    paths: Way
+    pictures: tuple[Picture | None, ...]
+    attention: str
+    expectation: Mapping[str, float]
+    probes: tuple[str, ...]

@@ -1,0 +1,375 @@
+"""A flow: the stages that lead a participant from the consent to the end, as a pure state machine.
+
+``flow.advance(state, kind, payload)`` is the whole of it. No clock, no storage, no web; what comes
+from elsewhere (a slot, a number, the orders of questions) is in the consent event. The same events
+give the same states, which is what the replay checks. A stage has one page: :meth:`Stage.view` is
+what it shows, :meth:`Stage.read` what it sends, :meth:`Stage.advance` what that leads to.
+
+From anywhere a participant may get to an end: declined, withdrawn, timed_out, and a flow's own.
+From timed_out they may return to where they were.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from typing import Any, ClassVar, Generic, Self, TypeVar
+
+from xplain.errors import Refused
+from xplain.people.plan import Asked
+from xplain.storage import decode
+
+Form = Any
+"""What a browser sent: a werkzeug ``MultiDict`` of texts. Nothing in it is trusted."""
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a participant is. The first value is the start.
+
+    Attributes:
+        ENDS: the stages that nothing follows, beside "done".
+        stage: of the flow.
+        accepted: events accepted so far, which is the sequence number of the next one.
+        part: which half of the practice.
+        wrong: whether the last answer of a practice or a test was wrong.
+        left: the stage at which somebody was timed out.
+    """
+
+    ENDS: ClassVar[tuple[str, ...]] = ("declined", "withdrawn", "timed_out")
+
+    stage: str = "consent"
+    accepted: int = 0
+    part: int = 0
+    wrong: bool = False
+    left: str | None = None
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more can happen."""
+        return self.stage == "done" or self.stage in self.ENDS
+
+    @property
+    def text(self) -> str:
+        """As JSON, for the store."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @classmethod
+    @lru_cache(maxsize=1024)  # a page asks for its state several times
+    def from_text(cls, text: str) -> Self:
+        """The state that :attr:`text` was made from, equal to the last bit."""
+        state: Self = decode(cls, json.loads(text))
+        return state
+
+    def to(self, **changes: Any) -> Outcome[Self]:
+        """After one more accepted event."""
+        return Outcome(replace(self, accepted=self.accepted + 1, **changes))
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What was chosen at a step, and why: a row of the step table.
+
+    Attributes:
+        step: k.
+        belief: before the step.
+        given, messages: bitmasks of the messages on the page before, and of the new ones.
+        values: behind the choice.
+    """
+
+    step: int
+    belief: Sequence[float] | Mapping[str, float]
+    given: int
+    messages: int
+    values: Mapping[str, Any]
+
+    @property
+    def columns(self) -> dict[str, str | int | None]:
+        """Of the step table, by name; what the answer will fill in is None."""
+        return {
+            "belief_before": json.dumps(self.belief),
+            "given": self.given,
+            "messages": self.messages,
+            "action_values": json.dumps(self.values),
+            "labels": None,
+            "belief_after": None,
+        }
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The labels of a step and the belief after them."""
+
+    step: int
+    labels: tuple[int, ...]
+    belief: Sequence[float] | Mapping[str, float]
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Of the step table, by name: those that the decision leaves None."""
+        return {"labels": json.dumps(self.labels), "belief_after": json.dumps(self.belief)}
+
+
+S_co = TypeVar("S_co", bound=State, covariant=True)
+S = TypeVar("S", bound=State)
+F = TypeVar("F", bound="Flow[Any, Any]")
+P = TypeVar("P")
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[S_co]):
+    """A new state; the step that it opens (decision) and the one that it completes (answer)."""
+
+    state: S_co
+    decision: Decision | None = None
+    answer: Answer | None = None
+
+
+@dataclass(frozen=True)
+class Stage(Generic[F, S]):
+    """A page, and what its answer leads to.
+
+    Attributes:
+        name: of the stage, its template and its title.
+        kind: of the event that it waits for.
+    """
+
+    name: str
+    kind: str
+
+    def wanted(self, plan: Any) -> bool:
+        """Whether a plan has this stage."""
+        return True
+
+    def enter(self, flow: F, state: S) -> Outcome[S]:
+        """The outcome of the event that leads here."""
+        return state.to(stage=self.name)
+
+    def view(self, flow: F, state: S) -> dict[str, Any]:
+        """What the page shows, in plain values. What simulated people read as well: ``briefing``
+        and ``told``, sentences; ``fields``, of each field its (value, text)."""
+        return {}
+
+    def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
+        """The payload of what was sent; what is missing or malformed becomes None."""
+        return {}
+
+    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
+        """The state after the page's event.
+
+        Raises:
+            Refused: the payload is not what the stage asks for.
+        """
+        return flow.after(state)
+
+
+@dataclass(frozen=True)
+class Flow(Generic[P, S]):
+    """Stages in their order, with a plan.
+
+    Attributes:
+        STATE: the class of its states.
+        STAGES: from the consent on.
+        plan: the value everything follows from, with ``texts``.
+    """
+
+    STATE: ClassVar[type[Any]]
+    STAGES: ClassVar[tuple[Stage[Any, Any], ...]]
+
+    plan: P
+
+    def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
+        """What a consent that agrees changes in the state.
+
+        Raises:
+            Refused: this participant cannot take part.
+        """
+        raise NotImplementedError
+
+    @property
+    def words(self) -> Mapping[str, str]:
+        """Of the pages."""
+        words: Mapping[str, str] = self.plan.texts.words  # type: ignore[attr-defined]
+        return words
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Names of those that the plan has, in order; done is the last."""
+        return (*(one.name for one in self.STAGES if one.wanted(self.plan)), "done")
+
+    def stage(self, name: str) -> Stage[Any, S] | None:
+        """The stage of a name; None for ends."""
+        return next((one for one in self.STAGES if one.name == name), None)
+
+    def waits_for(self, state: S) -> str:
+        """The kind of event that goes on from here; "" from ends that nothing follows."""
+        here = self.stage(state.stage)
+        return here.kind if here else "return" if state.stage == "timed_out" else ""
+
+    def after(self, state: S, **changes: Any) -> Outcome[S]:
+        """The next stage that the plan has."""
+        names, state = [one.name for one in self.STAGES], replace(state, **changes)
+        later = self.STAGES[names.index(state.stage) + 1 :]
+        found = next((one for one in later if one.wanted(self.plan)), None)
+        return found.enter(self, state) if found else state.to(stage="done")
+
+    def advance(self, state: S, kind: str, payload: Mapping[str, Any]) -> Outcome[S]:
+        """The state after an event.
+
+        Raises:
+            Refused: the event does not fit the stage, or its payload is not what the stage asks
+                for.
+        """
+        here = self.stage(state.stage)
+        if state.stage == "timed_out" and kind == "return":
+            return state.to(stage=state.left, left=None)
+        if here is None:
+            raise Refused(self.words["ended"])
+        if kind == "withdraw":
+            return state.to(stage="withdrawn")
+        if kind == "time_out":
+            return state.to(stage="timed_out", left=state.stage)
+        if kind != here.kind:
+            raise Refused(self.words["other_page"])
+        return here.advance(self, state, payload)
+
+    def view(self, state: S) -> dict[str, Any]:
+        """What the participant sees now, in plain values. Nothing of the type, the condition, the
+        belief or the right answers is in it."""
+        here = self.stage(state.stage)
+        view = {"stage": state.stage, "sequence": state.accepted, "wrong": state.wrong}
+        return view | (here.view(self, state) if here else {})
+
+    def read(self, state: S, kind: str, form: Form) -> dict[str, Any]:
+        """The payload of an event from what a browser sent."""
+        here = self.stage(state.stage)
+        return here.read(self, state, form) if here and here.kind == kind else {}
+
+
+# Stages that flows share ------------------------------------------------------------------------
+
+
+class Consent(Stage[F, S]):
+    """The consent, to the text as it is now."""
+
+    def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
+        """Whether they agree, and the hash of the text that they read."""
+        return {"agree": small(form.get("agree")), "text": form.get("text", "")[:64]}
+
+    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
+        """To the flow, or to a polite end."""
+        agreed = choice(payload.get("agree"), 2, flow.words["consent_missing"])
+        if payload.get("text") != flow.plan.texts.consent_hash:
+            raise Refused(flow.words["consent_changed"])
+        if not agreed:
+            return state.to(stage="declined")
+        return flow.after(state, **flow.admitted(payload))
+
+
+@dataclass(frozen=True)
+class Practice(Stage[F, S]):
+    """One step twice: without the message that explains it (label 0), and with it (label 1).
+
+    Attributes:
+        missing: key of the words for no answer.
+    """
+
+    missing: str
+
+    def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
+        """The label."""
+        return {"label": small(form.get("label"))}
+
+    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
+        """On to the other half, or to the next stage; not before the label is right."""
+        right = choice(payload.get("label"), 2, flow.words[self.missing]) == state.part
+        if right and state.part:
+            return flow.after(state, wrong=False)
+        return state.to(part=int(right or state.part), wrong=not right)
+
+
+@dataclass(frozen=True)
+class Questions(Stage[F, S]):
+    """The lab's own questions.
+
+    Attributes:
+        of: the plan's field that has them.
+        missed: the end for who gives another answer than the right one; "" goes on.
+    """
+
+    of: str = "asked"
+    missed: str = ""
+
+    def wanted(self, plan: Any) -> bool:
+        """Where there are some."""
+        return bool(getattr(plan, self.of))
+
+    def view(self, flow: F, state: S) -> dict[str, Any]:
+        """The questions."""
+        return {"asked": getattr(flow.plan, self.of)}
+
+    def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
+        """The answers by name."""
+        return {one.name: form.get(one.name, "").strip() for one in getattr(flow.plan, self.of)}
+
+    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
+        """Each answer has to be one that its question allows."""
+        asked: Sequence[Asked] = getattr(flow.plan, self.of)
+        for one in asked:
+            check(one, payload.get(one.name, ""), flow.words)
+        if payload.keys() - {one.name for one in asked}:
+            raise Refused(flow.words["not_understood"])
+        if self.missed and any(q.right and payload.get(q.name) != q.right for q in asked):
+            return state.to(stage=self.missed)
+        return flow.after(state)
+
+
+# Answers ----------------------------------------------------------------------------------------
+
+
+def small(text: object) -> int | None:
+    """A whole number 0 … 999 in plain digits, else None."""
+    if isinstance(text, str) and 0 < len(text) <= 3 and text.isascii() and text.isdigit():
+        return int(text)
+    return None
+
+
+def choice(value: object, count: int, otherwise: str) -> int:
+    """An integer 0 … count − 1 (true booleans count as what they are).
+
+    Raises:
+        Refused: anything else, with the words ``otherwise``.
+    """
+    if not isinstance(value, int) or not 0 <= value < count:
+        raise Refused(otherwise)
+    return int(value)
+
+
+def choices(values: object, counts: Sequence[int], otherwise: str) -> tuple[int, ...]:
+    """One choice a place, each from 0 … its count − 1.
+
+    Raises:
+        Refused: as :func:`choice`, or another number of them.
+    """
+    if not isinstance(values, list) or len(values) != len(counts):
+        raise Refused(otherwise)
+    pairs = zip(values, counts, strict=True)
+    return tuple(choice(value, count, otherwise) for value, count in pairs)
+
+
+def check(asked: Asked, value: object, words: Mapping[str, str]) -> None:
+    """Raises Refused: an answer that its question does not allow."""
+    label = asked.label
+    if not isinstance(value, str) or len(value) > asked.max_length:
+        raise Refused(words["too_long"].format(label=label, most=asked.max_length))
+    if asked.needed and not value:
+        raise Refused(words["answer_this"].format(label=label))
+    if value and asked.options and value not in asked.options:
+        raise Refused(words["choose_one"].format(label=label))
+    if value and asked.kind == "number":
+        whole = value.isascii() and value.isdigit() and len(value) < 10
+        if not whole or not asked.low <= int(value) <= asked.high:
+            text = words["whole_number"]
+            raise Refused(text.format(label=label, low=asked.low, high=asked.high))

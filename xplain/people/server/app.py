@@ -1,0 +1,77 @@
+"""The application: the pages put together, and what every request passes through."""
+
+from __future__ import annotations
+
+import logging
+
+from flask import Flask, Response, request
+from jinja2 import ChoiceLoader, FileSystemLoader
+from werkzeug.exceptions import HTTPException
+from werkzeug.middleware.proxy_fix import ProxyFix
+from werkzeug.wrappers import Response as AnyResponse
+
+from xplain.people.server import security
+from xplain.people.server.http import Context, Server, context, error_page, owner
+from xplain.people.server.participant_pages import pages as participant_pages
+from xplain.people.server.researcher_pages import pages as researcher_pages
+from xplain.people.server.store import Store
+
+log = logging.getLogger(__name__)
+
+
+def create_app(store: Store, server: Server) -> Flask:
+    """The application for one open store."""
+    app = Flask(__name__)
+    app.config.update(
+        MAX_CONTENT_LENGTH=security.MAX_BODY,
+        MAX_FORM_MEMORY_SIZE=security.MAX_BODY,
+        MAX_FORM_PARTS=200,
+    )
+    own = app.extensions["study"] = Context(store, server)
+    templates = FileSystemLoader(store.site.TEMPLATES)
+    app.jinja_loader = ChoiceLoader([templates, app.jinja_loader])  # type: ignore[list-item]
+    app.jinja_env.trim_blocks = app.jinja_env.lstrip_blocks = True
+    app.jinja_env.globals.update(
+        store.site.drawing() | {"texts": store.site.plan.texts, "words": own.words}
+    )
+    app.before_request(_limit)
+    app.after_request(_secure)
+    app.register_error_handler(HTTPException, _http_error)
+    app.register_error_handler(Exception, _failure)
+    app.add_url_rule("/alive", "alive", lambda: ("alive\n", {"Content-Type": "text/plain"}))
+    app.register_blueprint(participant_pages)
+    app.register_blueprint(researcher_pages)
+    if server.proxies:
+        app.wsgi_app = ProxyFix(app.wsgi_app, server.proxies, server.proxies)  # type: ignore[method-assign]
+    app.wsgi_app = security.ReadToTheEnd(app.wsgi_app)  # type: ignore[method-assign]
+    return app
+
+
+def _limit() -> AnyResponse | None:
+    if request.endpoint in ("static", "alive"):
+        return None
+    who, own = owner(), context()
+    limit = own.participant_limit if who else own.visitor_limit
+    if limit.allows(who or request.remote_addr or "?"):
+        return None
+    response = error_page(429, "too_fast")
+    response.headers["Retry-After"] = "5"
+    return response
+
+
+def _secure(response: Response) -> Response:
+    kept = request.endpoint == "static" and response.status_code == 200
+    return security.secure(response, context().server.https, kept)
+
+
+def _http_error(error: HTTPException) -> AnyResponse:
+    if isinstance(error.code, int) and error.code >= 400:
+        texts = {404: "no_page", 405: "not_here", 413: "too_much"}
+        return error_page(error.code, texts.get(error.code, "not_understood"))
+    return error.get_response()
+
+
+def _failure(error: Exception) -> Response:
+    # Whatever went wrong, the participant gets a page; the log gets the traceback.
+    log.error("request failed", exc_info=error)
+    return error_page(500, "failed")

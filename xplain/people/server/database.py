@@ -1,0 +1,209 @@
+"""The database file: opened by one process, through one locked connection.
+
+What is acknowledged is on the disk (WAL, ``synchronous=FULL``).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import os
+import re
+import secrets
+import sqlite3
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from xplain.errors import InputError, XplainError
+from xplain.people.analysis import log as event_log
+
+Do = Callable[..., sqlite3.Cursor]
+"""Executes a statement within a transaction."""
+
+
+def boot_id() -> str:
+    """Within one of these the monotonic clock can be compared."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return f"process-{os.getpid()}-{secrets.token_hex(4)}"
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The server's two clocks, in seconds."""
+
+    wall: Callable[[], float] = time.time
+    monotonic: Callable[[], float] = time.monotonic
+    boot: str = field(default_factory=boot_id)
+
+
+class Database:
+    """The open file. Safe to use from several threads."""
+
+    def __init__(self, path: Path) -> None:
+        """Opens or creates it.
+
+        Raises:
+            XplainError: another process has it open, or it is broken.
+        """
+        self.path = path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # A server that was just killed may take a moment to let go.
+        self._file_lock = FileLock(f"{path}.lock", thread_local=False)
+        try:
+            self._file_lock.acquire(timeout=5)
+        except Timeout:
+            raise XplainError(f"database={path}: another process is using it") from None
+        try:
+            self.secret = _secret(path)
+            self._lock = threading.RLock()
+            self._connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+            os.chmod(path, 0o600)
+            self._connection.row_factory = sqlite3.Row
+            for pragma in (
+                *("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"),
+                # Deletions that REPLACE makes meet the triggers, and what is erased is gone.
+                *("recursive_triggers=ON", "secure_delete=ON"),
+            ):
+                self._connection.execute(f"PRAGMA {pragma}")
+            self._check()
+        except sqlite3.DatabaseError as error:
+            self._file_lock.release()
+            raise InputError("database", str(path), f"cannot be used ({error})") from None
+        except BaseException:
+            self._file_lock.release()
+            raise
+
+    def _check(self) -> None:
+        (verdict,) = self._connection.execute("PRAGMA integrity_check").fetchone()
+        if verdict != "ok":
+            raise InputError("database", str(self.path), f"damaged: {verdict}; restore a backup")
+        if not self.query("SELECT 1 FROM sqlite_master"):
+            schema = (
+                files("xplain.people.server").joinpath("schema.sql").read_text(encoding="utf-8")
+            )
+            # One script, one transaction: a database exists whole or not at all.
+            self._connection.executescript(f"BEGIN IMMEDIATE;\n{schema}\nCOMMIT;")
+
+    def close(self) -> None:
+        """Lets go of the file."""
+        with self._lock:
+            self._connection.close()
+        self._file_lock.release()
+
+    @contextmanager
+    def transaction(self) -> Iterator[Do]:
+        """All or nothing; on the disk when it is left without an error."""
+        with self._lock:
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._connection.execute
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def query(self, sql: str, parameters: Sequence[Any] = ()) -> list[dict[str, Any]]:
+        """Rows of a reading query."""
+        with self._lock:
+            return [dict(row) for row in self._connection.execute(sql, parameters)]
+
+    def snapshot(self, path: Path) -> None:
+        """A consistent copy of everything, for exports; ``path`` must not exist."""
+        with self._lock:
+            self._connection.execute("VACUUM INTO ?", (str(path),))
+
+    def erase(self, reference: str) -> None:
+        """Erases everything that one participant did or said, and their outside ids.
+
+        The random id, the number of their events and the hashes stay, so that the log can still be
+        checked; the erasure is an event of its own. A protocol that gives places frees theirs by a
+        trigger on ``meta``'s row ``erasing``.
+
+        Args:
+            reference: as the participant was given it; what is no hexadecimal digit is left out.
+
+        Raises:
+            InputError: no such participant, or erased before.
+        """
+        who = "".join(re.findall(r"[0-9a-f]", reference.lower()))
+        found = self.query("SELECT 1 FROM participant WHERE id = ? AND NOT erased", (who,))
+        if not found:
+            raise InputError("reference", reference, "the reference of a participant")
+        with self.transaction() as do:
+            do("INSERT INTO meta VALUES ('erasing', ?)", (who,))
+            do("DELETE FROM step WHERE participant = ?", (who,))
+            do(
+                "UPDATE event SET kind = ?, source = 'erased', source_sequence = sequence, "
+                "wall = 0, monotonic = 0, boot = '', browser = NULL, payload = '{}' "
+                "WHERE participant = ?",
+                (event_log.ERASED, who),
+            )
+            do(
+                "UPDATE participant SET external = NULL, session = NULL, kept = '{}', entered = 0, "
+                "seen = 0, over = 1, state = '{\"stage\": \"erased\"}', code = '', salt = '', "
+                "erased = 1 WHERE id = ?",
+                (who,),
+            )
+            (sequence,) = do(
+                "SELECT max(sequence) + 1 FROM event WHERE participant = ?", (who,)
+            ).fetchone()
+            append(do, (who, sequence, "server", sequence, "erase", 0.0, 0.0, "", None, "{}"))
+            do("DELETE FROM meta WHERE key = 'erasing'")
+        with self._lock:
+            self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            self._connection.execute("VACUUM")
+
+    def keyed(self, *parts: str) -> str:
+        """A hash of texts that are only ever looked up (invitations, outside ids): nobody without
+        the server's secret can make or reverse it."""
+        message = "\x1f".join(parts).encode(errors="replace")
+        return hmac.new(self.secret, message, hashlib.sha256).hexdigest()
+
+
+def append(do: Do, event: Sequence[Any]) -> None:
+    """Appends an event to the log unless its source sent it before.
+
+    Args:
+        do: of the transaction.
+        event: the values of :data:`xplain.people.analysis.log.FIELDS`.
+    """
+    (salt,) = do("SELECT salt FROM participant WHERE id = ?", (event[0],)).fetchone()
+    (head,) = do("SELECT value FROM meta WHERE key = 'head'").fetchone()
+    content = event_log.content_of(event, salt)
+    digest = event_log.linked(head, content)
+    columns = ", ".join(event_log.FIELDS)
+    done = do(
+        f"INSERT INTO event (number, {columns}, content, digest) "
+        "VALUES ((SELECT coalesce(max(number), 0) + 1 FROM event), "
+        "?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) "
+        "ON CONFLICT (participant, source, source_sequence) DO NOTHING",
+        (*event, content, digest),
+    )
+    if done.rowcount:
+        do("UPDATE meta SET value = ? WHERE key = 'head'", (digest,))
+
+
+def _secret(path: Path) -> bytes:
+    """The server's secret, in a file of its own beside the database, for its owner only."""
+    file = path.with_name(path.name + ".key")
+    try:
+        handle = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except FileExistsError:
+        return file.read_bytes()
+    with os.fdopen(handle, "wb") as out:
+        secret = secrets.token_bytes(32)
+        out.write(secret)
+        out.flush()
+        os.fsync(out.fileno())
+    return secret

@@ -1,0 +1,130 @@
+"""What the pages share: how they are served, whose request it is, replies that any page gives."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from flask import Response, current_app, make_response, render_template, request
+from werkzeug.wrappers import Response as AnyResponse
+
+from xplain.errors import InputError
+from xplain.people.server.security import Keys, RateLimit
+from xplain.people.server.store import LETTERS, Participant, Store
+
+PARTICIPANT = "participant"
+"""The cookie of somebody who was let in."""
+
+
+@dataclass(frozen=True)
+class Server:
+    """How the pages are served; no part of the study's plan.
+
+    Attributes:
+        entry: who may come in: "invitation", "prolific", "open" (as pilots).
+        prolific_studies: STUDY_IDs of the platform whose people may come in.
+        keep_prolific_ids: whether a platform's ids are stored in clear; else only keyed hashes.
+        completion_url: where finished participants may go, "" for nowhere. ``{code}`` in it is
+            replaced by the completion code.
+        completion_code: one for all who finish (platforms want that), "" for one a participant.
+        codes: ``{how a part ended: code}``, as ``completion_code``, for the other endings.
+        address: as the outside world types it, for links; "" takes it from the server's own.
+        blinded: whether the researcher's page keeps to itself who has which type and condition.
+        https: whether the outside world sees https.
+        proxies: how many proxies in front add X-Forwarded-For.
+        requests_per_second, burst: limit of a participant.
+        visitors_per_second, visitor_burst: limit of an address, for those without a cookie.
+    """
+
+    entry: tuple[str, ...] = ("invitation",)
+    prolific_studies: tuple[str, ...] = ()
+    keep_prolific_ids: bool = False
+    completion_url: str = ""
+    completion_code: str = ""
+    codes: Mapping[str, str] = field(default_factory=dict)
+    address: str = ""
+    blinded: bool = True
+    https: bool = False
+    proxies: int = 0
+    requests_per_second: float = 5.0
+    burst: float = 40.0
+    visitors_per_second: float = 20.0
+    visitor_burst: float = 300.0
+
+    def __post_init__(self) -> None:
+        """Raises InputError: an unknown way to come in, or a platform without its studies."""
+        object.__setattr__(self, "entry", tuple(self.entry))
+        object.__setattr__(self, "prolific_studies", tuple(self.prolific_studies))
+        if "prolific" in self.entry and not self.prolific_studies:
+            raise InputError(
+                "server.prolific_studies",
+                [],
+                "the STUDY_IDs whose people may come in, since server.entry has prolific",
+            )
+        for kind in self.entry:
+            if kind not in ("invitation", "prolific", "open"):
+                raise InputError("server.entry", kind, "invitation, prolific or open")
+
+
+class Context:
+    """What every page needs.
+
+    Attributes:
+        sessions: of the researchers who are logged in, until the server ends.
+        invitations: made lately, ``{name: tokens}``: shown again where the page is reloaded.
+    """
+
+    def __init__(self, store: Store, server: Server) -> None:
+        self.store, self.site, self.server = store, store.site, server
+        self.words: Mapping[str, str] = store.site.flow.words
+        self.keys = Keys(store.secret)
+        self.participant_limit = RateLimit(server.requests_per_second, server.burst)
+        self.visitor_limit = RateLimit(server.visitors_per_second, server.visitor_burst)
+        self.sessions: set[str] = set()
+        self.invitations: dict[str, list[str]] = {}
+
+    def say(self, key: str) -> str:
+        """The words of a key; what is no key is said as it is."""
+        return self.words.get(key, key)
+
+    def code(self, found: Participant) -> str:
+        """What a participant shows to be paid: one for each way in which a part can end, so that
+        nobody who did not finish has the code of those who did."""
+        stage = found.state.stage
+        configured = self.server.codes.get(stage, "")
+        if stage == "done":
+            return configured or self.server.completion_code or found.code
+        digest = hashlib.sha256(f"{found.code} {stage}".encode()).digest()
+        return configured or "".join(LETTERS[byte % len(LETTERS)] for byte in digest[:8])
+
+
+def context() -> Context:
+    """The context of the running application."""
+    found: Context = current_app.extensions["study"]
+    return found
+
+
+def owner() -> str | None:
+    """The participant whose cookie came along, if the cookie is genuine."""
+    return context().keys.owner(request.cookies.get(PARTICIPANT, ""))
+
+
+def genuine(who: str) -> bool:
+    """Whether the form that was sent carries the token of this participant or visitor."""
+    return bool(who) and context().keys.owns_form(who, request.form.get("token", ""))
+
+
+def error_page(status: int, text: str) -> Response:
+    """A page that says what is wrong, by the key of its words or in words."""
+    return make_response(
+        render_template("error.html", text=context().say(text), status=status), status
+    )
+
+
+def set_cookie(response: AnyResponse, name: str, value: str, samesite: str = "Lax") -> None:
+    """A cookie that scripts cannot read."""
+    https = context().server.https
+    response.set_cookie(
+        name, value, httponly=True, samesite=samesite, secure=https, max_age=14 * 86400
+    )

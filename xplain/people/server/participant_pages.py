@@ -1,0 +1,252 @@
+"""The participants' pages. One address for all of them: it shows where the participant is, so
+reload, back button, a second tab or a restart of the server end up at the same place."""
+
+from __future__ import annotations
+
+import re
+import secrets
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from flask import Blueprint, Response, make_response, redirect, render_template, request, url_for
+from pydantic import BaseModel, Field, ValidationError
+from werkzeug.wrappers import Response as AnyResponse
+
+from xplain.errors import Refused
+from xplain.people.server.http import (
+    PARTICIPANT,
+    context,
+    error_page,
+    genuine,
+    owner,
+    set_cookie,
+)
+from xplain.people.server.site import Full
+from xplain.people.server.store import Participant, Unknown
+
+pages = Blueprint("participant", __name__)
+VISITOR = "visitor"
+"""The cookie of somebody who has not entered yet; forms are bound to it."""
+TAB_KINDS = Literal["visible", "hidden", "label", "recall", "retry"]
+MAX_ITEMS = 50
+_PROLIFIC = ("PROLIFIC_PID", "STUDY_ID", "SESSION_ID")
+
+# Entry -----------------------------------------------------------------------------------------
+
+
+@pages.get("/")
+def entrance() -> AnyResponse:
+    """Where invitations and recruiting platforms lead; changes nothing yet."""
+    visitor = request.cookies.get(VISITOR, "")
+    if not (len(visitor) == 32 and visitor.isascii() and visitor.isalnum()):
+        visitor = secrets.token_hex(16)
+    own = context()
+    prolific = [request.args.get(key, "")[:100] for key in _PROLIFIC]
+    response = make_response(
+        render_template(
+            "entrance.html",
+            token=own.keys.form(visitor),
+            invitation=request.args.get("invitation", "")[:100],
+            prolific=dict(zip(_PROLIFIC, prolific, strict=True)) if all(prolific) else {},
+            entry=own.server.entry,
+        )
+    )
+    set_cookie(response, VISITOR, visitor)
+    return response
+
+
+@pages.post("/enter")
+def enter() -> AnyResponse:
+    """Admits, or leads back to where the participant was."""
+    own = context()
+    if not genuine(request.cookies.get(VISITOR, "")):
+        return error_page(403, "old_form")
+    ids = [request.form.get(key, "") for key in _PROLIFIC]
+    theirs = "prolific" in own.server.entry and ids[1] in own.server.prolific_studies
+    invitation = request.form.get("invitation", "").strip()
+    try:
+        if all(ids) and theirs:
+            if max(map(len, ids)) > 100:
+                raise Unknown
+            who = own.store.enter_prolific(
+                ids[0], ids[1], ids[2], keep=own.server.keep_prolific_ids
+            )
+        elif invitation and "invitation" in own.server.entry:
+            who = own.store.enter_invited(invitation)
+        elif "open" in own.server.entry and not invitation:
+            who = own.store.enter_open()
+        else:
+            raise Unknown
+    except Unknown:
+        return error_page(403, "not_invited")
+    response = redirect(url_for("participant.show"), 303)
+    set_cookie(response, PARTICIPANT, own.keys.cookie(who))
+    return response
+
+
+# The pages of the study ------------------------------------------------------------------------
+
+
+def _current() -> Participant | None:
+    who = owner()
+    try:
+        return context().store.participant(who) if who else None
+    except Unknown:
+        return None
+
+
+@pages.get("/study")
+def show() -> AnyResponse:
+    """The page where the participant is."""
+    found = _current()
+    if found is None:
+        return error_page(403, "no_invitation")
+    return _page(found)
+
+
+def _page(found: Participant, problem: str = "", status: int = 200) -> Response:
+    own = context()
+    flow = own.site.flow
+    stage = found.state.stage
+    own.store.shown(found.id, found.state.accepted, stage)
+    code = own.code(found)
+    return make_response(
+        render_template(
+            "ended.html" if found.state.over else f"{stage}.html",
+            **flow.view(found.state),
+            token=own.keys.form(found.id),
+            kind=flow.waits_for(found.state),
+            problem=own.say(problem),
+            reference="-".join(re.findall(".{4}", found.id)),
+            code=code,
+            back=own.server.completion_url.replace("{code}", code),
+            stages=flow.stages,
+            stream=found.stream,
+        ),
+        status,
+    )
+
+
+@pages.post("/study")
+def answer() -> AnyResponse:
+    """Accepts an answer, once, and leads on. Says 303 only when the answer is on the disk."""
+    found = _current()
+    if found is None:
+        return error_page(403, "no_invitation")
+    own, form = context(), request.form
+    if not genuine(found.id):
+        return error_page(403, "not_yours")
+    kind = form.get("kind", "")[:20]
+    try:
+        if kind == "time_out":
+            raise Refused("not_understood")
+        own.store.submit(
+            found.id,
+            sequence_of(form),
+            kind,
+            own.site.flow.read(found.state, kind, form),
+            milliseconds(form.get("ms")),
+        )
+    except Full as error:
+        return _page(found, str(error), 503)
+    except Refused as error:
+        return _page(own.store.participant(found.id), str(error), 400)
+    return redirect(url_for("participant.show"), 303)
+
+
+@pages.get("/consent.txt")
+def consent() -> AnyResponse:
+    """A copy of the consent text to keep."""
+    texts = context().site.plan.texts
+    content = "\n\n".join([texts.title, *texts.consent, texts.contact, texts.consent_hash])
+    reply = make_response(content + "\n")
+    reply.headers["Content-Type"] = "text/plain; charset=utf-8"
+    reply.headers["Content-Disposition"] = "attachment; filename=consent.txt"
+    return reply
+
+
+@pages.get("/picture/<name>")
+def picture(name: str) -> AnyResponse:
+    """An image that belongs to the plan."""
+    found = context().site.file(name)
+    if found is None:
+        return error_page(404, "There is no such page.")
+    media, content = found
+    response = make_response(content)
+    response.headers["Content-Type"] = media
+    return response
+
+
+@pages.post("/events")
+def events() -> AnyResponse:
+    """A page's own events: seen, hidden, a label clicked. Changes no state."""
+    found = _current()
+    try:
+        value: Any = request.get_json(force=True, silent=True)
+    except RecursionError:  # brackets within brackets
+        value = None
+    token = value.get("token") if isinstance(value, dict) else None
+    keys = context().keys
+    if found is None or not isinstance(token, str) or not keys.owns_form(found.id, token):
+        return make_response({"error": "not yours"}, 403)
+    try:
+        tab, items = tab_items(value)
+        context().store.from_tab(found.id, tab, items)
+    except Refused as error:
+        return make_response({"error": str(error)}, 400)
+    return make_response({"kept": len(items)})
+
+
+# From what a browser sent; nothing of it is trusted ----------------------------------------------
+
+
+class Item(BaseModel, strict=True):
+    """One event of a page: its number there, the page's clock, the browser's wall clock (ms)."""
+
+    n: int = Field(ge=0, lt=100_000)
+    kind: TAB_KINDS
+    ms: float = Field(ge=0, lt=1e14)
+    at: float = Field(ge=0, lt=1e14)
+    what: str = Field("", max_length=40)
+
+
+class Report(BaseModel, strict=True):
+    """A page's own events."""
+
+    tab: str = Field(pattern=r"^[a-z0-9]{8,32}$")
+    items: list[Item] = Field(max_length=MAX_ITEMS)
+
+
+def tab_items(value: object) -> tuple[str, list[tuple[int, str, float, dict[str, Any]]]]:
+    """A page's own events, as the store keeps them.
+
+    Raises:
+        Refused: anything else.
+    """
+    try:
+        report = Report.model_validate(value)
+    except ValidationError:
+        raise Refused("not_understood") from None
+    items = [(i.n, str(i.kind), i.ms, {"at": i.at, "what": i.what}) for i in report.items]
+    return report.tab, items
+
+
+def sequence_of(form: Mapping[str, str]) -> int:
+    """The page's sequence number.
+
+    Raises:
+        Refused: it is none.
+    """
+    text = form.get("sequence", "")
+    if not (0 < len(text) <= 6 and text.isascii() and text.isdigit()):
+        raise Refused("not_complete")
+    return int(text)
+
+
+def milliseconds(value: object) -> float | None:
+    """The page's clock reading: a number of a credible size, else None."""
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return None
+    return number if 0 <= number < 1e10 else None

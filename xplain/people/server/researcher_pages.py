@@ -1,0 +1,173 @@
+"""The researcher's page: what can be done, who is where, invitations, the data.
+
+Who has which type and condition stays hidden unless the server is told otherwise.
+"""
+
+from __future__ import annotations
+
+import io
+import secrets
+import tempfile
+import zipfile
+from pathlib import Path
+
+from flask import Blueprint, Response, make_response, redirect, render_template, request, url_for
+from werkzeug.wrappers import Response as AnyResponse
+
+from xplain.errors import InputError, Refused
+from xplain.people.analysis.stored import STREAMS
+from xplain.people.flow import small
+from xplain.people.server.http import (
+    PARTICIPANT,
+    context,
+    error_page,
+    genuine,
+    set_cookie,
+)
+
+pages = Blueprint("researcher", __name__, url_prefix="/researcher")
+COOKIE = "researcher"
+MOST_INVITATIONS = 500
+MOST_BATCHES = 20
+"""Batches of invitations that can be looked at again."""
+
+
+def _session() -> str | None:
+    """Of the researcher who is logged in."""
+    session = context().keys.session(request.cookies.get(COOKIE, ""))
+    return session if session in context().sessions else None
+
+
+@pages.before_request
+def _only_known() -> AnyResponse | None:
+    """Nothing is done without a login and the form's token."""
+    free = request.endpoint == "researcher.login" or request.method not in ("POST", "PUT")
+    if free or genuine(_session() or ""):
+        return None
+    return error_page(403, "Please log in first.")
+
+
+@pages.get("")
+def overview() -> AnyResponse:
+    """Everything at a glance, or the way in."""
+    own, session = context(), _session()
+    if session is None:
+        return make_response(render_template("login.html"))
+    own.store.time_out_stale()
+    site, blinded = own.site, own.server.blinded
+    people = own.store.query(
+        "SELECT id, stream, state, entered, seen FROM participant WHERE NOT erased "
+        "ORDER BY over, seen DESC LIMIT 500"
+    )
+    flow = own.store.query(
+        "SELECT stream, json_extract(state, '$.stage') AS stage, count(*) AS number "
+        "FROM participant GROUP BY 1, 2"
+    )
+    address = own.server.address.rstrip("/") or request.host_url.rstrip("/")
+    return make_response(
+        render_template(
+            site.OVERVIEW,
+            **site.glance(own.store.query),
+            token=own.keys.form(session),
+            columns=site.about(site.state(), blinded),
+            people=[p | {"about": site.about(site.state(p["state"]), blinded)} for p in people],
+            now=own.store.clock.wall(),
+            stages=(*site.flow.stages, *site.flow.STATE.ENDS),
+            flow={(row["stream"], row["stage"]): row["number"] for row in flow},
+            streams=[name for name in STREAMS if any(row["stream"] == name for row in flow)],
+            entrance=address + url_for("participant.entrance"),
+            invitations=own.invitations.get(request.args.get("made", ""), []),
+            plan_hash=site.plan.hash,
+            paused=own.store.paused,
+            blinded=blinded,
+            head=own.store.query("SELECT value FROM meta WHERE key = 'head'")[0]["value"],
+        )
+    )
+
+
+@pages.post("/login")
+def login() -> AnyResponse:
+    """Trades the key for a session of one's own."""
+    own = context()
+    if not own.keys.is_researcher(request.form.get("key", "")):
+        return error_page(403, "This is not the researcher's key. The server prints it at start.")
+    session = secrets.token_hex(16)
+    own.sessions.add(session)
+    response = _back()
+    set_cookie(response, COOKIE, own.keys.session_cookie(session), "Strict")
+    return response
+
+
+@pages.post("/logout")
+def logout() -> AnyResponse:
+    """Ends this browser's session, here and in the browser."""
+    context().sessions.discard(_session() or "")
+    response = _back()
+    response.delete_cookie(COOKIE)
+    return response
+
+
+@pages.post("/invitations")
+def invitations() -> AnyResponse:
+    """Makes invitations; the page that is led to shows them."""
+    count, stream = small(request.form.get("count", "")), request.form.get("stream", "")
+    if not count or count > MOST_INVITATIONS or stream not in STREAMS:
+        return error_page(400, f"1 to {MOST_INVITATIONS} invitations: {', '.join(STREAMS)}.")
+    made, name = context().invitations, secrets.token_hex(8)
+    made[name] = context().store.invite(count, stream)
+    for old in list(made)[:-MOST_BATCHES]:
+        del made[old]
+    return redirect(url_for("researcher.overview", made=name), 303)
+
+
+@pages.post("/pause")
+def pause() -> AnyResponse:
+    """Lets nobody new in, or lets them in again."""
+    context().store.pause(request.form.get("on") == "1")
+    return _back()
+
+
+@pages.post("/preview")
+def preview() -> AnyResponse:
+    """Makes this browser a pilot of a chosen type and condition."""
+    own, cell = context(), small(request.form.get("cell", ""))
+    try:
+        who = own.store.enter_preview(-1 if cell is None else cell)
+    except Refused as error:
+        return error_page(400, str(error))
+    response = redirect(url_for("participant.show"), 303)
+    set_cookie(response, PARTICIPANT, own.keys.cookie(who))
+    return response
+
+
+@pages.post("/erase")
+def erase() -> AnyResponse:
+    """Erases the data of the participant who gave their reference."""
+    try:
+        context().store.erase(request.form.get("reference", "")[:100])
+    except InputError as error:
+        return error_page(404, f"Nobody has this reference, or no data any more: {error.value!r}")
+    return _back()
+
+
+@pages.post("/export")
+def export() -> AnyResponse:
+    """All data as one archive, made from a snapshot."""
+    archive = io.BytesIO()
+    with tempfile.TemporaryDirectory() as folder:
+        snapshot = Path(folder) / "snapshot.sqlite"
+        context().store.snapshot(snapshot)
+        tables = Path(folder) / "tables"
+        context().site.export(snapshot, tables)
+        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as out:
+            for file in sorted([snapshot, *tables.iterdir()]):
+                out.write(file, f"study/{file.name}")
+    response = make_response(archive.getvalue())
+    response.headers["Content-Type"] = "application/zip"
+    response.headers["Content-Disposition"] = "attachment; filename=study.zip"
+    return response
+
+
+def _back() -> Response:
+    response: Response = redirect(url_for("researcher.overview"), 303)  # type: ignore[assignment]
+    return response

@@ -1,0 +1,193 @@
+"""A flow as the server runs it, such as the study's or that of a collection of labels.
+
+The flow is pure; a site is what belongs to it outside: places, drawings, the researcher's page,
+tables. The store keeps its states and events, the pages show what it says; neither knows which
+flow it is.
+"""
+
+from __future__ import annotations
+
+import functools
+import sqlite3
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Generic, Self, TypeVar
+
+from markupsafe import Markup
+
+from xplain.errors import Refused
+from xplain.people.analysis.export import Participant
+from xplain.people.analysis.replay import Findings, replayed
+from xplain.people.flow import Flow, State
+from xplain.people.plan import StoredPlan
+from xplain.people.server import map_svg
+from xplain.people.server.database import Do
+
+Query = Callable[[str], list[dict[str, Any]]]
+"""Rows of a reading query."""
+F = TypeVar("F", bound=Flow[Any, Any])
+
+
+class Full(Refused):
+    """No place is free now."""
+
+
+class Site(Generic[F]):
+    """A flow at work. The defaults are those of one in which nobody needs a place.
+
+    Attributes:
+        PLAN: class of its plans.
+        TEMPLATES: folder of its pages, one named like each stage.
+        OVERVIEW: template of the researcher's page.
+        STEP: what it calls a row of the step table.
+        flow: with its plan.
+    """
+
+    PLAN: ClassVar[type[StoredPlan]]
+    TEMPLATES: ClassVar[Path]
+    OVERVIEW: ClassVar[str]
+    STEP: ClassVar[str] = "step"
+
+    def __init__(self, flow: F) -> None:
+        self.flow = flow
+        self.plan = flow.plan
+
+    # Made from a configuration, and from a stored plan -------------------------------------------
+
+    @classmethod
+    def new_plan(cls, cfg: Any) -> Any:
+        """The plan that a configuration describes.
+
+        Raises:
+            XplainError: the configuration cannot be used; the text says what to change.
+        """
+        raise NotImplementedError
+
+    @classmethod
+    def of(cls, plan: Any) -> Self:
+        """A plan at work.
+
+        Raises:
+            XplainError: the installed code decides differently from the code that made the plan.
+        """
+        raise NotImplementedError
+
+    def announcement(self) -> str:
+        """What a start of the server says of the plan."""
+        return ""
+
+    def state(self, text: str | None = None) -> Any:
+        """The state that a text stands for; the first one without it."""
+        return self.flow.STATE() if text is None else self.flow.STATE.from_text(text)
+
+    # Places, within the transaction of the event that needs them ---------------------------------
+
+    def found(self, do: Do) -> None:
+        """What a new database holds besides the plan."""
+
+    def admit(self, do: Do, person: Mapping[str, Any]) -> Mapping[str, Any]:
+        """What the consent of a participant (a row of the table) carries from elsewhere.
+
+        Raises:
+            Full: nobody can be admitted now.
+        """
+        return {}
+
+    def readmit(self, do: Do, person: Mapping[str, Any], state: Any) -> Mapping[str, Any]:
+        """What the return of a participant who was silent for too long carries, as :meth:`admit`.
+
+        Raises:
+            Full: no place is free.
+            Refused: they are not away.
+        """
+        return {}
+
+    def pin(self, do: Do, who: str, cell: int) -> None:
+        """Makes a participant one of that cell of the plan (a type under a condition), in the
+        order of the researcher's page.
+
+        Raises:
+            Refused: there is no such cell.
+        """
+        raise Refused("not_here")
+
+    def settle(self, do: Do, who: str, stage: str) -> None:
+        """The end of somebody's part."""
+
+    def forget(self) -> None:
+        """Drops what is kept in memory to answer sooner: somebody's data was erased."""
+        State.from_text.cache_clear()
+
+    # Pages ---------------------------------------------------------------------------------------
+
+    def drawing(self) -> dict[str, Any]:
+        """What every template may use: ``map``, ``legend``, ``changes``, ``titles``."""
+        words = self.plan.texts.words
+
+        @functools.lru_cache(4096)
+        def drawn(what: Hashable) -> Markup:
+            return Markup(self.picture(what))
+
+        legend = map_svg.legend(self.plan, self.way_in_legend)
+        return {
+            "map": drawn,
+            "legend": [(name, Markup(svg)) for name, svg in legend],
+            "changes": self.plan.changes,
+            "titles": {stage: words[stage] for stage in self.flow.stages[:-1]},
+        }
+
+    @property
+    def way_in_legend(self) -> bool:
+        """Whether pages show more than one step."""
+        return False
+
+    def picture(self, what: Any) -> str:
+        """The map with what a page's template asks for; "" without a map."""
+        raise NotImplementedError
+
+    def file(self, name: str) -> tuple[str, bytes] | None:
+        """A picture that belongs to the plan: media type and content."""
+        return None
+
+    def glance(self, query: Query) -> dict[str, Any]:
+        """What the researcher's page shows besides participants and stages; ``data`` names the
+        tables of the export."""
+        raise NotImplementedError
+
+    def about(self, state: Any, blinded: bool) -> dict[str, str]:
+        """What the researcher's page says of a participant, by column.
+
+        Args:
+            state: of the participant.
+            blinded: whether that may tell who gets what.
+        """
+        step = self.step_of(state)
+        return {"Stage": state.stage.replace("_", " ") + (f", {step}" if step else "")}
+
+    def step_of(self, state: Any) -> str:
+        """How far they are within a stage of several pages; empty elsewhere."""
+        raise NotImplementedError
+
+    # Data ----------------------------------------------------------------------------------------
+
+    @staticmethod
+    def export(database: Path, folder: Path) -> str:
+        """Writes the tables of a database (better: of a snapshot); the head of its log."""
+        raise NotImplementedError
+
+    def replay(self, connection: sqlite3.Connection, head: str = "") -> Findings:
+        """Compares everything that can be computed from the events with what is stored.
+
+        Args:
+            connection: to the database; its rows are mappings.
+            head: of the log, as an earlier export printed it, or its first characters; "" for none.
+        """
+        found, people = replayed(connection, self.flow, head, self.STEP)
+        found.differences += self.unequal(connection, people)
+        return found
+
+    def unequal(
+        self, connection: sqlite3.Connection, people: list[Participant[Any]]
+    ) -> Iterable[str]:
+        """What else differs from what the log says, a sentence each."""
+        return ()

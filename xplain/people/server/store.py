@@ -1,0 +1,351 @@
+"""The server's memory of its participants.
+
+Every change happens in one transaction: the event, the participant's state, the slot, the policy's
+step. An event that comes twice is stored once.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from xplain.errors import InputError, Refused
+from xplain.people.analysis.stored import STREAMS
+from xplain.people.flow import State
+from xplain.people.server.database import Clock, Database, Do, append
+from xplain.people.server.site import Site
+
+LETTERS = "BCDFGHJKLMNPQRSTVWXZ"
+"""Of completion codes: no vowels, so no words, and no digits that look like a number."""
+ANSWERED = """UPDATE step SET labels = :labels, belief_after = :belief_after
+    WHERE participant = :participant AND k = :k"""
+DECIDED = """INSERT INTO step VALUES (:participant, :k, :belief_before, :given, :messages,
+    :action_values, :labels, :belief_after)"""
+OTHER_PLAN = (
+    "belongs to another study plan, or was begun by an earlier version: go on with that one, or "
+    "take another database (export and replay read this one)"
+)
+MAX_TAB_EVENTS = 5000
+"""Events of a participant's pages that are kept; a study page makes a few dozen."""
+
+
+class Unknown(Exception):
+    """No such participant, invitation or key."""
+
+
+@dataclass(frozen=True)
+class Participant:
+    """A participant as the pages need it."""
+
+    id: str
+    stream: str
+    state: State
+    code: str
+
+
+class Store(Database):
+    """Everything the server knows. Safe to call from several threads."""
+
+    def __init__(self, path: Path, site: Site[Any], clock: Clock | None = None) -> None:
+        """Opens or creates the database.
+
+        Raises:
+            XplainError: another process has it open, it belongs to another plan, or it is broken.
+        """
+        super().__init__(path)
+        self.site, self.clock = site, clock or Clock()
+        plan = site.plan
+        try:
+            with self.transaction() as do:
+                row = do("SELECT value FROM meta WHERE key = 'plan'").fetchone()
+                if row is None:
+                    do("INSERT INTO meta VALUES ('plan', ?)", (plan.text,))
+                    do("INSERT INTO meta VALUES ('plan_hash', ?)", (plan.hash,))
+                    do("INSERT INTO meta VALUES ('head', ?)", (plan.hash,))
+                    self.site.found(do)
+                elif row[0] != plan.text:
+                    raise InputError("database", str(path), OTHER_PLAN)
+        except BaseException:
+            self.close()
+            raise
+
+    def erase(self, reference: str) -> None:
+        """Also from what the protocol keeps in memory; see :meth:`Database.erase`."""
+        super().erase(reference)
+        self.site.forget()
+
+    # Entry -------------------------------------------------------------------------------------
+
+    def invite(self, count: int, stream_name: str) -> list[str]:
+        """New invitation tokens, shown once: only their keyed hashes are stored."""
+        if stream_name not in STREAMS:
+            raise InputError("stream", stream_name, ", ".join(STREAMS))
+        tokens = [secrets.token_urlsafe(12) for _ in range(count)]
+        with self.transaction() as do:
+            for token in tokens:
+                do(
+                    "INSERT INTO invitation VALUES (?, ?, NULL)",
+                    (self.keyed("token", token), stream_name),
+                )
+        return tokens
+
+    def enter_invited(self, token: str) -> str:
+        """The participant of an invitation, made at its first use.
+
+        Raises:
+            Unknown: no such token.
+        """
+        hashed = self.keyed("token", token)
+        with self.transaction() as do:
+            row = do("SELECT * FROM invitation WHERE token = ?", (hashed,)).fetchone()
+            if row is None:
+                raise Unknown
+            if row["participant"]:
+                return self._resume(do, row["participant"])
+            who = self._enter(do, row["stream"], "invitation")
+            do("UPDATE invitation SET participant = ? WHERE token = ?", (who, hashed))
+            return who
+
+    def enter_prolific(self, person: str, study: str, session: str, keep: bool) -> str:
+        """The participant of a recruiting platform's ids, made at their first use.
+
+        Raises:
+            Unknown: this person came before, in another session.
+        """
+        external, hashed = self.keyed("prolific", person, study), self.keyed("session", session)
+        with self.transaction() as do:
+            row = do("SELECT * FROM participant WHERE external = ?", (external,)).fetchone()
+            if row is None:
+                ids = {"PROLIFIC_PID": person, "STUDY_ID": study, "SESSION_ID": session}
+                kept = json.dumps(ids if keep else {})
+                return self._enter(do, "person", "prolific", external, hashed, kept)
+            if row["session"] != hashed:
+                raise Unknown
+            return self._resume(do, row["id"])
+
+    def enter_preview(self, cell: int) -> str:
+        """A pilot whose part of the plan the researcher chose, not chance.
+
+        Raises:
+            Refused: the protocol has no such cell.
+        """
+        with self.transaction() as do:
+            who = self._enter(do, "pilot", "preview")
+            self.site.pin(do, who, cell)
+            return who
+
+    def enter_open(self) -> str:
+        """A new participant without an invitation, where the config allows it."""
+        with self.transaction() as do:
+            return self._enter(do, "pilot", "open")
+
+    def _enter(
+        self,
+        do: Do,
+        stream_name: str,
+        entry: str,
+        external: str | None = None,
+        session: str | None = None,
+        kept: str = "{}",
+    ) -> str:
+        who, now = secrets.token_hex(8), self.clock.wall()
+        code = "".join(secrets.choice(LETTERS) for _ in range(8))
+        do(
+            "INSERT INTO participant VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, 0, ?, ?, ?, 0)",
+            (
+                who,
+                stream_name,
+                entry,
+                external,
+                session,
+                kept,
+                now,
+                now,
+                self.site.state().text,
+                code,
+                secrets.token_hex(16),
+            ),
+        )
+        about = {"entry": entry, "stream": stream_name, "code": code}
+        self._record(do, who, "server", None, "enter", about)
+        return who
+
+    def _resume(self, do: Do, who: str) -> str:
+        self._record(do, who, "server", None, "resume", {})
+        return who
+
+    @property
+    def paused(self) -> bool:
+        """Whether nobody new is let in."""
+        return bool(self.query("SELECT 1 FROM control WHERE key = 'paused'"))
+
+    def pause(self, on: bool) -> None:
+        """Lets nobody new in, or lets them in again. Who has begun goes on."""
+        insert = "INSERT INTO control VALUES ('paused', '1') ON CONFLICT DO NOTHING"
+        with self.transaction() as do:
+            do(insert if on else "DELETE FROM control WHERE key = 'paused'")
+
+    # The participant's way ---------------------------------------------------------------------
+
+    def participant(self, who: str) -> Participant:
+        """The participant with this id, with their present state.
+
+        Raises:
+            Unknown: there is none.
+        """
+        for row in self.query("SELECT * FROM participant WHERE id = ? AND NOT erased", (who,)):
+            return Participant(who, row["stream"], self.site.state(row["state"]), row["code"])
+        raise Unknown
+
+    def submit(
+        self,
+        who: str,
+        sequence: int,
+        kind: str,
+        payload: Mapping[str, Any],
+        browser: float | None = None,
+    ) -> State:
+        """Accepts an answer, once.
+
+        Args:
+            who: the participant.
+            sequence: of the answer, ``state.accepted`` of the page that it was given on. A
+                smaller number was accepted before: nothing happens.
+            kind, payload: for the protocol.
+            browser: the page's ``performance.now``, ms.
+
+        Returns:
+            The state to go on with; on the disk when this returns.
+
+        Raises:
+            Unknown, Refused.
+        """
+        with self.transaction() as do:
+            row = do("SELECT * FROM participant WHERE id = ?", (who,)).fetchone()
+            if row is None:
+                raise Unknown
+            state: State = self.site.state(row["state"])
+            if sequence < state.accepted:
+                return state
+            if sequence > state.accepted:
+                raise Refused("not_yet")
+            if state.over and kind != "return":
+                return state
+            if kind == "consent" and payload.get("agree"):
+                if row["stream"] == "person" and self.paused:
+                    raise Refused("paused")
+                self._time_out_stale(do)
+                payload = {**payload, **self.site.admit(do, row)}
+            elif kind == "return":
+                self._time_out_stale(do)
+                payload = self.site.readmit(do, row, state)
+            return self._accept(do, who, state, kind, payload, browser)
+
+    def _accept(
+        self,
+        do: Do,
+        who: str,
+        state: State,
+        kind: str,
+        payload: Mapping[str, Any],
+        browser: float | None,
+    ) -> State:
+        outcome = self.site.flow.advance(state, kind, payload)
+        after: State = outcome.state
+        self._record(do, who, "protocol", state.accepted, kind, payload, browser)
+        for row, sql in ((outcome.answer, ANSWERED), (outcome.decision, DECIDED)):
+            if row:
+                do(sql, {"participant": who, "k": row.step, **row.columns})
+        do(
+            "UPDATE participant SET state = ?, over = ? WHERE id = ?",
+            (after.text, after.over, who),
+        )
+        if after.over and not state.over:
+            self.site.settle(do, who, after.stage)
+        return after
+
+    def shown(self, who: str, sequence: int, stage: str) -> None:
+        """Notes that a page was rendered for the first time."""
+        # Most repeats are reloads; they need no transaction.
+        known = self.query(
+            "SELECT 1 FROM event WHERE participant = ? AND source = 'shown' "
+            "AND source_sequence = ?",
+            (who, sequence),
+        )
+        if not known:
+            with self.transaction() as do:
+                self._record(do, who, "shown", sequence, "shown", {"stage": stage})
+
+    def from_tab(
+        self, who: str, tab: str, items: Sequence[tuple[int, str, float, dict[str, Any]]]
+    ) -> None:
+        """Keeps a page's own events (number, kind, ms, payload); repeats are dropped.
+
+        Raises:
+            Unknown, Refused: too many.
+        """
+        with self.transaction() as do:
+            row = do(
+                "SELECT count(*) AS c, (SELECT id FROM participant WHERE id = ?) AS id FROM event "
+                "WHERE participant = ? AND source LIKE 'tab:%'",
+                (who, who),
+            ).fetchone()
+            if row["id"] is None:
+                raise Unknown
+            if row["c"] + len(items) > MAX_TAB_EVENTS:
+                raise Refused("too_much")
+            for number, kind, browser, payload in items:
+                self._record(do, who, f"tab:{tab}", number, kind, payload, browser)
+
+    def _record(
+        self,
+        do: Do,
+        who: str,
+        source: str,
+        source_sequence: int | None,
+        kind: str,
+        payload: Mapping[str, Any],
+        browser: float | None = None,
+    ) -> None:
+        """Appends an event unless its source sent it before; ``None`` numbers it here."""
+        (sequence,) = do(
+            "SELECT coalesce(max(sequence) + 1, 0) FROM event WHERE participant = ?", (who,)
+        ).fetchone()
+        now = self.clock.wall()
+        append(
+            do,
+            (
+                who,
+                sequence,
+                source,
+                sequence if source_sequence is None else source_sequence,
+                kind,
+                now,
+                self.clock.monotonic(),
+                self.clock.boot,
+                browser,
+                json.dumps(payload, sort_keys=True),
+            ),
+        )
+        do("UPDATE participant SET seen = ? WHERE id = ?", (now, who))
+
+    def time_out_stale(self) -> int:
+        """Gives the places of everybody silent for too long to others; returns how many. They may
+        come back while places are free. Nobody's time runs before they have agreed to take part."""
+        with self.transaction() as do:
+            return self._time_out_stale(do)
+
+    def _time_out_stale(self, do: Do) -> int:
+        limit = self.clock.wall() - 60 * self.site.plan.rules.timeout_minutes
+        stale = do(
+            "SELECT id, state FROM participant WHERE over = 0 AND seen < ? "
+            "AND json_extract(state, '$.stage') != 'consent'",
+            (limit,),
+        ).fetchall()
+        for row in stale:
+            self._accept(do, row["id"], self.site.state(row["state"]), "time_out", {}, None)
+        return len(stale)

@@ -1,0 +1,132 @@
+"""A simulated participant in a real browser: Debian's chromium and chromium-driver, by selenium."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from xplain.errors import InputError
+from xplain.people.simulation.browser import Fields, Page, Visitor, walk
+
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--window-size=1280,900",
+)
+Driver = Any
+
+
+def missing() -> str:
+    """What to install before a browser can be driven; "" if nothing."""
+    try:
+        import selenium  # noqa: F401
+    except ImportError:
+        return "selenium (pip install selenium)"
+    if not (shutil.which("chromium") or shutil.which("google-chrome")):
+        return "Chromium (Debian: apt-get install chromium)"
+    return "" if shutil.which("chromedriver") else "its driver (Debian: chromium-driver)"
+
+
+@contextmanager
+def browser() -> Iterator[Driver]:
+    """A new Chromium with an empty profile.
+
+    Raises:
+        InputError: something is not installed.
+    """
+    if what := missing():
+        raise InputError("--chromium", "not here", f"install {what}")
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium") or shutil.which("google-chrome") or ""
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        for flag in (*FLAGS, f"--user-data-dir={profile}"):
+            options.add_argument(flag)
+        service = webdriver.ChromeService(executable_path=shutil.which("chromedriver"))
+        driver = webdriver.Chrome(options=options, service=service)
+        driver.implicitly_wait(3)
+        try:
+            yield driver
+        finally:
+            driver.quit()
+
+
+def sequence(driver: Driver) -> str | None:
+    """The number of the page, once it is there and whole."""
+    from selenium.common.exceptions import WebDriverException
+
+    script = "return document.readyState === 'complete' ? document.body.dataset.sequence : null"
+    try:
+        found: str | None = driver.execute_script(script)
+    except WebDriverException:  # between two pages
+        return None
+    return found
+
+
+def wait(true: Callable[[], bool], seconds: float = 20) -> None:
+    """Until something is true.
+
+    Raises:
+        TimeoutError: it does not become so.
+    """
+    until = time.monotonic() + seconds
+    while not true():
+        if time.monotonic() > until:
+            raise TimeoutError("the page did not change")
+        time.sleep(0.03)
+
+
+def press(driver: Driver) -> None:
+    """The button that goes on."""
+    driver.find_element("css selector", "main form button").click()
+
+
+def choose(driver: Driver, fields: Fields) -> None:
+    """Clicks what is not chosen yet, as a person would."""
+    for name, value in fields:
+        box = driver.find_element("css selector", f'input[name="{name}"][value="{value}"]')
+        if not box.is_selected():
+            box.click()
+
+
+def answer(driver: Driver, page: Page, fields: Fields) -> None:
+    """Fills in a page and goes on to the next."""
+    choose(driver, fields)
+    press(driver)
+    wait(lambda: sequence(driver) not in (page.hidden["sequence"], None))
+
+
+def go_in(driver: Driver, url: str, invitation: str) -> None:
+    """Up to the first page of the study, or where the participant was."""
+    driver.get(f"{url}/?invitation={invitation}")
+    press(driver)
+    wait(lambda: sequence(driver) is not None)
+
+
+def take_part(
+    driver: Driver,
+    person: Visitor,
+    think: Callable[[float], None] = lambda seconds: None,
+    look: Callable[[Page], None] = lambda page: None,
+) -> str:
+    """From the page that is open after :func:`go_in` to the end; see
+    :func:`xplain.people.simulation.browser.walk`."""
+
+    def answered(page: Page, fields: Fields) -> Page:
+        answer(driver, page, fields)
+        return Page.of_html(driver.page_source)
+
+    return walk(Page.of_html(driver.page_source), answered, person, think, look)

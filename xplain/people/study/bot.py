@@ -1,0 +1,161 @@
+"""Simulated participants: they read sentences, forget some, err now and then, and take their time.
+
+A :class:`Person` knows the plan's table of true labels, but only uses what the pages told them.
+The same person takes part in the bare flow, over HTTP, and in a real browser.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from xplain.message_sets import indices
+from xplain.people.simulation import bots
+from xplain.people.simulation.browser import Fields, Page
+from xplain.people.study.flow import State, Study
+from xplain.people.study.plan import StudyPlan
+from xplain.randomness import stream
+
+
+@dataclass(frozen=True)
+class Habits(bots.Habits):
+    """Assumptions about participants; the power curves show what each does.
+
+    Attributes:
+        label_noise: probability that a fresh judgement of a step is the wrong way round.
+        forgetting: probability that a message is not taken in.
+        overload: added to it for each other message on the page that was told before or at once.
+        fading: probability that a fact that was taken in is gone at the quiz.
+        page_seconds: to take in an evaluation page and press the button.
+        message_seconds: to read a message; half as long for a known one.
+        label_seconds: to judge a step; a tenth of it for a step that needs no new judgement.
+        spread: σ of the lognormal of each of these times, and of the person's pace.
+    """
+
+    label_noise: float = 0.03
+    forgetting: float = 0.05
+    overload: float = 0.03
+    fading: float = 0.1
+    page_seconds: float = 4.0
+    message_seconds: float = 5.0
+    label_seconds: float = 4.0
+    spread: float = 0.35
+
+
+class Person(bots.Bot[StudyPlan, Habits]):
+    """One simulated participant; as they are, until a briefing tells them what to know."""
+
+    def __init__(self, plan: StudyPlan, habits: Habits, rng: np.random.Generator) -> None:
+        super().__init__(plan, habits, rng)
+        self.user_type = int(rng.integers(len(plan.kinds))) if plan.kinds else 0
+        self.known = 0
+        self.seconds = 0.0
+        self._heard: set[str] = set()
+        self._judged: int | None = None
+        self._labels: list[int] = []
+        self._pace = self._spread()
+
+    def _spread(self) -> float:
+        sigma = self.habits.spread
+        return float(self.rng.lognormal(-(sigma**2) / 2, sigma))
+
+    def at_before(self, page: Page) -> Fields:
+        """What is right."""
+        return self.asked(self.plan.before)
+
+    def at_briefing(self, page: Page) -> None:
+        """Takes over what the briefing says, if anything."""
+        if page.facts:
+            self.user_type = [role.briefing for role in self.plan.roles].index(tuple(page.facts))
+
+    def at_training(self, page: Page) -> Fields:
+        """Expected where the message is there."""
+        return self.practises(len(page.messages))
+
+    def at_eligibility(self, page: Page) -> Fields:
+        """What they were told."""
+        questions = self.plan.roles[self.user_type].eligibility
+        return [
+            (f"q{i}", str((q.answer + self.chance(self.habits.mistake)) % len(q.options)))
+            for i, q in enumerate(questions)
+        ]
+
+    def at_evaluation(self, page: Page) -> tuple[Fields, float]:
+        """A label a step."""
+        labels, seconds = self.labels(len(page.fields), page.messages)
+        self.seconds += seconds
+        return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], seconds
+
+    def at_quiz(self, page: Page) -> Fields:
+        """The statements that they hold true."""
+        wrong = self.plan.wrong[self.user_type]
+        for j in indices(self.known):
+            if j in wrong and self.chance(self.habits.fading):
+                self.known &= ~(1 << j)
+        true = {
+            fact.belief if j in wrong and not self.known >> j & 1 else fact.message
+            for j, fact in enumerate(self.plan.facts)
+        } | {known.right for known in self.plan.known}
+        return [
+            ("true", str(value))
+            for value, sentence in page.fields["true"]
+            if (sentence in true) ^ self.chance(self.habits.label_noise)
+        ]
+
+    def labels(self, count: int, messages: Sequence[str]) -> tuple[list[int], float]:
+        """Labels of the first ``count`` steps with these messages on the page, and the seconds
+        that it took."""
+        habits, new = self.habits, [m for m in messages if m not in self._heard]
+        for sentence in new:
+            others = len(messages) - 1
+            if not self.chance(min(1.0, habits.forgetting + habits.overload * others)):
+                j = [fact.message for fact in self.plan.facts].index(sentence)
+                self.known |= 1 << j
+            self._heard.add(sentence)
+        fresh = range(count) if self.known != self._judged else range(len(self._labels), count)
+        truth = self.plan.true_labels[self.user_type, :, self.known]
+        kept = self._labels
+        self._labels = [
+            int(truth[i]) ^ self.chance(habits.label_noise) if i in fresh else kept[i]
+            for i in range(count)
+        ]
+        self._judged = self.known
+        seconds = habits.page_seconds * self._spread()
+        seconds += habits.message_seconds * (
+            sum(self._spread() for _ in new) + (len(messages) - len(new)) / 2 * 0.1
+        )
+        seconds += habits.label_seconds * sum(
+            self._spread() if i in fresh else 0.1 for i in range(count)
+        )
+        return list(self._labels), seconds * self._pace
+
+
+def bot(plan: StudyPlan, habits: Habits, seed: int, number: int) -> Person:
+    """The simulated participant with a number."""
+    return Person(plan, habits, stream(seed, "bots", number))
+
+
+@dataclass(frozen=True)
+class Measures:
+    """The paper's three measures of one participant."""
+
+    seconds: float
+    inexplicable: int
+    score: int
+    messages: int
+
+
+def take_part(
+    study: Study, user_type: int, condition: str, habits: Habits, rng: np.random.Generator
+) -> Measures | None:
+    """One simulated participant in the bare flow; None if they did not get to the end of it."""
+    person, role = Person(study.plan, habits, rng), study.plan.roles[user_type]
+    orders = {"quiz": range(len(role.quiz)), "eligibility": range(len(role.eligibility))}
+    slot = {"user_type": user_type, "condition": condition, "orders": orders, "width": 9999}
+    state = study.after(State(), **study.admitted(slot)).state
+    found = bots.take_part(study, person, replace(state, stage="briefing"))
+    if found.score is None:
+        return None
+    return Measures(person.seconds, found.labels.count(0), found.score, found.given.bit_count())

@@ -1,0 +1,153 @@
+"""The plan of a study: everything a participant may meet, fixed before the first one comes.
+
+A plan is a value: texts, trace, label probabilities, the participants' types, which solver serves
+which condition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.errors import InputError
+from xplain.explanation.problem import Problem
+from xplain.people.plan import Asked, StoredPlan, Told, Way
+
+
+@dataclass(frozen=True)
+class Known:
+    """What everybody is told and nobody holds wrong: a sentence, and what would be wrong."""
+
+    right: str
+    wrong: str
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question with its possible answers; ``answer`` is the index of the right one."""
+
+    text: str
+    options: tuple[str, ...]
+    answer: int
+
+
+@dataclass(frozen=True)
+class Statement:
+    """One statement of the quiz, true or not of the robot."""
+
+    fact: str
+    text: str
+    true: bool
+
+
+@dataclass(frozen=True)
+class Role:
+    """What participants of one user type are told and asked.
+
+    Attributes:
+        name: of the user type.
+        wrong: positions of the facts that this type holds wrong.
+        briefing: one sentence a fact, as this type knows it; none for people as they are.
+        eligibility: one question a fact, answered as this type knows it; or none.
+        quiz: the statements of the last test, true ones first.
+    """
+
+    name: str
+    wrong: tuple[int, ...]
+    briefing: tuple[str, ...]
+    eligibility: tuple[Question, ...]
+    quiz: tuple[Statement, ...]
+
+
+@dataclass(frozen=True)
+class Training:
+    """The example that shows what a message does: an action added for illustration."""
+
+    belief: str
+    action: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Numbers of the protocol.
+
+    Attributes:
+        per_cell: completed participants wanted for each type under each condition.
+        max_attempts: how often the eligibility test may be taken.
+        timeout_minutes: without a sign of life after which a participant's slot is freed.
+        recall: whether the briefing can be opened again during the evaluation.
+        min_width: of the window, in CSS pixels, to take part; 0 lets phones in.
+    """
+
+    per_cell: int
+    max_attempts: int
+    timeout_minutes: float
+    recall: bool
+    min_width: int = 0
+
+    def __post_init__(self) -> None:
+        """Raises InputError: a number that is not positive."""
+        for key in ("per_cell", "max_attempts", "timeout_minutes"):
+            if not getattr(self, key) > 0:
+                raise InputError(f"rules.{key}", getattr(self, key), "a number above 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyPlan(StoredPlan):
+    """A study of N types, a trace of m transitions, n facts (and messages).
+
+    Attributes:
+        training, rules: see their types.
+        known: what everybody is told.
+        before: questions before the briefing.
+        roles: [N].
+        kinds: [M] facts that each kind of simulated people holds wrong, where participants come as
+            they are: then there is one role, which nobody is briefed for. None otherwise.
+        trace: [m] what the robot does, as phrases.
+        path: [m] on the map, or None without a map.
+        taken: [m + 1] names of the items that are off the map after each number of steps; or none.
+        problem: label probabilities and costs behind the policies.
+        true_labels: [M, m, 2^n] uint8, what a faultless participant would answer: of the M = N
+            roles, or of the kinds.
+        conditions: {condition: configuration of its solver}.
+        belief: configuration of the belief update.
+        probes: {condition: decisions for random labels}, to notice changed code.
+    """
+
+    VERSION = 3
+    OF = "a study"
+
+    training: Training
+    rules: Rules
+    known: tuple[Known, ...] = ()
+    before: tuple[Asked, ...] = ()
+    roles: tuple[Role, ...]
+    kinds: tuple[tuple[int, ...], ...] = ()
+    trace: tuple[str, ...]
+    path: Way | None
+    taken: Told = ()
+    problem: Problem
+    true_labels: NDArray[np.uint8]
+    conditions: Mapping[str, Mapping[str, Any]]
+    belief: Mapping[str, Any]
+    probes: Mapping[str, tuple[str, ...]]
+
+    @property
+    def n_steps(self) -> int:
+        """m, the number of transitions of the trace."""
+        return len(self.trace)
+
+    @property
+    def wrong(self) -> tuple[tuple[int, ...], ...]:
+        """[M] positions of the facts that people of each role, or kind, hold wrong."""
+        return self.kinds or tuple(role.wrong for role in self.roles)
+
+    @property
+    def cells(self) -> tuple[tuple[int, str], ...]:
+        """Every (type, condition): what the slots are balanced over."""
+        return tuple((t, c) for t in range(len(self.roles)) for c in self.conditions)

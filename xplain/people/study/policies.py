@@ -1,0 +1,84 @@
+"""From a plan to its policies at work, and what they decide for participants drawn at random."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from hydra.utils import instantiate
+
+from xplain.errors import XplainError
+from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.people.analysis.stored import renamed
+from xplain.people.study.flow import State, Study
+from xplain.people.study.plan import StudyPlan
+from xplain.randomness import derived_seed, stream
+
+PROBES = 16
+"""Walks with random labels, a condition, that a changed code would have to repeat."""
+
+
+def study_of(plan: StudyPlan) -> Study:
+    """A plan with its policies at work.
+
+    Raises:
+        XplainError: the installed code decides differently from the code that made the plan.
+    """
+    study = at_work(plan)
+    if probes(study) != plan.probes:
+        raise XplainError(
+            "database: this version of xplain decides differently from the one that started the "
+            "study; go on with that version, or start a new study in another database"
+        )
+    return study
+
+
+def at_work(plan: StudyPlan) -> Study:
+    """A plan with its policies, made from its conditions' configurations."""
+    seed = derived_seed(plan.seed, "solver")
+    policies = {
+        condition: instantiate(renamed(solver)).plan(plan.problem, seed)
+        for condition, solver in plan.conditions.items()
+    }
+    return Study(plan, policies, instantiate(renamed(plan.belief)))
+
+
+def difference(plan: StudyPlan) -> float:
+    """How many messages more or fewer a faultless participant gets under one condition than under
+    another, on average over the types; of the two conditions that are most alike."""
+    study = at_work(plan)
+    given = {
+        condition: [
+            explain(plan.problem, policy, SimulatedUser.of(labels), study.belief).n_messages
+            for labels in plan.true_labels
+        ]
+        for condition, policy in study.policies.items()
+    }
+    pairs = combinations(given.values(), 2)
+    gaps = [np.abs(np.subtract(one, other)).mean() for one, other in pairs]
+    return float(min(gaps, default=np.inf))
+
+
+def probes(study: Study) -> dict[str, tuple[str, ...]]:
+    """What the protocol decides for participants who label at random: by condition, one text a
+    walk, with the messages of every step and the last belief to the last bit."""
+    return {
+        condition: tuple(_walk(study, condition, number) for number in range(PROBES))
+        for condition in study.plan.conditions
+    }
+
+
+def _walk(study: Study, condition: str, number: int) -> str:
+    rng = stream(0, "probes", number)
+    state = State(stage="training", part=1, user_type=0, condition=condition)
+    state = study.advance(state, "example", {"label": 1}).state
+    if state.stage == "eligibility":
+        right = [question.answer for question in study.plan.roles[0].eligibility]
+        state = study.advance(state, "eligibility", {"answers": right}).state
+    messages = [state.new]
+    while state.stage == "evaluation":
+        # Mostly 1, so that beliefs stay apart rather than settle at once.
+        labels = (rng.random(state.step + 1) < 0.8).astype(int).tolist()
+        state = study.advance(state, "labels", {"labels": labels}).state
+        messages.append(state.new)
+    return f"{messages} {[float(b).hex() for b in state.belief]}"

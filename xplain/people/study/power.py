@@ -1,0 +1,211 @@
+"""How many participants? ``study power``: dry runs in the bare protocol.
+
+Simulated participants of every type take part under both conditions; planned studies of n a
+condition are drawn from them, and analysed as the real one will be (Student's t, Holm). Beside
+these curves stands the power for the effects that the paper's p values imply. What the simulated
+participants are like is an assumption: the second plot shows how much each assumption matters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from xplain.errors import InputError
+from xplain.people.study.bot import Habits, take_part
+from xplain.people.study.flow import Study
+from xplain.people.study.report import figure_of, saved
+from xplain.people.study.statistics import holm, student_p, t_power
+from xplain.people.study.table2 import CONDITIONS, MEASURES, paper_effect
+from xplain.randomness import stream
+
+SIZES = (10, 20, 30, 40, 50, 60, 80)
+SWEEPS: dict[str, tuple[float, ...]] = {
+    "label_noise": (0.0, 0.03, 0.1, 0.2),
+    "forgetting": (0.0, 0.05, 0.15, 0.3),
+    "overload": (0.0, 0.03, 0.08, 0.15),
+    "fading": (0.0, 0.1, 0.2, 0.4),
+    "message_seconds": (0.0, 2.5, 5.0, 10.0),
+    "spread": (0.1, 0.35, 0.7),
+}
+"""Assumptions that are varied one at a time, the others at their defaults."""
+MARKS = {
+    "interaction_time_s": ("#0072B2", "o", "-"),
+    "inexplicable_transitions": ("#D55E00", "s", "--"),
+    "quiz_score": ("#00795A", "^", "-."),
+}
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Simulated participants.
+
+    Attributes:
+        values: {condition: [N, participants, 3] the measures in the order of MEASURES}.
+    """
+
+    values: dict[str, NDArray[np.float64]]
+
+    def effect(self) -> NDArray[np.float64]:
+        """[3] standardized difference, conformant − personalized."""
+        a, b = (self.values[c].reshape(-1, len(MEASURES)) for c in CONDITIONS)
+        spread = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 2)
+        difference = a.mean(axis=0) - b.mean(axis=0)
+        found: NDArray[np.float64] = np.zeros(len(MEASURES))
+        np.divide(difference, spread, out=found, where=spread > 0)
+        return found
+
+
+def simulate(study: Study, habits: Habits, a_cell: int, seed: int) -> Pool:
+    """``a_cell`` participants of each type under each condition, who reach the end.
+
+    Raises:
+        InputError: hardly anybody gets to the end with these habits.
+    """
+    values = {}
+    for condition in CONDITIONS:
+        of_types = []
+        for user_type in range(len(study.plan.roles)):
+            tried = (
+                take_part(
+                    study,
+                    user_type,
+                    condition,
+                    habits,
+                    stream(seed, "people", condition, user_type, index),
+                )
+                for index in range(20 * a_cell)
+            )
+            found = list(islice(filter(None, tried), a_cell))
+            if len(found) < a_cell:
+                raise InputError("habits", habits, "that let at least 1 in 20 get to the end")
+            of_types.append([(one.seconds, one.inexplicable, one.score) for one in found])
+        values[condition] = np.array(of_types, dtype=float)
+    return Pool(values)
+
+
+def power(
+    pool: Pool, n: int, studies: int, rng: np.random.Generator, alpha: float = 0.05
+) -> NDArray[np.float64]:
+    """Share of planned studies with n a condition (types as even as n allows) in which each
+    measure is significant: [2, 3], plain and after Holm's correction."""
+    drawn = []
+    for condition in CONDITIONS:
+        values = pool.values[condition]
+        # n participants over N types: the remainder goes to types drawn anew in each study.
+        order = rng.permuted(np.tile(np.arange(len(values)), (studies, 1)), axis=1)
+        types = order[:, np.arange(n) % len(values)]
+        drawn.append(values[types, rng.integers(values.shape[1], size=(studies, n))])
+    p = student_p(drawn[0], drawn[1])
+    return np.stack([(p < alpha).mean(axis=0), (holm(p) < alpha).mean(axis=0)])
+
+
+def curves(pool: Pool, sizes: Sequence[int], studies: int, seed: int) -> list[dict[str, Any]]:
+    """Power by n and measure: simulated, and for the paper's effects."""
+    rows: list[dict[str, Any]] = []
+    for n in sizes:
+        plain, corrected = power(pool, n, studies, stream(seed, "studies", n))
+        for index, measure in enumerate(MEASURES):
+            d = abs(paper_effect(measure))
+            rows.append(
+                {
+                    "n_per_condition": n,
+                    "measure": measure,
+                    "simulated": plain[index],
+                    "simulated_holm": corrected[index],
+                    "paper_effect": t_power(d, n),
+                    # The hardest step of Holm's procedure, if the other two are no help.
+                    "paper_effect_holm": t_power(d, n, 0.05 / len(MEASURES)),
+                }
+            )
+    return rows
+
+
+def sensitivity(
+    study: Study, habits: Habits, a_cell: int, n: int, studies: int, seed: int
+) -> list[dict[str, Any]]:
+    """Effect and power (Holm, n a condition) when one assumption is varied."""
+    rows: list[dict[str, Any]] = []
+    for assumption, settings in SWEEPS.items():
+        for value in settings:
+            pool = simulate(study, replace(habits, **{assumption: value}), a_cell, seed)
+            effect = pool.effect()
+            _, corrected = power(pool, n, studies, stream(seed, "studies", n))
+            rows += [
+                {
+                    "assumption": assumption,
+                    "value": value,
+                    "measure": measure,
+                    "effect": effect[index],
+                    "power_holm": corrected[index],
+                }
+                for index, measure in enumerate(MEASURES)
+            ]
+    return rows
+
+
+def draw_curves(rows: list[dict[str, Any]], path: Path) -> None:
+    """Power against n; full lines simulated, thin grey the paper's effects."""
+    figure, axes = figure_of(10.5, 3.8, 1, len(MEASURES), sharey=True)
+    for axis, (measure, title) in zip(axes, MEASURES.items(), strict=True):
+        own = [row for row in rows if row["measure"] == measure]
+        sizes = [row["n_per_condition"] for row in own]
+        for key, colour, style, label in (
+            ("simulated", "#0072B2", "o-", "simulated"),
+            ("simulated_holm", "#0072B2", "o--", "simulated, Holm"),
+            ("paper_effect", "#D55E00", "s-", "paper's effect"),
+            ("paper_effect_holm", "#D55E00", "s--", "paper's effect, α/3"),
+        ):
+            inside = "white" if "holm" in key else colour
+            powers = [row[key] for row in own]
+            axis.plot(sizes, powers, style, color=colour, mfc=inside, label=label, ms=5)
+        axis.axhline(0.8, color="#888888", linewidth=1, linestyle=":")
+        axis.axvline(20, color="#888888", linewidth=1, linestyle=":")
+        axis.set_title(title, fontsize=10)
+        axis.set(xlabel="participants a condition (paper: 20)", ylim=(0, 1.03))
+    axes[0].set_ylabel("power (α = .05, two-sided)")
+    saved(figure, path, columns=4)
+
+
+def draw_sensitivity(rows: list[dict[str, Any]], path: Path) -> None:
+    """The effect of each measure against each assumption."""
+    figure, axes = figure_of(10.5, 6, 2, 3, sharey=True)
+    for axis, assumption in zip(axes.flat, SWEEPS, strict=True):
+        for measure, title in MEASURES.items():
+            own = [r for r in rows if (r["assumption"], r["measure"]) == (assumption, measure)]
+            values, effects = [r["value"] for r in own], [r["effect"] for r in own]
+            colour, mark, style = MARKS[measure]
+            axis.plot(values, effects, color=colour, marker=mark, linestyle=style, label=title)
+        axis.axhline(0, color="#888888", linewidth=1, linestyle=":")
+        unit = " (s)" if assumption.endswith("seconds") else ""
+        axis.set_xlabel(assumption.replace("_", " ") + unit)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("d (conformant − personalized)")
+    saved(figure, path, columns=3)
+
+
+def write(study: Study, folder: Path, people: int, studies: int, n: int) -> None:
+    """Power curves and what they hang on, as tables and plots.
+
+    Args:
+        study: its plan and policies.
+        folder: made where it is missing.
+        people: simulated ones a cell.
+        studies: planned studies a point.
+        n: participants a condition, for the sensitivity.
+    """
+    seed, habits = study.plan.seed, Habits()
+    rows = curves(simulate(study, habits, people, seed), SIZES, studies, seed)
+    swept = sensitivity(study, habits, max(2, people // 2), n, studies, seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    pd.DataFrame(rows).to_csv(folder / "power.csv", index=False)
+    pd.DataFrame(swept).to_csv(folder / "sensitivity.csv", index=False)
+    draw_curves(rows, folder / "power.png")
+    draw_sensitivity(swept, folder / "sensitivity.png")

@@ -1,0 +1,197 @@
+"""The paper's Table 2 from exported data, with what should stand beside it."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from xplain.errors import InputError
+from xplain.people.analysis.stored import STREAMS
+from xplain.people.study.flow import ENDS
+from xplain.people.study.statistics import Comparison, compare, d_from_p, holm
+from xplain.randomness import derived_seed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CONDITIONS = ("conformant", "personalized")
+MEASURES = {
+    "interaction_time_s": "Interaction time (s)",
+    "inexplicable_transitions": "Inexplicable transitions",
+    "quiz_score": "Quiz score",
+}
+SECONDARY = {
+    "visible_time_s": "Interaction time while visible (s)",
+    "messages_given": "Messages",
+}
+NEEDED = ("participant", "stream", "stage", "type", "condition", "eligible", *MEASURES, *SECONDARY)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measure: ours, the p values after Holm's correction, and the paper's."""
+
+    measure: str
+    title: str
+    ours: Comparison
+    holm_p: float
+    paper: Mapping[str, float] | None
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """Everything that is reported.
+
+    Attributes:
+        stream: whose data: person, pilot or bot. Never mixed.
+        rows: the three measures, then the secondary ones (not part of the correction).
+        flow: [(stage, {condition or "all": number})] of participants, then the ends.
+        excluded: {reason: number} of completed participants that were left out.
+        data: the completed, included participants.
+    """
+
+    stream: str
+    rows: tuple[Row, ...]
+    flow: tuple[tuple[str, Mapping[str, int]], ...]
+    excluded: Mapping[str, int]
+    data: pd.DataFrame
+
+
+@cache
+def paper_table() -> dict[str, dict[str, float]]:
+    """The paper's Table 2: {measure: {conformant, personalized, p_value, n_per_arm}}."""
+    text = files("xplain.people.study").joinpath("paper_table2.csv").read_text(encoding="utf-8")
+    return {
+        row["measure"]: {key: float(v) for key, v in row.items() if key != "measure"}
+        for row in csv.DictReader(text.splitlines())
+    }
+
+
+def paper_effect(measure: str) -> float:
+    """d (conformant − personalized) behind the paper's p value."""
+    paper = paper_table()[measure]
+    size = d_from_p(paper["p_value"], int(paper["n_per_arm"]))
+    return size if paper["conformant"] > paper["personalized"] else -size
+
+
+def read(folder: Path) -> pd.DataFrame:
+    """The table of participants of an export.
+
+    Raises:
+        InputError: there is none, or a column is missing.
+    """
+    import pandas as pd
+
+    path = folder / "participants.csv"
+    if not path.is_file():
+        raise InputError("data", str(folder), "a folder with participants.csv, as exported")
+    data = pd.read_csv(path)
+    for column in NEEDED:
+        if column not in data.columns:
+            raise InputError("data", str(path), f"lacks the column {column}")
+    return data
+
+
+def analyse(
+    data: pd.DataFrame, stream: str, excluded: Mapping[str, str], seed: int = 0
+) -> Analysis:
+    """Compares the conditions.
+
+    Args:
+        data: table of participants.
+        stream: "person", "pilot" or "bot"; only these rows count.
+        excluded: {participant: reason}, decided before looking at the results.
+        seed: of the permutation tests.
+
+    Raises:
+        InputError: an unknown stream, participant or condition, or nobody to analyse.
+    """
+    if stream not in STREAMS:
+        raise InputError("stream", stream, ", ".join(STREAMS))
+    unknown = set(excluded) - set(data["participant"])
+    if unknown:
+        raise InputError("exclude", min(unknown), "a participant in the data")
+    own = data[data["stream"] == stream]
+    done = own[own["stage"] == "done"]
+    others = set(done["condition"]) - set(CONDITIONS)
+    if others:
+        raise InputError("condition", min(others), " or ".join(CONDITIONS))
+    if "attention_missed" in done.columns:
+        missed = done.loc[done["attention_missed"] > 0, "participant"]
+        excluded = dict.fromkeys(missed, "attention check missed") | dict(excluded)
+    reasons = [excluded[p] for p in done["participant"] if p in excluded]
+    kept = done[~done["participant"].isin(list(excluded))]
+    if any((kept["condition"] == condition).sum() < 2 for condition in CONDITIONS):
+        counts = {c: int((kept["condition"] == c).sum()) for c in CONDITIONS}
+        raise InputError(
+            "data", counts, f"at least 2 completed participants (stream {stream}) a condition"
+        )
+    told = [m for m in SECONDARY if kept[m].notna().all()]
+    found = {m: _compare(kept, m, seed) for m in (*MEASURES, *told)}
+    adjusted = dict(zip(MEASURES, holm([found[m].student.p for m in MEASURES]), strict=True))
+    rows = [
+        Row(m, title, found[m], float(adjusted.get(m, np.nan)), paper_table().get(m))
+        for m, title in {**MEASURES, **SECONDARY}.items()
+        if m in found
+    ]
+    counted = {reason: reasons.count(reason) for reason in dict.fromkeys(reasons)}
+    return Analysis(stream, tuple(rows), _flow(own), counted, kept)
+
+
+def _compare(data: pd.DataFrame, measure: str, seed: int) -> Comparison:
+    """Conformant against personalized, as the paper's columns."""
+    a, b = (data[data["condition"] == condition] for condition in CONDITIONS)
+    return compare(
+        a[measure].to_numpy(),
+        b[measure].to_numpy(),
+        a["type"].astype(str).tolist(),
+        b["type"].astype(str).tolist(),
+        derived_seed(seed, "permutation", measure),
+    )
+
+
+def _flow(own: pd.DataFrame) -> tuple[tuple[str, Mapping[str, int]], ...]:
+    """How many got how far, and how the others ended."""
+    reached = {
+        "entered": own["participant"].notna(),
+        "consented": own["condition"].notna(),
+        "eligible": own["eligible"] == 1,
+        "evaluated": own["inexplicable_transitions"].notna(),
+        "completed": own["stage"] == "done",
+        **{end.replace("_", " "): own["stage"] == end for end in ENDS},
+        "still on their way": ~own["stage"].isin(["done", *ENDS]),
+    }
+    of = {"all": own["participant"].notna(), **{c: own["condition"] == c for c in CONDITIONS}}
+    return tuple(
+        (stage, {whose: int((who & theirs).sum()) for whose, theirs in of.items()})
+        for stage, who in reached.items()
+    )
+
+
+def table(rows: Sequence[Row]) -> list[dict[str, float | str]]:
+    """The rows as flat records, for CSV."""
+    records: list[dict[str, float | str]] = []
+    for row in rows:
+        parts = (("conformant", row.ours.a), ("personalized", row.ours.b))
+        tests = (("student", row.ours.student), ("welch", row.ours.welch))
+        records.append(
+            {
+                "measure": row.measure,
+                **{f"{key}_{name}": v for name, group in parts for key, v in vars(group).items()},
+                **{f"{name}_{key}": v for name, test in tests for key, v in vars(test).items()},
+                "student_p_holm": row.holm_p,
+                "hedges_g": row.ours.g,
+                "g_low": row.ours.g_low,
+                "g_high": row.ours.g_high,
+                "permutation_p": row.ours.permutation_p,
+                **{f"paper_{key}": value for key, value in (row.paper or {}).items()},
+            }
+        )
+    return records

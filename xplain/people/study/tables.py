@@ -1,0 +1,271 @@
+"""Tidy tables from a snapshot of the database: ``study export``.
+
+One CSV and one Parquet file a table, the codebook of every column, and the study's plan. Bots and
+pilots are in the tables too, marked in the column ``stream`` as they have been from their first
+request on.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from xplain.message_sets import names_of
+from xplain.people.analysis import export as exported
+from xplain.people.analysis.export import Row, described, events, participants, write
+from xplain.people.analysis.stored import plan_of, reading
+from xplain.people.study.codebook import CODEBOOK, kind_of, unit_of
+from xplain.people.study.flow import State
+from xplain.people.study.plan import StudyPlan
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Participant = exported.Participant[State]
+
+
+def export(database: Path, folder: Path) -> str:
+    """Writes all tables of a database (better: of a snapshot) into a folder.
+
+    Returns:
+        The head of the log.
+
+    Raises:
+        InputError: it is no study's database.
+    """
+    with reading(database) as connection:
+        return write(connection, tables(connection), folder, parquet=True)
+
+
+def tables(connection: sqlite3.Connection) -> dict[str, pd.DataFrame]:
+    """Every table by name; columns as in the codebook, which is a table too."""
+    plan, people = plan_of(connection, StudyPlan), participants(connection, State)
+    steps = [dict(r) for r in connection.execute("SELECT * FROM step ORDER BY participant, k")]
+    shown = [page for one in people for page in pages(one.events)]
+    seconds = {
+        (page["participant"], page["step"]): page["seconds"]
+        for page in shown
+        if page["stage"] == "evaluation"
+    }
+    rows = {
+        "participants": [_participant(plan, one) for one in people],
+        "steps": [
+            _step(plan, step) | {"seconds": seconds.get((step["participant"], step["k"]))}
+            for step in steps
+        ],
+        "pages": shown,
+        "labels": [row for step in steps for row in _labels(plan, step)],
+        "eligibility": [row for one in people for row in _eligibility(plan, one)],
+        "quiz": [row for one in people for row in _quiz(plan, one)],
+        "answers": [
+            {"participant": one.id, "question": name, "answer": value}
+            for one in people
+            for kind in ("screening", "answers")
+            for event in one.answers(kind)
+            for name, value in event["payload"].items()
+        ],
+        "events": events(connection),
+        "codebook": [
+            {
+                "table": table,
+                "column": column,
+                "type": kind_of(column),
+                "unit": unit_of(column),
+                "meaning": meaning,
+            }
+            for table, columns in CODEBOOK.items()
+            for column, meaning in columns.items()
+        ],
+    }
+    return {name: described(name, rows[name], CODEBOOK[name]) for name in CODEBOOK}
+
+
+def _participant(plan: StudyPlan, one: Participant) -> Row:
+    person, state, consent = one.row, one.state, one.first("consent")
+    finished = state.stage in ("quiz", "questions", "done")
+    took = interaction(one.events)
+    given = one.first("answers")
+    missed = [bool(q.right) and given.get(q.name, "") != q.right for q in plan.asked if given]
+    return {
+        "participant": one.id,
+        "stream": person["stream"],
+        "entry": person["entry"],
+        "stage": state.stage,
+        "type": None if state.user_type is None else plan.roles[state.user_type].name,
+        "condition": state.condition,
+        "eligibility_attempts": state.attempts,
+        "eligible": int(bool(state.belief)),
+        "steps_labelled": len(state.labels),
+        "messages_given": state.given.bit_count(),
+        "inexplicable_transitions": state.labels.count(0) if finished else None,
+        "quiz_score": state.score,
+        "interaction_time_s": took.wall if finished else None,
+        "interaction_time_monotonic_s": took.monotonic if finished else None,
+        "hidden_s": took.hidden if finished else None,
+        "visible_time_s": took.visible if finished else None,
+        "entered": person["entered"],
+        "last_seen": person["seen"],
+        "consent_hash": consent.get("text"),
+        "timed_out": sum(event["kind"] == "time_out" for event in one.events),
+        "window_width": consent.get("width"),
+        "attention_missed": sum(missed),
+        "completion_code": person["code"] if state.stage == "done" else None,
+        "outside_ids": person["kept"] if person["kept"] != "{}" else None,
+    }
+
+
+def _step(plan: StudyPlan, step: Row) -> Row:
+    names = plan.problem.message_names
+    same = ("participant", "k", "belief_before", "belief_after", "action_values", "labels")
+    return {key: step[key] for key in same} | {
+        "transition": plan.trace[step["k"]],
+        "given_before": ";".join(names_of(step["given"], names)),
+        "messages": ";".join(names_of(step["messages"], names)),
+    }
+
+
+def _labels(plan: StudyPlan, step: Row) -> Iterator[Row]:
+    on_page = names_of(step["given"] | step["messages"], plan.problem.message_names)
+    for i, label in enumerate(json.loads(step["labels"] or "[]")):
+        yield {
+            "participant": step["participant"],
+            "k": step["k"],
+            "i": i,
+            "transition": plan.trace[i],
+            "messages_shown": ";".join(on_page),
+            "label": label,
+        }
+
+
+def _eligibility(plan: StudyPlan, one: Participant) -> Iterator[Row]:
+    for attempt, event in enumerate(one.answers("eligibility"), 1):
+        questions = plan.roles[one.state.slot_type].eligibility
+        answers = event["payload"]["answers"]
+        for fact, question, answer in zip(plan.facts, questions, answers, strict=True):
+            yield {
+                "participant": one.id,
+                "attempt": attempt,
+                "fact": fact.name,
+                "question": question.text,
+                "answer": question.options[answer],
+                "correct": int(answer == question.answer),
+            }
+
+
+def _quiz(plan: StudyPlan, one: Participant) -> Iterator[Row]:
+    for event in one.answers("quiz"):
+        for i, statement in enumerate(plan.roles[one.state.slot_type].quiz):
+            ticked = i in event["payload"]["chosen"]
+            yield {
+                "participant": one.id,
+                "fact": statement.fact,
+                "statement": statement.text,
+                "true": int(statement.true),
+                "ticked": int(ticked),
+                "correct": int(ticked == statement.true),
+            }
+
+
+# Time: one clock a figure ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Interaction:
+    """Seconds of an evaluation; None where they are not known.
+
+    Attributes:
+        wall: by the server's wall clock, from the first rendering of the first step to the last
+            accepted label.
+        monotonic: the same by its monotonic clock, where both ends lie in one boot of the machine:
+            the two differ only if somebody set the clock.
+        hidden: of it, in which no page of the study was visible, by the browser's clock.
+    """
+
+    wall: float | None = None
+    monotonic: float | None = None
+    hidden: float | None = None
+
+    @property
+    def visible(self) -> float | None:
+        """The secondary measure; None without the browser's events (no scripts)."""
+        if self.wall is None or self.hidden is None:
+            return None
+        return max(0.0, self.wall - self.hidden)
+
+
+def interaction(events: Sequence[Row]) -> Interaction:
+    """Of one participant.
+
+    Args:
+        events: rows of the event table in order, payloads decoded.
+    """
+    evaluated = [
+        e for e in events if e["kind"] == "shown" and e["payload"]["stage"] == "evaluation"
+    ]
+    labels = [e for e in events if e["kind"] == "labels" and e["source"] == "protocol"]
+    if not evaluated or not labels:
+        return Interaction()
+    first, last = evaluated[0], labels[-1]
+    same = first["boot"] == last["boot"]
+    monotonic = last["monotonic"] - first["monotonic"] if same else None
+    return Interaction(last["wall"] - first["wall"], monotonic, hidden(events))
+
+
+def pages(events: Sequence[Row]) -> list[Row]:
+    """Every page that was shown, in order, with the time until its answer was accepted.
+
+    Args:
+        events: of one participant, as for :func:`interaction`.
+    """
+    answered = {e["source_sequence"]: e for e in events if e["source"] == "protocol"}
+    rows, step = [], 0
+    for event in events:
+        if event["kind"] != "shown":
+            continue
+        answer, stage = answered.get(event["source_sequence"]), event["payload"]["stage"]
+        rows.append(
+            {
+                "participant": event["participant"],
+                "sequence": event["source_sequence"],
+                "stage": stage,
+                "step": step if stage == "evaluation" else None,
+                "shown": event["wall"],
+                "seconds": answer["wall"] - event["wall"] if answer else None,
+                "browser_ms": answer["browser"] if answer else None,
+            }
+        )
+        step += stage == "evaluation" and answer is not None and answer["kind"] == "labels"
+    return rows
+
+
+def hidden(events: Sequence[Row]) -> float | None:
+    """Seconds of the evaluation in which no page was visible, by the browser's clock.
+
+    Pages report when they become visible and when they are hidden (another tab, another window,
+    closed), but not when an answer leads on to the next. So the page that became visible last is
+    the one looked at, and only its being hidden counts: with two tabs, going from one to the other
+    does not.
+    """
+    reports = sorted(
+        (e["payload"]["at"], e["source"], e["kind"], e["payload"]["what"])
+        for e in events
+        if e["source"].startswith("tab:") and e["kind"] in ("visible", "hidden")
+    )
+    total, began = 0.0, False
+    looked_at = since = None
+    for at, page, kind, what in reports:
+        if kind == "hidden":
+            if began and page == looked_at and since is None:
+                since = at
+            continue
+        if since is not None:
+            total, since = total + (at - since), None
+        if began and what != "evaluation":
+            break  # the quiz: the evaluation is over
+        began = began or what == "evaluation"
+        looked_at = page
+    return total / 1000 if began else None

@@ -1,0 +1,152 @@
+"""From the configuration, and a domain's own phrases, to what a plan stores and people read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from omegaconf import DictConfig, OmegaConf
+
+from xplain.config import CONF
+from xplain.domains.base import Domain, Parameter, Scene, cell_name
+from xplain.errors import InputError
+from xplain.people.plan import Fact, Texts, Told
+
+InWords = Callable[[str], str]
+NOT_OF_THE_PLAN = ("database", "host", "port", "threads", "server", "outputs")
+"""Keys that may change between two starts."""
+
+
+def texts_of(wording: Mapping[str, Any], english: Path, in_words: InWords = str) -> Texts:
+    """What the pages say.
+
+    Args:
+        wording: of the configuration.
+        english: file of the protocol's own texts, which names every word that is needed; so does
+            conf/words/en.yaml for the pages that protocols share.
+        in_words: turns a domain's phrases into what people read.
+
+    Raises:
+        InputError: the words of a page are missing.
+    """
+    shared, own = (
+        yaml.safe_load(file.read_text(encoding="utf-8"))
+        for file in (CONF / "words" / "en.yaml", english)
+    )
+    words = wording["words"]
+    for key in (*shared, *own["words"]):
+        if not str(words.get(key) or "").strip():
+            raise InputError(f"wording.words.{key}", words.get(key), "what the page says here")
+    paragraphs = ("consent", "introduction", "task", "debriefing")
+    return Texts(
+        title=wording["title"],
+        contact=wording["contact"],
+        words=words,
+        **{key: tuple(in_words(text) for text in wording[key]) for key in paragraphs},
+    )
+
+
+def phrases_of(phrases: Mapping[str, str], on_a_map: bool) -> InWords:
+    """Turns a domain's phrases into what people read.
+
+    Args:
+        phrases: parts of phrases, and what they become; the longest that fits is taken.
+        on_a_map: whether (row, column) and "row r, column c", from 0, become a letter and a number
+            as on the map.
+    """
+    parts = sorted(phrases, key=len, reverse=True)
+    pattern = re.compile("|".join(rf"(?<!\w){re.escape(part)}(?!\w)" for part in parts))
+
+    def cell(found: re.Match[str]) -> str:
+        row, column = (int(number) for number in found.groups())
+        return cell_name(row, column)
+
+    def in_words(text: str) -> str:
+        if parts:
+            text = pattern.sub(lambda found: phrases[found[0]], text)
+        if on_a_map:
+            text = re.sub(r"\((\d+), (\d+)\)", cell, text)
+            text = re.sub(r"row (\d+), column (\d+)", cell, text)
+        return text
+
+    return in_words
+
+
+Known = TypeVar("Known", Parameter, Fact)
+
+
+def worded(
+    told: Sequence[Known], facts: Mapping[str, Mapping[str, str]], in_words: InWords
+) -> tuple[Known, ...]:
+    """Parameters or facts with the lab's own sentences.
+
+    Raises:
+        InputError: sentences for something that there is not.
+    """
+    names = [one.name for one in told]
+    for name in facts:
+        if name not in names:
+            raise InputError(f"wording.facts.{name}", name, ", ".join(names))
+    own = [replace(one, **facts.get(one.name, {})) for one in told]
+    return tuple(
+        replace(one, message=in_words(one.message), belief=in_words(one.belief)) for one in own
+    )
+
+
+def named(scene: Scene, hide: Sequence[str], in_words: InWords) -> Scene:
+    """The map with its items' names in words, without the items of some symbols.
+
+    Raises:
+        InputError: there is no such symbol on the map.
+    """
+    symbols = [item.symbol for item in scene.items]
+    for symbol in hide:
+        if symbol not in symbols:
+            raise InputError("wording.hide", symbol, f"symbols on the map: {', '.join(symbols)}")
+    kept = [replace(i, name=in_words(i.name)) for i in scene.items if i.symbol not in hide]
+    return replace(scene, items=tuple(kept))
+
+
+def fixed(cfg: DictConfig) -> dict[str, Any]:
+    """The resolved keys that make the plan."""
+    plain: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
+    return {key: value for key, value in plain.items() if key not in NOT_OF_THE_PLAN}
+
+
+def each(sentences: Iterable[Iterable[str]], in_words: InWords) -> Told:
+    """Sentences of several transitions or states, in words."""
+    return tuple(tuple(map(in_words, of_one)) for of_one in sentences)
+
+
+def of_states(domain: Domain, method: str, states: Iterable[int]) -> Told:
+    """What a domain's optional method says of states; none where it has no such method."""
+    told = getattr(domain, method, None)
+    return () if told is None else tuple(tuple(told(int(state))) for state in states)
+
+
+def parts(
+    kind: str, config: Mapping[str, Any], wording: Mapping[str, Any], scene: Scene | None
+) -> tuple[dict[str, Any], InWords]:
+    """Fields of any plan, and what turns a domain's phrases into words.
+
+    Args:
+        kind: study or collect: whose texts name every word that is needed.
+        config: of the plan.
+        wording: its texts.
+        scene: the map, or None.
+
+    Raises:
+        InputError: a text is missing, or of something that there is not.
+    """
+    in_words = phrases_of(wording["phrases"], scene is not None)
+    return {
+        "seed": config["seed"],
+        "config": config,
+        "texts": texts_of(wording, CONF / kind / "texts" / "en.yaml", in_words),
+        "scene": scene and named(scene, wording["hide"], in_words),
+        "icons": {in_words(name): path for name, path in wording["icons"].items()},
+    }, in_words
