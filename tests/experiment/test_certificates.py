@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from tests.configurations import composed
 from tests.handmade import a_prepared, with_cases
@@ -14,6 +15,7 @@ from xplain.errors import InputError
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import Costs, trace_seed
 from xplain.experiment.pipeline import Case, Prepared
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers import policy_evaluation as policy_value
@@ -40,7 +42,7 @@ def problem_of(case: Case) -> Problem:
 
 
 def alone(problem: Problem, user_type: int) -> Problem:
-    return problem.with_types(problem.p_explicable[user_type][None], ("alone",))
+    return problem.only_types([user_type])
 
 
 PROBLEMS = [problem_of(case) for case in PREPARED.cases]
@@ -130,7 +132,7 @@ def test_simulated_values_come_with_the_error_of_their_mean():
     exact = np.mean([worth_by_enumeration(p, solver.plan(p))[0] for p in PROBLEMS])
     assert abs(value - exact) < 4 * error
     # 95 % limits a trace: no narrower than the optimum's bounds, no wider than both errors.
-    margin = 1.96 * np.mean([worth.value_se for worth in each])
+    margin = stats.t.ppf(0.975, 399) * np.mean([worth.value_se for worth in each])
     low, high = found["price_of_approximation_low"], found["price_of_approximation_high"]
     assert high == pytest.approx(found["optimal_upper"] - value + margin)
     assert 0 <= low < high
@@ -150,12 +152,27 @@ def test_a_trace_that_comes_again_counts_again():
     assert found["known_type_value"] == pytest.approx((2 * KNOWN[0] + KNOWN[1]) / 3)
 
 
+def test_the_error_is_the_spread_of_the_value_over_seeds_also_where_traces_come_again():
+    """Six copies of a trace are simulated once, so that they err alike: no six times the news."""
+    first, second = PREPARED.cases[::-1]
+    prepared = with_cases(PREPARED, *[first] * 6, second)
+    effort = {"traces": 7, "beliefs": 0, "episodes": 30, "nodes": 1}
+    found = [found_for(QMDP(), prepared, seed, **effort) for seed in range(60)]
+    spread = np.std([each["policy_value"] for each in found], ddof=1)
+    said = np.sqrt(np.mean([each["policy_value_se"] ** 2 for each in found]))
+    assert 0.69 < said / spread < 1.5  # four standard deviations of a spread over 60
+    for each in found[:3]:
+        half = stats.t.ppf(0.975, 29) * each["policy_value_se"]
+        assert each["policy_value_high"] - each["policy_value"] == pytest.approx(half)
+        assert each["policy_value"] - each["policy_value_low"] == pytest.approx(half)
+
+
 def test_traces_alike_to_the_types_are_not_alike_to_everyone():
     """The learned labelers cannot tell two traces apart; the baseline's can."""
     case = PREPARED.cases[1]
-    told, untold = np.full_like(case.everyone, 0.99), np.full_like(case.everyone, 0.99)
-    told[..., :3] = 0.01  # everything is worth saying
-    cases = [replace(case, everyone=told), replace(case, everyone=untold)]
+    untold = np.full_like(case.everyone.array(2), 0.99)
+    told = np.where(np.arange(4) < 3, 0.01, untold)  # everything is worth saying
+    cases = [replace(case, everyone=LabelTable.dense(table)) for table in (told, untold)]
     each = [found_for(Baseline(), with_cases(PREPARED, one))["policy_value"] for one in cases]
     assert each[0] != pytest.approx(each[1])
     both = found_for(Baseline(), with_cases(PREPARED, *cases))["policy_value"]

@@ -54,12 +54,12 @@ def test_types_found_right_cost_what_the_true_ones_do(labeler: str) -> None:
     true, _ = prepared("clusterer=perfect", labeler)
     assert found.matched_true_type.tolist() == true.matched_true_type.tolist()
     for one, other in zip(found.cases, true.cases, strict=True):
-        assert np.array_equal(one.learned, other.learned)
+        assert np.array_equal(one.learned.p, other.learned.p)
         assert one.perfect is not None
         # The oracle's labelers are the found ones, type by type.
         for t, matched in enumerate(found.matched_true_type):
             user = found.distinct.tolist().index(matched)
-            assert np.array_equal(one.learned[t], one.perfect[user])
+            assert np.array_equal(one.learned.p[..., t], one.perfect.p[..., user])
     pairs = zip(
         episodes("clusterer=dirichlet", labeler),
         episodes("clusterer=perfect", labeler),
@@ -76,10 +76,10 @@ def test_types_that_behave_alike_are_one_for_the_oracle_too() -> None:
     assert found.distinct.tolist() == [0, 1, 0]
     assert found.learning["adjusted_rand_index"] == 1
     for one, other in zip(found.cases, true.cases, strict=True):
-        assert np.array_equal(one.learned, other.learned)
+        assert np.array_equal(one.learned.p, other.learned.p)
         assert one.perfect is not None
-        assert np.array_equal(one.perfect[0], one.perfect[2])
-        assert np.array_equal(one.perfect[[0, 1]], one.learned)
+        assert np.array_equal(one.perfect.p[..., 0], one.perfect.p[..., 2])
+        assert np.array_equal(one.perfect.p[..., [0, 1]], one.learned.p)
 
 
 def test_a_solver_that_knows_the_labels_costs_what_it_costs_without_a_labeler() -> None:

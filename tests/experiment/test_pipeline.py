@@ -14,12 +14,15 @@ from xplain.data.dataset import Dataset
 from xplain.data.queries import Queries, Shared
 from xplain.domains.base import transition_feature_names
 from xplain.errors import InputError, XplainError
-from xplain.experiment.explanations import Costs, evaluate, problem_for
+from xplain.experiment.explanations import Costs, evaluate, problem_for, with_true_labels
 from xplain.experiment.pipeline import Components, Prepared, prepare
 from xplain.explanation.belief import Independent, Persistent
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.learning.clustering import Clustering
 from xplain.solvers.base import Knowledge
+from xplain.solvers.known_type import Baseline, KnownType
+from xplain.solvers.qmdp import QMDP
 from xplain.users.setting import Setting
 from xplain.users.types import Explicit
 
@@ -66,7 +69,7 @@ def test_a_message_has_the_cost_of_its_name():
     assert problem.message_cost.tolist() == [0.25, 2]
     prepared = a_prepared(steps=(3,))
     for record in evaluate(prepared, costs, {"solver": Spy("types", after=1)}, Independent(), 0):
-        table = prepared.cases[0].labels[record.user_type]
+        table = prepared.cases[0].labels.array(2)[record.user_type]
         zeros = int(
             (table[:1, 0] == 0).sum() + (table[:2, 3] == 0).sum() + (table[:, 3] == 0).sum()
         )
@@ -101,14 +104,14 @@ def test_a_solver_plans_with_what_it_may_know(user):
     tables = {
         "types": case.learned,
         "everyone": case.everyone,
-        "type": case.perfect[user][None],
-        "labels": case.labels[user][None].astype(float),
+        "type": case.perfect.of_types([user]),
+        "labels": case.labels.of_types([user]),
     }
     names = {"types": ("F1", "F2"), "everyone": ("everyone",)}
     costs = replace(COSTS, prior="observers")
     for knows, table in tables.items():
         problem = problem_for(prepared, case, costs, Spy(knows), user)
-        assert np.array_equal(problem.p_explicable, table), knows
+        assert np.array_equal(problem.p_explicable, table.array(2)), knows
         assert problem.type_names == names.get(knows, (prepared.types[user],))
         expected = [1 / 3, 2 / 3] if knows == "types" else [1]
         assert problem.prior.tolist() == pytest.approx(expected)
@@ -167,7 +170,7 @@ def test_each_solver_explains_each_trace_once_to_a_user_of_each_type():
 def test_the_user_answers_by_the_labels_of_their_own_type():
     prepared = a_prepared(steps=(3, 3))
     for record in recorded(prepared, solver=Spy("types", after=1), clairvoyant=Spy("labels", 2)):
-        table = prepared.cases[record.trace].labels[record.user_type]
+        table = prepared.cases[record.trace].labels.array(2)[record.user_type]
         told_at = 1 if record.solver == "solver" else 2
         for k in range(3):
             given = 3 if k >= told_at else 0
@@ -177,7 +180,7 @@ def test_the_user_answers_by_the_labels_of_their_own_type():
 def test_costs_are_those_asked_for():
     prepared = a_prepared(steps=(3,))
     for record in recorded(prepared, solver=Spy("types", after=1)):
-        table = prepared.cases[0].labels[record.user_type]
+        table = prepared.cases[0].labels.array(2)[record.user_type]
         zeros = int(
             (table[:1, 0] == 0).sum() + (table[:2, 3] == 0).sum() + (table[:, 3] == 0).sum()
         )
@@ -194,7 +197,7 @@ def test_a_plan_of_one_who_knows_the_type_is_for_this_type_alone():
             case = prepared.cases[0]
             tables = case.perfect if knows == "type" else case.labels
             for user in range(3):
-                assert np.array_equal(spy.planned[user][0].p_explicable[0], tables[user])
+                assert np.array_equal(spy.planned[user][0].p_explicable[0], tables.array(2)[user])
 
 
 def test_every_trace_has_a_seed_of_its_own_and_solvers_share_it():
@@ -241,8 +244,8 @@ def test_who_has_one_type_has_the_right_one(knows):
 
 def test_labels_that_are_no_news_leave_the_belief_under_the_persistent_update():
     prepared = a_prepared(steps=(2,))
-    table = prepared.cases[0].labels[0, :, 3]
-    p = prepared.cases[0].learned[:, :, 3]
+    table = prepared.cases[0].labels.label_probabilities(2, 3)[0]
+    p = prepared.cases[0].learned.label_probabilities(2, 3)
     likelihood = np.where(table == 1, p, 1 - p)  # [N, 2]
     updates = {"all": Independent(), "news": Persistent()}
     found = {
@@ -254,6 +257,50 @@ def test_labels_that_are_no_news_leave_the_belief_under_the_persistent_update():
     twice = once * likelihood[:, 0]
     np.testing.assert_allclose(found["news"], once / once.sum())
     np.testing.assert_allclose(found["all"], twice / twice.sum())
+
+
+def test_tables_kept_by_type_are_explained_as_dense_ones():
+    """By every kind of solver, to users of every type, with costs and shares that differ."""
+    dense = a_prepared(steps=(2, 3))
+
+    def of(table):
+        return table.over(table.effective())
+
+    by_type = with_cases(
+        dense,
+        *(
+            replace(
+                case,
+                learned=of(case.learned),
+                everyone=of(case.everyone),
+                perfect=of(case.perfect),
+                labels=of(case.labels),
+            )
+            for case in dense.cases
+        ),
+    )
+    costs = replace(COSTS, prior="observers", message_cost={"a": 0.3, "b": 0.6})
+    solvers = {
+        "solver": QMDP(),
+        "baseline": Baseline(),
+        "oracle": KnownType("type"),
+        "clairvoyant": KnownType("labels"),
+    }
+    pairs = zip(
+        *(evaluate(p, costs, solvers, Persistent(), 0) for p in (dense, by_type)), strict=True
+    )
+    said = 0
+    for one, other in pairs:
+        assert one.episode.messages.tolist() == other.episode.messages.tolist()
+        assert np.array_equal(one.episode.labels, other.episode.labels)
+        assert one.episode.cost == pytest.approx(other.episode.cost)
+        assert one.episode.beliefs == pytest.approx(other.episode.beliefs)
+        assert one.right.tolist() == other.right.tolist()
+        said += one.episode.n_messages
+    assert said > 0
+    wise = [with_true_labels(p) for p in (dense, by_type)]
+    tables = [problem_for(p, p.cases[1], costs, QMDP(), 0).dense() for p in wise]
+    assert np.array_equal(tables[0].p_explicable, tables[1].p_explicable)
 
 
 # --- Preparing ------------------------------------------------------------------------------------
@@ -274,13 +321,14 @@ class Rate:
     rate: float
     n_test: int = 1
     n_train: int = 1
+    n_messages: int = 6
 
     @property
     def accuracy(self) -> float:
         return self.rate
 
-    def table(self, features: np.ndarray, n_messages: int) -> np.ndarray:
-        return np.full((len(features), 1 << n_messages), self.rate)
+    def table(self, features: np.ndarray, transitions: np.ndarray) -> LabelTable:
+        return LabelTable.dense(np.full((1, len(features), 1 << self.n_messages), self.rate))
 
     def predict(self, features: np.ndarray, message_sets: np.ndarray) -> np.ndarray:
         return np.full(len(features), self.rate >= 0.5)
@@ -353,15 +401,16 @@ def prepared() -> Prepared:
 def test_each_labeler_learns_from_the_observers_it_is_for(prepared):
     for case in prepared.cases:
         m = len(case.transitions)
-        assert case.learned.shape == (2, m, 64)
-        np.testing.assert_allclose(case.learned[0], 1 / 10)
-        np.testing.assert_allclose(case.learned[1], (2 + 3 + 4 + 5 + 6 + 7 + 9) / 70)
-        np.testing.assert_allclose(case.everyone[0], (1 + 2 + 3 + 4 + 5 + 6 + 7 + 9) / 80)
+        learned, perfect = case.learned.array(6), case.perfect.array(6)
+        assert learned.shape == (2, m, 64)
+        np.testing.assert_allclose(learned[0], 1 / 10)
+        np.testing.assert_allclose(learned[1], (2 + 3 + 4 + 5 + 6 + 7 + 9) / 70)
+        np.testing.assert_allclose(case.everyone.array(6)[0], (1 + 2 + 3 + 4 + 5 + 6 + 7 + 9) / 80)
         # Whoever came first among the observers, the table of a type is that type's; A and B
         # behave alike, so their observers are of one type.
-        np.testing.assert_allclose(case.perfect[0], (2 + 3 + 4 + 7) / 40)
-        np.testing.assert_allclose(case.perfect[1], (2 + 3 + 4 + 7) / 40)
-        np.testing.assert_allclose(case.perfect[2], (1 + 5 + 6 + 9) / 40)
+        np.testing.assert_allclose(perfect[0], (2 + 3 + 4 + 7) / 40)
+        np.testing.assert_allclose(perfect[1], (2 + 3 + 4 + 7) / 40)
+        np.testing.assert_allclose(perfect[2], (1 + 5 + 6 + 9) / 40)
 
 
 def test_a_learned_type_stands_for_the_behaviour_of_most_of_its_observers(prepared):
@@ -410,7 +459,7 @@ def test_traces_are_walks_of_the_robot_from_a_start_to_the_end_or_the_limit(prep
         assert setting.optimal[0][walk[:, 0], walk[:, 1]].all()
         assert len(walk) <= 7
         assert len(walk) == 7 or setting.models[0].terminal[walk[-1, 2]]
-        assert np.array_equal(case.labels, setting.label_table(walk))
+        assert np.array_equal(case.labels.array(6), setting.label_table(walk))
         states = [*walk[:, 0], walk[-1, 2]]
         assert case.positions == tuple(domain.position(int(state)) for state in states)
         assert case.phrases == tuple(domain.describe(step) for step in walk)

@@ -118,11 +118,13 @@ def test_a_true_type_is_never_ruled_out_and_the_figures_say_what_is_known(domain
     assert known.learned_types == known.types
     assert known.matched_true_type.tolist() == known.distinct.tolist()
     for case in known.cases:
-        assert set(np.unique(case.learned)) <= {0.0, 1.0}
+        assert set(np.unique(case.learned.p)) <= {0.0, 1.0}
         assert case.perfect is not None
-        assert np.array_equal(case.learned, case.perfect)
+        assert np.array_equal(case.learned.p, case.perfect.p)
         # As many observers a type: everybody's labeler is the types' mean.
-        np.testing.assert_allclose(case.everyone[0], case.labels.mean(axis=0))
+        n = len(known.messages)
+        mean = case.labels.array(n).mean(axis=0)
+        np.testing.assert_allclose(case.everyone.array(n)[0], mean)
 
 
 def test_shares_are_the_observers() -> None:
@@ -131,8 +133,8 @@ def test_shares_are_the_observers() -> None:
     known = prepare(components_of(cfg))
     assert known.type_shares.tolist() == [0.5, 0.1, 0.1, 0.2, 0.1]
     case = known.cases[0]
-    weighed = np.tensordot(known.type_shares, case.labels, 1)
-    np.testing.assert_allclose(case.everyone[0], weighed)
+    weighed = np.tensordot(known.type_shares, case.labels.array(6), 1)
+    np.testing.assert_allclose(case.everyone.array(6)[0], weighed)
 
 
 def test_messages_that_differ_in_price_by_hand() -> None:
@@ -150,7 +152,7 @@ def test_messages_that_differ_in_price_by_hand() -> None:
             assert record.episode.cost == pytest.approx(0.4 * 6.75)
         else:
             own = facts[known.types[record.user_type]]
-            labels = known.cases[record.trace].labels[record.user_type]
+            labels = known.cases[record.trace].labels.array(len(known.messages))[record.user_type]
             names = known.messages
             ways = []
             for chosen in range(4):  # all at the start is best where the facts matter by then
@@ -168,9 +170,9 @@ def test_traces_are_those_of_any_other_labeler() -> None:
     true = prepare(components_of(composed("labeler=true", "traces=3")))
     for one, other in zip(learned.cases, true.cases, strict=True):
         assert np.array_equal(one.transitions, other.transitions)
-        assert np.array_equal(one.labels, other.labels)
+        assert np.array_equal(one.labels.p, other.labels.p)
     for one, other in zip(with_true_labels(learned).cases, true.cases, strict=True):
-        assert np.array_equal(one.learned, other.learned)  # both say what true labels are
+        assert np.array_equal(one.learned.p, other.learned.p)  # both say what true labels are
 
 
 def test_types_of_real_people_are_not_known(tmp_path) -> None:

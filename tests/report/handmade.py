@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from xplain.domains.base import Item, Scene
@@ -58,6 +59,7 @@ def sweep(
     regret: Callable[[Values, int], float],
     oracle: Callable[[Values, int], float] = lambda values, trace: 1.0 + trace,
     traces: int = 4,
+    index: Callable[[Values], float] = lambda values: 1.0,
     **about: object,
 ) -> Path:
     """A finished sweep.
@@ -67,6 +69,7 @@ def sweep(
         jobs: the swept keys with their values, a job each.
         regret, oracle: of a job on a trace, the same for users of both types.
         traces: how many.
+        index: adjusted Rand index of the types that a job found.
         about: beside the jobs in ``sweep.json``, such as ``pool``.
     """
     written = []
@@ -81,7 +84,9 @@ def sweep(
             for kind in TYPES
             for solver, more in (("oracle", 0.0), ("solver", regret(values, trace)))
         ]
-        save_results(own, results(name, values, tuple(episodes)))
+        made = results(name, values, tuple(episodes))
+        learning = made.learning | {"adjusted_rand_index": index(values)}
+        save_results(own, replace(made, learning=learning))
         (own / "episodes.jsonl").write_text("\n".join(line("solver", 0, kind) for kind in TYPES))
     content = {"name": "by hand", "command": "python -m xplain", "code": "c0de", "git": {}}
     (folder / "sweep.json").write_text(json.dumps(content | about | {"jobs": written}))

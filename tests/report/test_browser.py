@@ -9,7 +9,6 @@ import json
 import os
 import re
 import socket
-import subprocess
 import sys
 import time
 import urllib.error
@@ -18,8 +17,9 @@ from pathlib import Path
 
 import pytest
 
+from tests import processes
 from tests.runs import sweeps
-from xplain.participants.simulation.chromium import browser, missing
+from xplain.people.simulation.chromium import browser, missing
 
 pytestmark = pytest.mark.browser
 
@@ -57,12 +57,11 @@ def server(sweep):
     database = folder / "outputs" / "mlflow.db"
     arguments = ["--backend-store-uri", f"sqlite:///{database}", "--port", str(port)]
     with (folder / "ui.txt").open("w") as log:
-        process = subprocess.Popen(
+        process = processes.start(
             [sys.executable, "-m", "mlflow", "ui", "--workers", "1", *arguments],
             cwd=folder,
             stdout=log,
             stderr=log,
-            start_new_session=True,
         )
     address = f"http://127.0.0.1:{port}"
     try:
@@ -76,7 +75,7 @@ def server(sweep):
                 time.sleep(0.5)
         yield address
     finally:
-        sweeps.kill_group(process)
+        processes.kill(process)
 
 
 def shown(driver, condition, seconds=90):

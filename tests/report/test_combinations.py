@@ -12,11 +12,12 @@ import pytest
 from scipy import stats
 
 from tests.report import handmade
-from xplain.report import console, regret_table, sweep_plots
+from xplain.report import console, sweep_plots
 from xplain.report.combinations import differences_csv, regret_csv
 from xplain.report.layout import plot_layout, shown_keys, table_layout
-from xplain.report.regret_table import BEST, TIE
+from xplain.report.regret_table import regret_table
 from xplain.report.summary import Summary
+from xplain.report.table import BEST, TIE
 from xplain.report.write import write_report
 
 MEASURES = ("regret", "cost", "messages", "inexplicable_labels", "oracle", "clairvoyant")
@@ -101,12 +102,12 @@ THREE = {
 def test_sweeps_of_one_or_two_keys_are_shown_by_these_keys(tmp_path, name):
     jobs, down, values, (x, lines) = THREE[name]
     summary = summary_of(tmp_path, jobs)
-    table = regret_table.regret_table(summary)
-    assert table.down == down
-    assert [value for row in table.rows for value in row.values] == values
+    table = regret_table(summary)
+    assert table.heads[: table.left] == down
+    assert [float(cell.words) for row in table.rows for cell in row[: table.left]] == values
     shown = plot_layout(summary)
     assert (shown.x, shown.lines, shown.panels) == (x, lines, ())
-    means = {round(cell.estimate.mean, 4) for row in table.rows for cell in row.cells if cell}
+    means = {round(cell.estimate.mean, 4) for row in table.rows for cell in row if cell.estimate}
     for job in jobs:
         assert round(np.mean([regret(job, t) for t in range(4)]), 4) in means
     figure = sweep_plots.against_main_key(summary, "regret", "regret")
@@ -119,13 +120,11 @@ def test_sweeps_of_one_or_two_keys_are_shown_by_these_keys(tmp_path, name):
 def test_a_third_key_makes_rows_and_panels_of_its_own(tmp_path):
     jobs = product(users__count="2,3,4", solver="qmdp,qhr", trade_off="0.5,1,2,3")
     summary = summary_of(tmp_path, jobs)
-    table = regret_table.regret_table(summary)
-    assert table.down == ("users.count", "lambda")
+    table = regret_table(summary)
+    assert table.left == 2
     assert len(table.rows) == 12
-    assert table.heads == ("oracle's cost", "QMDP", "QHR")
-    assert [table.headings(i)[0] for i in range(12)] == ["2", *[""] * 3, "3", *[""] * 3, "4"] + [
-        ""
-    ] * 3
+    assert table.heads == ("users.count", "λ", "oracle's cost", "QMDP", "QHR")
+    assert [row[0].words for row in table.body] == ["2", *[""] * 3, "3", *[""] * 3, "4", *[""] * 3]
     figure = sweep_plots.against_main_key(summary, "regret", "regret")
     assert [panel.get_title(loc="left") for panel in figure.axes] == [
         f"users.count = {count}" for count in (2, 3, 4)
@@ -161,12 +160,12 @@ def test_a_key_that_another_decides_is_no_dimension_but_is_in_the_csv(tmp_path):
 def test_only_what_the_sweep_file_names_is_pooled(tmp_path):
     jobs = product(users__count="2,4", solver="qmdp,qhr", trade_off="1,2")
     summary = summary_of(tmp_path, jobs, pool=["users.count"])
-    table = regret_table.regret_table(summary)
-    assert table.down == ("lambda",)
+    table = regret_table(summary)
+    assert table.heads[: table.left] == ("λ",)
     # Between 2 and 4 types lie 20: their mean is that of 3 types.
     middle = np.mean([regret({"users.count": "3", "lambda": "1"}, t) for t in range(4)])
-    assert table.rows[0].cells[1].estimate.mean == pytest.approx(middle)
-    assert "users.count" in regret_table.table_caption(summary, table)
+    assert table.rows[0][2].estimate.mean == pytest.approx(middle)
+    assert "users.count" in table.caption
     assert len(rows(regret_csv(summary))) == 8
 
 
@@ -180,8 +179,8 @@ def test_the_best_of_a_row_and_what_cannot_be_told_from_it_are_marked(tmp_path):
         lambda values, trace: 10.0 * trace + lead[values["solver"]](trace),
     )
     summary = Summary(folder)
-    for row in regret_table.regret_table(summary).rows:
-        assert [cell.mark for cell in row.cells] == ["", BEST, "", TIE]
+    for row in regret_table(summary).rows:
+        assert [cell.mark for cell in row[1:]] == ["", BEST, "", TIE]
     pairs = {(r["method"], r["minus"]): r for r in rows(differences_csv(summary))}
     assert float(pairs["qhr", "qmdp"]["low"]) == pytest.approx(0.5)
     assert float(pairs["baseline", "qmdp"]["low"]) < 0 < float(pairs["baseline", "qmdp"]["high"])
@@ -222,4 +221,4 @@ def test_what_table_1_has_no_row_for_is_not_pooled_into_it(tmp_path):
     jobs = product(observers__label_noise="0,.02", solver="qmdp,qhr")
     summary = summary_of(tmp_path, jobs, report="table1", pool=["users.count"])
     assert summary.report is None
-    assert regret_table.regret_table(summary).down == ("observers.label_noise",)
+    assert regret_table(summary).heads[0] == "observers.label_noise"

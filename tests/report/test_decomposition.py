@@ -6,7 +6,7 @@ from itertools import product
 
 from tests.report import handmade
 from xplain.experiment.results import load_results, save_results
-from xplain.report.decomposition import markdown, parts
+from xplain.report.decomposition import parts, table
 from xplain.report.summary import Summary
 
 
@@ -32,21 +32,23 @@ def sweep_with_true_labels(folder):
 
 def test_parts_add_up_and_are_those_put_in(tmp_path):
     found = list(parts(sweep_with_true_labels(tmp_path)))
-    assert {(p.method, p.trade_off) for p in found} == set(product(("qmdp", "qhr"), (1.0, 2.0)))
-    for p in found:
-        assert p.floor.mean == 2.0  # 1 + t − .5 over t = 0 … 3
-        assert p.type_unknown.mean == 3.0  # 2 + s over s = 0, 1, 2
-        assert p.type_unknown.low < 2.5  # seeds are what differs
-        assert p.learned.mean == 5.0
-        assert (p.learned.low, p.learned.high) == (5.0, 5.0)
-        assert p.cost.mean == p.floor.mean + p.type_unknown.mean + p.learned.mean
-        assert p.oracle.mean == 0.5
+    whose = [(method, trade_off) for _, method, trade_off, _ in found]
+    assert set(whose) == set(product(("qmdp", "qhr"), (1.0, 2.0)))
+    for *_, estimates in found:
+        floor, type_unknown, learned, cost, oracle = estimates.values()
+        assert floor.mean == 2.0  # 1 + t − .5 over t = 0 … 3
+        assert type_unknown.mean == 3.0  # 2 + s over s = 0, 1, 2
+        assert type_unknown.low < 2.5  # seeds are what differs
+        assert learned.mean == 5.0
+        assert (learned.low, learned.high) == (5.0, 5.0)
+        assert cost.mean == floor.mean + type_unknown.mean + learned.mean
+        assert oracle.mean == 0.5
 
 
 def test_the_table_has_a_row_a_method_and_trade_off_in_order(tmp_path):
     rows = re.findall(
         r"^\| Disaster rescue \| (\w+) \| (\w+) \|",
-        markdown(sweep_with_true_labels(tmp_path)),
+        table(sweep_with_true_labels(tmp_path)).markdown(),
         re.MULTILINE,
     )
     assert rows == [("QMDP", "1"), ("QMDP", "2"), ("QHR", "1"), ("QHR", "2")]

@@ -8,6 +8,7 @@ import io
 import itertools
 import json
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,8 +16,10 @@ import pytest
 from scipy import stats
 
 from tests.report import handmade
-from xplain.report import tables
+from xplain.experiment.results import load_results, save_results
+from xplain.report import paper_table
 from xplain.report.combinations import differences_csv
+from xplain.report.run_summary import print_summary
 from xplain.report.summary import Summary
 from xplain.report.write import write_report
 from xplain.runs.mlflow_views import MainKey, curves
@@ -35,6 +38,28 @@ def oracle(trade_off, seed, trace):
 def regret(method, trade_off, seed, trace):
     base = {"qmdp": 0.5, "qhr": 2.0, "baseline": 12.0}[method]
     return base * trade_off + 0.3 * ((seed * 7 + trace * 3) % 5)
+
+
+def test_a_domain_is_called_by_the_name_that_its_configuration_gives(tmp_path, capsys):
+    """As in ``domain=pddl domain.name=coffee``; the file chosen names it where there is none."""
+    chosen = [{"domain": "pddl", "seed": "0"}, {"domain": "pddl", "seed": "1"}, {"domain": "rover"}]
+    folder = handmade.sweep(tmp_path, chosen, lambda values, trace: 1.0 + trace)
+    for name, given in (("domain=pddl,seed=0", "coffee"), ("domain=rover", None)):
+        own = folder / "jobs" / name
+        results = load_results(own)
+        config = {**results.config, "domain": {"name": given}, "traces": 4}
+        save_results(own, replace(results, config=config))
+        print_summary(load_results(own))
+    (folder / "jobs" / "domain=pddl,seed=1" / "results.json").unlink()
+    summary = Summary(folder)
+    assert summary.domains == ["coffee", "rover"]
+    assert summary.complete({"domain": "rover"})
+    assert not summary.complete({"domain": "coffee"})
+    write_report(folder)
+    assert "<h3>coffee</h3>" in (folder / "report" / "index.html").read_text("utf-8")
+    assert (folder / "report" / "trace_coffee.png").exists()
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(" · ")[0] for line in lines if " · " in line] == ["coffee", "rover"]
 
 
 @pytest.fixture
@@ -74,7 +99,7 @@ def made(tmp_path):
 
 
 def test_the_table_holds_means_intervals_and_the_papers_values(known):
-    rows = list(csv.DictReader(io.StringIO(tables.as_csv(Summary(known)))))
+    rows = list(csv.DictReader(io.StringIO(paper_table.as_csv(Summary(known)))))
     found = {(r["domain"], r["setting"], float(r["lambda"]), r["column"]): r for r in rows}
     assert len(rows) == len(SETTINGS) * len(TRADE_OFFS) * (1 + len(METHODS))
     for method, trade_off in itertools.product(METHODS, TRADE_OFFS):
@@ -107,24 +132,80 @@ def test_differences_are_paired(known):
 
 
 def test_tables_do_not_depend_on_the_order_in_which_jobs_ended(sweep):
-    before = tables.markdown(Summary(sweep)), tables.latex(Summary(sweep))
+    before = paper_table.table(Summary(sweep))
     for path in sorted((sweep / "jobs").glob("*/results.json"), reverse=True):
         content = json.loads(path.read_text())
         content["seconds"] = {"explain": 99.0}
         path.unlink()
         path.write_text(json.dumps(content))
-    assert (tables.markdown(Summary(sweep)), tables.latex(Summary(sweep))) == before
+    again = paper_table.table(Summary(sweep))
+    assert (again.markdown(), again.latex()) == (before.markdown(), before.latex())
 
 
 def test_markdown_and_latex_have_one_row_a_domain_and_trade_off(known):
     summary = Summary(known)
-    rows = [row for row in tables.markdown(summary).splitlines() if row.startswith("|")]
+    table = paper_table.table(summary)
+    rows = [row for row in table.markdown().splitlines() if row.startswith("|")]
     assert len(rows) == 2 + len(SETTINGS) * len(TRADE_OFFS)
     assert len({row.count("|") for row in rows}) == 1
-    body = [row for row in tables.latex(summary).splitlines() if row.endswith(r"\\")]
-    assert {row.count("&") for row in body if "multicolumn" not in row} == {
-        1 + 2 * (1 + len(METHODS))
-    }
+    body = [row for row in table.latex().splitlines() if row.endswith(r" \\")]
+    assert len(body) == 1 + len(SETTINGS) * len(TRADE_OFFS)
+    assert {row.count("&") for row in body} == {2 + len(METHODS)}
+
+
+ODD = r"50%_rooms&{lifts}#1$^~\\"
+WRITTEN = {r"\textbackslash{}": "\\", r"\textasciitilde{}": "~", r"\textasciicircum{}": "^"}
+
+
+def read_latex(text):
+    """Names as they are printed; what is left that LaTeX takes for commands stays."""
+    for written, sign in WRITTEN.items():
+        text = text.replace(written, f"<{ord(sign)}>")
+    text = re.sub(r"\\([%_&{}#$])", lambda found: f"<{ord(found[1])}>", text)
+    # What was not escaped is seen by LaTeX, not by a reader.
+    text = re.sub(r"[%_&{}#$^~\\]", "!", text)
+    return re.sub(r"<(\d+)>", lambda found: chr(int(found[1])), text)
+
+
+@pytest.mark.parametrize("file", ["table.tex", "table1.tex"])
+def test_latex_prints_every_name_as_it_is(tmp_path, file):
+    jobs = [
+        {"domain": domain, "solver": solver, "lambda": "1"}
+        for domain in ("my_domain", ODD)
+        for solver in ("my_solver", "qmdp", "r&d 90%")
+    ]
+    sweep = handmade.sweep(tmp_path, jobs, lambda values, trace: 1.0 + trace, report="table1")
+    write_report(sweep)
+    lines = (sweep / "report" / file).read_text().splitlines()
+    printed = [read_latex(line) for line in lines if not line.startswith("%")]
+    for name in ("my_domain", ODD, "my_solver", "r&d 90%"):
+        assert any(name in line for line in printed), name
+
+
+def test_each_data_set_counts_among_those_whose_types_are_found(tmp_path):
+    """Of three seeds in two settings, each with its own index, four are found exactly."""
+    exact = {("2", "0"), ("2", "2"), ("3", "0"), ("3", "1")}
+    jobs = [
+        {"domain": "rescue", "users.count": count, "solver": solver, "lambda": "1", "seed": seed}
+        for count, solver, seed in itertools.product("23", ("qmdp", "qhr"), "012")
+    ]
+
+    def index(values):
+        return 1.0 if (values["users.count"], values["seed"]) in exact else 0.75
+
+    sweep = handmade.sweep(
+        tmp_path,
+        jobs,
+        lambda values, trace: 1.0 + trace,
+        index=index,
+        report="table1",
+        pool=["users.count"],
+    )
+    write_report(sweep)
+    claims = (sweep / "report" / "claims.md").read_text()
+    assert "share of 6 data sets whose types are found exactly" in claims
+    (found,) = [row for row in claims.splitlines() if "found exactly" in row]
+    assert f"{4 / 6:.2f}" in found
 
 
 def test_missing_jobs_are_told_and_incomplete_cells_make_no_curve(sweep):
@@ -133,7 +214,7 @@ def test_missing_jobs_are_told_and_incomplete_cells_make_no_curve(sweep):
     failure = {"error": "InputError: <no>", "traceback": ""}
     (sweep / "jobs" / lost / "failure.json").write_text(json.dumps(failure))
     summary = Summary(sweep)
-    assert "1 of 36 jobs are missing" in tables.caption(summary)
+    assert "1 of 36 jobs are missing" in paper_table.table(summary).caption
     main = MainKey("lambda", 10)
     points = {(name, step) for name, step, _ in curves(summary, main)}
     assert ("regret/rescue/qmdp", 10) not in points

@@ -1,23 +1,55 @@
-"""Which explanation a picture shows."""
+"""Which explanation a picture shows, and that it says so."""
 
-from xplain.report.traces import Story, telling
+from __future__ import annotations
 
+import numpy as np
+import pytest
+from matplotlib.text import Annotation
 
-def story(trace: int, user: str, *said: tuple[str, ...]) -> Story:
-    labels = tuple((1,) * (k + 1) for k in range(len(said)))
-    phrases = ("moves",) * len(said)
-    return Story("solver", trace, user, 0.0, phrases, (), said, labels)
-
-
-def test_the_trace_whose_users_are_told_the_most_different_things_is_shown() -> None:
-    nothing = [story(0, user, (), ()) for user in "AB"]
-    alike = [story(1, user, ("fire", "fence"), ()) for user in "AB"]
-    differ = [story(2, "A", (), ()), story(2, "B", ("fire",), ("fence",)), story(2, "C", ("fire",))]
-    assert telling([*nothing, *alike, *differ]) == [differ[1], differ[0]]
-    assert telling([*nothing, *alike])[0] is alike[0]
+from xplain.domains.base import Scene
+from xplain.report.traces import Story, draw_trace, typical, which
 
 
-def test_a_lone_story_is_the_one() -> None:
-    only = story(0, "A", ("fire",))
-    assert telling([only]) == [only]
-    assert telling([]) == []
+def story(trace: int, user: str, cost: float) -> Story:
+    positions = ((0, 0), (0, 1), (0, 2))
+    return Story("solver", trace, user, cost, ("a", "b"), positions, (("x",), ()), ((1,), (1, 0)))
+
+
+@pytest.mark.parametrize(
+    ("costs", "drawn"),
+    [
+        ([7.0], 0),
+        ([9.0, 1.0, 4.0], 2),
+        ([9.0, 4.0, 1.0, 4.0, 0.0], 1),  # both cost the median: the first
+        ([8.0, 2.0, 3.0, 1.0], 1),  # 2 and 3 are in the middle: the lower
+        ([3.0, 3.0, 0.0, 9.0], 0),
+        ([0.3, 0.1 + 0.2, 0.0], 0),  # equal but for rounding
+    ],
+)
+def test_the_first_episode_of_median_cost_is_drawn(costs: list[float], drawn: int) -> None:
+    found = [story(i, "A", cost) for i, cost in enumerate(costs)]
+    assert typical(found) is found[drawn]
+
+
+def test_half_of_the_episodes_cost_no_more_and_half_no_less() -> None:
+    seed = 7
+    print("seed", seed)
+    rng = np.random.default_rng(seed)
+    for _ in range(200):
+        costs = rng.integers(0, 6, size=rng.integers(1, 12)) * 0.5
+        found = [story(i, "B", float(cost)) for i, cost in enumerate(costs)]
+        one = typical(found)
+        assert (costs <= one.cost).sum() >= len(costs) / 2
+        assert (costs >= one.cost).sum() >= len(costs) / 2
+        assert all(cost != one.cost for cost in costs[: one.trace])
+
+
+@pytest.mark.parametrize("scene", [None, Scene(1, 3)], ids=["list", "map"])
+def test_the_picture_says_which_episode_it_is_and_by_what_rule(scene: Scene | None) -> None:
+    one = story(12, "E", 2.5)
+    caption = which(one, 100)
+    assert caption == (
+        "trace 12, user of type E: cost 2.5, the median of 100 episodes (the first that costs this)"
+    )
+    texts = [text.get_text() for text in draw_trace(scene, one, caption).findobj(Annotation)]
+    assert caption in texts

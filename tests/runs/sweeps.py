@@ -11,7 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests import forked
+from tests import forked, processes
 from xplain.runs.folder import SweepFolder
 from xplain.runs.plan import Job, Plan, make_plan
 
@@ -48,7 +48,7 @@ def planned(outputs: Path, jobs: int) -> tuple[Plan, SweepFolder]:
     )
     folder = SweepFolder(outputs / plan.identity)
     folder.path.mkdir()
-    folder.save(plan, {"command": "python -m xplain sweeps=tiny"})
+    folder.save(plan, {"command": "python -m xplain sweeps=tiny", "started": 1e9})
     return plan, folder
 
 
@@ -71,14 +71,12 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     folder.mkdir(parents=True, exist_ok=True)
     # A file, not a pipe: nobody waits for orphans that hold it open.
     with (folder / "output.txt").open("w") as output:
-        return subprocess.Popen(
+        return processes.start(
             [sys.executable, "-m", "xplain", *arguments],
             cwd=folder,
             env=environment(),
             stdout=output,
             stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
         )
 
 
@@ -95,7 +93,7 @@ def wait(folder: Path, process: subprocess.Popen[str]) -> tuple[int, str]:
     try:
         process.wait(timeout=300)
     except subprocess.TimeoutExpired:
-        kill_group(process)
+        processes.kill(process)
         raise
     return process.returncode, (folder / "output.txt").read_text()
 
@@ -120,13 +118,6 @@ def kill(pid: int) -> None:
     """kill -9, whether or not it is there still."""
     with contextlib.suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
-
-
-def kill_group(process: subprocess.Popen[str]) -> None:
-    """kill -9 of the process and of all that it started."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
 
 
 def sweep_folder(folder: Path) -> Path:

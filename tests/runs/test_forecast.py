@@ -9,9 +9,9 @@ import pytest
 from omegaconf import OmegaConf
 
 from xplain.runs import forecast
-from xplain.runs.folder import SweepFolder
 from xplain.runs.forecast import Experience, expected_seconds, print_dry_run
 from xplain.runs.plan import Plan
+from xplain.runs.todo import Todo
 
 
 def config(domain: str, solver: str, traces: int) -> dict[str, Any]:
@@ -50,14 +50,14 @@ def test_the_launcher_says_how_many_work_at_a_time(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(forecast, "experiences", lambda _: [Experience("rescue", "qmdp", 0.5)])
-    monkeypatch.setattr(forecast, "finished_elsewhere", lambda *_: {})
     monkeypatch.setattr("os.cpu_count", lambda: 3)
     jobs = [SimpleNamespace(fingerprint=str(i), label=f"seed={i}") for i in range(4)]
+    todo = Todo((), {}, tuple(job.fingerprint for job in jobs))
     print_dry_run(
         cast("Plan", SimpleNamespace(jobs=jobs)),
-        cast("SweepFolder", SimpleNamespace(state=lambda _: "missing")),
+        todo,
         cast("Any", None),
-        OmegaConf.create({"resume": "all", "hydra": {"launcher": launcher}}),
+        OmegaConf.create({"hydra": {"launcher": launcher}}),
         {job.fingerprint: config("rescue", "qmdp", 20) for job in jobs},
     )
     told = capsys.readouterr().out

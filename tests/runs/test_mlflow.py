@@ -6,8 +6,7 @@ import itertools
 import logging
 import re
 import sqlite3
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +16,7 @@ import pytest
 
 from xplain.experiment.results import ElbowFigures, Figure, Results, TypeNames
 from xplain.report.summary import Summary
-from xplain.runs.mlflow import MLflow, _refuse_unusable
+from xplain.runs.mlflow import MLflow, refuse_unusable
 from xplain.runs.mlflow_run import MOST_PARAMETERS, fill, parameters
 from xplain.runs.mlflow_views import main_key, sweep_view
 from xplain.runs.plan import Job
@@ -156,29 +155,27 @@ def test_what_mlflow_does_not_take_costs_a_warning_that_says_why(
     error: Exception,
     said: str,
 ) -> None:
-    @contextmanager
-    def fails(self: MLflow, outputs: Path) -> Iterator[Any]:
+    def fails(self: MLflow, outputs: Path) -> Any:
         raise error
-        yield
 
-    monkeypatch.setattr(MLflow, "client", fails)
+    monkeypatch.setattr(MLflow, "store", fails)
     with caplog.at_level(logging.WARNING):
-        assert MLflow().log(tmp_path / "run", tmp_path) is None
+        assert MLflow().log(tmp_path / "run", tmp_path) == []
     assert said in caplog.text
     assert f"xplain sync {tmp_path / 'run'}" in caplog.text
 
 
 def test_a_database_that_another_process_holds_is_refused_and_none_is_made(tmp_path: Path) -> None:
     path = tmp_path / "mlflow.db"
-    _refuse_unusable(f"sqlite:///{path}")
+    refuse_unusable(f"sqlite:///{path}")
     assert not path.exists()
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("CREATE TABLE t (x)")
-        _refuse_unusable(f"sqlite:///{path}")
+        refuse_unusable(f"sqlite:///{path}")
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(sqlite3.OperationalError, match="locked"):
-            _refuse_unusable(f"sqlite:///{path}", patience=0.1)
-    _refuse_unusable("postgresql://somewhere/else")  # not for us to try
+            refuse_unusable(f"sqlite:///{path}", patience=0.1)
+    refuse_unusable("postgresql://somewhere/else")  # not for us to try
 
 
 def test_the_command_that_opens_the_pages_names_the_runs_database(

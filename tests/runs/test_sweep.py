@@ -19,9 +19,12 @@ from tests.configurations import composed
 from tests.runs import sweeps
 from xplain.cli import hydra_plugins
 from xplain.config import CONF, SWEEPS
+from xplain.experiment.results import RESULTS
 from xplain.runs import sweep
-from xplain.runs.folder import SweepFolder
-from xplain.runs.sweep import Run
+from xplain.runs.folder import FAILURE
+from xplain.runs.mlflow import Disk
+from xplain.runs.sweep import carry_out
+from xplain.runs.todo import Todo, decide
 
 QUICK = (*sweeps.TINY[:-1], "lambda=1", sweeps.SERIAL)
 """Two jobs in one process."""
@@ -91,7 +94,10 @@ def test_mlflow_shows_what_people_compare_and_true_times(finished):
             counts = database.execute(f"select count(*) from {table} group by run_uuid").fetchall()
             assert len(counts) == 7
             assert max(count for (count,) in counts) <= most, table
-        times = database.execute("select start_time, end_time from runs").fetchall()
+        times = {
+            name: (start, end)
+            for name, start, end in database.execute("select name, start_time, end_time from runs")
+        }
         described = database.execute(
             "select count(*) from tags where key = 'mlflow.note.content' and length(value) > 50"
         ).fetchone()
@@ -104,15 +110,17 @@ def test_mlflow_shows_what_people_compare_and_true_times(finished):
     assert described == (7,)
     digest = sweeps.sweep_folder(finished.folder).name.rpartition("-")[2]
     assert keys == {f"mlflow.sharedViewState.{k}" for k in (digest, f"{digest}-chart", "sweeps")}
-    for start, end in times:
+    assert len(times) == 7
+    for start, end in times.values():
         assert 0 <= end - start <= 1000 * finished.seconds
-    # Each job's own: from its results.
+    # Each job's own: from its results; the sweep begins before all and ends with the last.
     jobs = sweeps.sweep_folder(finished.folder) / "jobs"
     for path in jobs.glob("*/results.json"):
         content = json.loads(path.read_text())
-        end = int(1000 * (content["started"] + sum(content["seconds"].values())))
-        (start,) = [start for start, ended in times if ended == end]
-        assert start <= 1000 * content["started"]
+        end = content["started"] + sum(content["seconds"].values())
+        assert times.pop(content["name"]) == (int(1000 * content["started"]), int(1000 * end))
+        (sweep,) = (own for name, own in times.items() if name.startswith("multirun"))
+        assert sweep[0] <= 1000 * content["started"] <= 1000 * end < sweep[1] + 1
 
 
 def test_the_same_command_again_runs_nothing_and_says_the_same(finished):
@@ -392,33 +400,50 @@ def test_sweep_files_set_known_keys_and_open_with_their_command(name):
     assert chosen.hydra.mode.name == "MULTIRUN"
 
 
-def test_an_interruption_that_became_another_error_is_one_all_the_same(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_interruption_that_became_another_error_is_one_all_the_same(tmp_path, number):
     plan, folder = sweeps.planned(tmp_path, 1)
-    run = Run(plan, folder, None, tmp_path, "missing")
+    todo = Todo((), {}, tuple(job.fingerprint for job in plan.jobs))
     launched = []
 
     def launch(jobs):
         launched.append(jobs)
         try:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), number)
             time.sleep(10)
         except KeyboardInterrupt as error:
             raise ValueError("while composing") from error
 
-    before = signal.getsignal(signal.SIGINT)
+    before = signal.getsignal(number)
     with pytest.raises(KeyboardInterrupt):
-        run.through(launch)
+        carry_out(todo, plan, folder, Disk(), tmp_path, launch)
     assert len(launched) == 1
-    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(number) is before
+
+
+def test_damaged_results_of_another_job_do_not_disturb_what_failed(tmp_path):
+    plan, folder = sweeps.planned(tmp_path, 3)
+    failed, damaged, _ = plan.jobs
+    sweeps.put(folder, failed, FAILURE, "{}")
+    sweeps.put(folder, damaged, RESULTS, '{"metrics": ')
+    states = {job.fingerprint: folder.checked_state(job) for job in plan.jobs}
+    todo = decide(states, "failed", {})
+    assert (todo.finished, todo.run) == ((), (failed.fingerprint,))
+
+    def fail_again(jobs):
+        sweeps.put(folder, failed, FAILURE, '{"error": "no memory"}')
+
+    with pytest.raises(SystemExit):
+        carry_out(todo, plan, folder, Disk(), tmp_path, fail_again)
+    assert [folder.state(job) for job in plan.jobs] == ["failed", "waiting", "waiting"]
 
 
 def test_progress_counts_what_was_finished_before_and_what_was_copied(tmp_path, monkeypatch):
     plan, folder = sweeps.planned(tmp_path, 4)
-    finished, copied, *_ = plan.jobs
-    monkeypatch.setattr(
-        SweepFolder, "trust", lambda _, job: "finished" if job == finished else "waiting"
-    )
-    monkeypatch.setattr(sweep, "copy_finished", lambda *_: [copied])
+    finished, copied, gone, waiting = (job.fingerprint for job in plan.jobs)
+    there, lost = tmp_path / "there", tmp_path / "lost"
+    todo = Todo((finished,), {copied: there, gone: lost}, (waiting,))
+    monkeypatch.setattr(sweep, "copy_results", lambda source, *_: source == there)
     watched = []
 
     def watch(folder, jobs, listener, done):
@@ -427,5 +452,5 @@ def test_progress_counts_what_was_finished_before_and_what_was_copied(tmp_path, 
 
     monkeypatch.setattr(sweep, "Watch", watch)
     with pytest.raises(KeyboardInterrupt):
-        Run(plan, folder, None, tmp_path, "missing").through(lambda jobs: None)
+        carry_out(todo, plan, folder, Disk(), tmp_path, lambda jobs: None)
     assert watched == [(2, 2)]

@@ -3,12 +3,14 @@ one that ran is, and what knowing the type would be worth (all under the learned
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from xplain.errors import InputError, TooLargeError, whole_number
+from xplain.evaluation.statistics import half_width
 from xplain.experiment.explanations import Costs, problem_for, problem_of_types, trace_seed
 from xplain.experiment.pipeline import Prepared
 from xplain.experiment.progress import SILENT, Progress
@@ -54,32 +56,39 @@ class Certify:
     ) -> dict[str, float]:
         """Means over the traces, of expected discounted returns under the learned model.
 
-        ``optimal_lower`` and ``optimal_upper`` enclose the optimum; ``policy_value`` (with the
+        ``optimal_lower`` and ``optimal_upper`` enclose the optimum; ``policy_value`` (with its
         standard error ``policy_value_se``, and ``policy_value_exact``, the share of traces where
         it is exact) is what the policy earns; ``policy_cost`` its expected undiscounted cost.
         ``price_of_not_knowing`` is the expected value of perfect information about the type,
-        ``price_of_approximation`` the policy's suboptimality; both have a ``_low`` and a ``_high``
-        end, 95 % limits where the value is simulated. A solver that is told the user's type has
-        no value of its own here. docs/method.md, section 7.
+        ``price_of_approximation`` the policy's suboptimality; these two and ``policy_value`` have a
+        ``_low`` and a ``_high`` end, 95 % limits where the value is simulated. A solver that is
+        told the user's type has no value of its own here. docs/method.md, section 7.
+
+        Traces that pose the same problem are simulated once: their errors are one error.
         """
-        rows: list[dict[str, float]] = []
-        seen: dict[tuple[bytes, bytes], dict[str, float]] = {}
+        times: Counter[tuple[bytes, bytes]] = Counter()
+        found: dict[tuple[bytes, bytes], dict[str, float]] = {}
         cases = prepared.cases[: self.traces]
         tracked = progress.track(enumerate(cases), "certificates", len(cases))
         for index, case in tracked:
             problem = problem_of_types(prepared, case, costs)
             own = problem_for(prepared, case, costs, solver, 0)
             key = _table_key(problem), _table_key(own)
-            if key not in seen:
-                seen[key] = self._one(problem, own, solver, trace_seed(seed, index), progress)
-            rows.append(seen[key])
-        if not rows:
+            if key not in found:
+                found[key] = self._one(problem, own, solver, trace_seed(seed, index), progress)
+            times[key] += 1
+        if not found:
             return {}
-        means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+        rows = list(found.values())
+        shares = np.array([times[key] / len(cases) for key in found])
+        means = {name: float(shares @ [row[name] for row in rows]) for name in rows[0]}
         if "policy_value_se" in means:
-            errors = np.array([row["policy_value_se"] for row in rows])
-            means["policy_value_se"] = float(np.sqrt((errors**2).sum()) / len(rows))
-        return means | {"traces": float(len(rows))}
+            errors = shares * [row["policy_value_se"] for row in rows]
+            means["policy_value_se"] = float(np.linalg.norm(errors))
+            margin = half_width(means["policy_value_se"], self.episodes - 1)
+            means["policy_value_low"] = means["policy_value"] - margin
+            means["policy_value_high"] = means["policy_value"] + margin
+        return means | {"traces": float(len(cases))}
 
     def _one(
         self, problem: Problem, own: Problem, solver: Solver, seed: int, progress: Progress
@@ -105,7 +114,7 @@ class Certify:
                 world = problem.mixture(problem.prior, own.type_names[0])
         with progress.stage("value of this policy"):
             worth = evaluate(world, solver.plan(own, seed), self.beliefs, self.episodes, seed)
-        margin = 1.96 * worth.value_se
+        margin = half_width(worth.value_se, self.episodes - 1)
         low, _ = found.suboptimality(worth.value + margin)
         _, high = found.suboptimality(worth.value - margin)
         return row | {
@@ -119,5 +128,4 @@ class Certify:
 
 
 def _table_key(problem: Problem) -> bytes:
-    tables = problem.p_explicable, problem.relevant, problem.p_relevant
-    return b"".join(table.tobytes() for table in tables)
+    return problem.table.relevant.tobytes() + problem.table.p.tobytes()

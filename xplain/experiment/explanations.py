@@ -17,7 +17,7 @@ from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.evaluation.metrics import Record
 from xplain.experiment.pipeline import Case, Prepared, Track, untracked
 from xplain.explanation.belief import BeliefUpdate
-from xplain.explanation.by_type import ByType, LabelTable
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import DiscountPer, Problem
 from xplain.randomness import derived_seed
 from xplain.solvers.base import Solver
@@ -47,7 +47,7 @@ class Costs:
     def __post_init__(self) -> None:
         """Checks what :class:`Problem` would refuse, before any work is done."""
         names = tuple(self.message_cost) if isinstance(self.message_cost, Mapping) else ()
-        table = ByType(np.empty((1, 0), np.int64), np.full((1, 1, 1), 0.5))
+        table = LabelTable.by_type(np.empty((1, 0), np.int64), np.full((1, 1, 1), 0.5))
         self.problem(table, names, ("type",), np.ones(1))
         if self.prior not in ("uniform", "observers"):
             raise InputError("prior", self.prior, "uniform or observers")
@@ -73,14 +73,14 @@ class Costs:
 
     def problem(
         self,
-        p_explicable: LabelTable,
+        table: LabelTable,
         message_names: tuple[str, ...],
         type_names: tuple[str, ...],
         shares: NDArray[np.float64],
     ) -> Problem:
         """The problem of one trace; ``shares`` [N] of the observers, for the prior."""
-        return Problem.of_table(
-            p_explicable,
+        return Problem(
+            table,
             message_cost=self.message_costs(message_names),
             inexplicability_cost=self.inexplicability_cost,
             trade_off=self.trade_off,
@@ -124,13 +124,13 @@ def problem_for(prepared: Prepared, case: Case, costs: Costs, solver: Solver, us
             )
         return costs.problem(case.everyone, prepared.messages, ("everyone",), alone)
     if solver.knows == "labels":
-        truth = _as_probabilities(case.labels[user : user + 1])
+        truth = case.labels.of_types([user])
         return costs.problem(truth, prepared.messages, (name,), alone)
     if case.perfect is None:
         raise InputError(
             "solver", "oracle", "needs observers of every type, whose true types are known"
         )
-    return costs.problem(case.perfect[user : user + 1], prepared.messages, (name,), alone)
+    return costs.problem(case.perfect.of_types([user]), prepared.messages, (name,), alone)
 
 
 def evaluate(
@@ -166,7 +166,9 @@ def evaluate(
                     if index == 0:  # kernels load at the first question: no decision's time
                         planned.messages(0, 0, problem.prior)
                     policy = CachedPolicy(planned)
-                episode = explain(problem, policy, SimulatedUser(case.labels[user]), belief_update)
+                episode = explain(
+                    problem, policy, SimulatedUser(case.labels.of_types([user])), belief_update
+                )
                 right = np.ones(problem.n_types, dtype=bool)
                 if solver.knows == "types":
                     right = prepared.matched_true_type == prepared.distinct[user]
@@ -183,14 +185,8 @@ def with_true_labels(prepared: Prepared) -> Prepared:
         learned_types=prepared.types,
         matched_true_type=prepared.distinct,
         type_shares=np.full(count, 1 / count),
-        cases=tuple(
-            replace(case, learned=_as_probabilities(case.labels)) for case in prepared.cases
-        ),
+        cases=tuple(replace(case, learned=case.labels) for case in prepared.cases),
     )
-
-
-def _as_probabilities(labels: NDArray[np.uint8] | ByType) -> LabelTable:
-    return labels if isinstance(labels, ByType) else labels.astype(np.float64)
 
 
 def trace_seed(seed: int, index: int) -> int:

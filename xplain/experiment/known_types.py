@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError, TooLargeError
-from xplain.explanation.by_type import DENSE, LabelTable
+from xplain.explanation.label_table import LabelTable
 from xplain.users.setting import Setting
 
 
@@ -78,13 +78,9 @@ def true_types(setting: Setting, truth: NDArray[np.int64] | None) -> Known:
     observers = np.bincount(truth, minlength=len(setting.types))
 
     def tables(transitions: NDArray[np.int64]) -> Tables:
-        if setting.n_messages > DENSE:
-            by_type = setting.labels_by_type(transitions)
-            weights = observers / len(truth)
-            return Tables(by_type, unless_too_large(lambda: by_type.mixed(weights)), by_type)
-        labels = setting.label_table(transitions).astype(np.float64)
-        everyone = np.tensordot(observers, labels, 1)[None] / len(truth)
-        return Tables(labels, everyone, labels)
+        labels = setting.true_labels(transitions)
+        weights = observers / len(truth)
+        return Tables(labels, unless_too_large(lambda: labels.mixed(weights)), labels)
 
     distinct = setting.distinct
     count = float(len(np.unique(distinct)))

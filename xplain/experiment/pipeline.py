@@ -30,7 +30,7 @@ from xplain.domains.base import (
 )
 from xplain.errors import InputError, XplainError, whole_number
 from xplain.experiment.known_types import Known, Tables, true_types, unless_too_large
-from xplain.explanation.by_type import DENSE, ByType, LabelTable
+from xplain.explanation.label_table import LabelTable
 from xplain.learning.clustering import Clusterer, Perfect
 from xplain.learning.cross_validation import fresh_accuracy
 from xplain.learning.labelers import Labeler, LabelerTrainer
@@ -86,8 +86,7 @@ class Case:
         transitions: [m, 3].
         phrases: m short descriptions.
         positions: m + 1 cells (row, column) of the robot; empty where there is no map.
-        learned: P(label is 1) by the labelers of the N types that were found: [N, m, 2^n], and
-            kept by type where messages are many; as the others are, too.
+        learned: P(label is 1) by the labelers of the N types that were found.
         everyone: of one labeler of all data (the baseline's); None where it looks at too many
             messages on this trace.
         perfect: of M labelers under perfect clustering; None where the true types of the observers
@@ -102,7 +101,7 @@ class Case:
     learned: LabelTable
     everyone: LabelTable | None
     perfect: LabelTable | None
-    labels: NDArray[np.uint8] | ByType
+    labels: LabelTable
     changes: tuple[tuple[str, ...], ...] = ()
 
 
@@ -230,17 +229,17 @@ def learned_types(observed: Observed, components: Components) -> Known:
         known=references.perfect.by_observers if references.perfect else None,
     )
     _require_tested(types.labelers)
-    n, oracle = observed.setting.n_messages, references.oracle
+    oracle = references.oracle
     once = AskedOnce()
 
     def tables(transitions: NDArray[np.int64]) -> Tables:
         features = transition_features(domain, transitions)
         return Tables(
-            learned=once.p_explicable(types.labelers, features, n, transitions),
+            learned=once.label_table(types.labelers, features, transitions),
             everyone=unless_too_large(
-                lambda: once.p_explicable([references.everyone], features, n, transitions)
+                lambda: once.label_table([references.everyone], features, transitions)
             ),
-            perfect=None if oracle is None else once.p_explicable(oracle, features, n, transitions),
+            perfect=None if oracle is None else once.label_table(oracle, features, transitions),
         )
 
     clustering = types.clustering
@@ -351,9 +350,7 @@ def build_case(
         phrases=tuple(domain.describe(transition) for transition in transitions),
         positions=tuple(cell for cell in cells if cell is not None),
         **tables(transitions)._asdict(),
-        labels=setting.labels_by_type(transitions)
-        if setting.n_messages > DENSE
-        else setting.label_table(transitions),
+        labels=setting.true_labels(transitions),
         changes=changes_of(domain, transitions),
     )
 

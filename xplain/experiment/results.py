@@ -133,8 +133,8 @@ class Results(Provenance):
 
     @property
     def domain(self) -> str:
-        """Name of the file in conf/domain/ that was chosen."""
-        return self.choices["domain"]
+        """What the domain is called (:func:`domain_name`)."""
+        return domain_name(self.choices, self.config)
 
     @property
     def solver(self) -> str:
@@ -155,6 +155,12 @@ class Results(Provenance):
     def regret(self) -> float | None:
         """Mean regret to the oracle; None where no oracle ran."""
         return self.metrics["regret"].mean if "regret" in self.metrics else None
+
+
+def domain_name(choices: Mapping[str, str], config: Mapping[str, Any]) -> str:
+    """The name that the configuration gives to the domain (``domain.name``); where it gives none,
+    that of the file in conf/domain/ that was chosen."""
+    return str(config.get("domain", {}).get("name") or choices["domain"])
 
 
 def results_of(

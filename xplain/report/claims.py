@@ -9,15 +9,17 @@ types, labelers and traces of its own; one seed decides nothing.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import pandas as pd
 
-from xplain.evaluation.statistics import Estimate, Range, clustered_mean
+from xplain.evaluation.statistics import Estimate, Range, clustered_mean, clustered_share
+from xplain.report.combinations import paired
 from xplain.report.paper import title
+from xplain.report.table import Cell, Table, interval, number
 
 ALIKE = 0.1
 """Costs that differ by no more than this share of QMDP's are about the same, and an oracle's cost
@@ -60,15 +62,14 @@ class Claim:
         return "does not hold" if high <= least or most <= low else "not decided"
 
 
-def claims(
-    episodes: pd.DataFrame, found: Mapping[str, Iterable[float]] | None = None
-) -> list[Claim]:
+def claims(episodes: pd.DataFrame, found: pd.DataFrame | None = None) -> list[Claim]:
     """Tests every claim that a sweep's methods allow, domain by domain.
 
     Args:
         episodes: a row an episode, with domain, setting, method, lambda, seed, trace, type, cost
             and oracle (:attr:`xplain.report.summary.Summary.episodes`).
-        found: by domain, the adjusted Rand index of every data set that types were sought in.
+        found: a row a data set that types were sought in, with domain, seed and
+            adjusted_rand_index (:attr:`xplain.report.summary.Summary.data_sets`).
     """
     tested = []
     for domain in dict.fromkeys(episodes["domain"]):
@@ -76,20 +77,10 @@ def claims(
         tested += [
             *(Claim(domain, *claim) for claim in _orders(own)),
             *(Claim(domain, *claim) for claim in _linear(own)),
-            *(Claim(domain, *claim) for claim in _types((found or {}).get(domain, ()))),
         ]
+        if found is not None and len(found):
+            tested += (Claim(domain, *c) for c in _types(found[found["domain"] == domain]))
     return tested
-
-
-def paired(episodes: pd.DataFrame, method: str, other: str) -> pd.DataFrame:
-    """Rows of a method with ``difference``: its cost less the other's on the same λ, setting, seed,
-    trace and user."""
-    key = ["lambda", "setting", "seed", "trace", "type"]
-    one, two = (
-        episodes.loc[episodes["method"] == name, [*key, "cost"]] for name in (method, other)
-    )
-    both = one.merge(two, on=key, suffixes=("", "_other"), validate="one_to_one")
-    return both.assign(difference=both["cost"] - both["cost_other"])
 
 
 _Parts = tuple[str, str, Estimate, Range]
@@ -97,19 +88,16 @@ _Parts = tuple[str, str, Estimate, Range]
 
 def _orders(episodes: pd.DataFrame) -> Iterator[_Parts]:
     """The claims about pairs of methods, at each λ."""
-    methods = set(episodes["method"])
-    for trade_off in sorted(set(episodes["lambda"])):
-        own = episodes[episodes["lambda"] == trade_off]
+    for trade_off, own in episodes.groupby("lambda"):
         at = f"λ = {trade_off:g}"
-        if {"qmdp", "pomcp_paper"} <= methods:
-            both = paired(own, "pomcp_paper", "qmdp")
-            if len(both):
-                margin = ALIKE * float(both["cost_other"].mean())
-                estimate = clustered_mean(both["difference"], both["seed"])
-                text = f"QMDP and POMCP cost about the same, {at}"
-                yield text, "POMCP − QMDP", estimate, (-margin, margin)
+        both = paired(own, ["method"], ["pomcp_paper"], ["qmdp"])
+        if len(both):
+            margin = ALIKE * float(both["cost_other"].mean())
+            estimate = clustered_mean(both["difference"], both["seed"])
+            text = f"QMDP and POMCP cost about the same, {at}"
+            yield text, "POMCP − QMDP", estimate, (-margin, margin)
         for less, more in ORDER:
-            both = paired(own, more, less) if {less, more} <= methods else own.head(0)
+            both = paired(own, ["method"], [more], [less])
             if len(both):
                 estimate = clustered_mean(both["difference"], both["seed"])
                 names = [_NAMES[name] for name in (less, more)]
@@ -125,7 +113,7 @@ def _linear(episodes: pd.DataFrame) -> Iterator[_Parts]:
     plan: where other plans become better it bends down, below the line through its values at the
     two smallest λ."""
     one = episodes[episodes["method"] == episodes["method"].iloc[0]]
-    costs = one[np.isfinite(one["oracle"])].pivot_table("oracle", "seed", "lambda")
+    costs = one[np.isfinite(one["oracle"])].pivot_table("oracle", "seed", "lambda").dropna()
     if len(costs.columns) < 3 or not len(costs):
         return
     first, second, last = (costs.columns[i] for i in (0, 1, -1))
@@ -141,33 +129,29 @@ def _linear(episodes: pd.DataFrame) -> Iterator[_Parts]:
     )
 
 
-def _types(found: Iterable[float]) -> Iterator[_Parts]:
-    """The types are found, in most data sets."""
-    exact = [index == 1.0 for index in found]
-    if exact:
+def _types(data_sets: pd.DataFrame) -> Iterator[_Parts]:
+    """The types are found, in most data sets. Those of one seed share their people."""
+    data_sets = data_sets.dropna(subset=["adjusted_rand_index"])
+    if len(data_sets):
+        exact = data_sets["adjusted_rand_index"] == 1.0
         figure = f"share of {len(exact)} data sets whose types are found exactly"
-        yield "the types are found", figure, wilson(sum(exact), len(exact)), (0.5, math.inf)
+        share = clustered_share(exact, data_sets["seed"])
+        yield "the types are found", figure, share, (0.5, math.inf)
 
 
-def wilson(right: int, of: int) -> Estimate:
-    """A share with Wilson's 95 % score interval (1927), which never leaves [0, 1]. Unknown for one
-    data set."""
-    share, z = right / of, 1.959963984540054
-    if of < 2:
-        return Estimate(share, math.nan, math.nan)
-    centre = (share + z * z / (2 * of)) / (1 + z * z / of)
-    half = z / (1 + z * z / of) * math.sqrt(share * (1 - share) / of + (z / (2 * of)) ** 2)
-    return Estimate(share, max(0.0, centre - half), min(1.0, max(share, centre + half)))
-
-
-def markdown(tested: Iterable[Claim]) -> str:
-    """A table of claims with their figures and verdicts."""
-    lines = ["| Domain | Claim | Figure | 95 % interval | |", "|---|---|---|---|---|"]
-    for claim in tested:
-        e = claim.estimate
-        interval = "" if math.isnan(e.low) else f"[{e.low:.2f}, {e.high:.2f}]"
-        text = f"{claim.figure}: {e.mean:.2f}"
-        lines.append(
-            f"| {title(claim.domain)} | {claim.text} | {text} | {interval} | {claim.verdict} |"
+def table(tested: Iterable[Claim]) -> Table:
+    """Claims with their figures and verdicts."""
+    rows = tuple(
+        (
+            Cell(title(claim.domain)),
+            Cell(claim.text),
+            Cell(f"{claim.figure}: {number(claim.estimate.mean)}"),
+            Cell(interval(claim.estimate)),
+            Cell(claim.verdict, look=_LOOKS.get(claim.verdict, "")),
         )
-    return "\n".join([*lines, ""])
+        for claim in tested
+    )
+    return Table(("Domain", "Claim", "Figure", "95 % interval", "Verdict"), rows, 5)
+
+
+_LOOKS = {"holds": "yes", "does not hold": "no"}

@@ -6,8 +6,6 @@ only where the sweep's file says so (``pool``).
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from xplain.evaluation.statistics import Estimate
+from xplain.evaluation.statistics import Estimate, clustered_mean
 from xplain.report.paper import title
 from xplain.report.summary import Summary, Value
 
@@ -40,8 +38,10 @@ CONDITIONS = (
 
 _ALWAYS = ("domain", "lambda")
 
-_PAIR = ("seed", "trace", "type")
-"""What two ways to solve a problem share: the same trace, explained to the same user."""
+PROBLEM = ("lambda", "setting", "seed", "trace", "type")
+"""What two methods share in a domain: the same trace, explained to the same user."""
+
+UNKNOWN = Estimate(math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -95,19 +95,14 @@ def regret_csv(summary: Summary) -> str:
     is over.
     """
     keys = ["solver", "lambda", *(k for k in summary.keys if k not in ("solver", "lambda"))]
-    names = [measure.replace(" ", "_") for measure in MEASURES]
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(
-        [*keys, *(f"{name}_{end}" for name in names for end in ("mean", "low", "high", "n"))]
-    )
-    for combination in combinations(summary, keys):
-        row: list[object] = [plain_text(combination.values[key]) for key in keys]
+    rows = []
+    for one in combinations(summary, keys):
+        row: dict[str, object] = {key: plain_text(one.values[key]) for key in keys}
         for measure in MEASURES:
-            estimate = combination.estimates.get(measure)
-            row += [*_numbers(estimate), combination.replicates.get(measure, 0)]
-        writer.writerow(row)
-    return out.getvalue()
+            row |= _ends(one.estimates.get(measure, UNKNOWN), f"{measure.replace(' ', '_')}_")
+            row[f"{measure.replace(' ', '_')}_n"] = one.replicates.get(measure, 0)
+        rows.append(row)
+    return csv_text(pd.DataFrame(rows))
 
 
 def differences_csv(summary: Summary) -> str:
@@ -120,29 +115,29 @@ def differences_csv(summary: Summary) -> str:
     keys = [key for key in summary.keys if key not in summary.pool]
     conditions = ["domain", *(k for k in keys if not is_choice(k) and k not in _ALWAYS), "lambda"]
     ways = [key for key in keys if is_choice(key)] or ["solver"]
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*conditions, "method", "minus", "mean", "low", "high"])
+    names = {tuple(way.values()): _way(way) for way, _ in grouped(summary, ways)}
+    rows = []
     for values, frame in grouped(summary, conditions):
-        frames = {tuple(key): own for key, own in frame.groupby(ways, sort=False)}
-        named = [
-            (way, frames[tuple(way.values())])
-            for way, _ in grouped(summary, ways)
-            if tuple(way.values()) in frames
-        ]
-        for (other, right), (method, left) in combinations_of(named, 2):
-            apart = difference(summary, left, right)
+        for other, method in combinations_of(names, 2):
+            apart = regret_apart(summary, frame, ways, method, other)
             if apart is not None:
-                writer.writerow(
-                    [*map(plain_text, values.values()), _way(method), _way(other), *_numbers(apart)]
+                posed = {key: plain_text(value) for key, value in values.items()}
+                rows.append(
+                    {**posed, "method": names[method], "minus": names[other]} | _ends(apart)
                 )
-    return out.getvalue()
+    columns = [*conditions, "method", "minus", "mean", "low", "high"]
+    return csv_text(pd.DataFrame(rows, columns=columns))
 
 
-def _numbers(estimate: Estimate | None) -> list[str]:
-    """Mean and ends, six decimals; empty what there is not."""
-    ends = [estimate.mean, estimate.low, estimate.high] if estimate else [math.nan] * 3
-    return ["" if math.isnan(x) else f"{round(x, 6) + 0.0:.6f}" for x in ends]
+def csv_text(frame: pd.DataFrame) -> str:
+    """Six decimals, never a negative zero; empty what is not known."""
+    numbers = frame.select_dtypes("float").round(6) + 0.0
+    plain = frame.assign(**{str(name): numbers[name] for name in numbers})
+    return str(plain.to_csv(index=False, float_format="%.6f", lineterminator="\n"))
+
+
+def _ends(estimate: Estimate, name: str = "") -> dict[str, float]:
+    return {f"{name}{end}": getattr(estimate, end) for end in ("mean", "low", "high")}
 
 
 def _way(values: Mapping[str, Value]) -> str:
@@ -153,12 +148,39 @@ def _way(values: Mapping[str, Value]) -> str:
     )
 
 
-def difference(summary: Summary, one: pd.DataFrame, two: pd.DataFrame) -> Estimate | None:
-    """Regret of the first's episodes minus the second's, on the same traces and users."""
-    pair = [*summary.pool, *_PAIR]
-    left, right = (frame.set_index(pair)["regret"] for frame in (one, two))
-    both = (left - right).dropna().reset_index()
-    return summary.mean(both, "regret") if len(both) else None
+def paired(
+    frame: pd.DataFrame,
+    by: Sequence[str],
+    one: Sequence[Value],
+    two: Sequence[Value],
+    on: Sequence[str] = PROBLEM,
+    measure: str = "cost",
+) -> pd.DataFrame:
+    """Episodes of one way to solve a problem with ``difference``: their measure less that of
+    another way, ``<measure>_other``, on the same problem; without those that have no partner.
+
+    Args:
+        frame: of episodes.
+        by: columns that tell ways apart.
+        one, two: their values in the two ways.
+        on: columns that are the same in a pair.
+        measure: column of what is compared.
+    """
+    left, right = (frame[(frame[list(by)] == list(way)).all(axis=1)] for way in (one, two))
+    key = [*on]
+    both = left.merge(
+        right[[*key, measure]], on=key, suffixes=("", "_other"), validate="one_to_one"
+    )
+    both["difference"] = both[measure] - both[f"{measure}_other"]
+    return both.dropna(subset=["difference"])
+
+
+def regret_apart(
+    summary: Summary, frame: pd.DataFrame, by: Sequence[str], one: Any, two: Any
+) -> Estimate | None:
+    """Regret of one way minus that of another, on the same traces and users."""
+    both = paired(frame, by, one, two, (*summary.pool, "seed", "trace", "type"), "regret")
+    return clustered_mean(both["difference"], summary.clusters(both)) if len(both) else None
 
 
 def is_choice(key: str) -> bool:

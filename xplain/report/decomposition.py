@@ -8,104 +8,51 @@ The differences, on the same traces and users, add up to the cost.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 from xplain.evaluation.statistics import Estimate, clustered_mean
 from xplain.report.paper import title
 from xplain.report.summary import Summary
-from xplain.report.tables import interval, number
+from xplain.report.table import Cell, Table
+
+PARTS = {
+    "Clairvoyant's cost": ("clairvoyant", None),
+    "+ type unknown": ("true labels", "clairvoyant"),
+    "+ labels learned": ("cost", "true labels"),
+    "= cost": ("cost", None),
+    "Oracle − clairvoyant": ("oracle", "clairvoyant"),
+}
+"""(column of the episodes, less this one)."""
 
 
-class Parts(NamedTuple):
-    """What one method's cost is made of, at one λ of a domain: means with intervals.
-
-    Attributes:
-        domain, method, trade_off: whose.
-        floor: the clairvoyant's cost.
-        type_unknown: the cost with true types and labels, less the floor: what not knowing the
-            user's type costs with this solver.
-        learned: the cost less that with true types and labels: what labelers, and types found,
-            cost.
-        cost: the sum of the three.
-        oracle: the oracle's cost less the floor: what labelers cost who knows the type.
-    """
-
-    domain: str
-    method: str
-    trade_off: float
-    floor: Estimate
-    type_unknown: Estimate
-    learned: Estimate
-    cost: Estimate
-    oracle: Estimate
-
-
-HEADS = (
-    "Domain",
-    "Method",
-    "λ",
-    "Clairvoyant's cost",
-    "+ type unknown",
-    "+ labels learned",
-    "= cost",
-    "Oracle − clairvoyant",
-)
-
-
-def parts(summary: Summary) -> Iterator[Parts]:
-    """By domain, method and λ; methods that no job ran with true labels are left out."""
-    references = ["oracle", "clairvoyant", "true labels"]
-    frame = summary.episodes.dropna(subset=references)
+def parts(summary: Summary) -> Iterator[tuple[str, str, float, dict[str, Estimate]]]:
+    """(domain, method, λ, PARTS with intervals), in the order of domains, methods and λ; methods
+    that no job ran with true labels are left out."""
+    frame = summary.episodes.dropna(subset=["oracle", "clairvoyant", "true labels"])
     groups: Any = frame.groupby(["domain", "method", "lambda"], sort=False)
-    for (domain, method, trade_off), own in groups:
-        clusters = summary.clusters(own)
-        columns = (
-            own["clairvoyant"],
-            own["true labels"] - own["clairvoyant"],
-            own["cost"] - own["true labels"],
-            own["cost"],
-            own["oracle"] - own["clairvoyant"],
+    domains, methods = summary.domains.index, summary.methods.index
+    order = sorted(groups, key=lambda one: (domains(one[0][0]), methods(one[0][1]), one[0][2]))
+    for (domain, method, trade_off), own in order:
+        estimates = {
+            name: clustered_mean(own[one] - own[less] if less else own[one], summary.clusters(own))
+            for name, (one, less) in PARTS.items()
+        }
+        yield domain, method, trade_off, estimates
+
+
+def table(summary: Summary) -> Table:
+    """The parts of each method's cost."""
+    rows = tuple(
+        (
+            *map(Cell, (title(domain), title(method), f"{trade_off:g}")),
+            *(Cell(estimate=estimate) for estimate in estimates.values()),
         )
-        estimates = (clustered_mean(column, clusters) for column in columns)
-        yield Parts(domain, method, float(trade_off), *estimates)
-
-
-def rows(summary: Summary) -> list[list[str]]:
-    """The parts in words below :data:`HEADS`, in the order of domains, methods and λ."""
-    found = sorted(
-        parts(summary),
-        key=lambda p: (
-            summary.domains.index(p.domain),
-            summary.methods.index(p.method),
-            p.trade_off,
-        ),
+        for domain, method, trade_off, estimates in parts(summary)
     )
-    texts = []
-    for one in found:
-        numbers = (one.floor, one.type_unknown, one.learned, one.cost, one.oracle)
-        words = [title(one.domain), title(one.method), f"{one.trade_off:g}"]
-        texts.append([*words, *map(_text, numbers)])
-    return texts
-
-
-def caption(summary: Summary) -> str:
-    """How to read the rows."""
-    unit = "seeds" if summary.seeds > 1 else "traces"
-    return (
+    caption = (
         "What costs are made of: the clairvoyant's cost; what not knowing the user's type adds "
         "where types and labels are true; what learned labels and types add to that. Beside it, "
         "what learned labels add for the oracle, who knows the type. 95 % intervals over "
-        f"{unit} in brackets."
+        f"{summary.unit} in brackets."
     )
-
-
-def markdown(summary: Summary) -> str:
-    """A table of the parts, with its caption."""
-    lines = ["| " + " | ".join(HEADS) + " |", "|" + "---|" * len(HEADS)]
-    lines += ["| " + " | ".join(row) + " |" for row in rows(summary)]
-    return "\n".join([*lines, "", caption(summary), ""])
-
-
-def _text(estimate: Estimate) -> str:
-    known = number(estimate.low)
-    return f"{number(estimate.mean)} {interval(estimate)}" if known else number(estimate.mean)
+    return Table(("Domain", "Method", "λ", *PARTS), rows, 3, caption)

@@ -2,45 +2,57 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.report.settings import setting_of
+from xplain.report.paper import title
 from xplain.report.summary import Summary
+from xplain.report.table import Cell, Table
+
+FIGURES = {
+    "true_types": "types",
+    "types_found": "found",
+    "adjusted_rand_index": "adjusted Rand index",
+    "labeler_accuracy": "labelers right",
+    "fresh_accuracy": "on fresh questions",
+    "everyone_accuracy": "one labeler for all right",
+}
 
 
 def elbows(summary: Summary, domain: str) -> dict[str, tuple[NDArray[np.float64], Counter[int]]]:
     """``{setting: (mean curve over seeds, how often each k was chosen)}``."""
-    curves: dict[str, dict[int, NDArray[np.float64]]] = {}
-    chosen: dict[str, dict[int, int]] = {}
-    for job, results in summary.results:
-        curve = results.elbow.disagreements
-        if results.domain == domain and curve:
-            name, seed = setting_of(job["values"]), results.seed
-            curves.setdefault(name, {})[seed] = np.array(curve, dtype=float)
-            chosen.setdefault(name, {})[seed] = len(results.types.found)
+    found = summary.data_sets
+    own = found[(found["domain"] == domain) & (found["curve"].map(len) > 0)]
+    curves: Any = own.groupby("setting", sort=False)
     means = {}
-    for name, by_seed in curves.items():
-        shortest = min(map(len, by_seed.values()))
-        mean = np.mean([curve[:shortest] for curve in by_seed.values()], axis=0)
-        means[name] = (mean, Counter(chosen[name].values()))
+    for setting, part in curves:
+        shortest = part["curve"].map(len).min()
+        mean = np.mean([curve[:shortest] for curve in part["curve"]], axis=0)
+        means[setting] = (mean, Counter(part["chosen"]))
     return means
 
 
-def learning(summary: Summary) -> dict[tuple[str, str], dict[str, float]]:
-    """``{(domain, setting): figure: mean over seeds}`` of the learning stage."""
-    found: dict[tuple[str, str], dict[int, Mapping[str, float]]] = {}
-    for job, results in summary.results:
-        key = (results.domain, setting_of(job["values"]))
-        found.setdefault(key, {})[results.seed] = results.learning
-    return {
-        key: {
-            name: float(np.mean([figures[name] for figures in by_seed.values()]))
-            for name in next(iter(by_seed.values()))
-            if all(name in figures for figures in by_seed.values())
-        }
-        for key, by_seed in found.items()
-    }
+def table(summary: Summary) -> Table:
+    """How well types and labels were learned, a row a setting."""
+    found = summary.data_sets
+    heads = [name for name in FIGURES if name in found and found[name].notna().any()]
+    groups: Any = found.groupby(["domain", "setting"], sort=False)
+    rows = []
+    for (domain, setting), own in groups:
+        means = own[heads].mean(skipna=False)
+        name = " ".join(filter(None, [title(domain), setting]))
+        rows.append((Cell(name), *(Cell(_text(key, means[key])) for key in heads)))
+    caption = "Means over seeds. Labelers are scored on labels that were held out."
+    return Table(("Setting", *(FIGURES[key] for key in heads)), tuple(rows), 1, caption)
+
+
+def _text(key: str, value: float) -> str:
+    if math.isnan(value):
+        return ""
+    if key.endswith("accuracy"):
+        return f"{value:.1%}"
+    return f"{value:g}" if float(value).is_integer() else f"{value:.2f}"

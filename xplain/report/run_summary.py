@@ -24,12 +24,15 @@ TITLES = {
     "decision_ms": "decision time (ms a step)",
 }
 
+BY_CHANCE = ", above the optimum by sampling error"
+"""Of a simulated value that lies beyond a proven bound: no policy is worth more."""
+
 
 def print_summary(results: Results) -> None:
     """The run's figures as a table on standard output, the paper's beside them."""
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 100)
     console.print(_headline(results))
-    published = table1().get((results.domain, results.trade_off), {})
+    published = table1().get((results.choices["domain"], results.trade_off), {})
     table = Table(box=None, pad_edge=False)
     table.add_column("measure")
     table.add_column("mean", justify="right")
@@ -103,14 +106,21 @@ def _bounds(bounds: Mapping[str, float]) -> list[str]:
         f"expected value of perfect information {_range(bounds, 'price_of_not_knowing')}",
     ]
     if "policy_value" in bounds:
-        how = "exact" if bounds["policy_value_exact"] == 1 else f"± {bounds['policy_value_se']:.4f}"
         lines += [
-            f"  this policy {bounds['policy_value']:.4f} ({how}), suboptimality "
+            f"  this policy {bounds['policy_value']:.4f} ({_how_known(bounds)}), suboptimality "
             f"{_range(bounds, 'price_of_approximation')}",
             f"cost that the learned model expects of this policy, undiscounted, {traces}: "
             f"{bounds['policy_cost']:.3f}",
         ]
     return lines
+
+
+def _how_known(bounds: Mapping[str, float]) -> str:
+    if bounds["policy_value_exact"] == 1:
+        return "exact"
+    half = bounds["policy_value_high"] - bounds["policy_value"]
+    beyond = bounds["policy_value"] > bounds["optimal_upper"]
+    return f"± {half:.4f}" + (BY_CHANCE if beyond else "")
 
 
 def _count(number: float, what: str) -> str:

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
 from functools import cached_property
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -38,18 +36,6 @@ ORDER = (
 
 Value = float | str
 """Of a swept key: a number where all its values are; "" where a setting lacks the key."""
-
-
-@dataclass(frozen=True)
-class TableCell:
-    """An estimate over the episodes of one domain, λ and measure."""
-
-    domain: str
-    setting: str
-    trade_off: float
-    measure: str
-    estimate: Estimate
-    episodes: int
 
 
 class Summary:
@@ -172,7 +158,6 @@ class Summary:
                         "true labels": costs.get(("true_labels", *key), np.nan),
                         "messages": episode.messages,
                         "inexplicable labels": episode.inexplicable_labels,
-                        "steps until sure": episode.steps_until_sure,
                     }
                 )
         frame = pd.DataFrame(rows)
@@ -192,14 +177,11 @@ class Summary:
         """Names of the domains, in the order of the sweep."""
         return list(dict.fromkeys(self.episodes["domain"])) if len(self.episodes) else []
 
-    def settings(self, domain: str) -> list[str]:
-        """Names of a domain's settings, in the order of the sweep."""
-        return self._settings.get(domain, [])
-
     @cached_property
-    def _settings(self) -> dict[str, list[str]]:
-        by_domain = self.episodes.groupby("domain", sort=False)["setting"]
-        return {str(domain): list(dict.fromkeys(names)) for domain, names in by_domain}
+    def settings(self) -> dict[str, list[str]]:
+        """Names of each domain's settings, in the order of the sweep."""
+        by_domain: Any = self.episodes.groupby("domain", sort=False)["setting"]
+        return {domain: list(dict.fromkeys(names)) for domain, names in by_domain}
 
     @cached_property
     def trade_offs(self) -> list[float]:
@@ -211,47 +193,22 @@ class Summary:
         """Number of different seeds that were run."""
         return int(self.episodes["seed"].nunique()) if len(self.episodes) else 0
 
-    def estimate(
-        self, measure: str, domain: str, trade_off: float, method: str, setting: str | None = None
-    ) -> TableCell | None:
-        """Mean with interval of a column over a domain's settings (or one); None without data."""
-        frame = self._cell(domain, trade_off, method, setting)
-        frame = frame[np.isfinite(frame[measure])]
-        if not len(frame):
-            return None
-        estimate = self.mean(frame, measure)
-        label = "all" if setting is None else setting
-        return TableCell(domain, label, trade_off, method, estimate, len(frame))
+    @property
+    def unit(self) -> str:
+        """What intervals are over."""
+        return "seeds" if self.seeds > 1 else "traces"
 
-    def reference(
-        self, name: str, domain: str, trade_off: float, setting: str | None = None
-    ) -> TableCell | None:
-        """The cost of the oracle or the clairvoyant: it is the same in every job of a setting, so
-        one method's will do."""
-        for method in self.methods:
-            cell = self.estimate(name, domain, trade_off, method, setting)
-            if cell is not None:
-                return replace(cell, measure=name)
-        return None
+    @property
+    def told_missing(self) -> str:
+        """A sentence, with a blank before it, where jobs are missing."""
+        return f" {self.missing} of {len(self.jobs)} jobs are missing." if self.missing else ""
 
-    def oracle(self, domain: str, trade_off: float, setting: str | None = None) -> TableCell | None:
-        """The oracle's cost."""
-        return self.reference("oracle", domain, trade_off, setting)
-
-    def differences(self) -> Iterator[tuple[str, float, str, str, Estimate]]:
-        """(domain, λ, method, other, cost of the method minus the other's on the same trace and
-        user) for each pair of methods."""
-        key = ["setting", "seed", "trace", "type"]
-        for domain in self.domains:
-            for trade_off in self.trade_offs:
-                for other, method in combinations(self.methods, 2):
-                    left = self._cell(domain, trade_off, method, None).set_index(key)
-                    right = self._cell(domain, trade_off, other, None).set_index(key)
-                    both = left.join(right["cost"], rsuffix="_other", how="inner").reset_index()
-                    if len(both):
-                        paired = both["cost"] - both["cost_other"]
-                        estimate = clustered_mean(paired, self.clusters(both))
-                        yield domain, trade_off, method, other, estimate
+    def reference(self, frame: pd.DataFrame, name: str) -> pd.DataFrame:
+        """The episodes of a frame by which to know what the oracle or the clairvoyant costs: it is
+        the same in every job of a setting, so one method's will do."""
+        known = frame.dropna(subset=[name])
+        first = min(set(known["method"]), key=self.methods.index, default="")
+        return known[known["method"] == first]
 
     def example(self, domain: str) -> tuple[Path, str, Results] | None:
         """Folder, label and results of one job of a domain: at λ = 1 where that was run, else
@@ -279,7 +236,14 @@ class Summary:
         text = job["values"].get(key)
         if text is None:
             return "" if key in self.keys else None
+        if key == "domain":
+            return str(job["values"].get("domain.name") or self._named.get(text, text))
         return float(text) if key in self._numbers else str(text)
+
+    @cached_property
+    def _named(self) -> dict[str, str]:
+        """What the domains of the finished jobs are called, by what was chosen."""
+        return {results.choices["domain"]: results.domain for _, results in self.results}
 
     def messages(self, domain: str) -> dict[str, str]:
         """``{message: its sentence}`` of a domain; empty where no job of it has finished."""
@@ -288,36 +252,34 @@ class Summary:
                 return dict(results.messages)
         return {}
 
-    def types_found(self) -> dict[str, list[float]]:
-        """By domain, the adjusted Rand index of each data set: one a setting and seed."""
-        found: dict[tuple[str, str, int], float] = {}
-        for job, results in self.results:
-            if "adjusted_rand_index" in results.learning:
-                key = (results.domain, setting_of(job["values"]), results.seed)
-                found[key] = results.learning["adjusted_rand_index"]
-        domains: dict[str, list[float]] = {}
-        for (domain, *_), index in found.items():
-            domains.setdefault(domain, []).append(index)
-        return domains
+    @cached_property
+    def data_sets(self) -> pd.DataFrame:
+        """A row a data set, one a domain, setting and seed: these, the disagreements for each
+        number of types (``curve``), the number found (``chosen``), and the figures of the learning
+        stage by name, NaN where there is none."""
+        rows = [
+            {
+                "domain": results.domain,
+                "setting": setting_of(job["values"]),
+                "seed": results.seed,
+                "curve": results.elbow.disagreements,
+                "chosen": len(results.types.found),
+                "adjusted_rand_index": math.nan,
+                **results.learning,
+            }
+            for job, results in self.results
+        ]
+        return pd.DataFrame(rows).drop_duplicates(["domain", "setting", "seed"], keep="last")
+
+    def estimate(self, frame: pd.DataFrame, measure: str) -> Estimate | None:
+        """:meth:`mean` over the episodes that have the measure; None where none has."""
+        known = frame.dropna(subset=[measure])
+        return self.mean(known, measure) if len(known) else None
 
     def mean(self, frame: pd.DataFrame, measure: str) -> Estimate:
         """Mean of a column of episodes, with its interval, cut where the mean cannot be."""
         values = possible(measure.replace(" ", "_"))
         return clustered_mean(frame[measure], self.clusters(frame), possible=values)
-
-    def _cell(
-        self, domain: str, trade_off: float, method: str, setting: str | None
-    ) -> pd.DataFrame:
-        own = self._cells.get((domain, trade_off, method), self.episodes[:0])
-        return own if setting is None else own[own["setting"] == setting]
-
-    @cached_property
-    def _cells(self) -> dict[tuple[str, float, str], pd.DataFrame]:
-        """Episodes by domain, λ and method."""
-        if not len(self.episodes):
-            return {}
-        groups: Any = self.episodes.groupby(["domain", "lambda", "method"], sort=False)
-        return dict(iter(groups))
 
     def clusters(self, frame: pd.DataFrame) -> pd.Series[int]:
         """What was sampled: seeds, each with its own data and traces; with one seed, traces.

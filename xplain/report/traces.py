@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median_low
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -81,35 +83,31 @@ def stories(folder: Path, solver: str) -> Iterator[Story]:
             )
 
 
-def telling(found: list[Story]) -> list[Story]:
-    """Those with most and fewest messages of the trace on which users' needs differ most."""
-    by_trace: dict[int, list[Story]] = {}
-    for story in found:
-        by_trace.setdefault(story.trace, []).append(story)
-
-    def spread(own: list[Story]) -> tuple[int, int]:
-        said = [{name for new in story.messages for name in new} for story in own]
-        return len({frozenset(names) for names in said}), max(map(len, said))
-
-    best = max(by_trace.values(), key=spread, default=[])
-    if len(best) < 2:
-        return best
-    most = max(best, key=lambda story: story.n_messages)
-    fewest = min(best, key=lambda story: story.n_messages)
-    return [most, fewest] if fewest is not most else [most]
+def typical(found: Sequence[Story]) -> Story:
+    """The first episode whose cost is the median of all (of an even number, the lower middle)."""
+    median = median_low(story.cost for story in found)
+    return next(story for story in found if math.isclose(story.cost, median, abs_tol=1e-9))
 
 
-def draw_trace(scene: Scene | None, story: Story) -> Figure:
+def which(story: Story, episodes: int) -> str:
+    """Which of a run's episodes a :func:`typical` one is, and by what rule it was taken."""
+    return (
+        f"trace {story.trace}, user of type {story.user_type}: cost {story.cost:g}, the median of "
+        f"{_count(episodes, 'episode')} (the first that costs this)"
+    )
+
+
+def draw_trace(scene: Scene | None, story: Story, caption: str) -> Figure:
     """Map and path at the left; at the right one row a transition, one column a step. Without a
-    map, what each transition changes is told below it."""
+    map, what each transition changes is told below it. The caption is above the steps."""
     m = len(story.phrases)
     if scene is None or len(story.positions) != m + 1:
-        told = [textwrap.fill("; ".join(changes), 64) for changes in story.changes]
-        row = 0.34 + 0.13 * max((text.count("\n") + 1 for text in told), default=0)
+        below = [textwrap.fill("; ".join(changes), 64) for changes in story.changes]
+        row = 0.34 + 0.13 * max((text.count("\n") + 1 for text in below), default=0)
         figure = Figure(figsize=(4.6 + 0.34 * m, max(3.4, row * m + 2.6)))
         axes = figure.subplots()
-        _draw_steps(axes, story)
-        _draw_changes(axes, told)
+        _draw_steps(axes, story, caption)
+        _draw_changes(axes, below)
         return figure
     # Long phrases at the right must not make the map small: each half is laid out by itself.
     widths = [max(5.2, CELL * scene.columns), max(6.6, 3.6 + 0.34 * m)]
@@ -120,13 +118,17 @@ def draw_trace(scene: Scene | None, story: Story) -> Figure:
     draw_map(left, scene, story.positions)
     left.set_title("What the robot did, step by step", loc="left", weight="bold")
     left.set_anchor("N")
-    _draw_steps(right, story)
+    _draw_steps(right, story, caption)
     return figure
 
 
-def save_trace(path: Path, scene: Scene | None, story: Story) -> None:
-    """Draws :func:`draw_trace` into a file."""
-    save(draw_trace(scene, story), path)
+def save_typical(folder: Path, scene: Scene | None, path: Path) -> str:
+    """Draws the typical episode of a run's folder into a file; returns which it is."""
+    found = list(stories(folder, "solver"))
+    story = typical(found)
+    caption = which(story, len(found))
+    save(draw_trace(scene, story, caption), path)
+    return caption
 
 
 def draw_map(axes: Axes, scene: Scene, positions: tuple[tuple[int, int], ...]) -> None:
@@ -184,7 +186,7 @@ def draw_map(axes: Axes, scene: Scene, positions: tuple[tuple[int, int], ...]) -
         )
 
 
-def _draw_steps(axes: Axes, story: Story) -> None:
+def _draw_steps(axes: Axes, story: Story, caption: str) -> None:
     m = len(story.phrases)
     for k, row in enumerate(story.labels):
         for i, label in enumerate(row):
@@ -225,13 +227,23 @@ def _draw_steps(axes: Axes, story: Story) -> None:
     else:
         axes.legend(loc="upper left", bbox_to_anchor=(0, -0.3), ncols=3, fontsize=8)
     longest = max((len(" + ".join(new)) for new in story.messages), default=0)
-    axes.set_title(
+    title = axes.set_title(
         f"What a user of type {story.user_type} said: "
         f"{_count(story.n_messages, 'message')}, "
         f"{_count(story.n_inexplicable, 'inexplicable label')}",
         loc="left",
         pad=14 + (18 + 3.2 * longest if story.n_messages else 0),
         weight="bold",
+    )
+    axes.annotate(
+        caption,
+        (0, 1),
+        (0, 5),
+        xycoords=title,
+        textcoords="offset points",
+        fontsize=9,
+        color="#666666",
+        annotation_clip=False,
     )
 
 

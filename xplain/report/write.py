@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from xplain.report import claims, decomposition, regret_table, tables
+from xplain.report import claims, decomposition, paper_table
 from xplain.report.combinations import differences_csv, regret_csv
 from xplain.report.page import Picture, Pictures, page
 from xplain.report.paper import title
+from xplain.report.regret_table import regret_table
 from xplain.report.summary import Summary
 from xplain.storage import write_text
 
@@ -27,29 +28,27 @@ def write_report(folder: Path) -> tuple[Summary, Path]:
     report = folder / REPORT
     report.mkdir(exist_ok=True)
     if summary.results:
-        write_text(report / CSV_OF_COMBINATIONS, regret_csv(summary))
-        write_text(report / "differences.csv", differences_csv(summary))
-        write_text(report / "table.md", regret_table.markdown(summary))
-        write_text(report / "table.tex", regret_table.latex(summary))
-        if summary.report == "table1":
-            write_text(report / "table1.md", tables.markdown(summary))
-            write_text(report / "table1.tex", tables.latex(summary))
-            write_text(report / "table1.csv", tables.as_csv(summary))
-            _write_more_of_table1(summary, report)
+        for name, text in _tables(summary):
+            write_text(report / name, text)
         write_text(report / "index.html", page(summary, draw(summary, report)))
     return summary, report
 
 
-def _write_more_of_table1(summary: Summary, report: Path) -> None:
-    """Beside the paper's table: a row a setting, regret to the clairvoyant, what the paper claims,
-    and what costs are made of."""
-    to_floor = "regret to clairvoyant"
-    write_text(report / "table1_by_setting.md", tables.markdown(summary, by_setting=True))
-    write_text(report / "table1_clairvoyant.md", tables.markdown(summary, measure=to_floor))
-    write_text(report / "table1_clairvoyant.csv", tables.as_csv(summary, to_floor))
-    tested = claims.claims(summary.episodes, summary.types_found())
-    write_text(report / "claims.md", claims.markdown(tested))
-    write_text(report / "decomposition.md", decomposition.markdown(summary))
+def _tables(summary: Summary) -> Iterator[tuple[str, str]]:
+    """(file, content)."""
+    yield CSV_OF_COMBINATIONS, regret_csv(summary)
+    yield "differences.csv", differences_csv(summary)
+    yield "table.md", regret_table(summary).markdown()
+    yield "table.tex", regret_table(summary).latex()
+    if summary.report == "table1":
+        for name, measure in (("table1", "regret"), ("table1_clairvoyant", paper_table.TO_FLOOR)):
+            yield f"{name}.md", paper_table.table(summary, measure=measure).markdown()
+            yield f"{name}.csv", paper_table.as_csv(summary, measure)
+        yield "table1.tex", paper_table.table(summary).latex()
+        yield "table1_by_setting.md", paper_table.table(summary, by_setting=True).markdown()
+        tested = claims.claims(summary.episodes, summary.data_sets)
+        yield "claims.md", claims.table(tested).markdown()
+        yield "decomposition.md", decomposition.table(summary).markdown()
 
 
 def draw(summary: Summary, report: Path) -> Pictures:
@@ -104,8 +103,7 @@ def draw(summary: Summary, report: Path) -> Pictures:
 
 
 def _trace_pictures(summary: Summary, report: Path) -> Iterator[tuple[str, Path, str]]:
-    """(domain, picture, caption): one trace a domain, explained to two types of users, one who
-    needs many messages and one who needs few."""
+    """(domain, picture, caption): one typical explanation a domain."""
     from xplain.report import traces
 
     for domain in summary.domains:
@@ -113,13 +111,7 @@ def _trace_pictures(summary: Summary, report: Path) -> Iterator[tuple[str, Path,
         if found is None:
             continue
         folder, label, results = found
-        for story in traces.telling(list(traces.stories(folder, "solver"))):
-            path = report / f"trace_{domain}_{story.user_type}.png"
-            traces.save_trace(path, results.scene, story)
-            yield (
-                domain,
-                path,
-                f"{title(domain)}, {title(results.solver)}, λ = {results.trade_off:g} (job "
-                f"“{label}”): trace {story.trace + 1} explained to a user of type "
-                f"{story.user_type}; cost {story.cost:g}.",
-            )
+        path = report / f"trace_{domain}.png"
+        drawn = traces.save_typical(folder, results.scene, path)
+        run = f"{title(domain)}, {title(results.solver)}, λ = {results.trade_off:g} (job “{label}”)"
+        yield domain, path, f"{run}: {drawn}."

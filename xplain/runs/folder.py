@@ -12,7 +12,6 @@ import json
 import os
 import shutil
 import socket
-import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -95,32 +94,25 @@ class SweepFolder:
             return "failed"
         return "running" if (folder / STARTED).exists() else "waiting"
 
-    def trust(self, job: Job) -> State:
-        """The state, after reading the results: those of another fingerprint, or unreadable ones,
-        are removed."""
-        folder = self.of(job)
-        if self.state(job) == "finished":
+    def checked_state(self, job: Job) -> State:
+        """The state, after reading the results: with those of another fingerprint, or unreadable
+        ones, the job is as good as not begun."""
+        state = self.state(job)
+        if state == "finished":
             try:
-                if load_results(folder).stamp == job.fingerprint:
-                    return "finished"
+                usable = load_results(self.of(job)).stamp == job.fingerprint
             except ValueError:
-                pass
-            self.clear(job)
-        return self.state(job)
+                usable = False
+            return "finished" if usable else "waiting"
+        return state
 
     def worker(self, job: Job) -> str:
         """Host and number of the process that ran the job."""
         return (self.of(job) / STARTED).read_text(encoding="utf-8")
 
-    def started(self, job: Job) -> int:
-        """When its worker took the job, or its results began, in milliseconds since 1970."""
-        folder = self.of(job)
-        if (folder / RESULTS).exists():
-            return int(1000 * load_results(folder).started)
-        try:
-            return int(1000 * (folder / STARTED).stat().st_mtime)
-        except OSError:
-            return int(1000 * time.time())
+    def result_id(self, job: Job) -> str:
+        """What the job's result is called in MLflow."""
+        return hashlib.sha256(f"{self.identity} {job.fingerprint}".encode()).hexdigest()[:32]
 
     def failure(self, job: Job) -> dict[str, str]:
         """Error and traceback of a failed job."""
@@ -132,29 +124,12 @@ class SweepFolder:
         shutil.rmtree(self.of(job), ignore_errors=True)
 
 
-@dataclass(frozen=True)
-class JobOfSweep:
-    """What a job's process needs to know of its sweep."""
-
-    label: str
-    fingerprint: str
-    result: str
-
-
-def job_of(folder: Path) -> JobOfSweep | None:
-    """The job whose folder this is; None for a run on its own."""
-    if folder.parent.name != "jobs" or not (folder.parents[1] / SWEEP).exists():
-        return None
+def job_of(folder: Path) -> tuple[SweepFolder, Job] | None:
+    """The sweep and the job whose folder this is; None for a run on its own."""
     sweep = SweepFolder(folder.parents[1])
-    for job in sweep.jobs():
-        if job.name == folder.name:
-            return JobOfSweep(job.label, job.fingerprint, result_id(sweep.identity, job))
-    return None
-
-
-def result_id(identity: str, job: Job) -> str:
-    """What the job's result is called in MLflow."""
-    return hashlib.sha256(f"{identity} {job.fingerprint}".encode()).hexdigest()[:32]
+    if folder.parent.name != "jobs" or not (sweep.path / SWEEP).exists():
+        return None
+    return next(((sweep, job) for job in sweep.jobs() if job.name == folder.name), None)
 
 
 def mark_started(folder: Path) -> None:

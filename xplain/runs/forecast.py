@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import statistics
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,10 @@ from omegaconf import DictConfig
 from xplain.experiment.fingerprint import configuration, fingerprint
 from xplain.experiment.from_config import check
 from xplain.experiment.results import load_results
-from xplain.runs.folder import SweepFolder
 from xplain.runs.plan import Plan
 from xplain.runs.progress import duration
 from xplain.runs.reuse import finished_below, finished_elsewhere
+from xplain.runs.todo import Todo
 
 
 @dataclass(frozen=True)
@@ -42,11 +43,9 @@ def experiences(outputs: Path) -> list[Experience]:
     """Of every finished job below the outputs folder."""
     found = []
     for _, folder in finished_below(outputs):
-        try:
+        with suppress(OSError, ValueError):
             results = load_results(folder)
-        except (OSError, ValueError):
-            continue
-        found.append(Experience.of(results.config, sum(results.seconds.values())))
+            found.append(Experience.of(results.config, sum(results.seconds.values())))
     return found
 
 
@@ -63,7 +62,7 @@ def expected_seconds(known: Sequence[Experience], config: Mapping[str, Any]) -> 
 
 def print_dry_run(
     plan: Plan,
-    folder: SweepFolder,
+    todo: Todo,
     outputs: Path,
     config: DictConfig,
     configurations: Mapping[str, Mapping[str, Any]],
@@ -71,28 +70,25 @@ def print_dry_run(
     """The jobs, those already done, and the time to expect, on standard output.
 
     Args:
-        plan, folder, outputs: of the sweep.
+        plan, todo, outputs: of the sweep.
         config: as composed for the whole sweep; its launcher says how many workers there are.
         configurations: of each job, by fingerprint.
     """
-    done = {job.fingerprint for job in plan.jobs if folder.state(job) == "finished"}
-    if config.resume == "none":
-        done = set()
-    missing = {job.fingerprint for job in plan.jobs} - done
-    elsewhere = {} if config.resume == "none" else finished_elsewhere(outputs, missing)
+    done = {*todo.finished, *todo.copied}
     for job in plan.jobs:
-        source = elsewhere.get(job.fingerprint)
-        state = "done" if job.fingerprint in done else "to run"
-        print(f"{'done' if source else state:8}{job.label}{_from(source)}")
-    todo = missing - elsewhere.keys()
+        if job.fingerprint not in {*done, *todo.run}:
+            continue  # resume=failed leaves it
+        source = todo.copied.get(job.fingerprint)
+        at = f"  ({os.path.relpath(source)})" if source else ""
+        print(f"{'done' if job.fingerprint in done else 'to run':8}{job.label}{at}")
     print(
-        f"{len(plan.jobs)} jobs: {len(done)} done, {len(elsewhere)} done elsewhere (to be copied), "
-        f"{len(todo)} to run"
+        f"{len(plan.jobs)} jobs: {len(todo.finished)} done, {len(todo.copied)} done elsewhere (to "
+        f"be copied), {len(todo.run)} to run"
     )
-    if todo:
+    if todo.run:
         known = experiences(outputs)
-        expected = [expected_seconds(known, configurations[key]) for key in todo]
-        print(_time(expected, _workers(config, len(todo)), len(known)))
+        expected = [expected_seconds(known, configurations[key]) for key in todo.run]
+        print(_time(expected, _workers(config, len(todo.run)), len(known)))
 
 
 def print_dry_job(cfg: DictConfig, outputs: Path) -> None:
@@ -104,10 +100,6 @@ def print_dry_job(cfg: DictConfig, outputs: Path) -> None:
     print("1 job" + (f", done already ({os.path.relpath(done)})" if done else ""))
     known = experiences(outputs)
     print(_time([expected_seconds(known, config)], 1, len(known)))
-
-
-def _from(source: Path | None) -> str:
-    return "" if source is None else f"  ({os.path.relpath(source)})"
 
 
 def _time(expected: list[float | None], workers: int, known: int) -> str:

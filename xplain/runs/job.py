@@ -31,6 +31,7 @@ from xplain.experiment.results import (
     EPISODES,
     Provenance,
     Results,
+    domain_name,
     episode_lines,
     results_of,
     save_results,
@@ -38,9 +39,9 @@ from xplain.experiment.results import (
 from xplain.numba_kernels import tell_when_compiling
 from xplain.report.run_summary import print_certificates, print_summary
 from xplain.report.stages import stages
-from xplain.runs.folder import JobOfSweep, is_ours, job_of, mark_failed, mark_started
+from xplain.runs.folder import SweepFolder, is_ours, job_of, mark_failed, mark_started
 from xplain.runs.forecast import print_dry_job
-from xplain.runs.mlflow import tell_links
+from xplain.runs.plan import Job
 from xplain.runs.worker import end_with_parent
 from xplain.solvers.base import Solver
 from xplain.solvers.known_type import KnownType
@@ -58,7 +59,7 @@ def run_job(cfg: DictConfig) -> float | None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     job = job_of(folder)
     if job is not None:
-        return _run_in_sweep(cfg, folder, job)
+        return _run_in_sweep(cfg, *job)
     try:
         require_usable(cfg)
         if cfg.dry_run:
@@ -84,17 +85,20 @@ def _run_alone(cfg: DictConfig, folder: Path) -> float | None:
     print_certificates(results.bounds)
     results = replace(results, id=result_id(results, folder), stamp=fingerprint(config))
     with progress.stage("drawing one explanation"):
-        _draw(folder, prepared)
+        drawn = _draw(folder, prepared)
     save_results(folder, results)
     with progress.stage("sending the run to MLflow"):
-        link = tracking.log(folder, outputs)
+        lines = tracking.log(folder, outputs)
     log.info("folder: %s", os.path.relpath(folder))
-    log.info("  trace.png is one explanation, results.json has all figures")
-    tell_links(tracking, outputs, [] if link is None else [("MLflow", link)])
+    log.info("  trace.png is one explanation: %s", drawn)
+    log.info("  results.json has all figures")
+    for line in lines:
+        log.info(line)
     return results.regret
 
 
-def _run_in_sweep(cfg: DictConfig, folder: Path, job: JobOfSweep) -> float | None:
+def _run_in_sweep(cfg: DictConfig, sweep: SweepFolder, job: Job) -> float | None:
+    folder = sweep.of(job)
     end_with_parent()
     mark_started(folder)
     try:
@@ -110,7 +114,7 @@ def _run_in_sweep(cfg: DictConfig, folder: Path, job: JobOfSweep) -> float | Non
             log.exception("failed")
             mark_failed(folder, error)
         return None
-    results = replace(results, id=job.result, name=job.label, stamp=job.fingerprint)
+    results = replace(results, id=sweep.result_id(job), name=job.label, stamp=job.fingerprint)
     save_results(folder, results)
     return results.regret
 
@@ -161,8 +165,9 @@ def run_experiment(
         records += evaluate(known, costs, again, belief, cfg.seed, progress.track, what)
     clock.lap("explain")
 
+    domain = domain_name(choices, config)
     provenance = Provenance(
-        name=f"{choices['domain']} {choices['solver']} λ={cfg['lambda']:g} seed={cfg.seed}",
+        name=f"{domain} {choices['solver']} λ={cfg['lambda']:g} seed={cfg.seed}",
         xplain=__version__,
         code=code_version(),
         git=git_state(),
@@ -201,13 +206,14 @@ def result_id(results: Provenance, folder: Path) -> str:
     return hashlib.sha256(content.encode()).hexdigest()[:32]
 
 
-def _draw(folder: Path, prepared: Prepared) -> None:
+def _draw(folder: Path, prepared: Prepared) -> str:
+    """Draws the run's pictures; returns which episode is drawn."""
     from xplain.report import plots, traces
 
-    story = traces.telling(list(traces.stories(folder, "solver")))[0]
-    traces.save_trace(folder / "trace.png", prepared.scene, story)
+    drawn = traces.save_typical(folder, prepared.scene, folder / "trace.png")
     if len(prepared.curve):
         figure = plots.disagreements(
             prepared.curve.tolist(), len(prepared.learned_types), prepared.rule
         )
         plots.save(figure, folder / "disagreements.png")
+    return drawn

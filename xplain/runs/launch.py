@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from threading import Event
 
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, JobStatus
@@ -56,24 +56,21 @@ def _note_failure(folder: SweepFolder, job: Job, returned: JobReturn) -> None:
 
 
 @contextmanager
-def interruptible() -> Iterator[Event]:
-    """SIGTERM ends the sweep like Ctrl-C, so that its runs do not stay open; the event tells that
-    either came."""
-    came = Event()
+def interruptible() -> Iterator[threading.Event]:
+    """SIGTERM and a closed terminal end the sweep like Ctrl-C, so that MLflow hears of it; the
+    event tells that one of them came."""
+    came = threading.Event()
 
     def interrupt(*_: object) -> None:
         came.set()
         raise KeyboardInterrupt
 
-    before = {}
-    try:
-        for number in (signal.SIGTERM, signal.SIGINT):
-            # A shell's background job ignores Ctrl-C, and shall.
-            if signal.getsignal(number) is not signal.SIG_IGN:
-                before[number] = signal.signal(number, interrupt)
-    except ValueError:  # not the main thread: someone embeds this
-        yield came
-        return
+    numbers = []
+    if threading.current_thread() is threading.main_thread():  # else someone embeds this
+        numbers = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP]
+    # A shell's background job ignores Ctrl-C, and shall; nohup a closed terminal.
+    heard = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, interrupt) for number in heard}
     try:
         yield came
     finally:

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import getpass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from xplain.experiment.results import Results
+from xplain.experiment.fingerprint import git_state
+from xplain.experiment.results import Results, load_results
+from xplain.runs.folder import FAILURE, STARTED, SweepFolder
 from xplain.runs.plan import Job
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
+    from mlflow.entities import Run
+
+RESULT_TAG = "xplain.result"
+"""Tag that holds a result's identity; a result is in MLflow once, however often it is sent."""
+
+PARENT_TAG = "mlflow.parentRunId"
 
 FIGURES = (
     "regret",
@@ -25,6 +35,117 @@ FIGURES = (
 
 LEARNED = ("types_found", "adjusted_rand_index", "labeler_accuracy")
 MOST_PARAMETERS = 25
+
+
+@dataclass(frozen=True)
+class Store:
+    """Where runs go.
+
+    Attributes:
+        client: of MLflow.
+        experiment: its id.
+        pages: address of the user interface, up to the ``#``.
+    """
+
+    client: MlflowClient
+    experiment: str
+    pages: str = "#"
+
+    def tagged(self, tag: str, value: str) -> Iterator[Run]:
+        """Every run with this value of a tag, page after page."""
+        token = None
+        while True:
+            page = self.client.search_runs(
+                [self.experiment], f"tags.`{tag}` = '{value}'", max_results=500, page_token=token
+            )
+            yield from page
+            token = page.token
+            if not token:
+                return
+
+    def once(
+        self, known: Iterable[Run], name: str, status: str, started: int, tags: dict[str, str]
+    ) -> tuple[str, bool]:
+        """The id of a run that is known with this status and start, else of a new one; and whether
+        it is new. Other known ones are deleted: a sender died half-way, or they are of an earlier
+        attempt."""
+        kept = ""
+        for run in known:
+            if (run.info.status, run.info.start_time) == (status, started) and not kept:
+                kept = str(run.info.run_id)
+            else:
+                self.client.delete_run(run.info.run_id)
+        if kept:
+            return kept, False
+        created = self.client.create_run(self.experiment, started, tags, name)
+        return str(created.info.run_id), True
+
+
+def send_run(store: Store, folder: Path) -> str:
+    """Sends the results of a run on its own; returns the id of its run in MLflow."""
+    results = load_results(folder)
+    known = store.tagged(RESULT_TAG, results.id)
+    tags = {RESULT_TAG: results.id, **source_tags(results.git)}
+    started = int(1000 * results.started)
+    run_id, new = store.once(known, results.name, "FINISHED", started, tags)
+    if new:
+        fill(store.client, run_id, folder, results)
+    return run_id
+
+
+def send_job(
+    store: Store,
+    known: Iterable[Run],
+    parent: str,
+    sweep: SweepFolder,
+    job: Job,
+    step: int,
+    results: Results | None = None,
+) -> None:
+    """Sends what a job of a sweep left; nothing where it has not ended.
+
+    Args:
+        store: where to.
+        known: runs that this job has there.
+        parent: the sweep's own run.
+        sweep, job: which job.
+        step: where its figures stand in charts of the sweep.
+        results: of the job, where they were read already.
+    """
+    folder, state, client = sweep.of(job), sweep.state(job), store.client
+    tags = {RESULT_TAG: sweep.result_id(job), PARENT_TAG: parent, **source_tags(git_state())}
+    if state == "finished":
+        results = results or load_results(folder)
+        started = int(1000 * results.started)
+        run_id, new = store.once(known, job.label, "FINISHED", started, tags)
+        if new:
+            fill(client, run_id, folder, results, job.values, step)
+    elif state == "failed":
+        failure = sweep.failure(job)
+        tags["xplain.error"] = failure["error"][:4000]
+        tags["mlflow.note.content"] = f"```\n{failure['traceback'][-6000:]}```"
+        files = [folder / name for name in (STARTED, FAILURE) if (folder / name).exists()]
+        times = sorted(int(1000 * path.stat().st_mtime) for path in files)
+        run_id, new = store.once(known, job.label, "FAILED", times[0], tags)
+        if new:
+            client.log_artifacts(run_id, str(folder))
+            client.set_terminated(run_id, "FAILED", times[-1])
+
+
+def source_tags(git: Mapping[str, str]) -> dict[str, str]:
+    """Tags that tell who ran what; the client sets none of these by itself."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):
+        user = "unknown"
+    tags = {
+        "mlflow.user": user,
+        "mlflow.source.name": "python -m xplain",
+        "mlflow.source.type": "LOCAL",
+    }
+    if git:
+        tags |= {"mlflow.source.git.commit": git["commit"], "git.dirty": git["dirty"]}
+    return tags
 
 
 def fill(
@@ -107,13 +228,3 @@ def _description(results: Results) -> str:
         f"{text}. Artifacts: `results.json` has all figures and the whole configuration, "
         "`episodes.jsonl` every step."
     )
-
-
-def parent_parameters(jobs: Sequence[Job]) -> dict[str, str]:
-    """Of a sweep's parent: what was swept, with all values, and the number of jobs."""
-    values: dict[str, dict[str, None]] = {}
-    for job in jobs:
-        for key, value in job.values.items():
-            values.setdefault(key, {})[value] = None
-    found = {key: ", ".join(own)[:500] for key, own in list(values.items())[: MOST_PARAMETERS - 1]}
-    return found | {"jobs": str(len(jobs))}

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from xplain.report.combinations import (
-    Combination,
     combinations,
     grouped,
     heading,
@@ -62,15 +61,20 @@ class MainKey:
         return f"{'' if self.scale == 1 else f'{self.scale} × '}{heading(self.key)}"
 
 
+def swept_values(jobs: Sequence[Job]) -> dict[str, list[str]]:
+    """``{swept key: its values}``, in the order of the jobs."""
+    keys = dict.fromkeys(key for job in jobs for key in job.values)
+    return {
+        key: list(dict.fromkeys(job.values[key] for job in jobs if key in job.values))
+        for key in keys
+    }
+
+
 def main_key(jobs: Sequence[Job]) -> MainKey:
     """The numeric key with most values, λ before others; seeds are replicates."""
-    values: dict[str, set[str]] = {}
-    for job in jobs:
-        for key, value in job.values.items():
-            values.setdefault(key, set()).add(value)
     numbers = {
         key: [float(value) for value in own]
-        for key, own in values.items()
+        for key, own in swept_values(jobs).items()
         if key != "seed" and len(own) > 1 and all(map(is_number, own))
     }
     key = max(numbers, key=lambda key: (len(numbers[key]), key == "lambda"), default="")
@@ -82,10 +86,10 @@ def main_key(jobs: Sequence[Job]) -> MainKey:
     return MainKey(key, scale)
 
 
-def every_combination(summary: Summary) -> list[Combination]:
-    """All swept combinations of which a regret is known."""
-    found = combinations(summary, summary.keys)
-    return [one for one in found if "regret" in one.estimates]
+def best_regret(summary: Summary) -> float | None:
+    """The least mean of all swept combinations; None where no regret is known."""
+    known = [one.estimates.get("regret") for one in combinations(summary, summary.keys)]
+    return min((one.mean for one in known if one is not None), default=None)
 
 
 def curves(summary: Summary, main: MainKey) -> list[tuple[str, int, float]]:

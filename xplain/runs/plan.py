@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
 
 from xplain.config import GROUPS, named
 from xplain.errors import InputError
@@ -130,21 +129,15 @@ def _parse(overrides: list[str]) -> dict[str, list[str]]:
     for override in OverridesParser.create().parse_overrides(overrides):
         key = override.get_key_element()
         if not override.is_sweep_override():
-            parsed[key] = [_spelt(override.get_value_element_as_str())]
+            values = [override.get_value_element_as_str()]
         elif override.is_discrete_sweep():
-            parsed[key] = [_spelt(str(value)) for value in override.sweep_string_iterator()]
+            values = [str(value) for value in override.sweep_string_iterator()]
         else:
-            raise InputError(key, _value(override), "a list, choice(...) or range(...)")
+            asked = (override.input_line or "").partition("=")[2]
+            raise InputError(key, asked, "a list, choice(...) or range(...)")
+        # Truth values as YAML has them: Hydra gives them in Python's spelling.
+        parsed[key] = [{"True": "true", "False": "false"}.get(own, own) for own in values]
     return parsed
-
-
-def _spelt(value: str) -> str:
-    """Truth values as YAML has them: Hydra gives them in Python's spelling."""
-    return {"True": "true", "False": "false"}.get(value, value)
-
-
-def _value(override: Override) -> str:
-    return (override.input_line or "").partition("=")[2]
 
 
 def _text(value: Any) -> str:

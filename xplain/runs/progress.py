@@ -6,32 +6,18 @@ import logging
 import sys
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
-from xplain.runs.folder import State, SweepFolder
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from xplain.runs.folder import SweepFolder
 from xplain.runs.plan import Job
 
 log = logging.getLogger(__name__)
 
-
-class Listener(Protocol):
-    """Whoever wants to know how far the jobs are; called from one thread."""
-
-    def start(self) -> None:
-        """Called once, before the first look at the jobs' folders."""
-        ...
-
-    def update(self, job: Job, state: State) -> None:
-        """Called when a job has come into another state."""
-        ...
-
-
-POLL = 0.5
-"""Seconds between looks, at least."""
-SLOWEST = 3.0
-"""Seconds between looks, at most."""
+POLL = 1.0
+"""Seconds between looks."""
 SAY = 15.0
 """Seconds between lines where there is no terminal."""
 
@@ -41,25 +27,29 @@ class Watch:
 
     Args:
         folder: of the sweep.
-        jobs: those to watch; ``done`` others are finished already.
-        listener: hears of every change of a job's state, in the thread of the watch.
-        done: how many jobs of the sweep need no watching.
+        jobs: those to watch.
+        ended: hears of every job that is finished or failed, in the thread of the watch.
+        done: how many other jobs of the sweep are finished already.
     """
 
     def __init__(
-        self, folder: SweepFolder, jobs: Sequence[Job], listener: Listener, done: int
+        self, folder: SweepFolder, jobs: Sequence[Job], ended: Callable[[Job], None], done: int
     ) -> None:
-        self._folder, self._jobs, self._listener = folder, jobs, listener
-        self._before = done
-        self._states: dict[str, State] = {job.fingerprint: "waiting" for job in jobs}
+        self._folder, self._ended, self._done = folder, ended, done
+        self._waiting, self._all, self._failed = list(jobs), len(jobs), 0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
         self._started = self._said = time.monotonic()
-        self._show: Callable[[], None] = self._line
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            console=Console(stderr=True),
+            disable=not sys.stderr.isatty(),
+        )
+        self._task = self._bar.add_task("", total=done + len(jobs))
 
     def __enter__(self) -> Watch:
-        if sys.stderr.isatty():
-            self._bar()
+        self._bar.start()
         self._thread.start()
         return self
 
@@ -67,71 +57,31 @@ class Watch:
         self._stop.set()
         self._thread.join()
         self._look()
-        self._close()
-
-    def counts(self) -> Counter[State]:
-        """How many of the watched jobs are in each state."""
-        return Counter(self._states.values())
+        self._bar.stop()
 
     def _watch(self) -> None:
-        self._listener.start()  # takes seconds, while the jobs run already
-        pause = POLL
-        while not self._stop.wait(pause):
-            before = time.thread_time()
+        while not self._stop.wait(POLL):
             self._look()
-            # A hundredth of a core is enough: a look at a thousand jobs takes long.
-            pause = min(max(POLL, 100 * (time.thread_time() - before)), SLOWEST)
 
     def _look(self) -> None:
-        for job in self._jobs:
-            old = self._states[job.fingerprint]
-            if old == "finished":
-                continue
-            new = self._folder.state(job)
-            if new != old:
-                self._states[job.fingerprint] = new
-                self._listener.update(job, new)
-                if new == "failed":
-                    log.info("failed: %s: %s", job.label, self._folder.failure(job)["error"])
-        self._show()
-
-    def _line(self) -> None:
-        now = time.monotonic()
-        if now - self._said < SAY:
-            return
-        self._said = now
-        log.info(self._words())
-
-    def _words(self) -> str:
-        counts = self.counts()
-        ended = counts["finished"] + counts["failed"]
-        total = self._before + len(self._jobs)
-        text = f"{self._before + ended} of {total} jobs done, {counts['failed']} failed"
-        if ended and ended < len(self._jobs):
-            elapsed = time.monotonic() - self._started
-            left = elapsed / ended * (len(self._jobs) - ended)
-            text += f", about {duration(left)} left"
-        return text
-
-    def _bar(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn
-
-        progress = Progress(
-            TextColumn("{task.description}"), BarColumn(), console=Console(stderr=True)
-        )
-        task = progress.add_task("", total=self._before + len(self._jobs))
-        progress.start()
-
-        def show() -> None:
-            counts = self.counts()
-            ended = counts["finished"] + counts["failed"]
-            progress.update(task, completed=self._before + ended, description=self._words())
-
-        self._show, self._close = show, progress.stop  # type: ignore[method-assign]
-
-    def _close(self) -> None:
-        """Replaced where there is a bar."""
+        states = [(job, self._folder.state(job)) for job in self._waiting]
+        ended = [job for job, state in states if state in ("finished", "failed")]
+        self._waiting = [job for job in self._waiting if job not in ended]
+        for job, state in states:
+            if state == "failed":
+                self._failed += 1
+                log.info("failed: %s: %s", job.label, self._folder.failure(job)["error"])
+        now, count = time.monotonic(), self._all - len(self._waiting)
+        words = f"{self._done + count} of {self._done + self._all} jobs done, {self._failed} failed"
+        if count and self._waiting:
+            left = (now - self._started) / count * len(self._waiting)
+            words += f", about {duration(left)} left"
+        self._bar.update(self._task, completed=self._done + count, description=words)
+        if self._bar.disable and now - self._said >= SAY:
+            self._said = now
+            log.info(words)
+        for job in ended:  # last: it may take long
+            self._ended(job)
 
 
 def duration(seconds: float) -> str:

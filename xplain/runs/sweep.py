@@ -19,16 +19,15 @@ from xplain.experiment.cache import source_fingerprint
 from xplain.experiment.fingerprint import code_version, fingerprint, git_state
 from xplain.experiment.from_config import check
 from xplain.experiment.results import load_results
-from xplain.report.summary import Summary
 from xplain.runs.compose import Composer
 from xplain.runs.folder import SweepFolder, mark_failed
 from xplain.runs.forecast import print_dry_run
 from xplain.runs.launch import interruptible, launch
-from xplain.runs.mlflow import tell_links
-from xplain.runs.mlflow_mirror import mirror_of
+from xplain.runs.mlflow import Tracking
 from xplain.runs.plan import Job, Plan, in_launch_order, make_plan
 from xplain.runs.progress import Watch, duration
-from xplain.runs.reuse import copy_finished
+from xplain.runs.reuse import copy_results, finished_elsewhere
+from xplain.runs.todo import Todo, decide
 
 log = logging.getLogger(__name__)
 
@@ -72,7 +71,8 @@ def run_sweep(
     missing = [job for job in plan.jobs if folder.state(job) != "finished"]
     check([configurations[job.fingerprint] for job in missing])
     if config.dry_run:
-        print_dry_run(plan, folder, outputs, config, configurations)
+        todo = _todo(plan, folder, outputs, config.resume)
+        print_dry_run(plan, todo, outputs, config, configurations)
         return
     with folder.alone(f"{plan.identity}: another process runs this sweep; waiting for it"):
         folder.save(
@@ -85,172 +85,157 @@ def run_sweep(
                 **shown,
             },
         )
-        run = Run(plan, folder, instantiate(config.tracking), outputs, config.resume)
-        try:
-            run.through(lambda jobs: launch(jobs, folder, context, task, config))
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(run.so_far()) from None
-    run.tell()
-    if run.failed:
+        todo = _todo(plan, folder, outputs, config.resume)
+        tracking = instantiate(config.tracking)
+
+        def start(jobs: list[Job]) -> None:
+            launch(jobs, folder, context, task, config)
+
+        carry_out(todo, plan, folder, tracking, outputs, start)
+
+
+def _todo(plan: Plan, folder: SweepFolder, outputs: Path, resume: str) -> Todo:
+    """From the files below the outputs."""
+    states = {job.fingerprint: folder.checked_state(job) for job in plan.jobs}
+    missing = [key for key, state in states.items() if state != "finished"]
+    elsewhere = {} if resume == "none" else finished_elsewhere(outputs, missing, folder.path)
+    return decide(states, resume, elsewhere)
+
+
+def carry_out(
+    todo: Todo,
+    plan: Plan,
+    folder: SweepFolder,
+    tracking: Tracking,
+    outputs: Path,
+    launch: Callable[[list[Job]], None],
+) -> None:
+    """Copies and launches what is to be done, then brings the report and MLflow in line.
+
+    Args:
+        todo: what is to be done.
+        plan, folder: of the sweep, whose lock is held.
+        tracking: where results go besides the disk.
+        outputs: the outputs folder.
+        launch: runs jobs, each in its own process or not.
+
+    Raises:
+        KeyboardInterrupt: it was interrupted; what had ended is in MLflow.
+        SystemExit: 1 when jobs failed.
+    """
+    jobs = {job.fingerprint: job for job in plan.jobs}
+    copied = {key for key, source in todo.copied.items() if copy_results(source, folder, jobs[key])}
+    for key in jobs.keys() - {*todo.finished, *copied}:
+        folder.clear(jobs[key])  # also what is left alone may hold half of a result
+    run = [job for key, job in jobs.items() if key in {*todo.run, *todo.copied} - copied]
+    _announce(plan, folder, run, len(todo.finished), len(copied))
+    ended = tracking.follow(folder.path, outputs)
+    try:
+        with (
+            interruptible() as interrupted,
+            Watch(folder, run, ended, len(todo.finished) + len(copied)),
+        ):
+            _launch_all(run, folder, launch, interrupted)
+    except BaseException as error:
+        tracking.log(folder.path, outputs)
+        if isinstance(error, KeyboardInterrupt):
+            finished = sum(folder.state(job) == "finished" for job in plan.jobs)
+            words = f"{finished} of {len(plan.jobs)} jobs are finished; the same command goes on"
+            raise KeyboardInterrupt(words) from None
+        raise
+    from xplain.report.console import print_sweep
+    from xplain.report.write import write_report
+
+    summary, report = write_report(folder.path)
+    lines = tracking.log(folder.path, outputs)
+    if summary.results:
+        print_sweep(summary)
+    _tell(plan, folder, run)
+    log.info("folder: %s", os.path.relpath(folder.path))
+    log.info("report: %s (regret.csv beside it)", os.path.relpath(report / "index.html"))
+    for line in lines:
+        log.info(line)
+    if any(folder.state(job) == "failed" for job in plan.jobs):
         raise SystemExit(1)
 
 
-class Run:
-    """One start of a sweep: chooses the jobs, launches them, ends in a clean state.
+def _announce(plan: Plan, folder: SweepFolder, run: list[Job], finished: int, copied: int) -> None:
+    words = [f"{len(run)} jobs to run" if run else "nothing is missing"]
+    words += [f"{finished} finished before"] if finished else []
+    words += [f"{copied} copied from finished runs and sweeps"] if copied else []
+    log.info("%s: %s", plan.identity, ", ".join(words))
+    if run:
+        log.info("folder: %s", folder.path)
 
-    Args:
-        plan, folder: of the sweep.
-        tracking: where results go besides the disk.
-        outputs: the outputs folder.
-        resume: which jobs to run: ``missing``, ``failed`` or ``none`` (all of them anew).
+
+def _launch_all(
+    jobs: list[Job],
+    folder: SweepFolder,
+    launch: Callable[[list[Job]], None],
+    interrupted: Event,
+) -> None:
+    """Launches until every job has ended. When a worker dies, launchers give up on all jobs:
+    those not begun are launched again, those it may have died of each on its own.
+
+    Raises:
+        KeyboardInterrupt: also where what was interrupted made another error of it, as the
+            composition of a configuration does.
     """
-
-    def __init__(
-        self, plan: Plan, folder: SweepFolder, tracking: Any, outputs: Path, resume: str
-    ) -> None:
-        self._plan, self._folder, self._resume = plan, folder, resume
-        self._mirror = mirror_of(tracking, outputs, folder, plan.jobs, fresh=resume == "none")
-        if resume == "none":
-            for job in plan.jobs:
-                folder.clear(job)
-        states = [(job, folder.trust(job)) for job in plan.jobs]
-        self._todo = [
-            job
-            for job, state in states
-            if (state == "failed" if resume == "failed" else state != "finished")
-        ]
-        for job in self._todo:
-            folder.clear(job)
-        self._done_before = sum(state == "finished" for _, state in states)
-        self._copied = [] if resume == "none" else copy_finished(outputs, folder, self._todo)
-        self._todo = [job for job in self._todo if job not in self._copied]
-        self._tracking, self._outputs = tracking, outputs
-        self._summary: Summary | None = None
-
-    def through(self, launch: Callable[[list[Job]], None]) -> None:
-        """Launches what is to be done and brings MLflow and the report to their final state."""
-        plan, folder = self._plan, self._folder
-        self._announce()
-        status = "KILLED"
+    fresh, suspects, idle = in_launch_order(jobs), list[Job](), 0
+    while fresh or suspects:
+        alone = not fresh
+        batch = [suspects.pop(0)] if alone else fresh
+        error: Exception | None = None
         try:
-            before = self._done_before + len(self._copied)
-            watch = Watch(folder, self._todo, self._mirror, before)
-            with interruptible() as interrupted, watch:
-                self._attempt(launch, interrupted)
-            states = [folder.state(job) for job in plan.jobs]
-            if all(state == "finished" for state in states):
-                status = "FINISHED"
-            elif "failed" in states:
-                status = "FAILED"
-        except Exception:
-            status = "FAILED"
-            raise
-        finally:
-            summary, report = None, None
-            if status != "KILLED":
-                from xplain.report.write import write_report
+            launch(batch)
+        except Exception as raised:  # noqa: BLE001  (launchers raise what they like)
+            error = raised
+        if interrupted.is_set():
+            raise KeyboardInterrupt
+        fresh = [job for job in batch if folder.state(job) == "waiting"]
+        lost = [job for job in batch if folder.state(job) == "running"]
+        # A worker may die before it begins a job; when it happens again and again the
+        # launcher itself is at fault.
+        idle = idle + 1 if len(fresh) == len(batch) else 0
+        if idle == 3:
+            raise error or RuntimeError("the launcher ran none of the jobs")
+        for job in lost:
+            folder.clear(job)
+            if alone:
+                words = f"its worker died, twice ({_short(error)})"
+                mark_failed(folder.of(job), RuntimeError(words))
+        if not alone:
+            suspects += lost
+        if fresh or (lost and not alone):
+            again = len(fresh) + len(suspects)
+            log.warning("a worker died (%s); %d jobs are launched again", _short(error), again)
 
-                summary, report = write_report(folder.path)
-            self._mirror.finish(status, summary, report)
-            self._summary = summary
 
-    def _announce(self) -> None:
-        before = f", {self._done_before} finished before" if self._done_before else ""
-        if self._copied:
-            before += f", {len(self._copied)} copied from finished runs and sweeps"
-        if not self._todo:
-            log.info("%s: nothing is missing%s", self._plan.identity, before)
-            return
-        log.info("%s: %d jobs to run%s", self._plan.identity, len(self._todo), before)
-        log.info("folder: %s", self._folder.path)
-
-    def _attempt(self, launch: Callable[[list[Job]], None], interrupted: Event) -> None:
-        """Launches until every job has ended. When a worker dies, launchers give up on all
-        jobs: those not begun are launched again, those it may have died of each on its own.
-
-        Raises:
-            KeyboardInterrupt: also where what was interrupted made another error of it, as the
-                composition of a configuration does.
-        """
-        fresh, suspects, idle = in_launch_order(self._todo), list[Job](), 0
-        while fresh or suspects:
-            alone = not fresh
-            batch = [suspects.pop(0)] if alone else fresh
-            error: Exception | None = None
-            try:
-                launch(batch)
-            except Exception as raised:  # noqa: BLE001  (launchers raise what they like)
-                error = raised
-            if interrupted.is_set():
-                raise KeyboardInterrupt
-            fresh = [job for job in batch if self._folder.state(job) == "waiting"]
-            lost = [job for job in batch if self._folder.state(job) == "running"]
-            # A worker may die before it begins a job; when it happens again and again the
-            # launcher itself is at fault.
-            idle = idle + 1 if len(fresh) == len(batch) else 0
-            if idle == 3:
-                raise error or RuntimeError("the launcher ran none of the jobs")
-            for job in lost:
-                self._folder.clear(job)
-                if alone:
-                    words = f"its worker died, twice ({_short(error)})"
-                    mark_failed(self._folder.of(job), RuntimeError(words))
-            if not alone:
-                suspects += lost
-            if fresh or (lost and not alone):
-                log.warning(
-                    "a worker died (%s); %d jobs are launched again",
-                    _short(error),
-                    len(fresh) + len(suspects),
-                )
-
-    def _shares(self) -> str:
-        """How much of the workers' time went into the method, and how much into the rest."""
-        inside, workers = 0.0, set()
-        for job in self._todo:
-            if self._folder.state(job) == "finished":
-                inside += sum(load_results(self._folder.of(job)).seconds.values())
-                workers.add(self._folder.worker(job))
-        if not workers:
-            return "no job ran"
+def _tell(plan: Plan, folder: SweepFolder, ran: list[Job]) -> None:
+    """How many jobs are finished, where the time went, what failed, what to do about it."""
+    finished = {job.name for job in plan.jobs if folder.state(job) == "finished"}
+    failed = [job for job in plan.jobs if folder.state(job) == "failed"]
+    log.info("%d of %d jobs finished, %s", len(finished), len(plan.jobs), duration(age()))
+    own = [job for job in ran if job.name in finished]
+    inside = sum(sum(load_results(folder.of(job)).seconds.values()) for job in own)
+    workers = {folder.worker(job) for job in own}
+    if workers:
         share = min(1.0, inside / (len(workers) * age()))
-        return (
-            f"time of {len(workers)} worker{'s' if len(workers) > 1 else ''}: {share:.0%} in the "
-            f"method itself, {1 - share:.0%} in all else (start, configuration, waiting, MLflow, "
-            "report)"
+        log.info(
+            "time of %d worker%s: %.0f%% in the method itself, %.0f%% in all else (start, "
+            "configuration, waiting, MLflow, report)",
+            len(workers),
+            "s" if len(workers) > 1 else "",
+            100 * share,
+            100 * (1 - share),
         )
-
-    @property
-    def failed(self) -> list[Job]:
-        """Jobs whose folder tells of an error, in the order of the sweep."""
-        return [job for job in self._plan.jobs if self._folder.state(job) == "failed"]
-
-    def so_far(self) -> str:
-        """What a person who interrupted the sweep wants to know."""
-        finished = sum(self._folder.state(job) == "finished" for job in self._plan.jobs)
-        return f"{finished} of {len(self._plan.jobs)} jobs are finished; the same command goes on"
-
-    def tell(self) -> None:
-        """The table, what failed, where to look."""
-        from xplain.report.console import print_sweep
-
-        if self._summary is not None and self._summary.results:
-            print_sweep(self._summary)
-        total = len(self._plan.jobs)
-        finished = sum(self._folder.state(job) == "finished" for job in self._plan.jobs)
-        log.info("%d of %d jobs finished, %s", finished, total, duration(age()))
-        log.info(self._shares())
-        for job in self.failed:
-            log.info("failed: %s: %s", job.label, self._folder.failure(job)["error"])
-            log.info("  %s", self._folder.of(job))
-        if self.failed:
-            log.info("run them again: the same command with resume=failed")
-        elif finished < total:
-            log.info("run the others: the same command without resume=%s", self._resume)
-        report = self._folder.path / "report"
-        log.info("folder: %s", os.path.relpath(self._folder.path))
-        log.info("report: %s (regret.csv beside it)", os.path.relpath(report / "index.html"))
-        tell_links(self._tracking, self._outputs, self._mirror.links())
+    for job in failed:
+        log.info("failed: %s: %s", job.label, folder.failure(job)["error"])
+        log.info("  %s", folder.of(job))
+    if failed:
+        log.info("run them again: the same command with resume=failed")
+    elif len(finished) < len(plan.jobs):
+        log.info("run the others: the same command with resume=missing")
 
 
 def age() -> float:

@@ -1,0 +1,141 @@
+"""The paper's Table 1 and its companions, the paper's values beside ours."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from xplain.evaluation.statistics import Estimate
+from xplain.report.combinations import csv_text
+from xplain.report.paper import table1, title
+from xplain.report.summary import Summary
+from xplain.report.table import Cell, Table, number
+
+REFERENCES = ("oracle", "clairvoyant")
+"""Whose costs stand before the methods' regrets."""
+
+TO_FLOOR = "regret to clairvoyant"
+"""The measure beside ``regret`` (to the oracle); the paper has no values of it."""
+
+
+def numbers(summary: Summary, by_setting: bool = False, measure: str = "regret") -> pd.DataFrame:
+    """A row a number of the table: the references' costs, then the regret of each method.
+
+    Columns: domain, setting, lambda, column, mean, low, high, paper, difference (to the paper;
+    both NaN where it has no value), episodes.
+
+    Args:
+        summary: of a sweep.
+        by_setting: a domain's settings apart; else they are pooled, as in the paper.
+        measure: ``regret`` or TO_FLOOR.
+    """
+    published = table1() if measure == "regret" else {}
+    rows = []
+    for domain, setting, trade_off, frame in _cells(summary.episodes, by_setting):
+        paper = published.get((domain, trade_off), {})
+        for column in (*REFERENCES, *summary.methods):
+            if column in REFERENCES:
+                known = summary.reference(frame, column)
+            else:
+                known = frame[frame["method"] == column].dropna(subset=[measure])
+            if len(known):
+                found = summary.mean(known, column if column in REFERENCES else measure)
+                value = paper.get(column, math.nan)
+                ends = [found.mean, found.low, found.high, value, found.mean - value]
+                rows.append([domain, setting, f"{trade_off:g}", column, *ends, len(known)])
+    names = "domain setting lambda column mean low high paper difference episodes"
+    return pd.DataFrame(rows, columns=names.split())
+
+
+def _cells(
+    episodes: pd.DataFrame, by_setting: bool
+) -> Iterator[tuple[str, str, float, pd.DataFrame]]:
+    """(domain, setting or "all", λ, episodes), in the order of the sweep and of λ."""
+    frame = episodes if by_setting else episodes.assign(setting="all")
+    groups: Any = frame.groupby("domain", sort=False)
+    for domain, own in groups:
+        for setting, part in own.groupby("setting", sort=False):
+            for trade_off, cell in part.groupby("lambda"):
+                yield domain, setting, trade_off, cell
+
+
+def as_csv(summary: Summary, measure: str = "regret") -> str:
+    """One line a number, pooled and by setting, six decimals; ``measure`` as of
+    :func:`numbers`."""
+    frames = [numbers(summary, measure=measure)]
+    if any(len(settings) > 1 for settings in summary.settings.values()):
+        frames.append(numbers(summary, by_setting=True, measure=measure))
+    return csv_text(pd.concat(frames))
+
+
+def table(summary: Summary, by_setting: bool = False, measure: str = "regret") -> Table:
+    """The table in the paper's layout; arguments as of :func:`numbers`."""
+    keys = _columns(summary)
+    rows = []
+    groups: Any = numbers(summary, by_setting, measure).groupby(
+        ["domain", "setting", "lambda"], sort=False
+    )
+    for (domain, setting, trade_off), own in groups:
+        cells = {
+            row.column: Cell(estimate=Estimate(row.mean, row.low, row.high), paper=row.paper)
+            for row in own.itertuples(index=False)
+        }
+        name = f"{title(domain)} {setting if by_setting else ''}".rstrip()
+        rows.append((Cell(name), Cell(trade_off), *(cells.get(key, Cell()) for key in keys)))
+    heads = ("Domain", "λ", *map(title, keys))
+    return Table(heads, tuple(rows), 2, _caption(summary, measure))
+
+
+def _columns(summary: Summary) -> list[str]:
+    known = [name for name in REFERENCES if summary.episodes[name].notna().any()]
+    return [*known, *summary.methods]
+
+
+def _caption(summary: Summary, measure: str) -> str:
+    to_oracle = measure == "regret"
+    whose = "oracle's" if to_oracle else "clairvoyant's"
+    paper = "; in parentheses the paper's value, with a sign our difference to it"
+    pooled = [
+        f" {title(domain)} pools {len(settings)} settings ({'; '.join(settings)})."
+        for domain, settings in summary.settings.items()
+        if len(settings) > 1
+    ]
+    return (
+        f"Costs of the references, and regret (cost minus the {whose} on the same trace and user) "
+        f"of each method; 95 % intervals over {summary.unit} in brackets"
+        f"{paper if to_oracle else ''}.{summary.told_missing}{''.join(pooled)}"
+    )
+
+
+def ranges(summary: Summary) -> list[Table]:
+    """Least, median and greatest mean over a domain's settings, where it has several."""
+    keys = _columns(summary)
+    found: Any = numbers(summary, by_setting=True).groupby("domain", sort=False)
+    tables = []
+    for domain, own in found:
+        settings = summary.settings[domain]
+        if len(settings) > 1:
+            rows = [
+                (Cell(trade_off), *(_range(part[part["column"] == key]) for key in keys))
+                for trade_off, part in own.groupby("lambda", sort=False)
+            ]
+            named = f" ({'; '.join(settings)})" if len(settings) <= 6 else ""
+            caption = f"Least, median and greatest mean over the settings{named}."
+            about = f"Range over {len(settings)} settings: {title(domain)}"
+            heads = ("λ", *map(title, keys))
+            tables.append(Table(heads, tuple(rows), 1, caption, about))
+    return tables
+
+
+def _range(own: pd.DataFrame) -> Cell:
+    if not len(own):
+        return Cell()
+    means, paper = own["mean"], own["paper"].iloc[0]
+    low, middle, high = (number(q) for q in np.quantile(means, (0, 0.5, 1)))
+    where = "below" if paper < means.min() else "above" if paper > means.max() else "inside"
+    note = "" if math.isnan(paper) else f"paper {paper:.2f}, {where}"
+    return Cell(f"{low} … {middle} … {high}", note=note)
