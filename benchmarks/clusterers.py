@@ -46,7 +46,7 @@ def found(
     choices = (*SETTINGS[setting], f"queries={queries}", f"observers.label_noise={noise}", *few)
     cfg = composed("observe", choices)
     parts = (instantiate(cfg[name]) for name in ("domain", "users", "observers", "queries"))
-    observed = observe(*parts, seed)
+    observed = observe(*parts, seed=seed)
     clusterer = instantiate(composed("discover", [f"clusterer={method}"]).clusterer)
     clustering = clusterer.cluster(
         observed.dataset, LabelerTrainer(), derived_seed(seed, "clusterer"), None

@@ -50,7 +50,7 @@ from xplain.explanation.problem import Problem
 from xplain.learning.clustering import Clustering, Perfect
 from xplain.learning.cross_validation import log_likelihoods
 from xplain.learning.labelers import LabelerTrainer, split
-from xplain.learning.user_types import UserTypes, learn_types, p_explicable
+from xplain.learning.user_types import UserTypes, label_table, learn_types
 from xplain.randomness import derived_seed, stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
 from xplain.solvers.qmdp import QMDP
@@ -145,15 +145,13 @@ def regrets(found: Found, seed: int, traces: int) -> dict[str, float]:
         features, labels = transition_features(setting.domain, trace), setting.label_table(trace)
         n = setting.n_messages
         problems = {
-            key: Problem(p_explicable(one.labelers, features, n), np.ones(n))
+            key: Problem(label_table(one.labelers, features), np.ones(n))
             for key, one in plans.items()
         }
         policies = {key: QMDP().plan(problem) for key, problem in problems.items()}
         for t in range(len(setting.types)):
-            user = SimulatedUser(labels[t])
-            alone = problems["true"].with_types(
-                problems["true"].p_explicable[t : t + 1], ("alone",)
-            )
+            user = SimulatedUser.of(labels[t])
+            alone = problems["true"].only_types([t])
             runs = {key: (problems[key], policies[key]) for key in plans}
             runs["oracle"] = alone, QMDP().plan(alone)
             for key, (problem, policy) in runs.items():

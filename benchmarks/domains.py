@@ -34,7 +34,8 @@ from xplain.domains.rescue import Rescue
 from xplain.domains.rescue_maps import random_map
 from xplain.errors import XplainError
 from xplain.randomness import stream
-from xplain.report.traces import Story, save_trace
+from xplain.report.plots import save
+from xplain.report.traces import Story, draw_trace
 from xplain.users.setting import Setting
 
 DOMAINS = ("four_rooms", "rescue", "taxi", "cliff_walking", "frozen_lake")
@@ -164,7 +165,8 @@ def picture(domain: str, folder: Path) -> None:
         messages=((),) * len(trace),
         labels=rows,
     )
-    save_trace(folder / f"{domain}.png", setting.domain.scene, story)
+    caption = f"{story.user_type}, to whom nothing is said"
+    save(draw_trace(setting.domain.scene, story, caption), folder / f"{domain}.png")
 
 
 def main() -> None:

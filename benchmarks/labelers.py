@@ -24,6 +24,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+import people
 import questions
 from discovery import FIRST_SEED, RESULTS, setting_of, shown
 from joblib import Parallel, delayed
@@ -45,7 +46,7 @@ from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.learning.clustering import Perfect
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.user_types import UserTypes, learn_types, p_explicable
+from xplain.learning.user_types import UserTypes, label_table, learn_types
 from xplain.randomness import stream
 from xplain.report.plots import series_style
 from xplain.solvers.qmdp import QMDP
@@ -101,11 +102,11 @@ def costs(setting: Setting, types: UserTypes, traces: int, seed: int) -> dict[st
         rng = stream(seed, "traces", index)
         trace = sample_trace(setting.models[0], setting.optimal[0], setting.domain.starts, rng, 40)
         labels = setting.label_table(trace)
-        p = p_explicable(types.labelers, transition_features(setting.domain, trace), n)
+        p = label_table(types.labelers, transition_features(setting.domain, trace)).array(n)
         unknown = Problem(p, np.ones(n))
         policy = QMDP().plan(unknown)
         for t in range(len(setting.types)):
-            user = SimulatedUser(labels[t])
+            user = SimulatedUser.of(labels[t])
             cost["qmdp"].append(explain(unknown, policy, user, Independent()).cost)
             for key, one in (("oracle", p[t : t + 1]), ("clairvoyant", labels[t : t + 1])):
                 known = Problem(one.astype(float), np.ones(n))
@@ -120,7 +121,7 @@ def measure(
 ) -> tuple[dict[str, Any], np.ndarray]:
     """The figures of one fit, and its reliability: [10, 3] labels, ones, sum of P, by P."""
     setting = (
-        questions.setting_of(questions.domain_of(domain, seed), "right", seed)
+        people.setting_of(questions.domain_of(domain, seed), "right", seed)
         if domain.startswith("random")
         else setting_of(domain, types, seed)
     )

@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from xplain.errors import TooLargeError
-from xplain.explanation.by_type import ByType
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
@@ -50,7 +50,7 @@ def problem_of(
         for i, own in enumerate(about):
             needed = sum(1 << b for b, j in enumerate(row) if j in own)
             p[t, i] = np.where(sets & needed == needed, confidence, 1 - confidence)
-    return Problem.of_types(ByType(rows, p), np.ones(messages))
+    return Problem(LabelTable.by_type(rows, p), np.ones(messages))
 
 
 def seconds(work: Callable[[], object], repeats: int) -> float:

@@ -22,6 +22,7 @@ from omegaconf import OmegaConf
 from pomcp import problem_of
 
 from xplain.config import CONF
+from xplain.evaluation.statistics import clustered_mean
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.base import Knowledge, Solver
@@ -153,7 +154,7 @@ def solver_of(choice: str, changes: list[str]) -> Solver:
 
 
 def main() -> None:
-    """Prints mean regret and its standard error."""
+    """Prints mean regret and half of its 95 % interval."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
@@ -191,8 +192,9 @@ def main() -> None:
 
 
 def _tell(what: str, lost: NDArray[np.float64]) -> None:
-    error = np.std(lost, ddof=1) / np.sqrt(len(lost))
-    print(f"{what:27s} {np.mean(lost):.3f} ± {error:.3f}, largest {max(lost):.3f}")
+    found = clustered_mean(lost, range(len(lost)))
+    half = found.high - found.mean
+    print(f"{what:27s} {found.mean:.3f} ± {half:.3f}, largest {max(lost):.3f}")
 
 
 if __name__ == "__main__":

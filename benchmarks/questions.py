@@ -2,8 +2,8 @@
 
     python benchmarks/questions.py identify      questions until it is known what one holds wrong
     python benchmarks/questions.py grid          labels × design × labeler × errors → types, costs
-    python benchmarks/questions.py wrong         people whom the hypotheses do not fit
-    python benchmarks/questions.py plot          the grid's picture, from its rows
+    python benchmarks/questions.py people        people who are not as assumed (people.py)
+    python benchmarks/questions.py plot          the pictures, from the rows
     python benchmarks/questions.py speed         how long a choice of a question takes
     python benchmarks/questions.py --quick       a little of each, nothing written
 
@@ -12,8 +12,10 @@ starts, a four-rooms map with goals, penalties and what people hold wrong drawn 
 which nothing was tuned. Types are drawn at random, two to five of them, by the seed; three
 observers each. Explanations: QMDP at λ = 1; costs are means over traces and types.
 
-Results go to benchmarks/results/. Rows of the grid are kept one by one in outputs/benchmarks/, and
-a run that was stopped goes on where it was.
+Results go to benchmarks/results/; of a part that is run with some options only, all other rows of
+its table stay as they are, with the day they were measured. Rows of the grid are kept one by one in
+outputs/benchmarks/, those of people beside the table, and a run that was stopped goes on where it
+was.
 """
 
 from __future__ import annotations
@@ -21,8 +23,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from datetime import date
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -33,14 +34,26 @@ import numpy as np
 import pandas as pd
 from hydra.utils import instantiate
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from matplotlib.lines import Line2D
 from omegaconf import OmegaConf
+from people import (
+    AS_ASSUMED,
+    CLIP,
+    IN_WORDS,
+    KINDS,
+    MISREAD,
+    Altered,
+    misreading,
+    setting_of,
+    tired,
+    without_a_fact,
+)
 from sklearn.metrics import adjusted_rand_score
 
 from xplain import Hypotheses, Questionnaire
 from xplain.config import composed
 from xplain.data.observers import SimulatedObservers
-from xplain.data.queries import Answer, Independent, Queries
+from xplain.data.queries import Independent, Queries
 from xplain.domains.base import Domain, transition_features
 from xplain.domains.four_rooms import FourRooms
 from xplain.domains.rescue import Rescue
@@ -55,18 +68,17 @@ from xplain.experiment.pipeline import (
 )
 from xplain.explanation.belief import Independent as IndependentLabels
 from xplain.explanation.problem import Problem
-from xplain.learning.user_types import UserTypes, p_explicable
-from xplain.message_sets import indices
+from xplain.learning.user_types import UserTypes, label_table
 from xplain.questions.designs import Adaptive, Battery, hypotheses_of
 from xplain.questions.labeler import HypothesisTrainer
 from xplain.randomness import stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
 from xplain.solvers.qmdp import QMDP
-from xplain.users.setting import Setting, UserType
-from xplain.users.types import RandomCover
+from xplain.users.setting import Setting
 
 RESULTS = Path(__file__).parent / "results"
 ROWS = Path("outputs/benchmarks/questions_grid.csv")
+PEOPLE = RESULTS / "questions_people.csv"
 FIRST_SEED = 7200
 MAPS = ("rescue", "four_rooms", "random rescue", "random rooms")
 WAYS = {
@@ -79,14 +91,8 @@ WAYS = {
 }
 DRAWN = tuple(WAYS)[:5]
 """In the picture, and tried where no others are named."""
-WRONG = (
-    *("half", "double", "half or double", "tenth"),
-    *("unwritten", "tire", "misread", "misread clips"),
-)
-MISREAD, CLIP = 0.15, 4
-"""Share of the questions that are misread; transitions in a row where they are clips."""
-FITTED, ALONE = "adaptive, hypotheses", "by what was learned, trees"
-"""Of ``wrong``: what hypotheses make of people whom they do not fit, and labels alone."""
+COMPARED = {"adaptive, hypotheses": (20, 40), "random questions, trees": (40,)}
+"""Of ``people``: labels a person, by way. The second knows no hypotheses."""
 POINTS = (5, 10, 20, 40, 80, 320)
 IDENTIFIED = ("map", "seed", "error", "questions", "right")
 KEY = ["map", "way", "points", "error", "people", "seed"]
@@ -146,33 +152,6 @@ def _rooms(values: Any, rng: np.random.Generator) -> Domain:
     return FourRooms(text, parameters)
 
 
-def setting_of(domain: Domain, people: str, seed: int) -> Setting:
-    """Two to five types drawn at random; ``people`` says in what their values differ."""
-    rng = stream(seed, "benchmark", "types")
-    count = 2 + seed % 4
-    types = RandomCover(count).types(domain, rng)
-    scales = {"half": (0.5,), "double": (2.0,), "tenth": (0.1,), "half or double": (0.5, 2.0)}
-    if people not in scales:
-        return Setting.build(domain, types)
-    accurate = {parameter.name: parameter.accurate for parameter in domain.parameters}
-
-    def scaled(name: str, value: Any) -> Any:
-        if not isinstance(value, (int, float)):
-            return value
-        other = value * float(rng.choice(scales[people]))
-        try:
-            domain.model(accurate | {name: other})
-        except XplainError:
-            return value
-        return other
-
-    own = [
-        UserType(one.name, {name: scaled(name, value) for name, value in one.inaccurate.items()})
-        for one in types
-    ]
-    return Setting.build(domain, tuple(own))
-
-
 def design_of(way: str, path: str | None, error: float, people: str) -> tuple[Queries, Any]:
     """The query design and the trainer of a way."""
     asked, labeler = WAYS[way]
@@ -189,18 +168,6 @@ def design_of(way: str, path: str | None, error: float, people: str) -> tuple[Qu
     return designs[asked], instantiate(composed("discover", [f"labeler={labeler}"]).labeler)
 
 
-@dataclass(frozen=True)
-class Altered:
-    """Asks through observers whose answers are altered."""
-
-    queries: Queries
-    alter: Callable[[Answer], Answer]
-
-    def ask(self, setting: Setting, sizes: Any, answer: Answer, seed: int) -> Any:
-        """As the queries."""
-        return self.queries.ask(setting, sizes, self.alter(answer), seed)
-
-
 def observed_by(
     setting: Setting, queries: Queries, points: int, error: float, people: str, seed: int
 ) -> Observed:
@@ -213,44 +180,6 @@ def observed_by(
     return Observed(setting, *crowd.collect(setting, queries, seed))
 
 
-def tired(answer: Answer, points: int, seed: int) -> Answer:
-    """Errors rise from 2 to 15 % over an observer's labels."""
-    asked: dict[int, int] = {}
-
-    def worse(observer: int, transitions: Any, told: Any) -> NDArray[np.uint8]:
-        before = asked.get(observer, 0)
-        asked[observer] = before + len(told)
-        rate = 0.02 + 0.13 * (before + np.arange(len(told))) / max(points - 1, 1)
-        flip = stream(seed, "tire", observer, before).random(len(told)) < rate
-        return answer(observer, transitions, told) ^ flip.astype(np.uint8)
-
-    return worse
-
-
-def misreading(answer: Answer, setting: Setting, seed: int) -> Answer:
-    """A share of the questions is misread: one message is overlooked, or the label is that of what
-    the robot may do next (at the end: of another way there)."""
-    rng = stream(seed, "misread")
-    reachable = setting.reachable
-
-    def neighbour(transition: NDArray[np.int64]) -> NDArray[np.int64]:
-        beside = reachable[reachable[:, 0] == transition[2]]
-        if not len(beside):
-            beside = reachable[reachable[:, 2] == transition[2]]
-        chosen: NDArray[np.int64] = rng.choice(beside)
-        return chosen
-
-    def misread(observer: int, transitions: Any, told: Any) -> NDArray[np.uint8]:
-        if rng.random() >= MISREAD:
-            return answer(observer, transitions, told)
-        messages = indices(int(told[0]))
-        if messages and rng.random() < 0.5:
-            return answer(observer, transitions, told & ~(1 << int(rng.choice(messages))))
-        return answer(observer, np.array([neighbour(one) for one in transitions]), told)
-
-    return misread
-
-
 def row_of(
     name: str, way: str, points: int, error: float, people: str, seed: int, traces: int
 ) -> dict[str, Any]:
@@ -258,7 +187,7 @@ def row_of(
     domain = domain_of(name, seed)
     setting = setting_of(domain, people, seed)
     with tempfile.TemporaryDirectory() as folder:
-        path = _without_a_fact(domain, seed, Path(folder)) if people == "unwritten" else None
+        path = without_a_fact(domain, seed, Path(folder)) if people == "unwritten" else None
         queries, trainer = design_of(way, path, error, people)
         trainer = trainer or HypothesisTrainer(domain=domain, path=path)
         observed = observed_by(setting, queries, points, error, people, seed)
@@ -277,24 +206,6 @@ def row_of(
         "accuracy": _accuracy(setting, references),
     }
     return row | _costs(setting, types, references, traces, seed)
-
-
-def _without_a_fact(domain: Domain, seed: int, folder: Path) -> str:
-    """Hypotheses of somebody who never thought of one of the facts."""
-    full = hypotheses_of(domain, None)
-    fact = int(stream(seed, "benchmark", "unwritten").integers(full.n_messages))
-    rows = np.flatnonzero(full.facts >> fact & 1 == 0)
-    path = folder / "hypotheses.npz"
-    Hypotheses.of(
-        full.labels[rows],
-        full.facts[rows],
-        full.messages,
-        features=full.features,
-        feature_names=full.feature_names,
-        states=full.states,
-        variants=full.variants[:, rows] if len(full.variants) else full.variants,
-    ).save(path)
-    return str(path)
 
 
 def _none(observed: Observed, types: UserTypes, hypotheses: Hypotheses, error: float) -> float:
@@ -321,7 +232,7 @@ def _accuracy(setting: Setting, references: References) -> float:
     """Labels predicted right, of all transitions and message sets, true types given."""
     assert references.oracle is not None
     features = transition_features(setting.domain, setting.reachable)
-    table = p_explicable(references.oracle, features, setting.n_messages, setting.reachable)
+    table = label_table(references.oracle, features, setting.reachable).array(setting.n_messages)
     return float(((table >= 0.5) == setting.label_table(setting.reachable)).mean())
 
 
@@ -337,7 +248,7 @@ def _costs(
         features, labels = transition_features(setting.domain, trace), setting.label_table(trace)
         assert references.oracle is not None
         learned, perfect = (
-            p_explicable(labelers, features, n, trace)
+            label_table(labelers, features, trace).array(n)
             for labelers in (types.labelers, references.oracle)
         )
         truth = labels.astype(np.float64)
@@ -345,7 +256,7 @@ def _costs(
         problems = {key: Problem(table, np.ones(n)) for key, table in tables.items()}
         plans = {key: QMDP().plan(problem) for key, problem in problems.items()}
         for t in range(len(setting.types)):
-            user = SimulatedUser(labels[t])
+            user = SimulatedUser.of(labels[t])
             runs = {key: (problems[key], plans[key]) for key in plans}
             for key, table in (("oracle", perfect), ("clairvoyant", truth)):
                 alone = Problem(table[t : t + 1], np.ones(n))
@@ -402,33 +313,36 @@ def speed() -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["facts", "transitions", "first (ms)", "later (ms)"])
 
 
-def grid(cells: list[tuple[Any, ...]], traces: int, quick: bool) -> pd.DataFrame:
-    """The rows of these cells; one done before is not made again."""
-    known = pd.DataFrame(columns=KEY)
-    if ROWS.exists() and not quick:
-        known = pd.read_csv(ROWS)
+def grid(cells: list[tuple[Any, ...]], traces: int, kept: Path | None) -> pd.DataFrame:
+    """The rows of these cells; one that is ``kept`` is not made again."""
+    known = pd.read_csv(kept) if kept and kept.exists() else pd.DataFrame(columns=KEY)
     done = set(known[KEY].itertuples(index=False, name=None))
     made = []
     for cell in cells:
         if cell in done:
             continue
         try:
-            made.append(row_of(*cell, traces))
-        except XplainError as error:  # types at other values may tie ambiguously
+            made.append(row_of(*cell, traces=traces))
+        except XplainError as error:  # no types at other values that behave differently
             print(*cell, error)
             continue
-        if not quick:
-            ROWS.parent.mkdir(parents=True, exist_ok=True)
+        if kept:
+            kept.parent.mkdir(parents=True, exist_ok=True)
             line = pd.DataFrame(made[-1:])
-            line.to_csv(ROWS, mode="a", header=not ROWS.exists(), index=False, float_format="%.5g")
+            line.to_csv(kept, mode="a", header=not kept.exists(), index=False, float_format="%.5g")
     return pd.concat([known, pd.DataFrame(made)]) if len(known) else pd.DataFrame(made)
+
+
+def in_order(rows: pd.DataFrame) -> pd.DataFrame:
+    """Maps, ways and people as categories, in the order of above."""
+    orders = {"map": MAPS, "way": tuple(WAYS), "people": KINDS}
+    orders = {key: order for key, order in orders.items() if key in rows}
+    return rows.assign(**{key: pd.Categorical(rows[key], orders[key]) for key in orders})
 
 
 def summary(rows: pd.DataFrame, by: list[str]) -> pd.DataFrame:
     """Means, and costs as ratios of means, by maps, ways and people in the order of above."""
-    orders = {"map": MAPS, "way": tuple(WAYS), "people": ("as assumed", *WRONG)}
-    rows = rows.assign(**{key: pd.Categorical(rows[key], orders[key]) for key in orders})
-    cells = rows.groupby(by, observed=True)
+    cells = in_order(rows).groupby(by, observed=True)
     table = cells[["ari", "accuracy", "none"]].mean()
     mean = cells[["qmdp", "true", "true_975", "oracle", "clairvoyant"]].mean()
     table["qmdp / true"] = mean["qmdp"] / mean["true"]
@@ -443,7 +357,7 @@ def summary(rows: pd.DataFrame, by: list[str]) -> pd.DataFrame:
 def comparable(rows: pd.DataFrame) -> pd.DataFrame:
     """The data sets to which every way was applied that was tried with as many labels: costs
     differ more between types drawn than between designs."""
-    rows = rows[(rows["people"] == "as assumed") & (rows["error"] == 0.05)]
+    rows = rows[(rows["people"] == AS_ASSUMED) & (rows["error"] == 0.05)]
     rows = rows[rows["way"].isin(DRAWN)]
     tried = rows.groupby("points")["way"].transform("nunique")
     return rows[rows.groupby(["map", "points", "seed"])["way"].transform("nunique") == tried]
@@ -496,9 +410,67 @@ def multiple(cell: pd.DataFrame) -> tuple[float, float, float]:
     return float(costs[:, 0].sum() / costs[:, 1].sum()), float(low), float(high)
 
 
-def written(table: pd.DataFrame, name: str, quick: bool) -> None:
-    """Prints a table, and keeps it."""
-    shown = table.round(3)
+def picture_of_people(rows: pd.DataFrame) -> Figure:
+    """What an explanation costs by who was asked: people who are as the hypotheses assume, and
+    others; beside it what the same people cost who are asked at random, without hypotheses."""
+    shown = [name for name in MAPS if name in set(rows["map"])]
+    kinds = [kind for kind in KINDS if kind in set(rows["people"])]
+    figure, axes = plt.subplots(
+        *(1, len(shown)),
+        figsize=(3.2 * len(shown) + 0.4, 0.42 * len(kinds) + 1.9),
+        layout="constrained",
+        squeeze=False,
+        sharex=True,
+        sharey=True,
+    )
+    compared = [(way, count) for way, counts in COMPARED.items() for count in counts]
+    for axis, name in zip(axes[0], shown, strict=True):
+        part = rows[rows["map"] == name]
+        for i, (way, count) in enumerate(compared):
+            cells = part[(part["way"] == way) & (part["points"] == count)].groupby("people")
+            for kind, own in cells:
+                ratio, low, high = multiple(own)
+                y = kinds.index(str(kind)) + 0.2 * (i - (len(compared) - 1) / 2)
+                axis.plot([low, high], [y, y], color=COLOURS[i], linewidth=1.5)
+                axis.plot(ratio, y, MARKERS[i], color=COLOURS[i], markersize=5, linestyle="none")
+        axis.axvline(1, color="black", linewidth=1)
+        axis.set(title=name.replace("_", " "), xscale="log")
+        axis.set_yticks(range(len(kinds)), [IN_WORDS.get(kind, kind) for kind in kinds])
+    axes[0, 0].invert_yaxis()
+    ticks = [t for t in (1, 2, 5, 10, 20, 50, 100) if t <= axes[0, 0].get_xlim()[1]]
+    for axis in axes[0]:
+        axis.set_xticks(ticks, [f"{t}×" for t in ticks])
+        axis.minorticks_off()
+    handles = [
+        Line2D([], [], color=COLOURS[i], marker=MARKERS[i], label=f"{count} labels: {way}")
+        for i, (way, count) in enumerate(compared)
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
+    title = "What an explanation costs by what people believe, times that with true labels"
+    figure.suptitle(f"{title} (one answer in 20 wrong)")
+    return figure
+
+
+def stored(name: str, columns: list[str]) -> pd.DataFrame:
+    """The table as it was written before; empty where there is none with these columns."""
+    path = RESULTS / f"{name}.md"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else [""]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    if cells[0] != columns:
+        return pd.DataFrame(columns=columns)
+    return pd.DataFrame(cells[2:], columns=columns)
+
+
+def written(table: pd.DataFrame, name: str, by: list[str], quick: bool) -> None:
+    """Prints a table, and keeps it; rows of other keys (``by``) that are in the file stay."""
+    shown = table.round(3).assign(measured=str(date.today())).astype(str)
+    if not quick:
+        before = stored(name, list(shown.columns))
+        other = ~before.set_index(by).index.isin(shown.set_index(by).index)
+        shown = in_order(pd.concat([before[other], shown]))
+        number = {key: pd.to_numeric(shown[key]) for key in ("points", "error") if key in shown}
+        order = shown.assign(**number).reset_index(drop=True).sort_values(by).index
+        shown = shown.iloc[order]
     lines = [" | ".join(shown.columns), " | ".join("---" for _ in shown.columns)]
     lines += [" | ".join(map(str, row)) for row in shown.itertuples(index=False)]
     text = "\n".join(f"| {line} |" for line in lines) + "\n"
@@ -510,7 +482,7 @@ def written(table: pd.DataFrame, name: str, quick: bool) -> None:
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", nargs="?", choices=["identify", "grid", "wrong", "plot", "speed"])
+    parser.add_argument("part", nargs="?", choices=["identify", "grid", "people", "plot", "speed"])
     parser.add_argument("--quick", action="store_true", help="a little of each, nothing written")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--traces", type=int, default=10)
@@ -518,44 +490,52 @@ def main() -> None:
     parser.add_argument("--errors", type=float, nargs="+", default=[0.05, 0.0])
     parser.add_argument("--maps", nargs="+", default=list(MAPS))
     parser.add_argument("--ways", nargs="+", default=list(DRAWN))
+    parser.add_argument("--people", nargs="+", default=list(KINDS), choices=KINDS)
     given = parser.parse_args()
-    people, each, asked = WRONG, 1, 40
+    each, compared = 1, COMPARED
     if given.quick:
         given.seeds, given.traces, given.points, given.errors = 1, 2, [10], [0.05]
-        given.maps, people, each = ["random rescue"], ("unwritten", "misread clips"), 32
-        asked = 10
+        given.maps, given.people, each = ["random rescue"], ["unwritten", "misread clips"], 32
+        compared = dict.fromkeys(COMPARED, (10,))
     every = range(FIRST_SEED, FIRST_SEED + given.seeds)
     if given.part in ("identify", None):
         rows = identify(given.seeds, given.maps, each)
-        table = rows.groupby(["map", "error"], sort=False)[["questions", "right"]].mean()
-        written(table.reset_index(), "questions_identify", given.quick)
+        table = rows.groupby(by := ["map", "error"], sort=False)[["questions", "right"]].mean()
+        written(table.reset_index(), "questions_identify", by, given.quick)
     if given.part in ("grid", None):
         cells = [
-            (name, way, count, error, "as assumed", seed)
+            (name, way, count, error, AS_ASSUMED, seed)
             for seed, error, count, name, way in product(
                 every, given.errors, given.points, given.maps, given.ways
             )
         ]
-        rows = grid(cells, given.traces, given.quick)
-        rows = rows[rows["people"] == "as assumed"]
-        written(summary(rows, ["map", "way", "points", "error"]), "questions_grid", given.quick)
+        rows = grid(cells, given.traces, None if given.quick else ROWS)
+        by = ["map", "way", "points", "error"]
+        written(summary(rows, by), "questions_grid", by, given.quick)
         if given.quick:
             picture(comparable(rows))
-    if given.part in ("wrong", None):
+    if given.part in ("people", None):
         cells = [
-            (name, way, asked, 0.05, who, seed)
-            for seed, who, name in product(every, people, given.maps[2:] or given.maps)
-            for way in (FITTED, ALONE)[: 2 if who == "unwritten" else 1]
+            (name, way, count, 0.05, who, seed)
+            for seed, who, name in product(every, given.people, given.maps)
+            for way, counts in compared.items()
+            for count in counts
         ]
-        rows = grid(cells, given.traces, given.quick)
-        rows = rows[(rows["people"] != "as assumed") & (rows["points"] == asked)]
-        written(summary(rows, ["people", "way", "map"]), "questions_wrong", given.quick)
+        rows = grid(cells, given.traces, None if given.quick else PEOPLE)
+        by = ["people", "way", "points", "map"]
+        written(summary(rows, by), "questions_people", by, given.quick)
+        if given.quick:
+            picture_of_people(rows)
     if given.part in ("speed", None):
-        written(speed(), "questions_speed", given.quick)
-    if given.part in ("plot", "grid") and not given.quick and ROWS.exists():
-        rows = comparable(pd.read_csv(ROWS))
-        if len(rows):
-            picture(rows).savefig(RESULTS / "questions_grid.png", dpi=150)
+        written(speed(), "questions_speed", ["facts", "transitions"], given.quick)
+    if given.part in ("plot", "grid", "people") and not given.quick:
+        drawings = {
+            "grid": (ROWS, comparable, picture),
+            "people": (PEOPLE, in_order, picture_of_people),
+        }
+        for name, (path, chosen, draw) in drawings.items():
+            if path.exists() and len(rows := chosen(pd.read_csv(path))):
+                draw(rows).savefig(RESULTS / f"questions_{name}.png", dpi=150)
 
 
 if __name__ == "__main__":

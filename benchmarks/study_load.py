@@ -22,26 +22,26 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
-from tests.participants.server_process import ServerProcess
-from xplain.collect.prepare import collect_plan
-from xplain.collect.probes import collection_of
-from xplain.collect.server.protocol import CollectProtocol
-from xplain.collect.simulation.observer import Habits as Answers
-from xplain.collect.simulation.observer import observer
+from tests.people.server_process import ServerProcess
 from xplain.config import composed
-from xplain.participants.server.protocol import Protocol
-from xplain.participants.server.store import Store
-from xplain.participants.simulation.bots import Researcher
-from xplain.participants.simulation.http_client import Browser, Page, Visitor
-from xplain.study.policies import study_of
-from xplain.study.prepare import study_plan
-from xplain.study.server.protocol import StudyProtocol
-from xplain.study.simulation.participant import Habits, Person
+from xplain.people.collect.bot import Habits as Answers
+from xplain.people.collect.bot import bot, collection_of
+from xplain.people.collect.prepare import collect_plan
+from xplain.people.collect.site import CollectSite
+from xplain.people.server.site import Site
+from xplain.people.server.store import Store
+from xplain.people.simulation.bots import Researcher
+from xplain.people.simulation.browser import Browser, Page, Visitor
+from xplain.people.study.bot import Habits, Person
+from xplain.people.study.policies import study_of
+from xplain.people.study.prepare import study_plan
+from xplain.people.study.site import StudySite
 
 Times = list[float]
 
@@ -74,16 +74,16 @@ class Participant(threading.Thread):
         except (OSError, http.client.HTTPException, AssertionError, KeyError) as error:
             self.error = f"{type(error).__name__}: {error}"
         finally:
-            self.browser.close()
+            self.browser.session.close()
 
     def _take_part(self) -> None:
         _, html = self._page("GET", f"/?invitation={self.invitation}", [])
         for file in ("study.css", "study.js", "robot.svg"):
             self.browser.get(f"/static/{file}")
-        fields = [*Page(html).hidden.items(), ("invitation", self.invitation)]
+        fields = [*Page.of_html(html).hidden.items(), ("invitation", self.invitation)]
         status, html = self._page("POST", "/enter", fields)
         number = 0
-        while (page := Page(html)).hidden:
+        while (page := Page.of_html(html)).hidden:
             self._report(page, number)
             number += 1
             time.sleep(self.rng.uniform(*self.think))
@@ -101,8 +101,8 @@ class Participant(threading.Thread):
     def _report(self, page: Page, number: int) -> None:
         items = [{"n": number, "kind": "visible", "ms": 5.0, "at": 5.0, "what": page.stage}]
         body = {"token": page.hidden["token"], "tab": "0123456789abcdef", "items": items}
-        status, _, _ = self.browser.once("POST", "/events", json.dumps(body))
-        assert status == 200, f"{status} for a report"
+        reply = self.browser.session.post(f"{self.browser.url}/events", json.dumps(body))
+        assert reply.ok, f"{reply.status_code} for a report"
 
 
 def percentiles(times: Times) -> str:
@@ -137,20 +137,20 @@ class Slow(threading.Thread):
             one.close()
 
 
-def study() -> tuple[Protocol, Callable[[int], Visitor]]:
+def study() -> tuple[Site[Any], Callable[[int], Visitor]]:
     """The shipped study, and its people."""
     small = ["seed=0", "observers.points=150", "trace.candidates=40"]
     plan = study_plan(composed("study", small))
     habits = Habits(0, 0, 0, 0, mistake=0)
     rng = np.random.default_rng
-    return StudyProtocol(study_of(plan)), lambda number: Person(plan, habits, rng(number))
+    return StudySite(study_of(plan)), lambda number: Person(plan, habits, rng(number))
 
 
-def collect() -> tuple[Protocol, Callable[[int], Visitor]]:
+def collect() -> tuple[Site[Any], Callable[[int], Visitor]]:
     """A collection about rescue with adaptive questions, and its people."""
     plan = collect_plan(composed("collect", ["rules.people=6"]))
     habits = Answers(error=0.05, mistake=0)
-    return CollectProtocol(collection_of(plan)), lambda number: observer(plan, habits, 0, number)
+    return CollectSite(collection_of(plan)), lambda number: bot(plan, habits, 0, number)
 
 
 def stolen() -> tuple[int, int]:

@@ -16,26 +16,26 @@ import io
 import tempfile
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from xplain.cli.discover import discover
-from xplain.collect.analysis.labels import dataset_of, why_left_out
-from xplain.collect.expectation import crowd, truth_of
-from xplain.collect.prepare import assemble, source_of
-from xplain.collect.protocol.plan import CollectPlan, Rules
-from xplain.collect.simulation.observer import Habits as Observing
 from xplain.config import composed
-from xplain.data.label_table import write_table
+from xplain.data.label_file import write_table
 from xplain.errors import InputError
-from xplain.participants.settings import fixed
+from xplain.evaluation.statistics import clustered_mean
+from xplain.people.collect.bot import Habits as Observing
+from xplain.people.collect.expectation import crowd, truth_of
+from xplain.people.collect.labels import dataset_of, why_left_out
+from xplain.people.collect.plan import CollectPlan, Rules
+from xplain.people.collect.prepare import assemble, source_of
+from xplain.people.study.bot import Habits, Measures, take_part
+from xplain.people.study.plan import StudyPlan
+from xplain.people.study.policies import study_of
+from xplain.people.study.prepare import study_plan
+from xplain.people.study.table2 import CONDITIONS
+from xplain.people.wording import fixed
 from xplain.questions.designs import Adaptive
 from xplain.randomness import stream
-from xplain.study.analysis.table2 import CONDITIONS
-from xplain.study.policies import study_of
-from xplain.study.prepare import study_plan
-from xplain.study.protocol.plan import StudyPlan
-from xplain.study.simulation.participant import Habits, Measures, take_part
 
 LABELS, PEOPLE, ERROR = 20, 24, 0.05
 HABITS = {
@@ -127,8 +127,9 @@ def main() -> None:
         means = data.groupby(["seed", "condition"])[MEASURES].mean().unstack("condition")
         for measure in MEASURES:
             own = means[measure]["personalized"] - means[measure]["conformant"]
-            error = own.std(ddof=1) / np.sqrt(len(own)) if len(own) > 1 else float("nan")
-            print(f"personalized − conformant, {measure}: {own.mean():.2f} ± {error:.2f} (s.e.)")
+            found = clustered_mean(own, own.index)
+            half = found.high - found.mean
+            print(f"personalized − conformant, {measure}: {found.mean:.2f} ± {half:.2f}")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,206 @@
+"""Simulated people who are not as the hypotheses assume, for benchmarks/questions.py.
+
+    python benchmarks/people.py             how many of their labels differ, by kind
+    python benchmarks/people.py --quick     a little of it
+
+What is special of a kind is what its user types believe (their own wrong values), what the
+hypotheses leave out, or how people answer; never what a method makes of it. Types are drawn as for
+people who are as assumed, so that kinds of one seed hold the same facts wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain import Hypotheses
+from xplain.data.queries import Answer, Queries
+from xplain.domains.base import Domain, Parameter
+from xplain.errors import XplainError
+from xplain.message_sets import indices
+from xplain.questions.designs import hypotheses_of
+from xplain.questions.inaccurate_values import without_ties
+from xplain.randomness import stream
+from xplain.users.setting import Setting, UserType
+from xplain.users.types import RandomCover
+
+AS_ASSUMED = "as assumed"
+BY_A_VARIANT = ("half", "double")
+"""Whom a variant of the hypotheses fits exactly, though they are not as assumed."""
+OTHER_VALUES = ("half or double", "x .3 to 3", "tenth", "opposite")
+"""Believe other values than the hypotheses and their variants say."""
+OTHERWISE = ("unwritten", "tire", "misread", "misread clips")
+"""Hold a fact wrong that no hypothesis does; answer otherwise."""
+KINDS = (AS_ASSUMED, *BY_A_VARIANT, *OTHER_VALUES, *OTHERWISE)
+IN_WORDS = {
+    "half": "half the values",
+    "double": "double the values",
+    "half or double": "each half or double",
+    "x .3 to 3": "each × .3 to 3",
+    "tenth": "a tenth of the values",
+    "opposite": "the opposite error",
+    "unwritten": "a fact in no hypothesis",
+}
+"""For pictures."""
+SIZES = {"half": (0.5,), "double": (2.0,), "tenth": (0.1,), "half or double": (0.5, 2.0)}
+"""What a wrong value that is a number is multiplied by: one of these, drawn for each by itself."""
+MISREAD, CLIP = 0.15, 4
+"""Share of the questions that are misread; transitions in a row where they are clips."""
+
+
+@cache
+def setting_of(domain: Domain, people: str, seed: int) -> Setting:
+    """Two to five types drawn at random; ``people`` says in what their values differ."""
+    rng = stream(seed, "benchmark", "types")
+    types = RandomCover(2 + seed % 4).types(domain, rng)
+    if people not in (*BY_A_VARIANT, *OTHER_VALUES):
+        return Setting.build(domain, types)
+    own = []
+    for one in types:
+        wanted = {fact.name: believed(domain, fact, people, rng) for fact in domain.parameters}
+        values, _ = without_ties(domain, len(domain.parameters), wanted)
+        own.append(UserType(one.name, {name: values[name] for name in one.inaccurate}))
+    return Setting.build(domain, tuple(own))
+
+
+def believed(domain: Domain, fact: Parameter, people: str, rng: np.random.Generator) -> Any:
+    """What somebody of this kind believes of a fact: as assumed where that is no number, or the
+    domain refuses the value.
+
+    The opposite of a wrong value w is as far from the robot's value a on the other side, 2a − w: a
+    bonus believed to be a penalty is believed to be a larger bonus, an obstacle to be a bonus. The
+    way there is halved until the domain takes it (a discount is below 1).
+    """
+    wrong, right = fact.inaccurate, fact.accurate
+    if isinstance(wrong, bool) or not isinstance(wrong, (int, float)):
+        return wrong
+    if people == "opposite":
+        tried = [right + (right - wrong) / 2**k for k in range(8)]
+    elif people == "x .3 to 3":
+        tried = [wrong * float(np.exp(rng.uniform(np.log(0.3), np.log(3))))]
+    else:
+        tried = [wrong * float(rng.choice(SIZES[people]))]
+    accurate = {parameter.name: parameter.accurate for parameter in domain.parameters}
+    for value in tried:
+        try:
+            domain.model(accurate | {fact.name: value})
+        except XplainError:
+            continue
+        return value
+    return wrong
+
+
+def without_a_fact(domain: Domain, seed: int, folder: Path) -> str:
+    """A file of the hypotheses of somebody who never thought of one of the facts."""
+    full = hypotheses_of(domain, None)
+    fact = int(stream(seed, "benchmark", "unwritten").integers(full.n_messages))
+    rows = np.flatnonzero(full.facts >> fact & 1 == 0)
+    path = folder / "hypotheses.npz"
+    Hypotheses.of(
+        full.labels[rows],
+        full.facts[rows],
+        full.messages,
+        features=full.features,
+        feature_names=full.feature_names,
+        states=full.states,
+        variants=full.variants[:, rows] if len(full.variants) else full.variants,
+    ).save(path)
+    return str(path)
+
+
+@dataclass(frozen=True)
+class Altered:
+    """Asks through observers whose answers are altered."""
+
+    queries: Queries
+    alter: Callable[[Answer], Answer]
+
+    def ask(self, setting: Setting, sizes: Any, answer: Answer, seed: int) -> Any:
+        """As the queries."""
+        return self.queries.ask(setting, sizes, self.alter(answer), seed)
+
+
+def tired(answer: Answer, points: int, seed: int) -> Answer:
+    """Errors rise from 2 to 15 % over an observer's labels."""
+    asked: dict[int, int] = {}
+
+    def worse(observer: int, transitions: Any, told: Any) -> NDArray[np.uint8]:
+        before = asked.get(observer, 0)
+        asked[observer] = before + len(told)
+        rate = 0.02 + 0.13 * (before + np.arange(len(told))) / max(points - 1, 1)
+        flip = stream(seed, "tire", observer, before).random(len(told)) < rate
+        return answer(observer, transitions, told) ^ flip.astype(np.uint8)
+
+    return worse
+
+
+def misreading(answer: Answer, setting: Setting, seed: int) -> Answer:
+    """A share of the questions is misread: one message is overlooked, or the label is that of what
+    the robot may do next (at the end: of another way there)."""
+    rng = stream(seed, "misread")
+    reachable = setting.reachable
+
+    def neighbour(transition: NDArray[np.int64]) -> NDArray[np.int64]:
+        beside = reachable[reachable[:, 0] == transition[2]]
+        if not len(beside):
+            beside = reachable[reachable[:, 2] == transition[2]]
+        chosen: NDArray[np.int64] = rng.choice(beside)
+        return chosen
+
+    def misread(observer: int, transitions: Any, told: Any) -> NDArray[np.uint8]:
+        if rng.random() >= MISREAD:
+            return answer(observer, transitions, told)
+        messages = indices(int(told[0]))
+        if messages and rng.random() < 0.5:
+            return answer(observer, transitions, told & ~(1 << int(rng.choice(messages))))
+        return answer(observer, np.array([neighbour(one) for one in transitions]), told)
+
+    return misread
+
+
+def differing(domain: Domain, people: str, seed: int) -> tuple[float, float]:
+    """Share of the labels of all types, transitions and message sets that differ from what the
+    hypotheses say as assumed, and from what the variant nearest to each type says."""
+    setting, hypotheses = setting_of(domain, people, seed), hypotheses_of(domain, None)
+    labels = setting.label_table(setting.reachable)  # [N, T, 2^n]
+    told = np.arange(labels.shape[2])
+    shares = []
+    for own, table in zip(setting.bits, labels, strict=True):
+        held = sum(1 << j for j in own) & ~told
+        said = hypotheses.tables[:, hypotheses.row(held)]  # [1 + V, 2^n, T]
+        shares.append((said != table.T).mean(axis=(1, 2)))
+    assumed = [share[0] for share in shares]
+    return float(np.mean(assumed)), float(np.mean([share.min() for share in shares]))
+
+
+def main() -> None:
+    """The command."""
+    from questions import FIRST_SEED, MAPS, domain_of  # a script beside this one
+
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a little of it")
+    parser.add_argument("--seeds", type=int, default=5)
+    given = parser.parse_args()
+    maps, seeds = (MAPS[2:3], 1) if given.quick else (MAPS, given.seeds)
+    print(
+        "| labels that differ from | " + " | ".join(maps) + " |\n" + "|---" * (len(maps) + 1) + "|"
+    )
+    for people in (*BY_A_VARIANT, *OTHER_VALUES):
+        cells = []
+        for name in maps:
+            every = range(FIRST_SEED, FIRST_SEED + seeds)
+            found = [differing(domain_of(name, seed), people, seed) for seed in every]
+            assumed, nearest = np.mean(found, axis=0)
+            cells.append(f"{assumed:.1%} / {nearest:.1%}")
+        print(f"| {people}: as assumed / nearest variant | " + " | ".join(cells) + " |")
+
+
+if __name__ == "__main__":
+    main()
