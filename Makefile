@@ -51,10 +51,11 @@ docs: $(READY)
 	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -c docs -d build/doctrees . build/site
 	@echo "the site: build/site/index.html"
 
-# The reference of all keys, and what the commands in the docs print, anew.
+# The reference of all keys, what the commands in the docs print, and which tables are older, anew.
 outputs: $(READY)
 	$(BIN)/python docs/config_reference.py
 	for page in README.md docs/*.md; do $(BIN)/python docs/run.py --write $$page || exit 1; done
+	$(BIN)/python docs/tables.py --write
 
 bench-quick: $(READY)
 	ls benchmarks/[a-z]*.py | xargs -P 2 -I {} $(BIN)/python {} --quick

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import logging
-import signal
+import os
 import subprocess
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from tests import forked
+from tests import forked, processes
 
 ROOT = Path(__file__).parent.parent
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # A shell's background job ignores Ctrl-C, and so would all that the tests start.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+processes.end_as_on_ctrl_c()
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -34,6 +34,30 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest files begin first: none is left to one core at the end."""
     first = {ROOT / "tests" / file: place for place, file in enumerate(LONGEST)}
     items.sort(key=lambda item: first.get(item.path, len(first)))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish() -> None:
+    """After the fixtures are torn down."""
+    processes.kill_all()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_setupnodes(config: pytest.Config, specs: list[object]) -> None:
+    """Without a word from here the terminal would show nothing new meanwhile."""
+    _say(config, f"{len(specs)} processes read all tests before the first one runs (20 s and more)")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_node_collection_finished(node: Any, ids: list[str]) -> None:
+    _say(node.config, f"{node.gateway.id} has read {len(ids)} tests")
+
+
+def _say(config: pytest.Config, words: str) -> None:
+    terminal = config.pluginmanager.get_plugin("terminalreporter")
+    if terminal is not None:
+        terminal.ensure_newline()
+        terminal.write_line(words, flush=True)
 
 
 @pytest.fixture(autouse=True)
@@ -62,3 +86,12 @@ def command(tmp_path: Path) -> Command:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20)
+
+
+@pytest.fixture
+def rng_of_the_day() -> np.random.Generator:
+    """Other draws each day, for properties that hold of all. Where a test fails, its output tells
+    the seed; set as XPLAIN_TEST_SEED, it gives the same draws again."""
+    seed = int(os.environ.get("XPLAIN_TEST_SEED") or datetime.now(UTC).strftime("%Y%m%d"))
+    print(f"XPLAIN_TEST_SEED={seed}")
+    return np.random.default_rng(seed)

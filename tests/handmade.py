@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from xplain.domains.base import Item, Scene
 from xplain.evaluation.episode import Episode
 from xplain.experiment.pipeline import Case, Prepared
+from xplain.explanation.label_table import LabelTable
 
 
 def a_case(seed: int, steps: int = 2, perfect: bool = True) -> Case:
@@ -19,10 +20,10 @@ def a_case(seed: int, steps: int = 2, perfect: bool = True) -> Case:
         transitions=rng.integers(0, 9, (steps, 3)),
         phrases=tuple(f"moves to ({k}, {seed})" for k in range(steps)),
         positions=tuple((k, seed) for k in range(steps + 1)),
-        learned=rng.uniform(0.05, 0.95, (2, steps, 4)),
-        everyone=rng.uniform(0.05, 0.95, (1, steps, 4)),
-        perfect=rng.uniform(0.05, 0.95, (3, steps, 4)) if perfect else None,
-        labels=rng.integers(0, 2, (3, steps, 4)).astype(np.uint8),
+        learned=LabelTable.dense(rng.uniform(0.05, 0.95, (2, steps, 4))),
+        everyone=LabelTable.dense(rng.uniform(0.05, 0.95, (1, steps, 4))),
+        perfect=LabelTable.dense(rng.uniform(0.05, 0.95, (3, steps, 4))) if perfect else None,
+        labels=LabelTable.dense(rng.integers(0, 2, (3, steps, 4))),
     )
 
 

@@ -232,9 +232,12 @@ def _unknown_choice(error: MissingConfigException) -> str:
 def _composition(error: ConfigCompositionException) -> str:
     text = str(error)
     misspelt = re.search(r"Could not override '([^']+)'", text)
-    if misspelt:
-        return unknown_key(misspelt.group(1))
     cause: Any = error.__cause__
+    if misspelt:
+        missing = str(getattr(cause, "full_key", None) or misspelt.group(1))
+        if missing.count(".") > 1:
+            return _unknown_inside(missing, cause.parent_node)
+        return unknown_key(misspelt.group(1))
     if isinstance(cause, OmegaConfBaseException):
         return f"{getattr(cause, 'full_key', None) or 'config'}: {_first_line(cause)}"
     return " ".join(text.split())
@@ -262,6 +265,15 @@ def unknown_key(key: str) -> str:
         return f"{key}: no such key; it needs {needs}"
     hint = _did_you_mean(name, list(takes), f"{top}.") or f" {top} takes {', '.join(takes)}"
     return f"{key}: no such key;{hint} (--cfg job shows them)"
+
+
+def _unknown_inside(key: str, parent: Any) -> str:
+    """What a key below one of a component's own might have been; others can be added there."""
+    above, _, name = key.rpartition(".")
+    known = [str(one) for one in parent or ()]
+    hint = _did_you_mean(name, known, f"{above}.")
+    there = ", ".join(known) or "none"
+    return f"{key}: no such key;{hint} {above} has {there}; +{key}=… adds this one"
 
 
 @cache

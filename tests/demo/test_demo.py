@@ -19,7 +19,7 @@ from xplain.demo.terminal import Terminal
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.explanation.belief import Independent
 from xplain.message_sets import mask_of
-from xplain.participants.simulation.chromium import missing
+from xplain.people.simulation.chromium import missing
 from xplain.solvers.qmdp import QMDP
 
 QUICK = ["points=150", "lambda=1.5", "clusterer=dirichlet", "labeler=tree"]
@@ -54,7 +54,7 @@ def demo(tmp_path, monkeypatch, capsys):
 def test_it_plays_the_experiments_episode(rescue, user):
     case, prepared = rescue.case, rescue.prepared
     problem = rescue.explainer.problem(case.learned)
-    labels = case.labels[prepared.types.index(user)]
+    labels = case.labels.of_types([prepared.types.index(user)])
     policy = QMDP().plan(problem)
     episode = explain(problem, policy, SimulatedUser(labels), Independent())
     played = play(rescue, Simulated(rescue, user))
@@ -129,6 +129,7 @@ def test_a_terminal_shows_what_happens(demo):
     code, out, err = demo("--user", "B", *QUICK)
     assert (code, err) == (0, "")
     assert "type B" in out
+    assert re.search(r"Trace \d: of the first 5, the one on which", out)
     assert out.count("step ") >= 3
     assert "robot" in out
     assert re.search(r"cost \d", out)
@@ -145,6 +146,7 @@ def test_the_page_is_written_where_it_was_asked_for(demo, tmp_path):
     code, out, err = demo("--html", "session.html", *QUICK)
     assert (code, out) == (0, "")
     assert err.strip() == "session.html"
+    assert "of the first 5, the one" in (tmp_path / "session.html").read_text(encoding="utf-8")
     assert "const D = {" in (tmp_path / "session.html").read_text(encoding="utf-8")
 
 

@@ -154,6 +154,12 @@ def edited(path: str, value: Any) -> dict[str, Any]:
         ("parameters.goals.accurate", [], "at least one goal"),
         ("parameters.goals.accurate", [{"cell": [0, 0], "reward": 1.0}], "no wall"),
         ("parameters.goals.accurate", [{"cell": [1, 99], "reward": 1.0}], "no wall"),
+        ("parameters.goals.accurate", [{"cell": [-2, 1], "reward": 1.0}], "no wall"),
+        ("parameters.goals.accurate", [{"cell": [13, 1], "reward": 1.0}], "no wall"),
+        ("parameters.goals.accurate", [{"cell": [1, -2], "reward": 1.0}], "no wall"),
+        ("parameters.goals.accurate", [{"cell": [1, 1, 1], "reward": 1.0}], "no wall"),
+        ("parameters.goals.accurate", [{"cell": [1.5, 1], "reward": 1.0}], "no wall"),
+        ("parameters.goals.accurate", [{"cell": "11", "reward": 1.0}], "no wall"),
         ("parameters.goals.accurate", [{"cell": [1, 1]}], "reward"),
         ("parameters.goals.inaccurate", [[1, 1]], "cell"),
         ("parameters.goals.inaccurate", 3, "a list"),
@@ -194,3 +200,24 @@ def test_a_goal_behind_walls_is_refused() -> None:
     penalty_cells["accurate"], penalty_cells["inaccurate"] = [[1, 1]], [[1, 2]]
     with pytest.raises(InputError, match="no path from the start to the goal"):
         FourRooms(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("map", "goals"),
+    [
+        ("...#.", [0, 4]),  # the one goal behind a wall, or the other
+        ("...#.", [4, 0]),
+        ("..s#s", [0]),  # the one start behind a wall, or the other
+        ("s#s..", [4]),
+    ],
+)
+def test_each_goal_needs_a_path_from_each_start(map: str, goals: list[int]) -> None:
+    arguments = edited("map", map)
+    arguments["parameters"]["goals"] |= {
+        "accurate": [{"cell": [0, column], "reward": 5.0} for column in goals],
+        "inaccurate": [{"cell": [0, goals[0]], "reward": 2.0}],
+    }
+    arguments["parameters"]["penalty_cells"] |= {"accurate": [], "inaccurate": [[0, 2]]}
+    with pytest.raises(InputError, match="no path from the start to the goal"):
+        FourRooms(**arguments)
+    FourRooms(**arguments | {"map": map.replace("#", ".")})

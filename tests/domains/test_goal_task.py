@@ -134,6 +134,44 @@ def test_ties_are_those_within_rounding(extra: float, tie: bool) -> None:
     assert solution[0][0].tolist() == [True, tie, False]
 
 
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_ties_do_not_depend_on_the_unit_of_costs(unit: float) -> None:
+    """The same gap, relative to the dearest plan, in any unit."""
+    for extra, tie in ((1e-13, True), (1e-6, False)):
+        task = choice(extra)
+        made = GoalTask(task.space, task.chosen, task.cost * unit, task.terminal, 100.0 * unit, 0)
+        assert GoalTask.solve([made], ["mine"])[0][0].tolist() == [True, tie, False]
+
+
+def test_who_imagines_another_start_needs_a_plan_from_there() -> None:
+    task = choice(0)
+    for imagined, cut, solvable in (
+        ([1, 1, 2], [0], True),  # no way at once: from 1 there still is one
+        ([1, 1, 2], [2], False),  # none from 1, though the real start has one
+        ([-1, 1, 2], [], False),
+    ):
+        chosen = np.where(np.isin(np.arange(3), cut), -1, np.arange(3))
+        if cut == [0]:
+            chosen[1] = -1  # the real start is a dead end
+        dreamer = GoalTask(
+            task.space, chosen, task.cost, task.terminal, 100.0, 0, np.array(imagined)
+        )
+        if solvable:
+            GoalTask.solve([dreamer], ["the dreamer"])
+        else:
+            with pytest.raises(DomainError, match="unsolvable: the dreamer"):
+                GoalTask.solve([dreamer], ["the dreamer"])
+
+
+def test_steps_are_counted_over_what_is_believed_in_and_end_at_a_goal() -> None:
+    """A row of states, of which 3 is a goal; a shortcut of another variant is not believed in."""
+    edges = {(s, 0): s + 1 for s in range(5)} | {(0, 1): 4}
+    cost, goal = np.ones(2), np.arange(6) == 3
+    task = GoalTask(space_of(edges, 6, 2), np.array([0, -1]), cost, goal, 100.0, 0)
+    assert task.steps_from(0).tolist() == [0, 1, 2, 3, np.inf, np.inf]
+    assert task.steps_from(2).tolist() == [np.inf, np.inf, 0, 1, np.inf, np.inf]
+
+
 def test_an_unclear_tie_is_an_error_that_names_the_model() -> None:
     with pytest.raises(DomainError, match="ambiguous tie in the second"):
         GoalTask.solve([choice(0), choice(1e-9)], ["the first", "the second"])

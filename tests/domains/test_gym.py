@@ -196,6 +196,94 @@ def test_a_parameters_arguments_outdo_those_of_the_environment() -> None:
             assert model.probability[s, a, : len(chances)].tolist() == chances
 
 
+def shown(table: dict[int, dict[int, list[Any]]], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is made shows this model, and starts in state 0."""
+    initial = [1.0] + [0.0] * (len(table) - 1)
+    made = SimpleNamespace(
+        unwrapped=SimpleNamespace(P=table, initial_state_distrib=initial), close=lambda: None
+    )
+    monkeypatch.setattr(gymnasium, "make", lambda *a, **k: made)
+
+
+def test_arguments_of_all_parameters_count_and_the_others_stay() -> None:
+    """Each of two parameters brings arguments, beside those of the environment."""
+    arguments = given("frozen_lake")
+    ice, lake = [{"arguments": {"is_slippery": False}}], [{"arguments": {"desc": ["SFFH"] * 4}}]
+    arguments["arguments"] = {
+        "map_name": "4x4",
+        "is_slippery": True,
+        "desc": ["SFFF"] * 3 + ["FFFG"],
+    }
+    arguments["parameters"] = {
+        "ice": {"inaccurate": ice, "message": "It is slippery."},
+        "lake": {"inaccurate": lake, "message": "There are no holes."},
+    }
+    made = Gymnasium(**arguments)
+    for held_ice, held_lake in product([[], ice], [[], lake]):
+        expected = arguments["arguments"].copy()
+        for changes in (held_ice, held_lake):
+            expected |= {k: v for change in changes for k, v in change["arguments"].items()}
+        theirs = gymnasium.make("FrozenLake-v1", **expected).unwrapped.P
+        model = made.model({"ice": held_ice, "lake": held_lake})
+        for s, a in product(range(16), range(4)):
+            likely = model.probability[s, a] > 0
+            found = zip(model.successor[s, a][likely], model.probability[s, a][likely], strict=True)
+            assert list(found) == [(after, p) for p, after, *_ in theirs[s][a]]
+        ends = {after for row in theirs.values() for x in row.values() for _, after, _, e in x if e}
+        assert set(np.flatnonzero(model.terminal)) == ends
+
+
+def test_a_reward_is_added_where_an_earlier_change_leads() -> None:
+    """Changes come one after the other: first up leads to the start, then the start is paid."""
+    arguments = given("cliff_walking")
+    moved = {"actions": ["up"], "to": {"row": 3, "column": 0}}
+    paid = {"next": {"row": 3, "column": 0}, "add": 2.0}
+    arguments["parameters"] = {"lift": {"inaccurate": [moved, paid], "message": "No lift."}}
+    made = Gymnasium(**arguments)
+    before, after = (made.model({"lift": value}) for value in ([], [moved, paid]))
+    start = next(s for s in range(48) if made.position(s) == (3, 0))
+    up = made.actions.index("up")
+    assert (after.successor[:, up] == start).all()
+    gained = after.reward - before.reward
+    assert (gained[:, up] == 2).all()
+    others = np.arange(4) != up
+    assert np.array_equal(gained[:, others], 2.0 * (before.successor[:, others] == start))
+
+
+def test_an_outcome_that_never_comes_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    never = [(1.0, 1, 0.0, False), (0.0, 1, 0.0, True)]
+    shown({0: {0: never}, 1: {0: [(1.0, 0, 0.0, False)]}}, monkeypatch)
+    change = [{"add": 1.0}]
+    parameters = {"x": {"inaccurate": change, "message": "No."}}
+    made = Gymnasium("Two", {"place": 2}, ["go"], 0.9, parameters)
+    assert not made.model({"x": []}).terminal.any()
+
+
+def test_an_end_that_depends_on_the_way_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    ways = {0: [(1.0, 1, 0.0, True)], 1: [(1.0, 1, 0.0, False)]}
+    shown({0: ways, 1: ways}, monkeypatch)
+    parameters = {"x": {"inaccurate": [{"add": 1.0}], "message": "No."}}
+    with pytest.raises(InputError, match="end depends on the state alone"):
+        Gymnasium("Two", {"place": 2}, ["end", "go on"], 0.9, parameters)
+
+
+def test_items_lie_in_rows_and_columns() -> None:
+    scene = domain("frozen_lake").scene
+    assert scene is not None
+    cells = {item.name: item.cells for item in scene.items}
+    rows = gymnasium.make("FrozenLake-v1", map_name="4x4").unwrapped.desc
+    for name, letter in (("hole", b"H"), ("goal", b"G"), ("start", b"S")):
+        assert cells[name] == tuple(map(tuple, np.argwhere(rows == letter).tolist()))
+
+
+def test_only_rows_and_columns_make_a_map() -> None:
+    arguments = given("cliff_walking")
+    arguments["parameters"] = {"x": {"inaccurate": [{"add": 1.0}], "message": "No."}}
+    lone = Gymnasium(**arguments | {"states": {"row": 4, "depth": 12}, "starts": None})
+    assert lone.scene is None
+    assert lone.position(0) is None
+
+
 def test_the_map_has_rows_and_columns_and_starts_where_said() -> None:
     arguments = given("cliff_walking")
     made = Gymnasium(**arguments | {"starts": {"row": [2, 3], "column": [0, 11]}})
@@ -229,6 +317,9 @@ def change(**fields: Any) -> dict[str, Any]:
         ({"states": {"row": 4, "column": "twelve"}}, "how many values"),
         ({"states": {}}, "product must be 48"),
         ({"actions": ["up", "down"]}, "4 different names"),
+        ({"actions": ["up", "down", "left", "left"]}, "4 different names"),
+        ({"discount": 0}, r"\(0, 1\)"),
+        ({"states": {"row": 4, "column": 12, "depth": 0}}, "how many values"),
         ({"starts": {"depth": 1}}, "unknown feature"),
         ({"starts": {"row": 7}}, "one of 0, 1, 2, 3"),
         ({"starts": {"row": 3, "column": 11}}, "at least one state that is not terminal"),
@@ -252,6 +343,8 @@ def change(**fields: Any) -> dict[str, Any]:
         (change(to=3), "feature: value"),
         (change(arguments={"is_slippery": True}, when={}), "stand alone"),
         (change(arguments={"colour": "red"}), "gymnasium cannot make it"),
+        (change(arguments="slippery"), "argument: value"),
+        ({"parameters": {"x": {"inaccurate": [], "message": "No.", "why": 1}}}, "unknown field"),
     ],
 )
 def test_bad_input_is_one_clear_line(changes: dict[str, Any], text: str) -> None:
@@ -259,6 +352,23 @@ def test_bad_input_is_one_clear_line(changes: dict[str, Any], text: str) -> None
         Gymnasium(**deepcopy(given("cliff_walking")) | changes)
     assert caught.value.key.startswith("domain.")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("states", "actions"), [(3, 1), (2, 2)])
+def test_arguments_that_change_the_states_or_actions_are_refused(
+    states: int, actions: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def make(id: str, size: tuple[int, int] = (2, 1)) -> SimpleNamespace:
+        go_on = [(1.0, 1, 0.0, False)]
+        table = {s: dict.fromkeys(range(size[1]), go_on) for s in range(size[0])}
+        unwrapped = SimpleNamespace(P=table, initial_state_distrib=None)
+        return SimpleNamespace(unwrapped=unwrapped, close=lambda: None)
+
+    monkeypatch.setattr(gymnasium, "make", make)
+    wrong = [{"arguments": {"size": (states, actions)}}]
+    parameters = {"size": {"inaccurate": wrong, "message": "It is small."}}
+    with pytest.raises(InputError, match="keep the states"):
+        Gymnasium("Some", {"place": 2}, ["go"], 0.9, parameters)
 
 
 def test_without_gymnasium_the_error_names_the_fix(monkeypatch: pytest.MonkeyPatch) -> None:

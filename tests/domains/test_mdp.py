@@ -153,6 +153,14 @@ def test_a_tie_is_small_against_what_a_policy_could_earn(discount: float, tie: b
     assert mdp.optimal_actions([choice(5e-8, discount)])[0, 0].tolist() == [tie, True]
 
 
+def test_a_gap_is_small_against_its_own_models_scale() -> None:
+    """Solved beside a model of rewards a million times as large."""
+    models = [choice(1e-6), replace(choice(0.5), reward=choice(0.5).reward * 1e6)]
+    for order in (models, models[::-1]):
+        optimal = mdp.optimal_actions(order)[:, 0].tolist()
+        assert optimal == [[False, True], [False, True]]
+
+
 def test_what_cannot_happen_does_not_matter() -> None:
     """A reward of 10^9 at probability 0 (in a slot not used, or of an action not available)
     changes no value, no tie and no refusal."""
@@ -190,7 +198,16 @@ def test_models_are_solved_alike_alone_and_together() -> None:
     ("change", "text"),
     [
         ({"discount": 1.0}, "discount"),
+        ({"discount": -0.1}, "discount"),
         ({"probability": np.full((2, 2, 1), 0.5)}, "sum to 1"),
+        (
+            {
+                "successor": np.ones((2, 2, 2), dtype=np.int64),
+                "probability": np.tile([1.5, -0.5], (2, 2, 1)),
+                "reward": np.zeros((2, 2, 2)),
+            },
+            "sum to 1",
+        ),
         ({"reward": np.full((2, 2, 1), np.nan)}, "finite"),
         ({"successor": np.full((2, 2, 1), 2)}, "does not exist"),
         ({"successor": np.array([[[0], [2]], [[1], [1]]])}, "does not exist"),

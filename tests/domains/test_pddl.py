@@ -14,7 +14,11 @@ from omegaconf import OmegaConf
 
 from tests.domains.configs import configured, domain_of, setting_of
 from xplain.domains.pddl.domain import PDDL
+from xplain.domains.pddl.grounding import Ground
 from xplain.domains.pddl.reading import read_text
+from xplain.domains.pddl.states import Bits, Compiled, explore
+from xplain.domains.pddl.task import Literal
+from xplain.errors import TooLargeError
 
 up = pytest.importorskip("unified_planning", reason="pip install 'xplain-hri[pddl]'")
 
@@ -278,3 +282,91 @@ def test_effects_happen_at_once_and_what_is_added_stays(tmp_path: Path) -> None:
         ("b", "finish"): ("(at b)", "(done)"),
     }
     assert robot.to_go[0] == 2  # actions cost 1 where there is no metric
+
+
+def test_a_subtype_s_subtype_is_of_the_type(tmp_path: Path) -> None:
+    """Objects of each level are arguments where their type or one above it is asked for."""
+    (tmp_path / "d.pddl").write_text(
+        """(define (domain levels)
+          (:requirements :strips :typing)
+          (:types vehicle thing - object car - vehicle cab - car taxi - cab)
+          (:predicates (used ?x - object))
+          (:action drive :parameters (?x - vehicle) :precondition () :effect (used ?x))
+          (:action hail :parameters (?x - cab) :precondition () :effect (used ?x))
+          (:action touch :parameters (?x - object) :precondition () :effect (used ?x)))"""
+    )
+    (tmp_path / "p.pddl").write_text(
+        """(define (problem p) (:domain levels)
+          (:objects v - vehicle c - car b - cab t - taxi s - thing)
+          (:init) (:goal (used t)))"""
+    )
+    facts = {"dear": {"change": {"action": "hail", "cost": 3}}}
+    made = PDDL(str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), facts=facts)
+    expected = {f"drive {x}" for x in "vcbt"} | {f"hail {x}" for x in "bt"}
+    assert set(made.actions) == expected | {f"touch {x}" for x in "vcbts"}
+
+
+@pytest.mark.parametrize(("switches", "atoms"), [(3, 3), (10, 10), (11, 11), (12, 70)])
+def test_every_state_is_found_once_however_many_there_are(switches: int, atoms: int) -> None:
+    """Switches that turn one by one: each of the 2^k sets of them is reached, and has an edge to
+    each set that differs in one; the last switches are in another machine word."""
+    names = [(f"on{i:02}",) for i in range(atoms)]
+    own = names[atoms - switches :] if switches < 12 else names[atoms - 8 :] + names[:4]
+    turned = [
+        variant
+        for name in own
+        for variant in (
+            Ground((), (name,), (((), (), (name,), ()),)),
+            Ground((name,), (), (((), (), (), (name,)),)),
+        )
+    ]
+    bits = Bits(names)
+    goals = np.zeros((0, bits.width), np.uint64), np.zeros((0, bits.width), np.uint64)
+    every = np.ones(len(turned), dtype=bool)
+    seeds = bits.rows([[]])
+    reached = explore(Compiled.of(bits, turned), seeds, every, goals, 1 << switches)
+    count = 1 << switches
+    assert len(reached.states) == len(np.unique(reached.states, axis=0)) == count
+    assert np.diff(reached.first).tolist() == [switches] * count
+    here = np.repeat(np.arange(count), switches)
+    table = bits.table(reached.states)
+    assert (np.sum(table[here] != table[reached.successor], axis=1) == 1).all()
+    pairs = np.unique(np.stack([here, reached.successor]), axis=1)
+    assert pairs.shape[1] == count * switches
+    one, other = bits.number[own[0]], bits.number[own[-1]]
+    met = bits.meets(reached.states, [Literal(own[0]), Literal(own[-1], False)])
+    assert np.array_equal(met, table[:, one] & ~table[:, other])
+    assert not bits.meets(reached.states, [Literal(("unknown",))]).any()
+    assert bits.meets(reached.states, [Literal(("unknown",), False)]).all()
+    with pytest.raises(TooLargeError, match=f"max_states={count - 1}"):
+        explore(Compiled.of(bits, turned), seeds, every, goals, count - 1)
+
+
+@pytest.mark.parametrize("facts", [2, 6, 7])
+def test_any_number_of_goals_may_be_held_wrong(facts: int, tmp_path: Path) -> None:
+    """Lamps, of which the goal needs one, and of each further somebody believes that it needs it:
+    a plan turns on as many as are believed in, and no other."""
+    (tmp_path / "d.pddl").write_text(
+        """(define (domain lamps)
+          (:requirements :strips :typing :negative-preconditions)
+          (:types lamp)
+          (:predicates (on ?x - lamp))
+          (:action turn :parameters (?x - lamp) :precondition (not (on ?x)) :effect (on ?x)))"""
+    )
+    lamps = " ".join(f"l{i}" for i in range(facts + 1))
+    (tmp_path / "p.pddl").write_text(
+        f"(define (problem p) (:domain lamps) (:objects {lamps} - lamp) (:init) (:goal (on l0)))"
+    )
+    wrong = {f"f{i}": {"change": {"add_goal": f"(on l{i})"}} for i in range(1, facts + 1)}
+    made = PDDL(str(tmp_path / "d.pddl"), str(tmp_path / "p.pddl"), facts=wrong)
+    accurate = {p.name: p.accurate for p in made.parameters}
+    first = {name: a for a, name in enumerate(made.actions)}
+    for held in ([], [1], [facts], [1, facts], range(1, facts + 1)):
+        model = made.model(
+            accurate | {p.name: p.inaccurate for p in made.parameters if int(p.name[1:]) in held}
+        )
+        assert model.to_go[0] == 1 + len(held)
+        for i in range(facts + 1):
+            after = int(model.successor[0, first[f"turn l{i}"], 0])
+            step = np.array([[0, first[f"turn l{i}"], after]])
+            assert model.explicable(step)[0] == (i == 0 or i in held)

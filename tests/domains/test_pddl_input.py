@@ -6,9 +6,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from hydra.utils import instantiate
 
 from tests.domains.test_pddl import given
+from xplain.config import composed
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.reading import read_text
 from xplain.errors import XplainError
@@ -28,6 +31,8 @@ def edited(tmp_path: Path, key: str, old: str, new: str) -> dict[str, Any]:
     return own | {key: str(path)}
 
 
+ACTIONS = "  (:action pick-up"
+DERIVED = f"(:derived (above ?x ?y - block) (on ?x ?y))\n{ACTIONS}"
 REQUIRES = ":requirements :strips"
 PRECONDITION = "(clear ?x) (ontable ?x) (handempty))"
 
@@ -64,7 +69,26 @@ PRECONDITION = "(clear ?x) (ontable ?x) (handempty))"
             "unsupported: forall effects",
         ),
         ("problem", "(:metric minimize (total-cost))", "", "unsupported: .*metric minimize"),
-        ("file", "(increase (total-cost) 1)", "(increase (total-cost) 0)", "must be > 0"),
+        (
+            "file",
+            "(increase (total-cost) 1)",
+            "(increase (total-cost) 0)",
+            r"domain.file='[^']*file.pddl': the action pick-up costs 0; .* > 0",
+        ),
+        ("file", ACTIONS, DERIVED, r"line 15: unsupported derived predicates \(:derived\); supp"),
+        (
+            "file",
+            "(holding ?x - block)",
+            "(holding ?x - (either block object))",
+            r"line 11: unsupported either types \(either\); supported are STRIPS with types",
+        ),
+        (
+            "problem",
+            "a b c d - block",
+            "a b c d - (either block object)",
+            "domain.problem=.* line 4: unsupported either types",
+        ),
+        ("problem", "(on d a)", "(preference top (on d a))", "line 10: unsupported preferences"),
         ("file", "(increase (total-cost) 1)", "", "costs (nothing|0)"),
         ("problem", "(on a b) (on b c) (on d a)", "(on a b) (on b a)", "unsolvable: the robot's"),
         ("problem", "(and (on a b) (on b c) (on d a))", "(clear c)", "does not hold yet"),
@@ -90,6 +114,9 @@ HANDS = {"action": "pick-up", "drop_precondition": "(handempty)"}
         ({"file": None}, "the path of a PDDL file"),
         ({"problem": "pkg://nowhere/x.pddl"}, "domain.problem=.*cannot be read"),
         ({"facts": {}}, "at least one fact"),
+        ({"facts": 3}, "domain.facts=3: {name: {change"),
+        ({"words": 3}, "domain.words=3: {predicate"),
+        ({"features": 3}, "domain.features=3: {name: pattern"),
         ({"facts": {"x": {}}}, "lacks change"),
         ({"facts": {"x": {"change": HANDS, "why": "so"}}}, "unknown; known: change, join, message"),
         ({"facts": {"x": {"change": HANDS, "message": ""}}}, "facts.x.message='': a sentence"),
@@ -138,6 +165,43 @@ def test_a_bad_value_is_one_line(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(XplainError, match=text) as caught:
         PDDL(**given("blocks") | changes)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("(= (length office north) 5)", "(= (length office north) 0)", "which is 0; every cost"),
+        ("(= (length office north) 5)", "", "which is not given; every cost"),
+    ],
+)
+def test_a_function_that_is_no_cost_is_named_with_the_action(
+    old: str, new: str, text: str, tmp_path: Path
+) -> None:
+    own = given("logistics")
+    path = tmp_path / "problem.pddl"
+    path.write_text(read_text("", own["problem"]).replace(old, new), encoding="utf-8")
+    begin = r"domain.problem: the action drive truck1 office north costs \(length office north\), "
+    with pytest.raises(XplainError, match=begin + text):
+        PDDL(**own | {"problem": str(path)})
+
+
+BLOCKS = "pkg://xplain/domains/pddl/tasks/blocks"
+OWN = ("domain=pddl", f"domain.file={BLOCKS}/domain.pddl", f"domain.problem={BLOCKS}/problem.pddl")
+HAND = 'two_hands: {change: {action: pick-up, drop_precondition: "(handempty)"}}'
+FAR = "far: {change: {action: put-down, cost: 3}, message: The table is near.}"
+
+
+@pytest.mark.parametrize("sign", ["", "+"])
+def test_facts_and_words_are_taken_from_the_command_line(sign: str) -> None:
+    inline = (
+        f"{sign}domain.facts={{{HAND}, {FAR}}}",
+        f"{sign}domain.words={{pick-up: 'grasps {{x}}'}}",
+    )
+    made = instantiate(composed("config", [*OWN, *inline]).domain)
+    assert [p.name for p in made.parameters] == ["two_hands", "far"]
+    assert made.parameters[1].message == "The table is near."
+    grasp = made.actions.index("pick-up a")
+    assert made.describe(np.array([0, grasp, 0])) == "grasps a"
 
 
 def test_a_type_whose_beliefs_leave_no_plan_is_named() -> None:

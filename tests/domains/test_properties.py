@@ -17,6 +17,7 @@ from xplain.data.domain_properties import (
     problems,
     share_through,
 )
+from xplain.domains.base import cell_name
 from xplain.domains.four_rooms import DOORS
 from xplain.domains.rescue_maps import random_map
 from xplain.randomness import stream
@@ -93,3 +94,10 @@ def test_no_map_before_it_has_all_properties() -> None:
     done = subprocess.run(script, capture_output=True, text=True, check=True)
     assert done.stdout.startswith("map 794 of seed 0")
     assert done.stdout.endswith(configured(RESCUE).domain.map)
+
+
+def test_columns_are_letters_however_many_there_are() -> None:
+    """As spreadsheets call them: after Z comes AA, after ZZ comes AAA."""
+    names = [cell_name(0, column) for column in (0, 25, 26, 51, 52, 701, 702)]
+    assert names == ["A1", "Z1", "AA1", "AZ1", "BA1", "ZZ1", "AAA1"]
+    assert cell_name(9, 1) == "B10"

@@ -102,6 +102,32 @@ def test_the_model_plays_by_the_rules(seed: int) -> None:
             break
 
 
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("kept", ["A", "U", "FU", "Ar", "Uf", ""])
+def test_with_fewer_facts_it_plays_by_the_same_rules(kept: str, seed: int) -> None:
+    """What is no parameter is floor; flags and actions are of what is left."""
+    rows = ["".join(s if s in f"{kept}pSV#s" else "." for s in row) for row in ROWS]
+    given = {REWARD[symbol]: parameters()[REWARD[symbol]] for symbol in f"{kept}p"}
+    domain = rescue(map="\n".join(rows), parameters=given)
+    model = domain.model(VALUES)
+    bonuses = [symbol for symbol in "AFU" if symbol in kept]
+    assert len(domain.actions) == 4 + len(bonuses) + 1
+    assert model.n_states == len(domain.grid.cells) << len(bonuses) + 1
+    rng, state = np.random.default_rng(seed), int(domain.starts[0])
+    rules = Rules(rows, domain.position(state), VALUES)
+    for _ in range(200):
+        letter = str(rng.choice([*"udlr", *("+++" if rules.can_act() else "")]))
+        assert np.count_nonzero(model.probability[state, 4:]) == rules.can_act()
+        action = act(domain, rules.here) if letter == "+" else "udlr".index(letter)
+        assert model.reward[state, action, 0] == pytest.approx(rules.play(letter))
+        state = int(model.successor[state, action, 0])
+        assert domain.position(state) == rules.cell
+        assert len(domain.situation(state)) == len(rules.done)
+        assert model.terminal[state] == rules.ended
+        if rules.ended:
+            break
+
+
 @pytest.mark.parametrize(("slip", "carrying"), [(0.0, False), (0.0, True), (0.2, False)])
 def test_bumping_enters_nothing(slip: float, carrying: bool) -> None:
     """From each kind of cell, into a wall or over the edge: the robot stays and earns nothing."""
@@ -194,6 +220,8 @@ def test_the_labeler_sees_the_location_only() -> None:
         ({"discount": "high"}, "domain.discount", "finite number"),
         ({"slip": 1.5}, "domain.slip", "probability"),
         ({"slip": -0.1}, "domain.slip", "probability"),
+        ({"slip": 1.0}, "domain.slip", "probability"),
+        ({"slip": True}, "domain.slip", "probability"),
     ],
 )
 def test_bad_input_is_one_clear_line(changes: dict, key: str, text: str) -> None:
@@ -269,3 +297,22 @@ def test_the_scene_shows_every_item_in_its_place() -> None:
     assert {item.name for item in scene.items if item.symbol in "SVr"} == {
         "shelter", "victim", "rubble",
     }  # fmt: skip
+
+
+def test_what_happened_and_what_is_gone_are_told_of_every_combination() -> None:
+    """By the order of the flags: first aid, fire, fuel, then the victim. A fuel station stays."""
+    domain = rescue()
+    flags = len(domain.state_features) // len(domain.grid.cells)
+    done = ["picked up the first aid", "fire is out", "refuelled", "carries the victim"]
+    taken = ["first aid", "fire", None, "victim"]
+    for state in range(2 * flags):
+        happened = [bool(state % flags >> bit & 1) for bit in range(4)]
+        said = domain.situation(state)
+        assert len(said) == sum(happened)
+        for sentence, words in zip(
+            said, [w for w, h in zip(done, happened, strict=True) if h], strict=True
+        ):
+            assert words in sentence
+        assert domain.gone(state) == tuple(
+            name for name, h in zip(taken, happened, strict=True) if h and name
+        )

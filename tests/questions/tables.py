@@ -50,7 +50,8 @@ def joint(hypotheses, error, none, misread, answers):
 
 
 def information(hypotheses, error, none, misread, weight, transitions, told):
-    """I(answer; world) in bits, by its definition."""
+    """I(answer; world) in bits, by its definition: a world is (variant, candidate), or a candidate
+    and that no hypothesis fits."""
     total = 0.0
     for labels in product((0, 1), repeat=len(transitions)):
         given = np.array(

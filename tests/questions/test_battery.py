@@ -49,6 +49,24 @@ def test_six_facts_seen_one_by_one_need_six_questions():
     assert not told.any()  # no message needs to be read
 
 
+def test_each_transition_is_asked_about_before_one_is_asked_about_again():
+    """Three transitions that tell the same of each of two facts."""
+    h = Hypotheses.of(np.repeat(1 - (np.arange(4)[:, None] >> np.arange(2) & 1), 3, axis=1))
+    for seed in range(5):
+        transitions, told = battery(h, 3, seed)
+        assert sorted(transitions.tolist()) == list(range(6))
+        assert not told.any()
+
+
+def test_of_questions_that_separate_the_same_the_shortest_is_asked():
+    """The first transition tells of fact 0; so does the second once fact 1 is told."""
+    held = np.arange(4)
+    h = Hypotheses.of(np.stack([(held & 1) == 0, held == 0], axis=1))
+    for seed in range(20):
+        transitions, told = battery(h, 1, seed)
+        assert (1, 0b10) not in zip(transitions.tolist(), told.tolist(), strict=True)
+
+
 def test_sixty_four_fact_sets_need_at_most_ten_questions():
     """Labels as tasks have them: every transition depends on one to three facts."""
     rng = np.random.default_rng(4)

@@ -1,6 +1,7 @@
 """Questions by what labels have taught: the model's probabilities against a sum over all that
 might be true, and what is asked because of them."""
 
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -16,7 +17,7 @@ from xplain.errors import InputError
 from xplain.learning.fact_model.gibbs import init
 from xplain.learning.fact_model.model import CELL, NOISE, SUBSET, Answers, Prior
 from xplain.learning.labelers import LabelerTrainer
-from xplain.questions.committee import next_screen, p_explicable
+from xplain.questions.committee import Pool, next_screen, p_explicable
 from xplain.questions.designs import Adaptive
 from xplain.testing import Chosen, QueriesConformance
 from xplain.users.setting import Setting, UserType
@@ -146,7 +147,7 @@ def right(setting, design, seed):
     hits = []
     for kind in range(len(setting.types)):
         labeler = LabelerTrainer().fit(data.of(np.flatnonzero(truth == kind)), seed)
-        table = labeler.table(features, setting.n_messages) > 0.5
+        table = labeler.table(features).array(setting.n_messages)[0] > 0.5
         hits.append((table == labels[kind]).mean())
     return np.mean(hits)
 
@@ -163,6 +164,37 @@ def test_trees_learn_more_from_it_than_from_random_questions():
     chosen = [right(setting, Adaptive(hypotheses="none", screen=20), seed) for seed in range(2)]
     random = [right(setting, Independent(), seed) for seed in range(2)]
     assert np.mean(chosen) > np.mean(random) + 0.02
+
+
+def test_the_first_question_is_about_what_the_robot_does_by_how_often_it_does_it():
+    """One question: each transition by its weight. Two: never the same."""
+    nothing = dataset_of(4, 2, [])
+    weight, count = np.array([5.0, 0.0, 3.0, 2.0]), 4000
+    rng = np.random.default_rng(0)
+    first = [next_screen(nothing, 0, weight, 1, rng).transition[0] for _ in range(count)]
+    share, expected = np.bincount(first, minlength=4) / count, weight / 10
+    assert (abs(share - expected) <= 5 * (expected * (1 - expected) / count) ** 0.5).all()
+    pairs = [next_screen(nothing, 1, weight, 2, rng).transition.tolist() for _ in range(50)]
+    assert all(one != other for one, other in pairs)
+
+
+def test_of_transitions_that_share_their_features_one_is_drawn_by_its_visits():
+    """Three of one row of features, of which the first comes half of the time; -0 is 0."""
+    features = np.array([[1.0], [0.0], [1.0], [1.0]])
+    pool = Pool.of(features, ("x",), np.array([3.0, 1.0, 2.0, 1.0]))
+    assert pool.weight.tolist() == [1, 6]
+    assert pool.features.tolist() == [[0], [1]]
+    count = 6000
+    drawn = pool.draw(np.ones(count, dtype=np.int64), np.random.default_rng(0))
+    share = np.bincount(drawn, minlength=4) / count
+    expected = np.array([1 / 2, 0, 1 / 3, 1 / 6])
+    assert (abs(share - expected) <= 5 * (expected * (1 - expected) / count) ** 0.5).all()
+    assert pool.draw(np.array([0, 0]), np.random.default_rng(0)).tolist() == [1, 1]
+    answers = pool.unanswered(("m",))
+    told = replace(answers, features=np.array([[1.0], [-0.0]]), transition=np.array([1, 0, 1]))
+    assert pool.answered(told).transition.tolist() == [0, 1, 0]
+    with pytest.raises(InputError, match=r"'x': 7\.0"):
+        pool.answered(replace(told, features=np.array([[1.0], [7.0]])))
 
 
 def test_a_screen_has_a_question():

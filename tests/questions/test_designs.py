@@ -151,6 +151,13 @@ def test_a_file_may_hold_some_transitions_in_any_order(setting, tmp_path):
     assert np.array_equal(transitions_of(part, setting), setting.reachable[order])
 
 
+def test_a_file_of_transitions_that_the_robot_never_makes_is_refused(setting):
+    full = Hypotheses.of_domain(setting.domain)
+    foreign = Hypotheses.of(full.labels, messages=full.messages, features=full.features + 50)
+    with pytest.raises(InputError, match="transitions that the robot can make in corridor"):
+        transitions_of(foreign, setting)
+
+
 def test_random_questions_tell_hypotheses_less(setting):
     """The same budget: adaptive questions find all types where random ones do not always."""
     crowd = SimulatedObservers(per_type=3, points=6)
@@ -176,6 +183,10 @@ def test_random_questions_tell_hypotheses_less(setting):
         (Adaptive, {"from_others": 1.0}),
         (Adaptive, {"misread": 1.0}),
         (Adaptive, {"check": 1.0}),
+        (Adaptive, {"none": 1.0}),
+        (Adaptive, {"none": -0.1}),
+        (Adaptive, {"screen": 0}),
+        (Adaptive, {"in_turn": "yes"}),
         (Battery, {"redundancy": 0}),
     ],
 )

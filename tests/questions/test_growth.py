@@ -1,5 +1,6 @@
 """Lists of candidates that grow: what they hold is what the list of all sets holds."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,14 +11,14 @@ from hypothesis import strategies as st
 from xplain.data.observers import SimulatedObservers
 from xplain.domains.base import transition_features
 from xplain.domains.warehouse import Warehouse
-from xplain.errors import TooLargeError
+from xplain.errors import DomainError, TooLargeError
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.message_sets import mask_of
 from xplain.questions.battery import battery
 from xplain.questions.designs import Adaptive, hypotheses_of
 from xplain.questions.growth import LIKELY, grown, posterior_by
 from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.labeler import MAX_RELEVANT, HypothesisTrainer
+from xplain.questions.labeler import MOST, HypothesisTrainer
 from xplain.users.setting import Setting, UserType
 
 FACTS = 7
@@ -96,8 +97,9 @@ def test_types_of_more_facts_than_the_list_begins_with_are_found():
     features = transition_features(setting.domain, setting.reachable)
     for t, mask in enumerate(masks):
         labeler = trainer.fit(data.of(found.members(t)), 0)
-        relevant, table = labeler.relevant_table(features)
-        assert len(relevant) <= MAX_RELEVANT
+        found_table = labeler.table(features)
+        (relevant,), table = found_table.rows, found_table.p[:, :, 0]
+        assert len(relevant) <= MOST
         silent = setting.labels(t, setting.reachable, np.zeros(len(features), dtype=np.int64))
         assert ((table[:, 0] > 0.5) == silent).mean() > 0.97
         assert (table[:, -1] > 0.5).all()  # told all that it looks at, everything is explicable
@@ -114,6 +116,25 @@ def test_asking_again_asks_the_same():
     other, _ = crowd.collect(setting, Adaptive(), 3)
     assert np.array_equal(one.message_set, other.message_set)
     assert np.array_equal(one.transition, other.transition)
+
+
+@pytest.mark.parametrize("error", [DomainError("ambiguous"), TooLargeError("too many")])
+def test_a_list_stays_as_it_is_where_further_sets_cannot_be_worked_out(error, caplog):
+    caplog.set_level("INFO")
+
+    class Stuck:
+        def of(self, facts):
+            raise error
+
+    known = replace(few_sets(1), further=Stuck())
+    everybody = np.full(len(known.facts), 1 / len(known.facts))
+    likely = np.where(known.facts == 1, 1.0, 0.0)
+    assert grown(known, lambda _: everybody) is known
+    assert not caplog.messages
+    assert grown(known, lambda _: likely) is known
+    assert str(error) in caplog.text
+    fixed = replace(known, further=None)
+    assert grown(fixed, lambda _: likely) is fixed
 
 
 def test_a_battery_of_too_many_questions_is_refused_before_it_is_listed():

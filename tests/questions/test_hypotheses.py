@@ -1,14 +1,22 @@
 """Hypotheses: which candidates behave alike, what a question's answer is expected to be, files."""
 
+import logging
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hydra.utils import instantiate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.domains.configs import domain_of
 from tests.questions.tables import random_hypotheses
-from xplain.errors import DomainError, InputError
+from tests.users.corridor import Corridor
+from xplain.config import composed
+from xplain.errors import DomainError, InputError, TooLargeError, XplainError
 from xplain.questions.expectation import groups
 from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.inaccurate_values import NUDGES, scaled_values, without_ties
 from xplain.users.setting import Setting, UserType
 
 seeds = st.integers(0, 10_000)
@@ -113,6 +121,76 @@ def test_a_file_of_labels_alone_is_enough(tmp_path):
     assert read.prior.tolist() == [0.25] * 4
 
 
+def test_rows_may_come_in_any_order_with_all_that_is_of_them(tmp_path):
+    """The labels, the prior, and the labels of each variant."""
+    rng = np.random.default_rng(2)
+    facts = np.array([0, 1, 2, 4, 5])
+    labels, variants = rng.integers(0, 2, (5, 6)), rng.integers(0, 2, (2, 5, 6))
+    prior = rng.dirichlet(np.ones(5))
+    plain = Hypotheses.of(labels, facts, prior=prior, variants=variants)
+    for order in (rng.permutation(5), np.arange(5)[::-1]):
+        turned = Hypotheses.of(
+            labels[order], facts[order], prior=prior[order], variants=variants[:, order]
+        )
+        np.savez(
+            tmp_path / "h.npz",
+            labels=labels[order],
+            facts=facts[order],
+            prior=prior[order],
+            variants=variants[:, order],
+        )
+        for again in (turned, Hypotheses.load(tmp_path / "h.npz")):
+            assert again.facts.tolist() == facts.tolist()
+            assert np.array_equal(again.tables, plain.tables)
+            assert again.prior == pytest.approx(plain.prior)
+    assert np.array_equal(plain.tables[0], labels)
+    assert np.array_equal(plain.tables[1:], variants)
+
+
+def test_transitions_that_features_cannot_tell_apart_are_left_out_with_all_that_is_of_them():
+    """0 and 2 share their features, and are labelled otherwise; 1 and 3 share them, and are not."""
+    about = {
+        "features": np.array([[0.0], [1.0], [0.0], [1.0], [2.0]]),
+        "feature_names": ("x",),
+        "phrases": tuple("abcde"),
+        "states": np.arange(10).reshape(5, 2),
+    }
+    labels = [[1, 1, 1, 1, 1], [0, 0, 1, 0, 1], [1, 1, 0, 1, 0], [0, 0, 0, 0, 0]]
+    variants = 1 - np.array([labels])
+    apart = Hypotheses.of(labels, variants=variants, **about).told_apart_by_features()
+    kept = [1, 3, 4]
+    assert apart.phrases == ("b", "d", "e")
+    assert apart.labels.tolist() == np.array(labels)[:, kept].tolist()
+    assert apart.variants.tolist() == variants[:, :, kept].tolist()
+    assert apart.features.tolist() == about["features"][kept].tolist()
+    assert apart.states.tolist() == about["states"][kept].tolist()
+    # Without transition 4 nothing else would tell the second fact: all stay.
+    few = {key: value[:4] for key, value in about.items() if key != "feature_names"}
+    whole = Hypotheses.of(np.array(labels)[:, :4], **few)
+    assert whole.told_apart_by_features() is whole
+
+
+def test_values_are_scaled_where_they_are_numbers_that_the_domain_takes():
+    """Of four rooms: goals are a list, and no discount is above 1."""
+    domain = domain_of("domain=four_rooms")
+    own = {p.name: p.inaccurate for p in domain.parameters}
+    double, same = scaled_values(domain, 2.0), scaled_values(domain, 1.0)
+    assert same == own
+    assert double["penalty"] == 2 * own["penalty"]
+    assert double["step_cost"] == 2 * own["step_cost"]
+    for name in ("goals", "penalty_cells", "discount"):
+        assert double[name] == own[name]
+    assert 2 * own["discount"] >= 1
+
+
+def test_more_candidates_than_can_be_listed_are_refused():
+    few = np.ones((1 << 14, 1))
+    few[1] = 0
+    assert len(Hypotheses.of(few).facts) == 1 << 14
+    with pytest.raises(TooLargeError, match="more than 16384"):
+        Hypotheses.of(np.ones((1 << 15, 1)))
+
+
 @pytest.mark.parametrize(
     ("labels", "about", "said"),
     [
@@ -126,6 +204,16 @@ def test_a_file_of_labels_alone_is_enough(tmp_path):
         ([[1], [0]], {"facts": [1, 2]}, "the empty one"),
         ([[1], [0], [1]], {"facts": [0, 1, 6]}, "all of its subsets"),
         ([[1], [0]], {"phrases": ("a", "b")}, "1 texts"),
+        ([[1], [0]], {"prior": [np.nan, 1.0]}, "sum to 1"),
+        ([[1], [0]], {"prior": ["much", "little"]}, "2 probabilities"),
+        ([[1], [0]], {"facts": [0, -1]}, "one bitmask a row"),
+        ([[1], [0]], {"facts": [0, 1, 2]}, "one bitmask a row"),
+        ([[1], [0]], {"facts": [0.0, 1.0]}, "one bitmask a row"),
+        ([[1], [0]], {"facts": [0, 0]}, "different sets"),
+        ([[1], [0]], {"variants": [[[1, 1], [0, 0]]]}, "tables like labels"),
+        ([[1], [0]], {"features": np.zeros((2, 1))}, "1 rows"),
+        ([[1], [0]], {"features": np.array([[np.inf]])}, "finite numbers"),
+        ([[1], [0]], {"states": np.zeros((3, 2))}, "1 rows"),
         ([[1, 0], [1, 0]], {"messages": ["rubble"]}, "rubble.*cannot be told apart"),
     ],
 )
@@ -136,24 +224,108 @@ def test_bad_tables_are_one_line(labels, about, said):
 
 
 def test_bad_files_are_one_line(tmp_path):
-    text, other = tmp_path / "text.npz", tmp_path / "other.npz"
+    text, other, one = (tmp_path / name for name in ("text.npz", "other.npz", "one.npy"))
     text.write_text("no arrays")
     np.savez(other, table=np.eye(2))
-    for path in (text, other, tmp_path / "none.npz"):
+    np.save(one, np.eye(2))
+    np.savez(tmp_path / "more.npz", labels=[[1], [0]], why=np.eye(2))
+    with pytest.raises(InputError, match="hypotheses='why': arrays labels, facts"):
+        Hypotheses.load(tmp_path / "more.npz")
+    for path in (text, other, one, tmp_path / "none.npz", tmp_path):
         with pytest.raises(InputError, match="npz") as caught:
             Hypotheses.load(path)
         assert "\n" not in str(caught.value)
 
 
-def test_a_variant_that_cannot_be_solved_is_left_out(corridor, monkeypatch):
-    solved = Setting.build
-    calls = []
+class Toll(Corridor):
+    """The corridor; who holds the toll wrong thinks it so much. Where both facts are held wrong,
+    models with a toll in ``refused`` (low, high) are ambiguous."""
 
-    def build(domain, types):
-        calls.append(types)
-        if len(calls) == 2:
+    def __init__(self, inaccurate, refused=(0.0, 0.0)):
+        super().__init__()
+        end, toll = Corridor.parameters
+        self.parameters = (end, replace(toll, inaccurate=inaccurate))
+        self.refused = refused
+
+    def model(self, values):
+        if values["end"] == "left" and self.refused[0] < values["toll"] < self.refused[1]:
             raise DomainError("ambiguous")
-        return solved(domain, types)
+        return super().model(values)
 
-    monkeypatch.setattr(Setting, "build", build)
-    assert len(Hypotheses.of_domain(corridor, scales=(0.5, 2.0)).variants) == 1
+
+def labels_at(domain, values):
+    """Who holds both facts wrong, at these values."""
+    setting = Setting.build(domain, (UserType("one", values),))
+    return setting.label_table(setting.reachable)[0, :, 0]
+
+
+def test_a_variant_that_ties_is_nudged():
+    """From cell 2 the way to the goal is worth toll + .81, and staying nothing: at half of this
+    toll the two differ by 5e-9 of the largest possible value, at 1.01 of the half by 8e-4."""
+    domain = Toll(2 * (-0.81 - 5e-8))
+    with pytest.raises(DomainError, match="ambiguous tie"):
+        labels_at(domain, {"toll": -0.81 - 5e-8})
+    (variant,) = Hypotheses.of_domain(domain, scales=(0.5,)).variants
+    assert np.array_equal(variant[0b10], labels_at(domain, {"toll": -0.8181}))
+    assert np.array_equal(variant[0b11], labels_at(domain, {"end": "left", "toll": -0.8181}))
+
+
+@given(st.floats(-1, 1), st.floats(0.01, 0.2), seeds)
+@settings(deadline=None, max_examples=25)
+def test_values_without_ties_are_the_first_nudge_that_has_none(middle, width, seed):
+    half = -float(np.random.default_rng(seed).uniform(0.5, 3))
+    low = half * (1 + 0.05 * middle)
+    domain = Toll(2 * half, (low - width, low + width))
+    tolls = [half * nudge for nudge in NUDGES]
+    fine = [toll for toll in tolls if not domain.refused[0] < toll < domain.refused[1]]
+    try:
+        labels_at(domain, {"end": "left", "toll": 2 * half})
+    except XplainError:
+        return  # the hypotheses themselves are ambiguous
+    found, labels = without_ties(domain, 2, {"end": "left", "toll": half})
+    assert found == {"end": "left", "toll": fine[0] if fine else 2 * half}
+    assert np.array_equal(labels[0b11], labels_at(domain, found))
+
+
+def test_a_variant_that_is_lost_is_told(caplog):
+    domain = Toll(-5.0, (-3.0, -2.0))
+    assert Hypotheses.of_domain(domain, scales=(0.5, 2.0)).variants.shape[0] == 1
+    (record,) = [one for one in caplog.records if one.levelno >= logging.WARNING]
+    assert "toll=-2.5" in record.getMessage()
+    assert "stays -5.0" in record.getMessage()
+
+
+def test_a_value_that_ties_does_not_cost_the_variant_of_others(caplog):
+    """Half of four rooms' discount leaves gaps that rounding hides; half of the step cost and of
+    the penalty do not. Who holds all other facts wrong at half the value is among the variants."""
+    domain = instantiate(composed("observe", ["domain=four_rooms"]).domain)
+    hypotheses = Hypotheses.of_domain(domain)
+    names = [parameter.name for parameter in domain.parameters]
+    assert len(hypotheses.variants) == 2
+    (record,) = [one for one in caplog.records if one.levelno >= logging.WARNING]
+    assert "discount=0.35" in record.getMessage()
+    for held in ({"step_cost": 1.0}, {"penalty": -0.5}, {"step_cost": 1.0, "penalty": -0.5}):
+        row = sum(1 << names.index(name) for name in held)
+        assert np.array_equal(hypotheses.variants[0, row], labels_at(domain, held))
+    discount = 1 << names.index("discount")
+    assert np.array_equal(hypotheses.variants[0, discount], hypotheses.labels[discount]), (
+        "as assumed"
+    )
+
+
+def test_where_no_value_is_a_number_there_are_no_variants():
+    class End(Corridor):
+        parameters = Corridor.parameters[:1]
+
+        def model(self, values):
+            return super().model({**values, "toll": 0.0})
+
+    assert len(Hypotheses.of_domain(End()).variants) == 0
+
+
+def test_labels_of_sets_that_are_listed_later_are_those_of_the_variants():
+    """Candidates of one fact, with those of two added, are all sets."""
+    domain = Toll(2 * (-0.81 - 5e-8))
+    every = Hypotheses.of_domain(domain)
+    grown = Hypotheses.of_domain(domain, most=1).with_sets(np.array([0b11]))
+    assert np.array_equal(grown.tables, every.tables)

@@ -9,22 +9,22 @@ from tests.domains.configs import setting_of
 from xplain.data.observers import SimulatedObservers
 from xplain.data.queries import Independent
 from xplain.domains.base import transition_features
-from xplain.explanation.by_type import ByType
 from xplain.questions.labeler import HypothesisTrainer
 
 
 @pytest.mark.parametrize("transitions_known", [False, True])
-def test_the_table_over_what_matters_is_the_whole_table(transitions_known: bool) -> None:
+def test_the_table_over_what_matters_is_the_whole_table(
+    transitions_known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     setting = setting_of("domain=rescue")
     dataset, _ = SimulatedObservers(1, 40).collect(setting, Independent(), 0)
     labeler = HypothesisTrainer(domain=setting.domain).fit(dataset.of(np.array([0])), 0)
     transitions = setting.reachable[::9]
     features = transition_features(setting.domain, transitions)
-    if transitions_known:
-        relevant, table = labeler.relevant_table_of(features, transitions)  # type: ignore[attr-defined]
-        whole = labeler.table_of(features, 6, transitions)  # type: ignore[attr-defined]
-    else:
-        relevant, table = labeler.relevant_table(features)
-        whole = labeler.table(features, 6)
-    by_type = ByType(relevant[None], table[None])
-    assert by_type.over(range(6))[0] == pytest.approx(whole, abs=1e-9)
+    known = transitions if transitions_known else None
+    whole = labeler.table(features, known)
+    assert whole.is_dense(6)
+    for module in ("xplain.learning.labelers", "xplain.questions.labeler"):
+        monkeypatch.setattr(f"{module}.DENSE", 0)
+    some = labeler.table(features, known)
+    assert some.array(6) == pytest.approx(whole.array(6), abs=1e-9)

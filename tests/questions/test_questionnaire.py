@@ -41,9 +41,10 @@ def test_the_posterior_is_bayes_rule(seed, variants, clip, misread):
     assert q.posterior.sum() + q.none == pytest.approx(1)
 
 
-@given(seeds, st.integers(0, 1))
+@given(seeds, st.integers(0, 2))
 @settings(deadline=None, max_examples=25)
 def test_no_question_tells_more_than_the_next_one(seed, variants):
+    """Of (the variant, the candidate, whether any hypothesis fits)."""
     h = random_hypotheses(seed, variants=variants)
     q = Questionnaire(h, error=0.05, none=0.02, seed=seed)
     said = answered(q, seed % 5, seed)
@@ -58,10 +59,26 @@ def test_no_question_tells_more_than_the_next_one(seed, variants):
     assert q.information(chosen) == pytest.approx(values[chosen], abs=1e-9)
 
 
-@given(seeds)
+def test_which_variant_it_is_counts():
+    """The one fact makes transition 0 inexplicable, transition 1 in the variant alone, which has
+    a probability of .4: there label 1 is said with .05 + .9 × (.5 + .5 × .6) = .77."""
+    h = Hypotheses.of([[1, 1], [0, 1]], variants=np.array([[[1, 1], [0, 0]]]))
+    q = Questionnaire(h, error=0.05, none=0.0)
+
+    def entropy(p):
+        return -p * np.log2(p) - (1 - p) * np.log2(1 - p)
+
+    assert q.information((0, 0)) == pytest.approx(1 - entropy(0.05))
+    assert q.information((1, 0)) == pytest.approx(entropy(0.77) - entropy(0.05))
+    assert q.next() == (0, 0)
+    q.answer(0)
+    assert q.next() == (1, 0)
+
+
+@given(seeds, st.integers(0, 1))
 @settings(deadline=None, max_examples=15)
-def test_a_clip_tells_what_its_labels_tell_together(seed):
-    h = random_hypotheses(seed, transitions=4)
+def test_a_clip_tells_what_its_labels_tell_together(seed, variants):
+    h = random_hypotheses(seed, transitions=4, variants=variants)
     q = Questionnaire(h, error=0.05, none=0.02, misread=0.1, clip=3, seed=seed)
     clip, told = q.next()
     weight = joint(h, 0.05, 0.02, 0.1, [])

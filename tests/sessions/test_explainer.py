@@ -15,7 +15,7 @@ from xplain import Explainer, GivenTypes
 from xplain.errors import InputError
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.explanation.belief import Independent, Persistent
-from xplain.explanation.by_type import ByType, joined
+from xplain.explanation.label_table import DENSE, LabelTable, joined
 from xplain.message_sets import mask_of
 from xplain.solvers.known_type import Conformant, KnownType
 from xplain.solvers.qhr import QHR
@@ -66,7 +66,7 @@ def play(session, answers, steps=None):
 def test_a_session_is_an_episode_of_the_experiments(situation):
     problem, answers, explainer, _ = situation
     policy = explainer.solver.plan(problem)
-    episode = explain(problem, policy, SimulatedUser(answers), explainer.belief_update)
+    episode = explain(problem, policy, SimulatedUser.of(answers), explainer.belief_update)
     session = explainer.session(range(problem.n_steps))
     said = play(session, answers)
     names = problem.message_names
@@ -182,6 +182,36 @@ def test_the_solver_plans_for_exactly_what_the_explainer_was_told():
     assert (problem.message_names, problem.type_names) == (("a", "b"), ("x", "y"))
 
 
+@pytest.mark.parametrize("n", [3, DENSE + 2])
+@pytest.mark.parametrize("expected_steps", [0, 2, 4, 9])
+def test_a_trace_in_parts_is_planned_as_the_whole(n, expected_steps):
+    """The transitions of all parts, and as many unknown ones as are still expected."""
+    rng = np.random.default_rng(n)
+    types = GivenTypes(
+        LabelTable.by_type(np.array([[0, 2], [1, -1]]), np.tile(rng.random((2, 5, 2)), 2)),
+        tuple(f"m{j:02}" for j in range(n)),
+        ("x", "y"),
+    )
+    planned = []
+    explainer = Explainer(types, Noting(planned))
+    explainer.session(range(5), expected_steps).messages()
+    parts = explainer.session([], expected_steps)
+    for part in ([0], [1, 2], [], [3, 4]):
+        parts.extend(part)
+        if part == [1, 2]:
+            parts.messages()  # planned between parts, too
+    parts.observe([1])
+    parts.messages()
+    whole, _, last = (problem for problem, _ in planned)
+    assert whole.n_steps == last.n_steps == max(5, expected_steps)
+    for mask in range(8):
+        one, other = (p.label_probabilities(p.n_steps, mask) for p in (whole, last))
+        assert np.array_equal(one, other)
+        known = types.label_table(range(5)).label_probabilities(5, mask)
+        assert np.array_equal(one[:, :5], known)
+        assert (one[:, 5:] == 1).all()
+
+
 def test_types_may_be_a_function_of_whatever_a_transition_is():
     def table(transitions):
         hard = np.array([move["hard"] for move in transitions])
@@ -224,6 +254,14 @@ def test_misuse_is_one_clear_line():
     session.messages()
     text = session.to_json()
     state = json.loads(text)
+    anything = Explainer(GivenTypes(lambda steps: np.ones((1, len(steps), 2)), ("m",), ("t",)))
+
+    def told_again():
+        twice = explainer.session([0, 1])
+        twice.tell(["a"])
+        twice.observe([1])
+        twice.tell(["b", "a"])
+
     broken = [
         (lambda: explainer.session([7]), "trace"),
         (lambda: explainer.session([0.5]), "trace"),
@@ -237,6 +275,12 @@ def test_misuse_is_one_clear_line():
         (lambda: explainer.session().messages(), "finished"),
         (lambda: session.tell(["a"]), "before messages()"),
         (lambda: explainer.session([0]).tell(["c"]), "unknown message"),
+        (told_again, "not given before, as ('a',) were"),
+        (lambda: explainer.session().tell(["a"]), "before messages()"),
+        (lambda: explainer.session([-1]), "trace"),
+        (lambda: explainer.from_json(json.dumps(state | {"messages": ["b", "a"]})), "messages"),
+        (lambda: explainer.from_json(json.dumps(state | {"said": [[], []]})), "said"),
+        (lambda: anything.session([object()]).to_json(), "JSON"),
         (lambda: explainer.from_json("{}"), "JSON"),
         (lambda: explainer.from_json("no"), "JSON"),
         (lambda: explainer.from_json(json.dumps(state | {"format": 9})), "format"),
@@ -251,6 +295,34 @@ def test_misuse_is_one_clear_line():
         assert words in str(error.value)
 
 
+def test_rows_of_arrays_are_transitions_that_json_holds():
+    """As numpy's rows and numbers, or as plain lists."""
+
+    def table(transitions):
+        return np.array([[[0.3 * row[0], 0.2 * row[1]] for row in transitions]])
+
+    explainer = Explainer(GivenTypes(table, ("m",), ("t",)))
+    rows = np.array([[1.0, 2.0], [3.0, 4.0]])
+    session, plain = explainer.session(rows), explainer.session(rows.tolist())
+    assert session.trace == plain.trace == ([1.0, 2.0], [3.0, 4.0])
+    assert session.to_json() == plain.to_json()
+    assert explainer.from_json(session.to_json()).trace == session.trace
+    indices = Explainer(TYPES).session(np.array([0, 2]))
+    assert Explainer(TYPES).from_json(indices.to_json()).trace == indices.trace == (0, 2)
+
+
+def test_an_answer_may_come_before_more_is_known():
+    """What was said and answered stays when the trace grows, and messages asked for twice are
+    said once."""
+    session = Explainer(TYPES).session([0, 1])
+    first = session.messages()
+    session.extend([2])
+    assert session.messages() == first
+    session.observe([0])
+    assert (session.shown, session.finished) == (2, False)
+    assert len(session.trace) == 3
+
+
 def test_importing_the_package_imports_nothing_heavy():
     code = (
         "import sys, xplain; print([m for m in ('numpy', 'numba', 'sklearn') if m in sys.modules])"
@@ -263,7 +335,7 @@ def many(steps=6, n=40):
     """Two types of forty messages; each finds its own message wanting at every second step."""
     table = np.full((2, steps, 2), 0.95)
     table[:, ::2, 0] = 0.05
-    by_type = ByType(np.array([[7], [33]]), table)
+    by_type = LabelTable.by_type(np.array([[7], [33]]), table)
     names = tuple(f"m{j:02}" for j in range(n))
     return GivenTypes(by_type, names, ("seven", "thirty-three"), (1.0, 0.0))
 
@@ -288,17 +360,21 @@ def test_transitions_not_known_yet_puzzle_nobody_however_many_messages_there_are
 
 def test_a_trace_in_parts_is_the_trace_however_its_parts_are_kept():
     rng = np.random.default_rng(0)
-    one = ByType(np.array([[3, 1], [0, -1]]), rng.random((2, 2, 4)))
-    other = ByType(np.array([[3], [2]]), rng.random((2, 3, 2)))
-    dense = rng.random((2, 1, 16))
-    one = ByType.checked(one.relevant, one.p, 4)
-    whole = joined([one, other, dense])
-    expected = np.concatenate([one.over(range(4)), other.over(range(4)), dense], axis=1)
-    assert np.array_equal(whole.over(range(4)), expected)
-    assert np.array_equal(joined([dense, dense]), np.concatenate([dense, dense], axis=1))
+    one = LabelTable.by_type(np.array([[3, 1], [0, -1]]), rng.random((2, 2, 4)))
+    other = LabelTable.by_type(np.array([[3], [2]]), rng.random((2, 3, 2)))
+    parts = [one, other, LabelTable.dense(rng.random((2, 1, 16)))]
+    expected = np.concatenate([part.array(4) for part in parts], axis=1)
+    assert np.array_equal(joined(parts).array(4), expected)
+    twice = joined([parts[2], parts[2]])
+    assert twice.is_dense(4)
+    assert np.array_equal(twice.array(4), np.concatenate([parts[2].array(4)] * 2, axis=1))
 
 
 def test_more_than_62_messages_are_refused():
     names = tuple(f"m{j}" for j in range(63))
     with pytest.raises(InputError, match=r"types\.messages"):
-        Explainer(GivenTypes(ByType(np.empty((1, 0), int), np.ones((1, 1, 1))), names, ("one",)))
+        Explainer(
+            GivenTypes(
+                LabelTable.by_type(np.empty((1, 0), int), np.ones((1, 1, 1))), names, ("one",)
+            )
+        )

@@ -28,6 +28,7 @@ def content(stage: Stage, played: Played) -> dict[str, Any]:
         "domain": stage.domain,
         "solver": stage.solver,
         "tradeOff": stage.trade_off,
+        "chosen": stage.chosen,
         "user": played.user,
         "right": stage.right(played.user),
         "titles": {name: stage.title(name) for name in played.prior},

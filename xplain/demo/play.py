@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from hydra.utils import instantiate
@@ -14,6 +14,7 @@ from xplain.evaluation.episode import SimulatedUser
 from xplain.experiment.explanations import Costs
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Case, Prepared, prepare
+from xplain.experiment.results import domain_name
 from xplain.explanation.belief import BeliefUpdate
 from xplain.message_sets import mask_of
 from xplain.randomness import stream
@@ -34,6 +35,7 @@ class Stage:
         beliefs: for each true type by name, what it believes wrongly, as sentences.
         trade_off: λ.
         suggested: the true type of a simulated user for whom the trace tells most.
+        chosen: which trace it is and by what rule, as a sentence; empty where it was asked for.
     """
 
     domain: str
@@ -44,6 +46,7 @@ class Stage:
     beliefs: dict[str, tuple[str, ...]]
     trade_off: float
     suggested: str
+    chosen: str = ""
 
     def user_type(self, name: str | None) -> str:
         """A true type by name; None takes the suggested one.
@@ -158,7 +161,7 @@ def stage(overrides: Sequence[str], trace: int | None = None, user: str | None =
     cases = prepared.cases if trace is None else prepared.cases[trace:]
     stages = [
         Stage(
-            domain=str(choices.domain),
+            domain=domain_name(choices, cfg),
             solver=str(choices.solver),
             prepared=prepared,
             case=case,
@@ -171,7 +174,16 @@ def stage(overrides: Sequence[str], trace: int | None = None, user: str | None =
         for name in prepared.types
     ]
     named = [one for one in stages if one.suggested == user]  # none: whoever asks is told later
-    return max(named or stages, key=_tells)
+    best = max(named or stages, key=_tells)
+    return best if trace is not None else replace(best, chosen=_rule(prepared, best))
+
+
+def _rule(prepared: Prepared, best: Stage) -> str:
+    number = next(i for i, case in enumerate(prepared.cases) if case is best.case)
+    return (
+        f"Trace {number}: of the first {TRIED}, the one on which the type of a simulated user is "
+        "found with fewest messages; --trace chooses another."
+    )
 
 
 def _tells(scene: Stage) -> tuple[bool, bool, int, float]:
@@ -241,7 +253,7 @@ class Simulated:
 
     def __call__(self, session: Session) -> Sequence[int]:
         prepared = self.scene.prepared
-        user = SimulatedUser(self.scene.case.labels[prepared.types.index(self.user)])
+        user = SimulatedUser(self.scene.case.labels.of_types([prepared.types.index(self.user)]))
         said = mask_of(session.said, prepared.messages)
         labels: list[int] = user.labels(session.shown, said).tolist()
         return labels

@@ -41,6 +41,8 @@ class Terminal:
             f"[bold]{stage.domain}[/] · {stage.solver} · λ = {stage.trade_off:g} · "
             f"{len(stage.prepared.learned_types)} user types were learned"
         )
+        if stage.chosen:
+            self.console.print(stage.chosen)
         if self.user is not None:
             self.console.print(f"The user is of type [bold]{self.user}[/] (the robot is not told):")
             for sentence in stage.beliefs[self.user]:

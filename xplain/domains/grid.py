@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -81,7 +82,7 @@ class Grid:
         """
         allowed = f"(row, column) of a cell that is no wall, counted from 0, of {self.shape}"
         try:
-            r, c = (int(x) for x in cell)
+            r, c = (index(x) for x in cell)
         except (TypeError, ValueError):
             raise InputError(key, cell, allowed) from None
         if not (0 <= r < self.shape[0] and 0 <= c < self.shape[1]) or self.number[r, c] < 0:

@@ -7,7 +7,6 @@ still holds R \\ H wrong and labels transition τ by ``labels[R \\ H, τ]``, but
 
 from __future__ import annotations
 
-import logging
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -20,14 +19,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.domains.base import Domain, transition_feature_names, transition_features
-from xplain.errors import DomainError, InputError, TooLargeError, whole_number
+from xplain.errors import InputError, TooLargeError, whole_number
 from xplain.message_sets import names_of
-from xplain.questions.inaccurate_values import FurtherLabels, few, labels_of, with_subsets
+from xplain.questions.inaccurate_values import (
+    FurtherLabels,
+    few,
+    labels_of,
+    scaled_values,
+    with_subsets,
+    without_ties,
+)
 from xplain.questions.label_tables import prior_over, table_of_labels
 from xplain.storage import written_whole
 from xplain.users.setting import MAX_MODELS
-
-log = logging.getLogger(__name__)
 
 AS_ASSUMED = 0.6
 """Prior of the assumed values, where there are variants."""
@@ -122,11 +126,13 @@ class Hypotheses:
             domain: the robot's task.
             most: parameters held wrong together; None: as many as MAX_MODELS models allow.
             scales: one variant each: all inaccurate values that are numbers times this. A value
-                that the domain refuses stays as it is, and a variant with ambiguous ties is left
-                out.
+                that the domain refuses stays as assumed. Where ties are ambiguous, values are
+                nudged, or stay as assumed with a warning: see
+                :func:`~xplain.questions.inaccurate_values.without_ties`. Where no value is another
+                than assumed, there is no variant.
 
         Raises:
-            DomainError: some model's ties are ambiguous.
+            DomainError: some model's ties are ambiguous, values being as assumed.
             InputError: the parameters change no label of these transitions.
             TooLargeError: more than MAX_MODELS models.
         """
@@ -135,15 +141,12 @@ class Hypotheses:
             most = max(k for k in range(n + 1) if comb(n, k) << k <= MAX_MODELS)
             most = n if 1 << n <= MAX_MODELS else max(most, 1)
         most = min(whole_number("hypotheses.most", most, 1), n)
-        setting, facts, labels = labels_of(domain, most, 1.0)
+        assumed = {parameter.name: parameter.inaccurate for parameter in domain.parameters}
+        setting, facts, labels = labels_of(domain, most, assumed)
         transitions = setting.reachable
-        variants, solved = [], [1.0]
-        for scale in scales:
-            try:
-                variants.append(labels_of(domain, most, scale)[2])
-                solved.append(scale)
-            except DomainError as error:
-                log.info("no variant of the hypotheses with values times %g: %s", scale, error)
+        scaled = [without_ties(domain, most, scaled_values(domain, scale)) for scale in scales]
+        other = [(values, own) for values, own in scaled if values != assumed]
+        every_value = (assumed, *(values for values, _ in other))
         every = np.arange(len(transitions))
         return cls.of(
             labels,
@@ -154,8 +157,8 @@ class Hypotheses:
             feature_names=transition_feature_names(domain),
             phrases=tuple(domain.describe(transition) for transition in transitions),
             states=transitions[:, [0, 2]],
-            variants=np.array(variants, dtype=np.uint8),
-            further=FurtherLabels(domain, tuple(solved), transitions, every) if most < n else None,
+            variants=np.array([own for _, own in other], dtype=np.uint8),
+            further=FurtherLabels(domain, every_value, transitions, every) if most < n else None,
         )
 
     @classmethod
@@ -171,7 +174,7 @@ class Hypotheses:
         try:
             with np.load(path, allow_pickle=False) as file:
                 arrays = {key: file[key] for key in file.files}
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile, TypeError) as error:
             reason = (str(error).splitlines() or [""])[0] or type(error).__name__
             raise InputError("hypotheses", str(path), f"an .npz file ({reason})") from None
         if "labels" not in arrays:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
@@ -11,18 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import Domain, Parameter
-from xplain.errors import XplainError
-from xplain.message_sets import names_of, subsets
+from xplain.errors import DomainError, InputError, XplainError
+from xplain.message_sets import indices, names_of, subsets
 from xplain.users.setting import Setting, UserType
+
+log = logging.getLogger(__name__)
+
+NUDGES = (1.0, 1.01, 0.99, 1.02, 0.98, 1.05, 0.95)
+"""Where ties at some values are ambiguous, the values times each of these are tried, in this order:
+nobody's idea of a size is so exact."""
 
 
 def labels_of(
-    domain: Domain, most: int, scale: float
+    domain: Domain, most: int, value: Mapping[str, Any]
 ) -> tuple[Setting, NDArray[np.int64], NDArray[np.uint8]]:
-    """The sets of at most ``most`` facts [C], and who holds them, at the scaled values, labels
-    what the robot can do [C, T]."""
+    """The sets of at most ``most`` facts [C], and who holds them, at these wrong values, labels
+    what the robot can do [C, T].
+
+    Raises:
+        DomainError: some model's ties are ambiguous.
+        InputError: the domain refuses a value.
+    """
     n = len(domain.parameters)
-    value = scaled_values(domain, scale)
     names = [parameter.name for parameter in domain.parameters]
     largest = list(combinations(range(n), most))
     setting = Setting.build(
@@ -42,19 +53,63 @@ def labels_of(
     return setting, facts, by_model[[model[held] for held in facts.tolist()]]
 
 
+def without_ties(
+    domain: Domain, most: int, wanted: Mapping[str, Any]
+) -> tuple[dict[str, Any], NDArray[np.uint8]]:
+    """Wrong values as near to those wanted as leaves no tie ambiguous, and their labels [C, T].
+
+    Where ties are ambiguous at those wanted, each parameter in turn takes its wanted value, or the
+    first of its :data:`NUDGES` at which none is, those before it being as found, those after it as
+    assumed. One for which every nudge fails stays as assumed, and a warning tells so.
+
+    Args:
+        domain: its inaccurate values must leave no tie ambiguous.
+        most: parameters held wrong together.
+        wanted: for each parameter a value that the domain takes.
+    """
+    try:
+        return dict(wanted), labels_of(domain, most, wanted)[2]
+    except DomainError:
+        log.debug("hypotheses: ties are ambiguous at %s", wanted)
+    assumed = {one.name: one.inaccurate for one in domain.parameters}
+    chosen, labels = assumed, labels_of(domain, most, assumed)[2]
+    for name in (name for name in wanted if wanted[name] != assumed[name]):
+        for nudge in NUDGES:
+            tried = chosen | {name: _times(wanted[name], nudge)}
+            try:
+                chosen, labels = tried, labels_of(domain, most, tried)[2]
+                if nudge != 1:
+                    log.info("hypotheses: a variant has %s=%s", name, tried[name])
+                break
+            except (DomainError, InputError) as error:
+                reason = str(error)
+        else:
+            value = (name, wanted[name], assumed[name])
+            log.warning("hypotheses: no variant with %s=%s, it stays %s: %s", *value, reason)
+    return chosen, labels
+
+
+def _times(value: Any, factor: float) -> Any:
+    return value * factor if _is_number(value) else value
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
 @dataclass(frozen=True)
 class FurtherLabels:
     """Labels of sets of facts that no list holds yet, worked out when asked for, each once.
 
     Attributes:
         domain: whose models.
-        scales: [1 + V] of the inaccurate values: 1, and those of the variants.
+        values: [1 + V] wrong values by parameter: those assumed, and those of the variants.
         transitions: [T, 3].
         columns: [K] those of the transitions that are asked for.
     """
 
     domain: Domain
-    scales: tuple[float, ...]
+    values: tuple[Mapping[str, Any], ...]
     transitions: NDArray[np.int64]
     columns: NDArray[np.int64]
     _known: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
@@ -71,14 +126,13 @@ class FurtherLabels:
         """
         missing = [held for held in facts.tolist() if held not in self._known]
         if missing:
-            solved = np.stack([self._solved(missing, scale) for scale in self.scales])
+            solved = np.stack([self._solved(missing, wrong) for wrong in self.values])
             self._known.update(zip(missing, np.moveaxis(solved, 1, 0), strict=True))
         return np.stack([self._known[held][:, self.columns] for held in facts.tolist()], axis=1)
 
-    def _solved(self, facts: list[int], scale: float) -> NDArray[np.uint8]:
+    def _solved(self, facts: list[int], wrong: Mapping[str, Any]) -> NDArray[np.uint8]:
         accurate = {one.name: one.accurate for one in self.domain.parameters}
-        wrong, names = scaled_values(self.domain, scale), tuple(accurate)
-        held = [names_of(one, names) for one in facts]
+        held = [names_of(one, tuple(accurate)) for one in facts]
         models = [self.domain.model(accurate | {name: wrong[name] for name in own}) for own in held]
         whose = [f"who holds {', '.join(own)} wrong" for own in held]
         return models[0].solve(models, whose).labels(self.transitions)
@@ -92,7 +146,7 @@ def scaled_values(domain: Domain, scale: float) -> dict[str, Any]:
 
 def _scaled(domain: Domain, parameter: Parameter, scale: float) -> Any:
     wrong = parameter.inaccurate
-    if scale == 1 or isinstance(wrong, bool) or not isinstance(wrong, (int, float)):
+    if not _is_number(wrong):
         return wrong
     values = {one.name: one.accurate for one in domain.parameters}
     try:
@@ -112,6 +166,4 @@ def few(facts: NDArray[np.int64], n: int, share: float) -> NDArray[np.float64]:
 
 def with_subsets(facts: Sequence[int]) -> NDArray[np.int64]:
     """These sets and all of their subsets, ascending."""
-    from xplain.message_sets import indices
-
     return np.unique(np.concatenate([subsets(indices(held)) for held in facts]))

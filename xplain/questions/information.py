@@ -38,7 +38,7 @@ class Posterior:
         return np.concatenate([labels, labels[:1]])
 
     def information(self, transitions: ArrayLike, told: int) -> float:
-        """Bits that the answer to one question tells of (the candidate, whether any fits)."""
+        """Bits that the answer to one question tells of (the layer, the candidate)."""
         labels = self.labels(transitions, told)
         count = labels.shape[2]
         pattern = labels @ (1 << np.arange(count))

@@ -1,12 +1,14 @@
 """A labeler of hypotheses: P(label = 1) of people of one type, by what they may hold wrong.
 
-What it knows of a type is a posterior over fact sets; where the answers contradict the hypotheses,
-the answers win (:mod:`xplain.questions.likelihood`). docs/what-to-ask.md
+What it knows of a type is a posterior over fact sets; where a cell was asked about and the answers
+contradict the hypotheses, its label goes by the answers (:mod:`xplain.questions.likelihood`), all
+others stay with the hypotheses. docs/what-to-ask.md
 """
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -18,6 +20,7 @@ from scipy.special import logsumexp
 from xplain.data.dataset import Dataset, inputs
 from xplain.domains.base import Domain
 from xplain.errors import InputError, TooLargeError
+from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.learning.clustering import Clustering
 from xplain.learning.labelers import (
     Labeler,
@@ -38,7 +41,7 @@ log = logging.getLogger(__name__)
 KEPT = 1e-4
 """Fact sets with a smaller share of the posterior are left out of predictions."""
 RELEVANT = 0.01
-MAX_RELEVANT = 12
+MOST = 12
 MAX_TABLE = 1 << 24
 EDGE = 0.002
 """Probabilities stay so far from 0 and 1. A label is shown again with every later step, so that
@@ -82,13 +85,13 @@ class FactSetClassifier:
     @property
     def looked_at(self) -> int:
         """The facts that people of the type may hold wrong. Where facts are many, those they do
-        with a probability of RELEVANT, the likeliest MAX_RELEVANT of them; other messages are
+        with a probability of RELEVANT, the likeliest MOST of them; other messages are
         taken to be never given."""
         if self.known.hypotheses.complete:
             return int(np.bitwise_or.reduce(self.facts, initial=0))
         bits = bits_of(self.facts, self.known.hypotheses.n_messages)
         share = self.weight.sum(axis=(1, 2)) @ bits
-        likely = np.argsort(-share, kind="stable")[:MAX_RELEVANT]
+        likely = np.argsort(-share, kind="stable")[:MOST]
         return sum(1 << int(j) for j in likely if share[j] >= RELEVANT)
 
     def known_rows(
@@ -155,46 +158,31 @@ class FactSetClassifier:
 class HypothesisLabeler(Labeler):
     """A labeler that tells transitions apart that share their features."""
 
-    def table_of(
-        self, features: NDArray[np.float64], n_messages: int, transitions: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
-        """P(label = 1) of transitions [T, 3] with features [T, F]: [T, 2^n]. Those that share
-        their features are told apart."""
-        result = self.table(features, n_messages)
-        known = self.classifier.known
-        place = known.find(features)
-        rows = np.flatnonzero((place >= 0) & known.ambiguous[place])
-        found = known.find_exactly(features[rows], transitions[rows][:, [0, 2]])
-        every = np.arange(1 << n_messages)
-        for row, t in zip(rows[found >= 0].tolist(), found[found >= 0].tolist(), strict=True):
-            result[row] = self.classifier.exactly(np.full(len(every), t), every)
-        return result
+    def table(
+        self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None = None
+    ) -> LabelTable:
+        """As :meth:`Labeler.table`. Where messages are many, those matter that are about facts that
+        people of the type likely hold wrong."""
+        relevant, table = self._looked_at(features)
+        if transitions is not None and isinstance(self.classifier, FactSetClassifier):
+            known, every = self.classifier.known, subsets(relevant)
+            place = known.find(features)
+            rows = np.flatnonzero((place >= 0) & known.ambiguous[place])
+            found = known.find_exactly(features[rows], transitions[rows][:, [0, 2]])
+            for row, t in zip(rows[found >= 0].tolist(), found[found >= 0].tolist(), strict=True):
+                table[row] = self.classifier.exactly(np.full(len(every), t), every)
+        return LabelTable.joined_types([relevant], [table])
 
-    def relevant_table(
+    def _looked_at(
         self, features: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """See :meth:`Labeler.relevant_table`; looked at are the facts that people of the type
-        likely hold wrong."""
-        return self._over_relevant(features, None)
-
-    def relevant_table_of(
-        self, features: NDArray[np.float64], transitions: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """As :meth:`relevant_table`, told apart as in :meth:`table_of`."""
-        return self._over_relevant(features, transitions)
-
-    def _over_relevant(
-        self, features: NDArray[np.float64], transitions: NDArray[np.int64] | None
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        if not isinstance(self.classifier, FactSetClassifier):
-            return super().relevant_table(features)
-        known = self.classifier.known
-        place = known.find(features)
+    ) -> tuple[Sequence[int], NDArray[np.float64]]:
+        if self.n_messages <= DENSE or not isinstance(self.classifier, FactSetClassifier):
+            return super()._looked_at(features)
         looked_at = self.classifier.looked_at
-        if (place < 0).any():
+        unknown = self.classifier.known.find(features) < 0
+        if unknown.any():
             tree = replace(self, classifier=self.classifier.fallback)
-            for j in Labeler.relevant_table(tree, features[place < 0])[0].tolist():
-                looked_at |= 1 << j
+            looked_at |= sum(1 << j for j in tree._looked_at(features[unknown])[0])
         relevant = indices(looked_at)
         check_looked_at(len(relevant), self.n_messages)
         every = subsets(relevant)
@@ -202,12 +190,7 @@ class HypothesisLabeler(Labeler):
         for t, row in enumerate(features):
             rows = np.broadcast_to(row, (len(every), len(row)))
             table[t] = self._probability(inputs(rows, every, self.n_messages))
-        if transitions is not None:
-            rows = np.flatnonzero((place >= 0) & known.ambiguous[place])
-            found = known.find_exactly(features[rows], transitions[rows][:, [0, 2]])
-            for row, t in zip(rows[found >= 0].tolist(), found[found >= 0].tolist(), strict=True):
-                table[row] = self.classifier.exactly(np.full(len(every), t), every)
-        return np.array(relevant, dtype=np.int64), table
+        return relevant, table
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,11 @@
 
     Hypotheses ── Questionnaire ── next() / answer(label) ── … ── done, posterior
 
-Each question is the one whose answer tells most, in expectation, about what the person holds
-wrong: the largest mutual information under the present posterior (Lindley 1956; adaptive design
-optimisation; computerised adaptive tests). docs/what-to-ask.md.
+Each question is the one whose answer tells most, in expectation, about what the person holds wrong,
+at which values (the variant of the hypotheses), and whether any hypothesis fits: the largest mutual
+information under the present posterior (Lindley 1956; adaptive design optimisation; computerised
+adaptive tests). The variant counts, as labels depend on it and explanations on the labels:
+docs/what-to-ask.md.
 """
 
 from __future__ import annotations
@@ -259,7 +261,8 @@ class Questionnaire:
         return made
 
     def information(self, question: Question) -> float:
-        """Mutual information, in bits, of the answer and (the candidate, whether any fits)."""
+        """Mutual information, in bits, of the answer and (the variant, the candidate, whether any
+        hypothesis fits): what :meth:`next` makes as large as possible (a clip: greedily)."""
         transitions, told = self._checked(question)
         return self._posterior.information(transitions, told)
 

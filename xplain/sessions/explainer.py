@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, whole_number
-from xplain.explanation.by_type import ByType, LabelTable
+from xplain.explanation.label_table import LabelTable
 from xplain.sessions.planner import Planner
 from xplain.sessions.session import FORMAT, Session
 
@@ -28,37 +28,35 @@ class GivenTypes:
     Attributes:
         table: [N, T, 2^n], a transition being its index among T; or a function from a list of
             transitions (whatever they are) to such a table of them. With many messages a
-            :class:`~xplain.explanation.by_type.ByType` takes the place of the array.
+            ``LabelTable.by_type(relevant, tables)`` takes the place of the array.
         messages: n names.
         names: N names.
         prior: [N]; empty for all alike.
     """
 
-    table: ArrayLike | ByType | Callable[[Sequence[Any]], ArrayLike | ByType]
+    table: ArrayLike | LabelTable | Callable[[Sequence[Any]], ArrayLike | LabelTable]
     messages: tuple[str, ...]
     names: tuple[str, ...]
     prior: ArrayLike = ()
 
-    def p_explicable(self, transitions: Sequence[Any]) -> LabelTable:
+    def label_table(self, transitions: Sequence[Any]) -> LabelTable:
         """See :class:`~xplain.sessions.planner.Types`.
 
         Raises:
             InputError: an index outside the table.
         """
         if callable(self.table):
-            return self._checked(self.table(transitions))
-        table = self._checked(self.table)
-        p = table.p if isinstance(table, ByType) else table
+            return _as_label_table(self.table(transitions))
+        table = _as_label_table(self.table)
+        last = len(table.p) - 1
         for index in transitions:
-            if not isinstance(index, (int, np.integer)) or not 0 <= index < p.shape[1]:
-                raise InputError("trace", index, f"indices 0 … {p.shape[1] - 1} of the table")
-        p = np.asarray(p[:, list(transitions)])
-        return ByType(table.relevant, p) if isinstance(table, ByType) else p
+            if not isinstance(index, (int, np.integer)) or not 0 <= index <= last:
+                raise InputError("trace", index, f"indices 0 … {last} of the table")
+        return table.of_steps(transitions)
 
-    def _checked(self, table: ArrayLike | ByType) -> LabelTable:
-        if isinstance(table, ByType):
-            return ByType.checked(table.relevant, table.p, len(self.messages))
-        return np.asarray(table, dtype=np.float64)
+
+def _as_label_table(table: ArrayLike | LabelTable) -> LabelTable:
+    return table if isinstance(table, LabelTable) else LabelTable.dense(table)
 
 
 @dataclass(frozen=True)

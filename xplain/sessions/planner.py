@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError
 from xplain.explanation.belief import BeliefUpdate, Independent
-from xplain.explanation.by_type import DENSE, ByType, LabelTable
-from xplain.explanation.problem import MAX_MESSAGES, DiscountPer, Problem
+from xplain.explanation.label_table import MAX_MESSAGES, LabelTable
+from xplain.explanation.problem import DiscountPer, Problem
 from xplain.solvers.base import Policy, Solver
 from xplain.solvers.qmdp import QMDP
 
@@ -43,8 +43,8 @@ class Types(Protocol):
         """[N] P(type) of a user not seen before; empty for all alike."""
         ...
 
-    def p_explicable(self, transitions: Sequence[Any]) -> LabelTable:
-        """P(label is 1 | type, message set) of T ≥ 1 transitions: [N, T, 2^n], or by type."""
+    def label_table(self, transitions: Sequence[Any]) -> LabelTable:
+        """P(label is 1 | type, message set) of T ≥ 1 transitions."""
         ...
 
 
@@ -90,16 +90,13 @@ class Planner:
         self.problem(self.unknown(1))
 
     def unknown(self, steps: int) -> LabelTable:
-        """[N, steps, 2^n] of transitions that nobody finds inexplicable; kept by type where
-        messages are many."""
-        types, n = len(self.types.names), len(self.types.messages)
-        if n > DENSE:
-            return ByType(np.empty((types, 0), np.int64), np.ones((types, steps, 1)))
-        return np.ones((types, steps, 1 << n))
+        """So many transitions that nobody finds inexplicable, whatever is said."""
+        types = len(self.types.names)
+        return LabelTable(np.empty((types, 0), np.int64), np.ones((steps, 1, types)))
 
     def problem(self, table: LabelTable) -> Problem:
-        """What the solver plans for, given the table of a trace: [N, m, 2^n], or by type."""
-        return Problem.of_table(
+        """What the solver plans for, given the table of a trace."""
+        return Problem(
             table,
             message_cost=np.asarray(self.message_cost, dtype=np.float64),
             inexplicability_cost=self.inexplicability_cost,

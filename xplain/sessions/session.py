@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError
-from xplain.explanation.by_type import joined
+from xplain.explanation.label_table import joined
 from xplain.message_sets import indices, mask_of, names_of
 from xplain.sessions.interaction import Interaction
 from xplain.sessions.planner import Planner
@@ -115,7 +115,7 @@ class Session:
         ]
         if not new:
             return
-        table = joined([self._table, self._planner.types.p_explicable(new)])
+        table = joined([self._table, self._planner.types.label_table(new)])
         known = len(self._trace) + len(new)
         ahead = self._planner.unknown(max(self._expected_steps - known, 0))
         problem = self._planner.problem(joined([table, ahead]))

@@ -79,7 +79,7 @@ class LabelerConformance(Conformance):
         data = self._data(0)
         shuffled = data.take(np.random.default_rng(5).permutation(len(data)))
         one, other = (
-            component.fit(labels, 3).table(data.features, data.n_messages)
+            component.fit(labels, 3).table(data.features).array(data.n_messages)[0]
             for labels in (data, shuffled)
         )
         assert np.array_equal(one, other), "labels in another order give another labeler"
@@ -92,7 +92,7 @@ class LabelerConformance(Conformance):
         """The table [T, 2^n], and the same by one question each."""
         data = self._data(0)
         labeler = component.fit(data, 3)
-        table = labeler.table(data.features, data.n_messages)
+        table = labeler.table(data.features).array(data.n_messages)[0]
         sets = np.tile(np.arange(table.shape[1]), len(table))
         rows = np.repeat(data.features, table.shape[1], axis=0)
         return table, labeler.probability(rows, sets).reshape(table.shape)

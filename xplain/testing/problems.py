@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 
 
@@ -36,7 +37,7 @@ def random_problem(
         prior[rng.integers(types)] = 0
         prior /= prior.sum()
     return Problem(
-        p_explicable=p,
+        table=LabelTable.dense(p),
         message_cost=np.where(rng.random(n) < 0.15, 0, rng.random(n) * 2),
         inexplicability_cost=float(rng.choice([0.0, 0.5, 1.0, 2.0], p=[0.05, 0.25, 0.45, 0.25])),
         trade_off=float(rng.choice([0.0, 0.3, 1.0, 2.5])),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.explanation.belief import Independent
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Solver
 from xplain.testing.problems import random_problem
@@ -87,7 +88,8 @@ class SolverConformance(Conformance):
         if not self.weighs_costs:
             return
         for steps in (1, 5):
-            problem = Problem(np.ones((_types(component, 2), steps, 4)), np.ones(2))
+            certain = LabelTable.dense(np.ones((_types(component, 2), steps, 4)))
+            problem = Problem(certain, np.ones(2))
             policy = component.plan(problem, 0)
             for step in range(steps):
                 assert policy.messages(step, 0, _belief(problem)) == 0, "it spoke in vain"
@@ -99,7 +101,7 @@ class SolverConformance(Conformance):
         good = 1.0 if component.knows == "labels" else 0.95
         table = np.full((_types(component, 2), 4, 4), 1 - good)
         table[:, :, [2, 3]] = good
-        problem = Problem(table, np.ones(2), trade_off=0.1)
+        problem = Problem(LabelTable.dense(table), np.ones(2), trade_off=0.1)
         policy = component.plan(problem, 0)
         assert policy.messages(0, 0, _belief(problem)) == 2, "message 1 alone is worth it"
 
@@ -108,10 +110,10 @@ class SolverConformance(Conformance):
         rng = np.random.default_rng(4)
         for problem, _ in self._situations(component):
             m, sets = problem.p_explicable.shape[1:]
-            user = SimulatedUser(rng.integers(0, 2, (m, sets)).astype(np.uint8))
+            user = SimulatedUser.of(rng.integers(0, 2, (m, sets)).astype(np.uint8))
             dear = replace(problem, trade_off=1.0, message_cost=np.full(problem.n_messages, 1e6))
             if component.knows in ("type", "labels"):
-                user = SimulatedUser((problem.p_explicable[0] > 0.5).astype(np.uint8))
+                user = SimulatedUser.of(problem.p_explicable[0] > 0.5)
             for one in (problem, dear):
                 policy = component.plan(one, 0)
                 episode = explain(one, policy, user, Independent())
@@ -125,7 +127,7 @@ class SolverConformance(Conformance):
         for _ in range(self.problems):
             problem = random_problem(rng, _types(component, 3), max_steps=4, max_messages=3)
             if component.knows == "labels":
-                problem = replace(problem, p_explicable=np.round(problem.p_explicable))
+                problem = replace(problem, table=LabelTable.dense(np.round(problem.p_explicable)))
             questions = [
                 (
                     int(rng.integers(problem.n_steps)),

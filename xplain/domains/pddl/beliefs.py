@@ -38,7 +38,7 @@ class Beliefs:
         actions: A ground actions, (schema, object, …), those that occur between these states.
 
     Raises:
-        InputError: a cost is not positive, or has no value.
+        XplainError: a cost is not positive, or has no value.
         TooLargeError: too many states or actions.
     """
 
@@ -52,7 +52,7 @@ class Beliefs:
     ) -> None:
         """Grounds the task and explores its states."""
         self.task, self._facts, self._dead_end_cost = task, facts, dead_end_cost
-        self._grounding = Grounding(task, facts, more, "domain.file")
+        self._grounding = Grounding(task, facts, more)
         self.bits = Bits(self._grounding.atoms)
         self._number: dict[bytes, int] | None = None
         self._imagined, self._terminal = cache(self._imagined_by), cache(self._terminal_to)

@@ -6,7 +6,6 @@ import logging
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from itertools import chain, combinations, islice
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -24,8 +23,6 @@ from xplain.domains.pddl.words import Words
 from xplain.errors import DomainError, InputError, number, whole_number
 
 log = logging.getLogger(__name__)
-
-NONE: Mapping[str, Any] = MappingProxyType({})
 
 COMBINATIONS = 1024
 """Sets of facts held wrong that are tried before a fact is said to have no effect."""
@@ -58,7 +55,7 @@ class PDDL:
             one.
         dead_end_cost: of having no plan; nobody believes in a plan that costs as much.
         max_states: a task with more is refused.
-        name: of the domain.
+        name: of the domain; None is pddl.
 
     Raises:
         XplainError: unified-planning is not installed.
@@ -72,28 +69,29 @@ class PDDL:
         file: str,
         problem: str,
         believed: str | Mapping[str, str] | None = None,
-        facts: Mapping[str, Mapping[str, Any]] = NONE,
-        words: Mapping[str, str] = NONE,
-        features: Mapping[str, str | Sequence[str]] = NONE,
+        facts: Mapping[str, Mapping[str, Any]] | None = None,
+        words: Mapping[str, str] | None = None,
+        features: Mapping[str, str | Sequence[str]] | None = None,
         starts: str | int = "initial",
         dead_end_cost: float = 1000.0,
         max_states: int = 100_000,
-        name: str = "pddl",
+        name: str | None = None,
     ) -> None:
         """Reads the files, explores the states and tries every fact."""
-        self.name = name
+        self.name = "pddl" if name is None else str(name)
         self.dead_end_cost = number("domain.dead_end_cost", dead_end_cost)
         if self.dead_end_cost <= 0:
             raise InputError("domain.dead_end_cost", dead_end_cost, "a number > 0")
         whole_number("domain.max_states", max_states, 1)
         self.task = read_task(file, problem, ("domain.file", "domain.problem"))
-        self.words = Words(self.task, words)
+        self.words = Words(self.task, _mapping("words", words, "{predicate or action: its words}"))
         found, more = self._differences(file, problem, believed)
-        self.parameters = self._parameters(facts, found, more)
+        given = _mapping("facts", facts, "{name: {change, message, belief}}")
+        self.parameters = self._parameters(given, found, more)
         facts_held = [parameter.inaccurate for parameter in self.parameters]
         self._beliefs = Beliefs(self.task, facts_held, more, self.dead_end_cost, max_states)
         self._model = cache(self._beliefs.model)
-        self._name_states(features)
+        self._name_states(_mapping("features", features, "{name: pattern, or a list of them}"))
         robot = self._model(frozenset())
         robot.solved("the robot's model")
         self.starts = self._starts(starts, robot)
@@ -120,8 +118,6 @@ class PDDL:
         more: Mapping[str, Action],
     ) -> tuple[Parameter, ...]:
         """The facts found, then those given; the robot's value is no change."""
-        if not isinstance(given, Mapping):
-            raise InputError("domain.facts", given, "{name: {change, message, belief}}")
         result = []
         joined = {name for fields in given.values() for name in _joined(fields)}
         for fact in dict.fromkeys([*(name for name in found if name not in joined), *given]):
@@ -266,6 +262,18 @@ def _subsets(n: int) -> Iterator[Wrong]:
     """The sets of n facts, small ones first."""
     for size in range(n + 1):
         yield from map(frozenset, combinations(range(n), size))
+
+
+def _mapping(field: str, given: Any, allowed: str) -> Mapping[str, Any]:
+    """What is given for a field; None is nothing.
+
+    Raises:
+        InputError: no mapping.
+    """
+    found = {} if given is None else given
+    if not isinstance(found, Mapping):
+        raise InputError(f"domain.{field}", given, allowed)
+    return found
 
 
 def _joined(fields: Any) -> list[str]:

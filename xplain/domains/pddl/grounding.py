@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from xplain.domains.pddl.changes import Change, applied
 from xplain.domains.pddl.task import EQUAL, Action, Atom, Literal, Task, pddl, substituted
-from xplain.errors import InputError, TooLargeError
+from xplain.errors import TooLargeError, XplainError
 
 MAX_VARIANTS = 200_000
 """Ground actions, each counted once for every combination of facts about its schema."""
@@ -39,7 +39,6 @@ class Grounding:
         task: the robot's.
         facts: the changes of each.
         more: actions that changes may add.
-        key: of the domain's file, for errors.
 
     Attributes:
         actions: A ground actions, (schema, object, …), in the order of the files.
@@ -48,7 +47,7 @@ class Grounding:
         changing: their predicates.
 
     Raises:
-        InputError: a cost that is not positive, or has no value.
+        XplainError: a function that an action costs is not positive, or has no value.
         TooLargeError: more than MAX_VARIANTS.
     """
 
@@ -57,10 +56,9 @@ class Grounding:
         task: Task,
         facts: Sequence[Sequence[Change]],
         more: Mapping[str, Action],
-        key: str,
     ) -> None:
         """Grounds every schema once for each combination of the facts that bear on it."""
-        self._key, self._facts = key, facts
+        self._facts = facts
         self.task_of = cache(lambda wrong: self._task_of(task, wrong, more))
         tasks = [task, *(self.task_of(frozenset({j})) for j in range(len(facts)))]
         self.changing = {
@@ -108,21 +106,10 @@ class Grounding:
         for binding in _bindings(task, action, self.changing):
             made = self._made(task, action, binding)
             if made is not None:
-                found[tuple(binding.values())] = made, self._cost(task, action, binding)
+                found[tuple(binding.values())] = made, _cost(task, action, binding)
                 if len(found) > MAX_VARIANTS:
                     raise _too_many()
         return found
-
-    def _cost(self, task: Task, action: Action, binding: Mapping[str, str]) -> float:
-        cost = action.cost
-        if isinstance(cost, tuple):
-            term = substituted(cost, binding)
-            if term not in task.values:
-                raise InputError(self._key, action.name, f"costs {pddl(term)}, which has no value")
-            cost = task.values[term]
-        if cost <= 0:
-            raise InputError(self._key, action.name, f"costs {cost:g}: every cost must be > 0")
-        return float(cost)
 
     def _made(self, task: Task, action: Action, binding: Mapping[str, str]) -> Ground | None:
         """None where what it needs never holds."""
@@ -225,6 +212,25 @@ def static_holds(task: Task, literal: Literal) -> bool | None:
     if literal.atom[0] == EQUAL:
         return (literal.atom[1] == literal.atom[2]) == literal.positive
     return (literal.atom in task.initial) == literal.positive
+
+
+def _cost(task: Task, action: Action, binding: Mapping[str, str]) -> float:
+    """Of a ground action.
+
+    Raises:
+        XplainError: it is a function whose value is not positive, or not given.
+    """
+    if not isinstance(action.cost, tuple):
+        return action.cost
+    term = substituted(action.cost, binding)
+    cost = task.values.get(term, 0.0)
+    if cost <= 0:
+        value = f"{cost:g}" if term in task.values else "not given"
+        raise XplainError(
+            f"domain.problem: the action {' '.join([action.name, *binding.values()])} costs "
+            f"{pddl(term)}, which is {value}; every cost must be > 0"
+        )
+    return cost
 
 
 def _bindings(task: Task, action: Action, changing: set[str]) -> Iterator[dict[str, str]]:

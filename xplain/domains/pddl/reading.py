@@ -6,7 +6,7 @@ import re
 import warnings
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from xplain.domains.pddl.task import EQUAL, Action, Atom, Effect, Literal, Task
 from xplain.errors import InputError, XplainError
@@ -20,6 +20,19 @@ REQUIREMENTS = (
     ":action-costs",
 )
 """What a domain may require."""
+CONSTRUCTS = {
+    r"\(\s*(:derived)\b": "derived predicates",
+    r"-\s*\(\s*(either)\b": "either types",
+    r"\(\s*(:constraints)\b": "constraints on trajectories",
+    r"\(\s*(preference)\s+[^\s()]*\s*\(": "preferences",
+    r"\(\s*(:process)\b": "processes",
+    r"\(\s*(:event)\b": "events",
+}
+"""Constructs of PDDL that unified-planning's grammar lacks: by what they are written with."""
+SUPPORTED = (
+    "supported are STRIPS with types, equality, negative preconditions, conditional effects, and "
+    "costs with (:metric minimize (total-cost))"
+)
 KNOWN = {
     "ACTION_BASED",
     "NEGATIVE_CONDITIONS",
@@ -77,7 +90,8 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
             "domain: PDDL tasks need unified-planning: pip install 'xplain-hri[pddl]'"
         ) from None
     texts = (read_text(keys[0], file), read_text(keys[1], problem))
-    _require_supported(keys[0], file, texts[0])
+    for key, path, text in zip(keys, (file, problem), texts, strict=True):
+        _require_supported(key, path, text)
     try:
         found = _parsed(keys[1], problem, lambda: PDDLReader().parse_problem_string(*texts))
     except InputError:  # whose error is it? The domain's, where it cannot be read alone.
@@ -89,25 +103,27 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
             keys[0],
             file,
             f"unsupported: {', '.join(name.lower().replace('_', ' ') for name in unsupported)}; "
-            "supported are STRIPS with types, equality, negative preconditions, conditional "
-            "effects, and costs with (:metric minimize (total-cost))",
+            f"{SUPPORTED}",
         )
     return _task(found, keys, (file, problem))
 
 
 def _require_supported(key: str, file: object, text: str) -> None:
-    """Raises InputError where the domain requires what is out of scope."""
+    """Raises InputError where a file requires or uses PDDL that is out of scope."""
     without_comments = re.sub(r";[^\n]*", "", text.lower())
+
+    def refuse(at: int, what: str) -> NoReturn:
+        line = without_comments[:at].count("\n") + 1
+        raise InputError(key, file, f"line {line}: unsupported {what}")
+
     declared = re.search(r"\(\s*:requirements([^)]*)\)", without_comments)
     for requirement in declared[1].split() if declared else ():
         if requirement not in REQUIREMENTS:
-            line = without_comments[: without_comments.index(requirement)].count("\n") + 1
-            raise InputError(
-                key,
-                file,
-                f"line {line}: unsupported requirement {requirement}; supported: "
-                f"{', '.join(REQUIREMENTS)}",
-            )
+            known = f"supported: {', '.join(REQUIREMENTS)}"
+            refuse(without_comments.index(requirement), f"requirement {requirement}; {known}")
+    for pattern, name in CONSTRUCTS.items():
+        if used := re.search(pattern, without_comments):
+            refuse(used.start(1), f"{name} ({used[1]}); {SUPPORTED}")
 
 
 def _parsed(key: str, file: object, parse: Any) -> Any:
@@ -136,7 +152,7 @@ def _parsed(key: str, file: object, parse: Any) -> Any:
         reason = str(error) or type(error).__name__
     finally:
         environment.error_used_name = strict
-    raise InputError(key, file, "no PDDL: " + " ".join(reason.split()))
+    raise InputError(key, file, "cannot be read as PDDL: " + " ".join(reason.split()))
 
 
 def _task(found: Any, keys: tuple[str, str], paths: tuple[object, object]) -> Task:
@@ -221,7 +237,12 @@ def _cost(node: Any, key: str, file: object, action: str) -> float | Atom:
     """
     if node is not None and node.is_fluent_exp():
         return _atom(node)
-    if node is not None and (node.is_int_constant() or node.is_real_constant()):
+    number = node is not None and (node.is_int_constant() or node.is_real_constant())
+    if number and node.constant_value() > 0:
         return float(node.constant_value())
     shown = "nothing" if node is None else str(node)
-    raise InputError(key, file, f"{action} costs {shown}: a number > 0, or a function that is one")
+    raise InputError(
+        key,
+        file,
+        f"the action {action} costs {shown}; a cost is a number > 0, or a function that is one",
+    )

@@ -1,0 +1,101 @@
+"""A designer's table of transitions: facts, features, pictures, and what is wrong with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from xplain.errors import InputError
+from xplain.questions.own_transitions import OwnTransitions, read_transitions, with_features
+
+TABLE = """text,image,inexplicable_if,load,zone
+Drives over the cable, cable.jpg ,cable,2.5,river
+Takes the lift,,lift; queue ,0,hill
+ Waits at the door ,door.jpg,,1e1,river
+"""
+
+
+def written(tmp_path: Path, text: str, encoding: str = "utf-8") -> Path:
+    path = tmp_path / "own.csv"
+    path.write_text(text, encoding=encoding)
+    return path
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])  # spreadsheets mark their files
+def test_every_column_is_read_as_it_is_meant(tmp_path: Path, encoding: str) -> None:
+    own = read_transitions(written(tmp_path, TABLE, encoding))
+    assert own.texts == ("Drives over the cable", "Takes the lift", "Waits at the door")
+    assert own.images == ("cable.jpg", "", "door.jpg")
+    assert own.facts == (("cable",), ("lift", "queue"), ())
+    assert own.feature_names == ("load", "zone=hill", "zone=river")
+    assert own.features is not None
+    assert own.features.tolist() == [[2.5, 0, 1], [0, 1, 0], [10, 0, 1]]
+    assert own.told_apart()[1] == own.feature_names
+
+
+def test_a_transition_puzzles_whoever_holds_one_of_its_facts_wrong(tmp_path: Path) -> None:
+    known = read_transitions(written(tmp_path, TABLE)).hypotheses
+    assert known.messages == ("cable", "lift", "queue")
+    own = [{"cable"}, {"lift", "queue"}, set()]
+    for held, row in enumerate(known.labels.tolist()):
+        wrong = {name for j, name in enumerate(known.messages) if held >> j & 1}
+        assert row == [int(not wrong & facts) for facts in own]
+
+
+def test_without_features_the_text_is_one(tmp_path: Path) -> None:
+    """Transitions of one text are one to a labeler."""
+    own = read_transitions(written(tmp_path, "text,inexplicable_if\nb,x\na,y\nb,x\n"))
+    features, names = own.told_apart()
+    assert names == ("text=a", "text=b")
+    assert features.tolist() == [[0, 1], [1, 0], [0, 1]]
+    known = with_features(own.hypotheses)
+    assert known.features is not None
+    assert np.array_equal(known.features, features)
+    assert with_features(known) is known
+
+
+def test_without_facts_there_are_no_hypotheses(tmp_path: Path) -> None:
+    own = read_transitions(written(tmp_path, "text\na\n"))
+    assert own.facts is None
+    with pytest.raises(InputError, match="lacks the column inexplicable_if"):
+        _ = own.hypotheses
+
+
+def test_fourteen_facts_are_the_most() -> None:
+    for count in (14, 15):
+        facts = tuple((f"f{j:02}",) for j in range(count))
+        texts = tuple(f"step {j}" for j in range(count))
+        own = OwnTransitions("own.csv", texts, ("",) * count, None, (), facts)
+        if count == 14:
+            assert own.hypotheses.labels.shape == (1 << 14, 14)
+        else:
+            with pytest.raises(InputError, match="at most 14 facts"):
+                _ = own.hypotheses
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("image\na.jpg\n", "lacks the column text"),
+        ("text,load\na,1\n ,2\n", "row 3.*a text in every row"),
+        ("text,load\na,1\nb,\n", "row 3.*a value of load"),
+        ("text,load\na,1\nb\n", "row 3.*a value of load"),
+        ("text,load\na,1\nb,inf\n", "load.*finite numbers"),
+        ("text,load\n", "has no rows"),
+        ("", "lacks the column text"),
+    ],
+)
+def test_bad_tables_are_one_line(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said) as caught:
+        read_transitions(written(tmp_path, text))
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_no_tables_are_one_line(tmp_path: Path) -> None:
+    (tmp_path / "bytes.csv").write_bytes(b"text\n\xff\xfe\n")
+    for path in (tmp_path / "bytes.csv", tmp_path / "none.csv", tmp_path):
+        with pytest.raises(InputError, match=r"a \.csv file") as caught:
+            read_transitions(path)
+        assert "\n" not in str(caught.value)

@@ -1,0 +1,76 @@
+"""Tests that are told to end leave no process behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests import processes
+
+ROOT = Path(__file__).parents[1]
+TOY = """
+import sys, time
+from pathlib import Path
+import pytest
+from tests import processes
+
+@pytest.mark.parametrize("number", range(2))
+def test_that_waits(number):
+    server = "import os, subprocess; subprocess.run(['sleep', '300'])"
+    process = processes.start([sys.executable, "-c", server])
+    Path(f"{number}.pid").write_text(str(process.pid))
+    try:
+        time.sleep(300)
+    finally:
+        Path(f"{number}.closed").touch()
+"""
+
+
+def _group(leader: int) -> list[str]:
+    """The processes that a process started, and it."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        # Fields 3 and 5 of proc(5): state, process group.
+        if int(fields[2]) == leader and fields[0] != "Z":
+            found.append(stat.parent.name)
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM])
+def test_a_closed_terminal_leaves_nothing_behind(tmp_path: Path, number: signal.Signals) -> None:
+    """A terminal that closes sends SIGHUP to all of its processes, but not to other sessions."""
+    (tmp_path / "test_toy.py").write_text(TOY)
+    with (tmp_path / "output.txt").open("w") as output:
+        tests = processes.start(
+            [sys.executable, "-m", "pytest", "-p", "tests.conftest", "-n", "2", "test_toy.py"],
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            stdout=output,
+            stderr=output,
+        )
+    until = time.monotonic() + 120
+    while len(began := [*tmp_path.glob("*.pid")]) < 2 and tests.poll() is None:
+        assert time.monotonic() < until
+        time.sleep(0.1)
+    said = (tmp_path / "output.txt").read_text()
+    assert "2 processes read all tests" in said
+    groups = [int(path.read_text()) for path in began]
+    assert len(groups) == 2, said
+    assert all(_group(one) for one in groups)
+    for _ in range(2):  # as the kernel and the shell do
+        os.killpg(tests.pid, number)
+    tests.wait(60)
+    while any(left := [_group(one) for one in (*groups, tests.pid)]) and time.monotonic() < until:
+        time.sleep(0.1)
+    assert not any(left)
+    assert len([*tmp_path.glob("*.closed")]) == 2  # whatever was open was closed, not cut off
