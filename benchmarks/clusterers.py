@@ -67,7 +67,7 @@ def main() -> None:
     arguments.add_argument("--first", type=int, default=0, help="first seed")
     arguments.add_argument("--seeds", type=int, default=20, help="data sets a setting")
     arguments.add_argument("--jobs", type=int, default=2, help="processes")
-    arguments.add_argument("--methods", nargs="+", default=["dirichlet", "em", "kmeans"])
+    arguments.add_argument("--methods", nargs="+", default=["dirichlet", "kmeans"])
     arguments.add_argument("--settings", nargs="+", default=list(SETTINGS), choices=SETTINGS)
     arguments.add_argument("--noise", nargs="+", type=float, default=[0.0, 0.05])
     chosen = arguments.parse_args()

@@ -80,7 +80,8 @@ BINS = np.linspace(0, 1, 11)
 
 def unseen(setting: Setting, dataset: Dataset, seed: int) -> tuple[Dataset, np.ndarray]:
     """Fresh on-policy questions, less those in the dataset; and the true type of who answers."""
-    fresh, truth = SimulatedObservers(1, 1500).collect(setting, queries.Independent(), seed + 10**6)
+    observed = SimulatedObservers(1, 1500).collect(setting, queries.Independent(), seed + 10**6)
+    fresh, truth = observed.dataset, observed.truth
     asked = {
         (dataset.features[t].tobytes(), int(given))
         for t, given in zip(dataset.transition, dataset.message_set, strict=True)
@@ -126,7 +127,8 @@ def measure(
         else setting_of(domain, types, seed)
     )
     observers = SimulatedObservers(3, points, label_noise=noise)
-    dataset, truth = observers.collect(setting, queries.Independent(), seed)
+    observed = observers.collect(setting, queries.Independent(), seed)
+    dataset, truth = observed.dataset, observed.truth
     clustering = Perfect().cluster(dataset, LabelerTrainer(), 0, truth)
     learned = learn_types(dataset, clustering, LABELERS[name], seed, prior="uniform")
     p, y = [], []

@@ -52,22 +52,17 @@ from sklearn.metrics import adjusted_rand_score
 
 from xplain import Hypotheses, Questionnaire
 from xplain.config import composed
-from xplain.data.observers import SimulatedObservers
+from xplain.data.observers import Observed, SimulatedObservers
 from xplain.data.queries import Independent, Queries
 from xplain.domains.base import Domain, transition_features
 from xplain.domains.four_rooms import FourRooms
 from xplain.domains.rescue import Rescue
 from xplain.errors import XplainError
 from xplain.evaluation.episode import SimulatedUser, explain
-from xplain.experiment.pipeline import (
-    Observed,
-    References,
-    draw_trace,
-    learn,
-    learn_references,
-)
+from xplain.experiment.pipeline import draw_trace
 from xplain.explanation.belief import Independent as IndependentLabels
 from xplain.explanation.problem import Problem
+from xplain.learning.known_types import References, learn, learn_references
 from xplain.learning.user_types import UserTypes, label_table
 from xplain.questions.designs import Adaptive, Battery, hypotheses_of
 from xplain.questions.labeler import HypothesisTrainer
@@ -177,7 +172,7 @@ def observed_by(
     elif people.startswith("misread"):
         queries = Altered(queries, lambda answer: misreading(answer, setting, seed))
     crowd = SimulatedObservers(3, points, error)
-    return Observed(setting, *crowd.collect(setting, queries, seed))
+    return crowd.collect(setting, queries, seed)
 
 
 def row_of(
@@ -189,10 +184,10 @@ def row_of(
     with tempfile.TemporaryDirectory() as folder:
         path = without_a_fact(domain, seed, Path(folder)) if people == "unwritten" else None
         queries, trainer = design_of(way, path, error, people)
-        trainer = trainer or HypothesisTrainer(domain=domain, path=path)
+        trainer = trainer or HypothesisTrainer(path=path)
         observed = observed_by(setting, queries, points, error, people, seed)
         clusterer = instantiate(composed("discover", ["clusterer=dirichlet"]).clusterer)
-        types = learn(observed.dataset, trainer, clusterer, seed)
+        types = learn(observed, trainer, clusterer, seed)
         none = _none(observed, types, hypotheses_of(domain, path), error)
         references = learn_references(observed, trainer, seed)
     assert observed.truth is not None

@@ -25,7 +25,13 @@ CHOICES = (
         "clusterer=agglomerative",
         "users=rescue_completions",
     ),
-    ("domain=frozen_lake", "solver=oracle", "clusterer=em", "belief=persistent", "tracking=none"),
+    (
+        "domain=frozen_lake",
+        "solver=oracle",
+        "clusterer=kmeans",
+        "belief=persistent",
+        "tracking=none",
+    ),
     (
         "domain=rescue",
         "observers=file",
@@ -35,7 +41,7 @@ CHOICES = (
     ),
     (
         "domain=four_rooms",
-        "clusterer=em",
+        "clusterer=agglomerative",
         "users=explicit",
         "users.groups={A: [goals]}",
     ),

@@ -95,9 +95,9 @@ def test_a_variant_varies(choice: str) -> None:
 
 
 def test_a_default_that_differs_is_seen() -> None:
-    node = loaded("clusterer/em")
-    node.patience = 3
-    assert disagreeing(node) == {"patience": (3, 2)}
+    node = loaded("clusterer/dirichlet")
+    node.chains = 5
+    assert disagreeing(node) == {"chains": (5, 4)}
 
 
 @pytest.mark.parametrize(

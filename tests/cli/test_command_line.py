@@ -265,7 +265,7 @@ def choices():
 NO_OPTION = {
     "name": "of a domain: the task is what it is called",
     "knows": "of a solver: which problem it is made for; the oracle's file does say it",
-    "partition": "of em: where its first start comes from, k-means",
+    "hypotheses": "of labeler=hypotheses: the observers' domain's, worked out once",
 }
 """Parameters of shipped components that a file of conf/ may leave out, and why."""
 

@@ -90,7 +90,7 @@ def test_observers_may_be_unequal(run, tmp_path: Path) -> None:
     assert sizes.nunique() > 1
 
 
-@pytest.mark.parametrize("method", ["dirichlet", "em", "kmeans", "agglomerative", "single"])
+@pytest.mark.parametrize("method", ["dirichlet", "kmeans", "agglomerative", "single"])
 def test_every_method_bears_what_people_do(run, tmp_path: Path, caplog, method: str) -> None:
     """One label only, always the same label, the same question answered both ways."""
     assert run("observe", "domain=rescue", "points=40", "observers.per_type=1")[0] == 0

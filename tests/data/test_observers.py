@@ -25,7 +25,8 @@ DESIGNS = [pytest.param(Independent, id="independent"), pytest.param(Shared, id=
 
 def labelled(setting: Setting, queries: Queries | None = None, **options: Any) -> Any:
     observers = SimulatedObservers(**{"points": 40, "per_type": 2, **options})
-    return observers.collect(setting, queries or Shared(), 3)
+    observed = observers.collect(setting, queries or Shared(), 3)
+    return observed.dataset, observed.truth
 
 
 @pytest.mark.parametrize("design", DESIGNS)
@@ -123,7 +124,7 @@ def test_each_number_of_labels_is_drawn_as_often(setting: Setting) -> None:
 
 def test_seeds(setting: Setting) -> None:
     simulated = SimulatedObservers(points=30)
-    first, again, other = (simulated.collect(setting, Shared(), seed)[0] for seed in (1, 1, 2))
+    first, again, other = (simulated.collect(setting, Shared(), seed).dataset for seed in (1, 1, 2))
     assert (first.message_set == again.message_set).all()
     assert (first.label == again.label).all()
     assert not (first.message_set == other.message_set).all()
@@ -155,7 +156,8 @@ def test_counts_must_fit_the_types(setting: Setting) -> None:
 def test_a_file_takes_their_place(setting: Setting, tmp_path: Path) -> None:
     dataset, _ = labelled(setting, Independent())
     write_table(dataset, tmp_path / "people.csv")
-    again, truth = FileObservers(str(tmp_path / "people.csv")).collect(setting, Shared(), 0)
+    observed = FileObservers(str(tmp_path / "people.csv")).collect(setting, Shared(), 0)
+    again, truth = observed.dataset, observed.truth
     assert truth is None
     assert again.feature_names == dataset.feature_names
     assert again.messages == dataset.messages
@@ -172,7 +174,7 @@ def test_a_file_may_hold_more_than_the_domain_asks_for(setting: Setting, tmp_pat
     names = transition_feature_names(setting.domain)
     columns = list(dict.fromkeys(name.split("=")[0] for name in names))
     for options in ({"ignore": ("age",)}, {"features": columns}):
-        again, _ = FileObservers(str(path), **options).collect(setting, Shared(), 0)  # type: ignore[arg-type]
+        again = FileObservers(str(path), **options).collect(setting, Shared(), 0).dataset  # type: ignore[arg-type]
         assert again.feature_names == names
         assert (again.label == dataset.label).all()
     with pytest.raises(InputError, match="age") as caught:

@@ -10,7 +10,7 @@ from hydra.errors import HydraException
 from tests.configurations import composed
 from xplain.errors import InputError
 from xplain.experiment.fingerprint import configuration
-from xplain.experiment.from_config import check, components_of, costs_of
+from xplain.experiment.from_config import check, costs_of
 
 GOOD = configuration(composed("domain=four_rooms"))
 BAD: dict[str, Any] = {
@@ -62,8 +62,3 @@ def test_every_cost_is_the_one_of_its_key() -> None:
     assert costs.discount == 0.75
     assert costs.discount_per == "step"
     assert costs.prior == "observers"
-
-
-def test_a_labeler_of_the_domain_s_hypotheses_shares_the_domain() -> None:
-    parts = components_of(composed("domain=four_rooms", "labeler=hypotheses"))
-    assert parts.labeler.domain is parts.domain  # type: ignore[attr-defined]

@@ -11,6 +11,7 @@ import pytest
 from tests.domains.configs import domain_of
 from tests.handmade import a_prepared, with_cases
 from xplain.data.dataset import Dataset
+from xplain.data.observers import Observed
 from xplain.data.queries import Queries, Shared
 from xplain.domains.base import transition_feature_names
 from xplain.errors import InputError, XplainError
@@ -367,7 +368,7 @@ class Eight:
             message_set=np.tile(np.arange(10), 8),
             label=np.concatenate([np.arange(10) < ones for ones in ONES]).astype(np.uint8),
         )
-        return dataset, TRUTH if self.known else None
+        return Observed(dataset, TRUTH if self.known else None, setting)
 
 
 @dataclass(frozen=True)

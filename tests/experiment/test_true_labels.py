@@ -20,9 +20,9 @@ from xplain.experiment.explanations import (
     with_true_labels,
 )
 from xplain.experiment.from_config import components_of, costs_of
-from xplain.experiment.known_types import true_types
-from xplain.experiment.pipeline import Prepared, prepare
+from xplain.experiment.pipeline import Prepared, observe, prepare
 from xplain.explanation.belief import Independent
+from xplain.learning.true_labels import TrueLabels
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
 from xplain.solvers.hsvi.explore import Effort
@@ -33,7 +33,6 @@ from xplain.solvers.policy_evaluation import evaluate as policy_value
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
-from xplain.users.setting import Setting
 
 SOLVERS: dict[str, Solver] = {
     "qmdp": QMDP(),
@@ -177,10 +176,10 @@ def test_traces_are_those_of_any_other_labeler() -> None:
 
 def test_types_of_real_people_are_not_known(tmp_path) -> None:
     components = components_of(composed("labeler=true", "traces=1"))
-    setting = Setting.build(
-        components.domain, components.users.types(components.domain, np.random.default_rng(0))
+    observed = observe(
+        components.domain, components.users, components.observers, components.queries, 0
     )
     with pytest.raises(InputError, match=r"labeler='true'.*simulated"):
-        true_types(setting, None)
+        TrueLabels().types_of(replace(observed, truth=None))
     with pytest.raises(InputError, match="absent"):
         prepare(replace(components, observers=FileObservers(str(tmp_path / "absent.csv"))))

@@ -9,11 +9,9 @@ import numpy as np
 
 from tests.domains.configs import domain_of
 from tests.learning.conftest import made
-from xplain.data.dataset import query_index
 from xplain.data.observers import SimulatedObservers
 from xplain.data.queries import Independent, Shared
 from xplain.learning.cross_validation import (
-    folds,
     fresh_accuracy,
     log_likelihood,
     log_likelihoods,
@@ -54,9 +52,11 @@ def test_it_is_what_fresh_questions_show() -> None:
     for seed in range(8):
         types = RandomCover(3).types(domain, np.random.default_rng(seed))
         setting = Setting.build(domain, types)
-        dataset, truth = SimulatedObservers(points=60).collect(setting, Shared(), seed)
+        observed = SimulatedObservers(points=60).collect(setting, Shared(), seed)
+        dataset, truth = observed.dataset, observed.truth
         people = SimulatedObservers(1, 1000)
-        later, theirs = people.collect(setting, Independent(), seed + 10**6)
+        observed = people.collect(setting, Independent(), seed + 10**6)
+        later, theirs = observed.dataset, observed.truth
         for user_type in range(len(types)):
             own = dataset.of(np.flatnonzero(truth == user_type))
             new = later.of(np.flatnonzero(theirs == user_type))
@@ -84,12 +84,3 @@ def test_who_gave_no_label_before_is_predicted_by_everybodys(rng: np.random.Gene
         own = dataset.of(np.array([o]))
         alone = log_likelihood(LabelerTrainer().fit(own, 3), own)
         assert np.array_equal(both[dataset.observer == o], alone)
-
-
-def test_there_are_no_more_folds_than_questions(rng: np.random.Generator) -> None:
-    dataset, _ = made(rng, [[0]], size=5)
-    for few in (1, 3):
-        own = dataset.take(np.arange(few))
-        masks = list(folds(own, 9, 0))
-        assert (np.sum(masks, axis=0) == 1).all()
-        assert len(masks) == len(np.unique(query_index(own)))

@@ -1,6 +1,5 @@
 """Methods for independent questions: mixtures and the Dirichlet process."""
 
-import re
 from dataclasses import replace
 from math import lgamma
 
@@ -11,11 +10,10 @@ from hypothesis import strategies as st
 from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
-from xplain.data.dataset import Dataset, query_index
+from xplain.data.dataset import Dataset
 from xplain.errors import InputError, TooLargeError
-from xplain.learning.clustering import Clusterer, Clustering, Perfect, Single
-from xplain.learning.cross_validation import folds, held_out_log_likelihood
-from xplain.learning.em_mixture import Mixture
+from xplain.learning.clustering import Clustering, Perfect, Single
+from xplain.learning.cross_validation import held_out_log_likelihood
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.learning.fact_model.gibbs import sample
 from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior
@@ -27,35 +25,11 @@ from xplain.learning.user_types import base_rate, label_table, learn_types
 TYPES = [[0, 1], [2], [1, 3]]
 
 
-@pytest.mark.parametrize("clusterer", [DirichletMixture(), Mixture()])
-def test_types_are_found_though_nobody_answers_the_same_questions(clusterer: Clusterer) -> None:
+def test_types_are_found_though_nobody_answers_the_same_questions() -> None:
     for seed in range(3):
         dataset, truth = made(np.random.default_rng(seed), TYPES, size=250)
-        found = clusterer.cluster(dataset, LabelerTrainer(), seed, None)
+        found = DirichletMixture().cluster(dataset, LabelerTrainer(), seed, None)
         assert adjusted_rand_score(truth, found.assignment) == 1
-
-
-def test_the_mixture_s_score_is_a_log_likelihood_a_label(caplog: pytest.LogCaptureFixture) -> None:
-    """Better than a coin's on labels that have a rule, and of their number no matter."""
-    caplog.set_level("INFO")
-    for size in (120, 240):
-        dataset, _ = made(np.random.default_rng(4), TYPES, size=size)
-        Mixture(max_types=3).cluster(dataset, LabelerTrainer(), 0, None)
-        score = re.search(r"held-out likelihood: (\S+) a label", caplog.messages[-1])
-        assert score
-        assert -np.log(2) < float(score[1]) < 0
-
-
-def test_who_says_nothing_is_taken_for_one_of_the_many() -> None:
-    for many in ([0], [1]):
-        needs = [[0]] * 2 + [[1]] * 2 + [many] * 4
-        dataset, _ = made(np.random.default_rng(9), [*needs, []], per_type=1, size=250)
-        dataset = dataset.take(np.flatnonzero(dataset.observer < len(needs)))
-        for seed in range(2):
-            mixture = Mixture(max_types=2)
-            found = mixture.cluster(dataset, LabelerTrainer(), seed, None).assignment
-            assert found[-1] == found[-2]
-            assert len(set(found.tolist())) == 2
 
 
 def test_the_process_bears_noise_unequal_observers_and_one_point() -> None:
@@ -76,12 +50,6 @@ def test_noise_makes_no_types(noise: float) -> None:
         dataset, truth = made(np.random.default_rng(seed), TYPES, size=250, noise=noise)
         found = DirichletMixture().cluster(dataset, LabelerTrainer(), seed, None)
         assert adjusted_rand_score(truth, found.assignment) == 1
-
-
-def test_noise_makes_no_components() -> None:
-    dataset, _ = made(np.random.default_rng(0), TYPES, size=250, noise=0.1)
-    found = Mixture().cluster(dataset, LabelerTrainer(), 0, None)
-    assert found.n_types <= len(TYPES)
 
 
 def test_the_posterior_is_a_distribution_and_no_more_certain_than_the_data() -> None:
@@ -242,15 +210,6 @@ def test_score_is_the_joint_probability_by_its_definition(n: int, seed: int) -> 
     assert score == pytest.approx(expected, abs=1e-6)
 
 
-def test_every_point_is_held_out_once() -> None:
-    dataset, _ = made(np.random.default_rng(2), TYPES, size=50)
-    masks = list(folds(dataset, 4, 1))
-    assert (np.sum(masks, axis=0) == 1).all()
-    query = query_index(dataset)
-    for mask in masks:
-        assert not set(query[mask].tolist()) & set(query[~mask].tolist())
-
-
 def test_true_types_predict_better_than_one_for_all() -> None:
     dataset, truth = made(np.random.default_rng(3), TYPES, size=300)
 
@@ -287,9 +246,6 @@ def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
         (DirichletMixture, {"sweeps": 3}, "sweeps"),
         (DirichletMixture, {"heat": 0.99}, "heat"),
         (DirichletMixture, {"depth": 0}, "depth"),
-        (Mixture, {"max_types": 0}, "max_types"),
-        (Mixture, {"folds": 1}, "folds"),
-        (Mixture, {"floor": 0.5}, "floor"),
     ],
 )
 def test_bad_values_are_named(component: type, options: dict[str, float], key: str) -> None:

@@ -141,7 +141,8 @@ def test_many_messages_are_no_hindrance():
 def right(setting, design, seed):
     """Labels that trees get right, of all transitions and message sets, by 60 labels each."""
     crowd = SimulatedObservers(2, 60, 0.05)
-    data, truth = crowd.collect(setting, design, seed)
+    observed = crowd.collect(setting, design, seed)
+    data, truth = observed.dataset, observed.truth
     features = transition_features(setting.domain, setting.reachable)
     labels = setting.label_table(setting.reachable)
     hits = []

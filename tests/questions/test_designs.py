@@ -9,7 +9,7 @@ from xplain.data.queries import Independent
 from xplain.errors import InputError
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.questions import designs
-from xplain.questions.designs import Adaptive, Battery, transitions_of
+from xplain.questions.designs import Adaptive, Battery, hypotheses_of, transitions_of
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.labeler import HypothesisTrainer
 from xplain.questions.questionnaire import Questionnaire
@@ -40,9 +40,10 @@ def setting():
 def test_few_labels_find_the_types(setting, design):
     """Three types of two facts, one answer in twenty wrong."""
     crowd = SimulatedObservers(per_type=3, points=14, label_noise=0.05)
-    trainer = HypothesisTrainer(domain=setting.domain)
+    trainer = HypothesisTrainer(hypotheses=hypotheses_of(setting.domain, None))
     for seed in range(3):
-        data, truth = crowd.collect(setting, design, seed)
+        observed = crowd.collect(setting, design, seed)
+        data, truth = observed.dataset, observed.truth
         assert len(data) == 14 * 9
         found = DirichletMixture().cluster(data, trainer, seed, None)
         assert found.rule == "hypotheses"
@@ -161,12 +162,13 @@ def test_a_file_of_transitions_that_the_robot_never_makes_is_refused(setting):
 def test_random_questions_tell_hypotheses_less(setting):
     """The same budget: adaptive questions find all types where random ones do not always."""
     crowd = SimulatedObservers(per_type=3, points=6)
-    trainer = HypothesisTrainer(domain=setting.domain)
+    trainer = HypothesisTrainer(hypotheses=hypotheses_of(setting.domain, None))
     right = {}
     for name, design in (("adaptive", Adaptive()), ("random", Independent())):
         hits = []
         for seed in range(6):
-            data, truth = crowd.collect(setting, design, seed)
+            observed = crowd.collect(setting, design, seed)
+            data, truth = observed.dataset, observed.truth
             found = DirichletMixture().cluster(data, trainer, seed, None)
             hits.append(found.assignment.tolist() == truth.tolist())
         right[name] = np.mean(hits)
@@ -197,7 +199,7 @@ def test_bad_values_name_the_key(design, keys):
 
 def test_hypotheses_need_a_file_or_a_domain():
     with pytest.raises(InputError, match="hypotheses"):
-        HypothesisTrainer()
+        _ = HypothesisTrainer().known
 
 
 @pytest.mark.parametrize(("check", "least", "most"), [(0.0, 0.0, 0.1), (0.5, 0.2, 0.7)])
@@ -238,7 +240,8 @@ def test_who_holds_wrong_what_nobody_wrote_down_is_found(setting, tmp_path):
     end.save(tmp_path / "end.npz")
     path = str(tmp_path / "end.npz")
     crowd = SimulatedObservers(per_type=3, points=40)
-    data, truth = crowd.collect(setting, Adaptive(hypotheses=path), 0)
+    observed = crowd.collect(setting, Adaptive(hypotheses=path), 0)
+    data, truth = observed.dataset, observed.truth
     found = DirichletMixture().cluster(data, HypothesisTrainer(path=path), 0, None)
     needs = found.needs[found.assignment]
     assert (needs[truth == 0] == 0b01).all()

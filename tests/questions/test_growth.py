@@ -90,8 +90,9 @@ def test_types_of_more_facts_than_the_list_begins_with_are_found():
     assert not begun.complete
     assert max(int(held).bit_count() for held in begun.facts) < 5
     crowd = SimulatedObservers(per_type=2, points=40)
-    trainer = HypothesisTrainer(domain=setting.domain)
-    data, truth = crowd.collect(setting, Adaptive(), 0)
+    observed = crowd.collect(setting, Adaptive(), 0)
+    data, truth = observed.dataset, observed.truth
+    trainer = HypothesisTrainer().given(observed)
     found = DirichletMixture().cluster(data, trainer, 0, None)
     assert found.assignment.tolist() == truth.tolist()
     features = transition_features(setting.domain, setting.reachable)
@@ -112,8 +113,8 @@ def test_asking_again_asks_the_same():
     """What a first round of questions found must not bear on a second."""
     setting, _ = many_facts()
     crowd = SimulatedObservers(per_type=1, points=12)
-    one, _ = crowd.collect(setting, Adaptive(), 3)
-    other, _ = crowd.collect(setting, Adaptive(), 3)
+    one = crowd.collect(setting, Adaptive(), 3).dataset
+    other = crowd.collect(setting, Adaptive(), 3).dataset
     assert np.array_equal(one.message_set, other.message_set)
     assert np.array_equal(one.transition, other.transition)
 

@@ -17,8 +17,8 @@ def test_the_table_over_what_matters_is_the_whole_table(
     transitions_known: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     setting = setting_of("domain=rescue")
-    dataset, _ = SimulatedObservers(1, 40).collect(setting, Independent(), 0)
-    labeler = HypothesisTrainer(domain=setting.domain).fit(dataset.of(np.array([0])), 0)
+    observed = SimulatedObservers(1, 40).collect(setting, Independent(), 0)
+    labeler = HypothesisTrainer().given(observed).fit(observed.dataset.of(np.array([0])), 0)
     transitions = setting.reachable[::9]
     features = transition_features(setting.domain, transitions)
     known = transitions if transitions_known else None

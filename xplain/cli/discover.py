@@ -41,8 +41,9 @@ def discover(arguments: list[str]) -> Row:
     """Finds the types and writes the files; returns what the command prints. ``arguments``
     override conf/discover.yaml."""
     from xplain.data.label_file import align, read_table
-    from xplain.experiment.pipeline import learn
+    from xplain.data.observers import Observed
     from xplain.learning.cross_validation import held_out_log_likelihood
+    from xplain.learning.known_types import learn
     from xplain.questions.hypotheses import Hypotheses
 
     began = time.perf_counter()
@@ -58,7 +59,7 @@ def discover(arguments: list[str]) -> Row:
         dataset = read_table(cfg.data, known.messages, cfg.features, cfg.ignore)
         dataset = align(dataset, known.feature_names or dataset.feature_names)
     said = sentences_of(cfg.sentences, dataset.messages)
-    types = learn(dataset, trainer, clusterer, cfg.seed, none_of_these=cfg.none_of_these)
+    types = learn(Observed(dataset), trainer, clusterer, cfg.seed, cfg.none_of_these)
     clustering = types.clustering
     likelihood = None
     if cfg.held_out:

@@ -42,8 +42,7 @@ def observe(arguments: list[str]) -> dict[str, Any]:
         cfg.seed,
     )
     dataset, truth, setting = observed.dataset, observed.truth, observed.setting
-    types = setting.types
-    if truth is None:
+    if truth is None or setting is None:
         raise InputError("observers", cfg.hydra.runtime.choices.observers, "simulated")
     for path in (output, beside):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -51,8 +50,8 @@ def observe(arguments: list[str]) -> dict[str, Any]:
     known = pd.DataFrame(
         {
             "observer": dataset.observers,
-            "type": [types[t].name for t in truth],
-            "behaves_like": [types[t].name for t in setting.distinct[truth]],
+            "type": [setting.types[t].name for t in truth],
+            "behaves_like": [setting.types[t].name for t in setting.distinct[truth]],
         }
     )
     known.to_csv(beside, index=False)

@@ -20,12 +20,35 @@ from xplain.randomness import stream
 from xplain.users.setting import Setting
 
 
+@dataclass(frozen=True)
+class Observed:
+    """What observers gave, and what is known of them: all that types are learned from.
+
+    Attributes:
+        dataset: the labels.
+        truth: [O] index of each observer's true type; None where nobody knows it.
+        setting: the domain, the true types and their models; None where there is only a table.
+        likely: fact sets (bitmasks) that the questions found likely beside the hypotheses.
+    """
+
+    dataset: Dataset
+    truth: NDArray[np.int64] | None = None
+    setting: Setting | None = None
+    likely: NDArray[np.int64] | None = None
+
+    @property
+    def behaviour(self) -> NDArray[np.int64] | None:
+        """[O] the ``distinct`` number of each observer's type: types that label everything alike
+        are one, for whoever clusters and whoever scores. None where the truth is unknown."""
+        if self.truth is None or self.setting is None:
+            return self.truth
+        return self.setting.distinct[self.truth]
+
+
 class Observers(Protocol):
     """Where the labels come from: the interface of every component ``observers``."""
 
-    def collect(
-        self, setting: Setting, queries: Queries, seed: int
-    ) -> tuple[Dataset, NDArray[np.int64] | None]:
+    def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
         """P labels of transitions of ``setting.domain``, with its features and its messages.
 
         Args:
@@ -34,8 +57,7 @@ class Observers(Protocol):
             seed: of every draw.
 
         Returns:
-            The labels, and [O] each observer's true type (index into ``setting.types``); None
-            where it is unknown, as of real people.
+            The labels, and what is known of who gave them, ``setting`` included.
 
         Raises:
             InputError: the labels, or the component's options, do not fit the setting.
@@ -70,10 +92,8 @@ class SimulatedObservers:
         if not 0 <= number("observers.label_noise", self.label_noise) <= 0.5:
             raise InputError("observers.label_noise", self.label_noise, "a number in [0, 0.5]")
 
-    def collect(
-        self, setting: Setting, queries: Queries, seed: int
-    ) -> tuple[Dataset, NDArray[np.int64]]:
-        """Labels of all observers and their true types (index into ``setting.types``).
+    def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
+        """Labels of all observers and their true types.
 
         Raises:
             InputError: ``per_type`` does not fit the types.
@@ -105,7 +125,9 @@ class SimulatedObservers:
             message_set=np.concatenate([one.message_sets for one in asked]),
             label=np.concatenate([one.labels for one in asked]),
         )
-        return dataset, truth
+        found = [one.likely for one in asked if one.likely is not None]
+        likely = np.unique(np.concatenate(found)) if found else None
+        return Observed(dataset, truth, setting, likely)
 
     def _counts(self, types: int) -> list[int]:
         counts = _whole_numbers(self.per_type)
@@ -142,7 +164,7 @@ class FileObservers:
         if not Path(self.path).is_file():
             raise InputError("observers.path", str(self.path), "no such file")
 
-    def collect(self, setting: Setting, queries: Queries, seed: int) -> tuple[Dataset, None]:
+    def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
         """The table, its features in the order of the domain's, so that labelers trained on it
         can be asked about the domain's traces; ``queries`` and ``seed`` are not used, for these
         people have been asked.
@@ -152,7 +174,8 @@ class FileObservers:
         """
         try:
             dataset = read_table(self.path, setting.message_names, self.features, self.ignore)
-            return align(dataset, transition_feature_names(setting.domain)), None
+            dataset = align(dataset, transition_feature_names(setting.domain))
+            return Observed(dataset, setting=setting)
         except InputError as error:
             if error.key != "data":  # what the command that finds types calls its table
                 raise

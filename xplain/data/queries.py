@@ -29,11 +29,14 @@ class Answered:
         transitions: [p, 3].
         message_sets: [p] bitmasks.
         labels: [p], 1 = explicable.
+        likely: fact sets (bitmasks) that the answers made likely, where the design found some that
+            were no hypotheses before.
     """
 
     transitions: NDArray[np.int64]
     message_sets: NDArray[np.int64]
     labels: NDArray[np.uint8]
+    likely: NDArray[np.int64] | None = None
 
 
 class Queries(Protocol):

@@ -24,15 +24,12 @@ def components_of(cfg: DictConfig) -> Components:
     Raises:
         XplainError, HydraException: a value that one of them refuses.
     """
-    domain = instantiate(cfg.domain)
-    # A labeler of the domain's hypotheses shares them with the questions: worked out once.
-    shared = {"domain": domain} if "domain" in cfg.labeler else {}
     return Components(
-        domain=domain,
+        domain=instantiate(cfg.domain),
         users=instantiate(cfg.users),
         observers=instantiate(cfg.observers),
         queries=instantiate(cfg.queries),
-        labeler=instantiate(cfg.labeler, **shared),
+        labeler=instantiate(cfg.labeler),
         clusterer=instantiate(cfg.clusterer),
         traces=cfg.traces,
         max_steps=cfg.max_steps,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -76,12 +74,3 @@ def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> floa
         said = labeler.predict(test.features[test.transition], test.message_set)
         right[fold == number] = said == test.label
     return float(by_question(right, query_index(dataset)).mean())
-
-
-def folds(dataset: Dataset, count: int, seed: int) -> Iterator[NDArray[np.bool_]]:
-    """``count`` masks [P]: each label is held out once, a distinct point always as a whole."""
-    query = query_index(dataset)
-    distinct = int(query.max()) + 1
-    number = stream(seed, "folds").permutation(distinct) % count
-    for fold in range(min(count, distinct)):
-        yield number[query] == fold

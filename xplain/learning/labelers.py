@@ -235,7 +235,6 @@ class LabelerTrainer:
         x: NDArray[np.float32],
         y: NDArray[np.uint8],
         seed: int,
-        weight: NDArray[np.float64] | None = None,
     ) -> Any:
         """A fitted clone of the classifier; a constant one where all labels are equal."""
         from sklearn.base import clone
@@ -246,7 +245,7 @@ class LabelerTrainer:
         state = derived_seed(seed, "labeler", "classifier") & 0xFFFFFFFF
         names = [name for name in model.get_params() if name.split("__")[-1] == "random_state"]
         model.set_params(**dict.fromkeys(names, state))
-        return model.fit(x, y) if weight is None else model.fit(x, y, sample_weight=weight)
+        return model.fit(x, y)
 
 
 def check_looked_at(count: int, n_messages: int) -> None:

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import Any, NoReturn
 
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.data.observers import Observed
 from xplain.errors import InputError
+from xplain.learning.known_types import Known, Tables, unless_too_large
 from xplain.learning.labelers import LabelerTrainer
 
 
@@ -24,6 +29,33 @@ class TrueLabels(LabelerTrainer):
     def __init__(self) -> None:
         """There is nothing to choose."""
         super().__init__()
+
+    def types_of(self, observed: Observed) -> Known:
+        """The true types with their true labels. One labeler for everybody is the share of
+        observers whose type would label so.
+
+        Raises:
+            InputError: nobody knows the observers' types, as of real people.
+        """
+        setting, truth = observed.setting, observed.truth
+        if setting is None or truth is None:
+            raise InputError("labeler", "true", "needs simulated observers, whose type is known")
+        shares = np.bincount(truth, minlength=len(setting.types)) / len(truth)
+
+        def tables(transitions: NDArray[np.int64]) -> Tables:
+            labels = setting.true_labels(transitions)
+            return Tables(labels, unless_too_large(lambda: labels.mixed(shares)), labels)
+
+        count = float(len(np.unique(setting.distinct)))
+        return Known(
+            names=tuple(user_type.name for user_type in setting.types),
+            matched_true_type=setting.distinct,
+            shares=shares,
+            figures={"types_found": count, "true_types": count},
+            curve=np.zeros(0),
+            rule="truth",
+            tables=tables,
+        )
 
     def fit(self, *_: Any, **__: Any) -> NoReturn:
         """Raises InputError: whoever fits labelers learns from data alone, without a setting."""

@@ -32,9 +32,6 @@ Posterior = tuple[NDArray[np.int64], NDArray[np.float64]]
 _OF_DOMAIN: WeakKeyDictionary[Domain, Hypotheses] = WeakKeyDictionary()
 
 
-_FOUND: WeakKeyDictionary[Domain, NDArray[np.int64]] = WeakKeyDictionary()
-
-
 def hypotheses_of(domain: Domain | None, path: str | None) -> Hypotheses:
     """Those of a file, or else the domain's, which are worked out once.
 
@@ -48,14 +45,6 @@ def hypotheses_of(domain: Domain | None, path: str | None) -> Hypotheses:
     if domain not in _OF_DOMAIN:
         _OF_DOMAIN[domain] = Hypotheses.of_domain(domain)
     return _OF_DOMAIN[domain]
-
-
-def candidates_of(domain: Domain | None, path: str | None) -> Hypotheses:
-    """As :func:`hypotheses_of`, with the sets of facts that questions have found likely since."""
-    known = hypotheses_of(domain, path)
-    if path is None and domain is not None and domain in _FOUND:
-        return known.with_sets(_FOUND[domain])
-    return known
 
 
 def transitions_of(hypotheses: Hypotheses, setting: Setting) -> NDArray[np.int64]:
@@ -187,11 +176,7 @@ class Adaptive:
                 left -= len(clip)
                 questions = self._grown(questions, others)
             asked[o], found[o] = questions, _likely(questions)
-        if known.further is not None:
-            _FOUND[setting.domain] = np.unique(
-                np.concatenate([facts for facts, _ in found.values()])
-            )
-        return [_answered(asked[o], transitions) for o in range(len(sizes))]
+        return [_answered(asked[o], transitions, found[o][0]) for o in range(len(sizes))]
 
     def _turns(self, sizes: list[int]) -> list[tuple[int, int]]:
         """(observer, labels), one after the other."""
@@ -285,9 +270,12 @@ def _likely(questions: Questionnaire) -> Posterior:
     return known.facts[kept], posterior[kept] / posterior[kept].sum()
 
 
-def _answered(questions: Questionnaire, transitions: NDArray[np.int64]) -> Answered:
+def _answered(
+    questions: Questionnaire, transitions: NDArray[np.int64], likely: NDArray[np.int64]
+) -> Answered:
     """All that a questionnaire asked, label by label."""
     which = [t for one in questions.asked for t in one.transitions]
     told = [one.message_set for one in questions.asked for _ in one.transitions]
     labels = [label for one in questions.asked for label in one.labels]
-    return Answered(transitions[which], np.array(told), np.array(labels, dtype=np.uint8))
+    found = None if questions.hypotheses.further is None else likely
+    return Answered(transitions[which], np.array(told), np.array(labels, dtype=np.uint8), found)

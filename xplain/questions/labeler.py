@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from xplain.data.dataset import Dataset, inputs
-from xplain.domains.base import Domain
+from xplain.data.observers import Observed
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.learning.clustering import Clustering
@@ -29,7 +29,7 @@ from xplain.learning.labelers import (
     paper_tree,
 )
 from xplain.message_sets import bits_of, indices, names_of, subsets
-from xplain.questions.designs import candidates_of
+from xplain.questions.designs import hypotheses_of
 from xplain.questions.fact_sets import partition
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.known_transitions import Answers, KnownTransitions
@@ -203,24 +203,32 @@ class HypothesisTrainer(LabelerTrainer):
     Attributes:
         classifier: the fallback, any scikit-learn classifier that gives probabilities.
         holdout: share of the distinct points held out to measure the accuracy.
-        domain: whose inaccurate values make the hypotheses.
-        path: an ``.npz`` file of hypotheses with features, which comes before the domain.
+        path: an ``.npz`` file of hypotheses with features; None: the observers' domain's.
+        hypotheses: in place of both.
     """
 
     classifier: Any = field(default_factory=paper_tree)
-    domain: Domain | None = None
     path: str | None = None
+    hypotheses: Hypotheses | None = None
 
-    def __post_init__(self) -> None:
-        """Raises InputError where there are neither hypotheses nor a domain."""
-        super().__post_init__()
-        if self.domain is None and self.path is None:
-            raise InputError("hypotheses", None, "an .npz file of hypotheses, or a domain")
+    def given(self, observed: Observed) -> HypothesisTrainer:
+        """With the hypotheses of the observers' domain, and the fact sets that their questions
+        found likely, where it has no others."""
+        if self.hypotheses is not None or self.path is not None or observed.setting is None:
+            return self
+        own = hypotheses_of(observed.setting.domain, None)
+        return replace(
+            self, hypotheses=own if observed.likely is None else own.with_sets(observed.likely)
+        )
 
     @cached_property
     def known(self) -> KnownTransitions:
-        """The hypotheses by rows of features."""
-        hypotheses = candidates_of(self.domain, self.path)
+        """The hypotheses by rows of features.
+
+        Raises:
+            InputError: there are none, or none with features.
+        """
+        hypotheses = self.hypotheses or hypotheses_of(None, self.path)
         if hypotheses.features is None:
             raise InputError("hypotheses.features", None, "needed to match labels with hypotheses")
         return KnownTransitions.of(hypotheses)
@@ -241,10 +249,9 @@ class HypothesisTrainer(LabelerTrainer):
         x: NDArray[np.float32],
         y: NDArray[np.uint8],
         seed: int,
-        weight: NDArray[np.float64] | None = None,
     ) -> Any:
         """A classifier fitted to rows [P, F + n] of labels [P]."""
-        fallback = super().fitted(x, y, seed, weight)
+        fallback = super().fitted(x, y, seed)
         hypotheses = self.known.hypotheses
         n = hypotheses.n_messages
         if x.shape[1] != self.known.features.shape[1] + n:
@@ -252,8 +259,8 @@ class HypothesisTrainer(LabelerTrainer):
         transition = self.known.find(x[:, :-n])
         rows = np.flatnonzero(transition >= 0)
         told = x[:, -n:].astype(np.int64) @ (1 << np.arange(n, dtype=np.int64))
-        each = np.ones(len(y)) if weight is None else weight
-        answers = Answers(transition[rows], told[rows], y[rows].astype(np.int64), each[rows])
+        once = np.ones(len(rows))
+        answers = Answers(transition[rows], told[rows], y[rows].astype(np.int64), once)
         return FactSetClassifier(self.known.grown(answers), answers, fallback)
 
     def find_types(self, dataset: Dataset, concentration: float, seed: int) -> Clustering | None:

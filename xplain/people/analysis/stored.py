@@ -20,7 +20,6 @@ MOVED = {
     "xplain.learning.dirichlet.DirichletMixture": (
         "xplain.learning.fact_model.dirichlet.DirichletMixture"
     ),
-    "xplain.learning.mixture.Mixture": "xplain.learning.em_mixture.Mixture",
     "xplain.solvers.certified.Certified": "xplain.solvers.hsvi.solver.Certified",
     "xplain.solvers.pomcp.POMCP": "xplain.solvers.pomcp.solver.POMCP",
     "xplain.users.observers.FileObservers": "xplain.data.observers.FileObservers",

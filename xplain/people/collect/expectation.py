@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
 from xplain.data.label_file import align
+from xplain.data.observers import Observed
 from xplain.data.queries import Queries
 from xplain.domains.base import Domain, transition_feature_names
 from xplain.experiment.explanations import Costs, evaluate
@@ -109,11 +110,10 @@ class Gathered:
     dataset: Dataset
     truth: NDArray[np.int64]
 
-    def collect(
-        self, setting: Setting, queries: Queries, seed: int
-    ) -> tuple[Dataset, NDArray[np.int64]]:
+    def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
         """The labels, with the domain's features in its order."""
-        return align(self.dataset, transition_feature_names(setting.domain)), self.truth
+        dataset = align(self.dataset, transition_feature_names(setting.domain))
+        return Observed(dataset, self.truth, setting)
 
 
 def explanation_costs(
@@ -129,7 +129,7 @@ def explanation_costs(
             users=users,
             observers=Gathered(dataset_of(plan, names), truth),
             queries=plan.design,
-            labeler=HypothesisTrainer(domain=domain),
+            labeler=HypothesisTrainer(),
             clusterer=DirichletMixture(),
             traces=TRACES,
             max_steps=40,

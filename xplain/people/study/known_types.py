@@ -13,8 +13,9 @@ from scipy.optimize import linear_sum_assignment
 from xplain.data.rollouts import sample_trace
 from xplain.domains.base import transition_feature_names, transition_features
 from xplain.errors import InputError
-from xplain.experiment.pipeline import learn, observe
+from xplain.experiment.pipeline import observe
 from xplain.learning.clustering import Perfect
+from xplain.learning.known_types import learn
 from xplain.learning.labelers import Labeler
 from xplain.learning.saved_types import LearnedTypes
 from xplain.learning.user_types import label_table
@@ -69,8 +70,9 @@ def learned_types(cfg: DictConfig) -> tuple[Setting, Learned]:
     if cfg.types is None:
         observers, queries = instantiate(cfg.observers), instantiate(cfg.queries)
         observed = observe(domain, users, observers, queries, cfg.seed)
+        assert observed.setting is not None
         clusterer, trainer = instantiate(cfg.clusterer), instantiate(cfg.labeler)
-        types = learn(observed.dataset, trainer, clusterer, cfg.seed, observed.truth)
+        types = learn(observed, trainer, clusterer, cfg.seed)
         # Perfect clustering finds the types in their order.
         key = "" if isinstance(clusterer, Perfect) else "observers"
         columns = tuple(range(len(names)))

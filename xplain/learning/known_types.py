@@ -1,0 +1,307 @@
+"""Which user types there are, and what agents know of each: learned from labels, or given.
+
+Observed ── find_types ── Known (tables of any trace)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.data.dataset import Dataset
+from xplain.data.observers import Observed
+from xplain.domains.base import Domain, transition_feature_names, transition_features
+from xplain.errors import InputError, TooLargeError, XplainError
+from xplain.explanation.label_table import LabelTable
+from xplain.learning.clustering import Clusterer, Perfect
+from xplain.learning.cross_validation import fresh_accuracy
+from xplain.learning.labelers import Labeler, LabelerTrainer
+from xplain.learning.user_types import AskedOnce, UserTypes, learn_types
+from xplain.randomness import derived_seed
+
+
+class Tables(NamedTuple):
+    """P(label is 1) of a trace's m transitions under every message set.
+
+    Attributes:
+        learned: of N types that solvers plan with.
+        everyone: of one labeler for everybody; None where it looks at too many messages.
+        perfect: of M true types, what the oracle knows of each; None where there is no oracle.
+    """
+
+    learned: LabelTable
+    everyone: LabelTable | None
+    perfect: LabelTable | None
+
+
+def unless_too_large(make: Callable[[], LabelTable]) -> LabelTable | None:
+    """The table, or None where it would be too large: a labeler for everybody looks at what any
+    type looks at, and few runs ask for it."""
+    try:
+        return make()
+    except TooLargeError:
+        return None
+
+
+@dataclass(frozen=True)
+class Known:
+    """What agents know of the users.
+
+    Attributes:
+        names: N of the types.
+        matched_true_type: [N] for each the ``distinct`` number of the true type it stands for,
+            −1 unknown.
+        shares: [N] of the observers.
+        figures: of the learning stage, by name.
+        curve: disagreements for k = 1 … (empty where there are none).
+        rule: what decided the number of types.
+        tables: what follows for a trace [m, 3].
+    """
+
+    names: tuple[str, ...]
+    matched_true_type: NDArray[np.int64]
+    shares: NDArray[np.float64]
+    figures: dict[str, float]
+    curve: NDArray[np.float64]
+    rule: str
+    tables: Callable[[NDArray[np.int64]], Tables]
+
+
+@runtime_checkable
+class KnowsTypes(Protocol):
+    """A component ``labeler`` that learns nothing from labels, because it knows the types."""
+
+    def types_of(self, observed: Observed) -> Known:
+        """What agents know.
+
+        Raises:
+            InputError: these observers' types are unknown.
+        """
+        ...
+
+
+@runtime_checkable
+class KnowsTask(Protocol):
+    """A trainer that can use more of what was observed than the labels."""
+
+    def given(self, observed: Observed) -> LabelerTrainer:
+        """The trainer with what it knows of the observers' task, and of what they were asked."""
+        ...
+
+
+def _given(trainer: LabelerTrainer, observed: Observed) -> LabelerTrainer:
+    return trainer.given(observed) if isinstance(trainer, KnowsTask) else trainer
+
+
+@dataclass(frozen=True)
+class References:
+    """Labelers that policies are compared with.
+
+    Attributes:
+        everyone: one labeler of all data (the baseline's).
+        perfect: types under perfect clustering, L_pc; None where the true types of the observers
+            are unknown.
+        oracle: [M] the labeler of each true type under perfect clustering; None where no observer
+            behaves like a type, or the true types are unknown.
+    """
+
+    everyone: Labeler
+    perfect: UserTypes | None = None
+    oracle: tuple[Labeler, ...] | None = None
+
+
+def find_types(
+    observed: Observed, trainer: LabelerTrainer, clusterer: Clusterer, seed: int
+) -> Known:
+    """What agents know of the users: what the trainer knows, else what the labels tell, which are
+    the types that the clusterer finds, with a labeler each.
+
+    Args:
+        observed: with its setting.
+        trainer: fits labelers, or knows the types.
+        clusterer: finds the types.
+        seed: of the run.
+
+    Raises:
+        InputError: the labels are too few, or not of this domain's features and messages; or the
+            types are unknown that the trainer should know.
+    """
+    if isinstance(trainer, KnowsTypes):
+        return trainer.types_of(observed)
+    assert observed.setting is not None
+    domain = observed.setting.domain
+    _require_same_features(observed.dataset, domain)
+    references = learn_references(observed, trainer, seed)
+    perfect = references.perfect.by_observers if references.perfect else None
+    types = learn(observed, trainer, clusterer, seed, known=perfect)
+    _require_tested(types.labelers)
+    oracle = references.oracle
+    once = AskedOnce()
+
+    def tables(transitions: NDArray[np.int64]) -> Tables:
+        features = transition_features(domain, transitions)
+        return Tables(
+            learned=once.label_table(types.labelers, features, transitions),
+            everyone=unless_too_large(
+                lambda: once.label_table([references.everyone], features, transitions)
+            ),
+            perfect=None if oracle is None else once.label_table(oracle, features, transitions),
+        )
+
+    clustering = types.clustering
+    curve = np.zeros(0) if clustering.curve is None else clustering.curve
+    return Known(
+        names=types.names,
+        matched_true_type=_match_true_types(observed, types),
+        shares=np.bincount(clustering.assignment) / len(clustering.assignment),
+        figures=_figures(observed, types, references, trainer, seed),
+        curve=np.asarray(curve, dtype=float),
+        rule=clustering.rule,
+        tables=tables,
+    )
+
+
+def learn(
+    observed: Observed,
+    trainer: LabelerTrainer,
+    clusterer: Clusterer,
+    seed: int,
+    none_of_these: float = 0.0,
+    known: Mapping[tuple[int, ...], Labeler] | None = None,
+) -> UserTypes:
+    """Clusters the observers, and learns one labeler a cluster.
+
+    Args:
+        observed: the labels, and the true types where they are known, which only perfect
+            clustering may look at.
+        trainer: fits labelers.
+        clusterer: finds the types.
+        seed: of the run.
+        none_of_these, known: see :func:`xplain.learning.user_types.learn_types`.
+    """
+    trainer, dataset = _given(trainer, observed), observed.dataset
+    clustering = clusterer.cluster(
+        dataset, trainer, derived_seed(seed, "clusterer"), observed.behaviour
+    )
+    return learn_types(
+        dataset,
+        clustering,
+        trainer,
+        labeler_seed(seed),
+        none_of_these=none_of_these,
+        known=known,
+    )
+
+
+def learn_references(observed: Observed, trainer: LabelerTrainer, seed: int) -> References:
+    """The labeler of all data, and the labelers under perfect clustering.
+
+    Raises:
+        XplainError: too few labels to hold some out.
+    """
+    dataset, behaviour = observed.dataset, observed.behaviour
+    trainer = _given(trainer, observed)
+    everyone = trainer.fit(dataset, labeler_seed(seed))
+    _require_tested([everyone])
+    if behaviour is None:
+        return References(everyone)
+    best = Perfect().cluster(dataset, trainer, 0, behaviour)
+    perfect = learn_types(dataset, best, trainer, labeler_seed(seed))
+    return References(everyone, perfect, _of_each_type(perfect, observed))
+
+
+def labeler_seed(seed: int) -> int:
+    """The seed of every labeler of a run: the same labels give the same labeler, so that types
+    found right have the labelers of the true ones."""
+    return derived_seed(seed, "labelers")
+
+
+def _of_each_type(perfect: UserTypes, observed: Observed) -> tuple[Labeler, ...] | None:
+    """The labeler of each true type; None where no observer behaves like it. Clusters are numbered
+    as their observers come, which may be in any order."""
+    assert observed.setting is not None
+    first = [np.flatnonzero(observed.behaviour == alike)[:1] for alike in observed.setting.distinct]
+    if not all(map(len, first)):
+        return None
+    return tuple(perfect.labelers[perfect.clustering.assignment[int(o[0])]] for o in first)
+
+
+def _match_true_types(observed: Observed, types: UserTypes) -> NDArray[np.int64]:
+    """[N] for each learned type the ``distinct`` number of most of its observers; −1 where the
+    observers' true types are unknown."""
+    matched = np.full(len(types.labelers), -1)
+    alike = observed.behaviour
+    if alike is not None:
+        for learned in range(types.clustering.n_types):
+            matched[learned] = np.bincount(alike[types.clustering.members(learned)]).argmax()
+    return matched
+
+
+def _figures(
+    observed: Observed,
+    types: UserTypes,
+    references: References,
+    trainer: LabelerTrainer,
+    seed: int,
+) -> dict[str, float]:
+    """How well the types were found and the labels learned, by name.
+
+    ``labeler_accuracy`` is the paper's, on held-out (transition, message set), ``fresh_accuracy``
+    what fresh questions would show (:func:`~xplain.learning.cross_validation.fresh_accuracy`).
+    Both are means over types.
+    """
+    clustering, trainer = types.clustering, _given(trainer, observed)
+    fresh = [
+        fresh_accuracy(observed.dataset.of(clustering.members(t)), trainer, labeler_seed(seed))
+        for t in range(clustering.n_types)
+    ]
+    figures = {
+        "types_found": float(len(types.labelers)),
+        "labeler_accuracy": _mean_accuracy(types.labelers),
+        "fresh_accuracy": float(np.mean(fresh)),
+        "everyone_accuracy": references.everyone.accuracy,
+    }
+    alike = observed.behaviour
+    if alike is not None and references.perfect is not None:
+        from sklearn.metrics import adjusted_rand_score
+
+        index = adjusted_rand_score(alike, clustering.assignment)
+        figures["adjusted_rand_index"] = float(index)
+        figures["perfect_labeler_accuracy"] = _mean_accuracy(references.perfect.labelers)
+        figures["true_types"] = float(len(np.unique(alike)))
+    return figures
+
+
+def _mean_accuracy(labelers: Iterable[Any]) -> float:
+    return float(np.mean([labeler.accuracy for labeler in labelers]))
+
+
+def _require_tested(labelers: Iterable[Any]) -> None:
+    """Raises XplainError where no label could be held out to measure a labeler's confidence."""
+    for labeler in labelers:
+        if labeler.n_test == 0:
+            raise XplainError(
+                f"points: too few; the {labeler.n_train} labels of a type are all of one "
+                "(transition, message set), and its labeler needs two: one to train it and one "
+                "to test it"
+            )
+
+
+def _require_same_features(dataset: Dataset, domain: Domain) -> None:
+    names = transition_feature_names(domain)
+    if dataset.feature_names != names:
+        raise InputError(
+            "observers.path",
+            ",".join(dataset.feature_names),
+            f"labels of {domain.name} need the features {','.join(names)} in this order "
+            "(python -m xplain discover finds types in labels of any task)",
+        )
+    wanted = tuple(parameter.name for parameter in domain.parameters)
+    if dataset.messages != wanted:
+        raise InputError(
+            "observers.messages", ",".join(dataset.messages), f"must be {','.join(wanted)}"
+        )
