@@ -46,7 +46,7 @@ def _group(leader: int) -> list[str]:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
-@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM])
+@pytest.mark.parametrize("number", [processes.HANG_UP, signal.SIGTERM])
 def test_a_closed_terminal_leaves_nothing_behind(tmp_path: Path, number: signal.Signals) -> None:
     """A terminal that closes sends SIGHUP to all of its processes, but not to other sessions."""
     (tmp_path / "test_toy.py").write_text(TOY)

@@ -14,7 +14,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 
-from tests import forked
+from tests import forked, processes
 from tests.configurations import composed
 from tests.runs import sweeps
 from xplain.cli import hydra_plugins
@@ -400,7 +400,7 @@ def test_sweep_files_set_known_keys_and_open_with_their_command(name):
     assert chosen.hydra.mode.name == "MULTIRUN"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, processes.HANG_UP])
 def test_an_interruption_that_became_another_error_is_one_all_the_same(tmp_path, number):
     plan, folder = sweeps.planned(tmp_path, 1)
     todo = Todo((), {}, tuple(job.fingerprint for job in plan.jobs))
