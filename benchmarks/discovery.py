@@ -48,8 +48,8 @@ from xplain.evaluation.episode import SimulatedUser, explain
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.learning.clustering import Clustering, Perfect
-from xplain.learning.cross_validation import log_likelihoods
 from xplain.learning.labelers import LabelerTrainer, split
+from xplain.learning.prediction import log_likelihoods
 from xplain.learning.user_types import UserTypes, label_table, learn_types
 from xplain.randomness import derived_seed, stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
@@ -124,7 +124,7 @@ def find(
         "seed": seed,
         "ari": score(alike, found.assignment),
         "found": found.n_types,
-        "held_out": float(log_likelihoods(train, held, found.assignment, trainer, seed).mean()),
+        "held_out": float(log_likelihoods(train, held, found, trainer, seed).mean()),
         "cpu_seconds": seconds,
     }
     return Found(setting, dataset, truth, found, row)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from hydra.core.global_hydra import GlobalHydra
@@ -50,6 +51,7 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path, name:
     assert code == 0, err
     answer = json.loads(out.splitlines()[-1])
     wanted = {"n_types", "assignment", "method", "rule", "held_out_log_likelihood", "seconds"}
+    wanted.add("held_out")
     assert wanted == set(answer)
     assert answer["assignment"].keys() == set(known["observer"])
     found = [answer["assignment"][observer] for observer in known["observer"]]
@@ -179,3 +181,72 @@ def test_sentences_that_cannot_be_used_are_refused(tmp_path: Path, text: str, na
         path.write_text(text)
     with pytest.raises(InputError, match=named):
         sentences_of(str(path), ("fire", "fence"))
+
+
+def test_answers_are_predicted_where_nobody_was_told_anything(run, tmp_path: Path) -> None:
+    """Two kinds of people, who answer the first or the second half of ten items with 1."""
+    rng = np.random.default_rng(0)
+    kind = np.arange(40) % 2
+    own = (np.arange(10) // 5 == kind[:, None]) ^ (rng.random((40, 10)) < 0.1)
+    observer, item = np.nonzero(np.ones_like(own))
+    table = pd.DataFrame({"observer": observer, "item": item, "label": own.ravel().astype(int)})
+    held = rng.random(len(table)) < 0.2
+    table[~held].to_csv(tmp_path / "labels.csv", index=False)
+    new = pd.DataFrame({"observer": ["somebody"], "item": [3]})
+    asked = pd.concat([table[held].drop(columns="label"), new]).sample(frac=1, random_state=1)
+    asked.to_csv(tmp_path / "asked.csv", index=False)
+    code, out, err = run("discover", "data=labels.csv", "predict=asked.csv", "output=found")
+    assert code == 0, err
+    assert "types predict held-out answers better" in " ".join(out.split())
+    answer = json.loads(out.splitlines()[-1])
+    kinds = [kind[int(name)] for name in answer["assignment"]]
+    assert adjusted_rand_score(kinds, list(answer["assignment"].values())) > 0.8
+    assert answer["held_out"]["gain"][0] > 0
+    found = pd.read_csv(tmp_path / "found" / "predictions.csv")
+    assert found.drop(columns="p").astype(str).equals(asked.astype(str).reset_index(drop=True))
+    known = found[found["observer"] != "somebody"]
+    likely = known["p"] > 0.5
+    true = known["item"].astype(int) // 5 == known["observer"].astype(int) % 2
+    assert (likely == true).all()
+    stranger = found.loc[found["observer"] == "somebody", "p"].item()
+    assert stranger == pytest.approx(own[:, 3].mean(), abs=0.1)
+
+
+def test_told_answers_are_predicted_by_types_and_ones_own_labels(run, tmp_path: Path) -> None:
+    options = ("domain=rescue", "points=60", "output=labels.csv")
+    assert run("observe", *options)[0] == 0
+    table = pd.read_csv(tmp_path / "labels.csv", keep_default_na=False)
+    held = np.random.default_rng(0).random(len(table)) < 0.2
+    table[~held].to_csv(tmp_path / "some.csv", index=False)
+    table[held].to_csv(tmp_path / "rest.csv", index=False)
+    code, _, err = run(
+        "discover", "data=some.csv", "predict=rest.csv", "held_out=false", "output=found"
+    )
+    assert code == 0, err
+    found = pd.read_csv(tmp_path / "found" / "predictions.csv", keep_default_na=False)
+    right = np.where(found["label"] == 1, found["p"], 1 - found["p"])
+    mean = np.where(found["label"] == 1, table["label"].mean(), 1 - table["label"].mean())
+    assert np.log(right).mean() > np.log(mean).mean() + 0.05
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"row": ["a"] * 4}, "a number"),
+        ({"messages": ["unheard"] * 4}, "unknown message"),
+        ({"observer": None}, "lacks the column observer"),
+    ],
+)
+def test_questions_that_do_not_fit_the_labels_are_refused(
+    run, tmp_path: Path, change: dict[str, list[str] | None], said: str
+) -> None:
+    assert run("observe", "domain=rescue", "points=8", "output=labels.csv")[0] == 0
+    asked = pd.read_csv(tmp_path / "labels.csv", keep_default_na=False).head(4)
+    for key, value in change.items():
+        asked = asked.drop(columns=key) if value is None else asked.assign(**{key: value})
+    asked.to_csv(tmp_path / "asked.csv", index=False)
+    code, _, err = run("discover", "data=labels.csv", "predict=asked.csv")
+    assert code == 2
+    assert said in err
+    assert "Traceback" not in err
+    assert not (tmp_path / "outputs" / "discover").exists()

@@ -13,13 +13,13 @@ from tests.learning.conftest import made
 from xplain.data.dataset import Dataset
 from xplain.errors import InputError, TooLargeError
 from xplain.learning.clustering import Clustering, Perfect, Single
-from xplain.learning.cross_validation import held_out_log_likelihood
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.learning.fact_model.gibbs import sample
 from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior
 from xplain.learning.fact_model.resample_transitions import WIDE
 from xplain.learning.fact_model.split_merge import MANY_OBSERVERS
 from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.prediction import held_out
 from xplain.learning.user_types import base_rate, label_table, learn_types
 
 TYPES = [[0, 1], [2], [1, 3]]
@@ -217,9 +217,10 @@ def test_true_types_predict_better_than_one_for_all() -> None:
         def cluster(self, dataset, trainer, seed, _):  # type: ignore[no-untyped-def]
             return super().cluster(dataset, trainer, seed, truth)
 
-    apart = held_out_log_likelihood(dataset, Known(), LabelerTrainer(), 0)
-    together = held_out_log_likelihood(dataset, Single(), LabelerTrainer(), 0)
-    assert together < apart < 0
+    found = held_out(dataset, Known(), LabelerTrainer(), 0)
+    assert found.one_type < found.types < 0
+    assert found.gain[0] > 0
+    assert held_out(dataset, Single(), LabelerTrainer(), 0).types == found.one_type
 
 
 def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:

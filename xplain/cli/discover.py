@@ -5,13 +5,16 @@ The file is read as :mod:`xplain.data.label_file` says. Into the folder ``output
 - ``types.npz``: the types and their labelers, as :class:`xplain.learning.saved_types.LearnedTypes`
   loads them (for ``xplain.Explainer``);
 - ``assignment.csv``: the type of each observer;
+- ``predictions.csv``, with ``predict=FILE``: the rows of FILE, and ``p``, the probability of the
+  answer 1 of that observer;
 - ``summary.json``: what is known of each type, and how it was found;
 - ``curve.png`` (disagreements by number of types) or ``posterior.png`` (probability of each number
   of types), as the method has them, and ``messages.png``: what each message does for each type.
 
 The last line on standard output is one JSON object: ``n_types``, ``assignment`` {observer: type},
-``method``, ``rule``, ``held_out_log_likelihood`` (mean natural logarithm of the probability of a
-held-out label; null where ``held_out=false``), ``seconds``.
+``method``, ``rule``, ``held_out`` (how well held-out labels are predicted, in nats a label, with
+and without types; null where ``held_out=false``), ``held_out_log_likelihood`` (that with types),
+``seconds``.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ import json
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +35,9 @@ from xplain.config import composed, require_seed
 from xplain.errors import InputError, TooLargeError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from xplain.data.dataset import Dataset
     from xplain.learning.user_types import UserTypes
 
@@ -40,10 +47,10 @@ Row = dict[str, Any]
 def discover(arguments: list[str]) -> Row:
     """Finds the types and writes the files; returns what the command prints. ``arguments``
     override conf/discover.yaml."""
-    from xplain.data.label_file import align, read_table
+    from xplain.data.label_file import align, read_questions, read_table
     from xplain.data.observers import Observed
-    from xplain.learning.cross_validation import held_out_log_likelihood
     from xplain.learning.known_types import learn
+    from xplain.learning.prediction import held_out, predicted
     from xplain.questions.hypotheses import Hypotheses
 
     began = time.perf_counter()
@@ -59,11 +66,12 @@ def discover(arguments: list[str]) -> Row:
         dataset = read_table(cfg.data, known.messages, cfg.features, cfg.ignore)
         dataset = align(dataset, known.feature_names or dataset.feature_names)
     said = sentences_of(cfg.sentences, dataset.messages)
+    asked = None
+    if cfg.predict is not None:
+        asked = read_questions(cfg.predict, dataset, cfg.features, cfg.ignore)
     types = learn(Observed(dataset), trainer, clusterer, cfg.seed, cfg.none_of_these)
     clustering = types.clustering
-    likelihood = None
-    if cfg.held_out:
-        likelihood = held_out_log_likelihood(dataset, clusterer, trainer, cfg.seed)
+    unseen = held_out(dataset, clusterer, trainer, cfg.seed) if cfg.held_out else None
     row: Row = {
         "n_types": clustering.n_types,
         "assignment": {
@@ -72,10 +80,13 @@ def discover(arguments: list[str]) -> Row:
         },
         "method": clustering.method,
         "rule": clustering.rule,
-        "held_out_log_likelihood": likelihood,
+        "held_out_log_likelihood": None if unseen is None else unseen.types,
+        "held_out": None if unseen is None else asdict(unseen) | {"verdict": unseen.verdict},
         "seconds": time.perf_counter() - began,
     }
     _write(folder, dataset, types, row, said)
+    if asked is not None:
+        _write_predictions(cfg.predict, predicted(dataset, types, asked), folder)
     return row
 
 
@@ -121,7 +132,9 @@ def _write(
     from xplain.report import discovery, plots
 
     clustering = types.clustering
-    figures = {"messages": discovery.effects(dataset, clustering, types.names)}
+    figures = {}
+    if dataset.messages:
+        figures["messages"] = discovery.effects(dataset, clustering, types.names)
     if clustering.curve is not None and len(clustering.curve) > 1:
         curve = clustering.curve[: max(4 * clustering.n_types, 20)].tolist()
         figures["curve"] = plots.disagreements(curve, clustering.n_types, clustering.rule)
@@ -142,6 +155,16 @@ def _write(
     text = json.dumps(summary, indent=2)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     _show(row, known, folder)
+
+
+def _write_predictions(path: str, one: NDArray[np.float64], folder: Path) -> None:
+    """``predictions.csv``: the rows of the file, and ``p``."""
+    import pandas as pd
+
+    kind = pd.read_parquet if path.endswith(".parquet") else pd.read_csv
+    table = kind(path)
+    table["p"] = one
+    table.to_csv(folder / "predictions.csv", index=False)
 
 
 def summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
@@ -193,6 +216,10 @@ def _show(row: Row, known: list[Row], folder: Path) -> None:
         f"{row['n_types']} user types ({row['method']}, {row['rule']}); files in {folder}"
     )
     console.print(table)
+    if row["held_out"] is not None:
+        figures = {key: row["held_out"][key] for key in ("types", "one_type", "question_mean")}
+        said = ", ".join(f"{key.replace('_', ' ')} {-own:.3f}" for key, own in figures.items())
+        console.print(f"nats a held-out label: {said}; {row['held_out']['verdict']}")
 
 
 def main(arguments: list[str]) -> None:

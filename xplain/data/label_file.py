@@ -1,9 +1,9 @@
 """Tables of labels, CSV or Parquet: one row a label (docs/your-own-data.md).
 
-Columns: ``observer``; ``messages``, names joined by ``;``, empty for none; ``label``, 0 or 1; every
-other column is a feature of the transition unless a list names them. Numbers stay numbers, text
-becomes one 0/1 feature a value (``action=left``). Rows with equal features show the same
-transition.
+Columns: ``observer``; ``messages``, names joined by ``;``, empty for none (no such column: nobody
+was told anything); ``label``, 0 or 1; every other column is a feature of the transition unless a
+list names them. Numbers stay numbers, text becomes one 0/1 feature a value (``action=left``). Rows
+with equal features show the same transition.
 
 Stated rules. An observer may give few labels, even one: it is kept, and said so. An observer who
 answers the same question twice, differently, is kept too: both labels count, as people do err.
@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset, query_index
+from xplain.data.encoding import encoded
 from xplain.errors import InputError
 from xplain.message_sets import mask_of, names_of
 
@@ -78,6 +79,51 @@ def read_table(
     if not under_way:
         _check(dataset)
     return dataset
+
+
+def read_questions(
+    path: str | Path,
+    like: Dataset,
+    features: Sequence[str] | None = None,
+    ignore: Sequence[str] = (),
+) -> Dataset:
+    """Reads questions whose answers are to be predicted, a row each: a table as of
+    :func:`read_table`, in which labels may be missing and observers be new.
+
+    Args:
+        path, features, ignore: as of :func:`read_table`.
+        like: the labels that predictions are made from; its features and messages may occur.
+
+    Returns:
+        The rows, in their order; all labels are 0, and mean nothing.
+
+    Raises:
+        InputError: the rows do not fit ``like``.
+    """
+    table = _load(Path(path), features, ignore, key="predict")
+    observer, observers = _factorized(_text(table["observer"], "observer"))
+    message_set, _ = _message_sets(table["messages"], like.messages)
+    described = table.drop(columns=list(COLUMNS)).reset_index(drop=True)
+    group = described.groupby(list(described.columns), sort=False, dropna=False)
+    first = described.iloc[group.head(1).index] if len(described) else described
+    rows: list[dict[str, Any]] = [
+        dict(zip(described.columns, row, strict=True)) for row in first.itertuples(index=False)
+    ]
+    try:
+        distinct = np.array([encoded(row, like.feature_names) for row in rows])
+    except InputError as error:
+        raise InputError("predict", error.value, error.allowed) from None
+    transition = np.asarray(group.ngroup(), dtype=np.int64)
+    return Dataset(
+        features=distinct,
+        feature_names=like.feature_names,
+        messages=like.messages,
+        observers=observers,
+        observer=observer,
+        transition=transition,
+        message_set=message_set,
+        label=np.zeros(len(table), dtype=np.uint8),
+    )
 
 
 def write_table(dataset: Dataset, path: str | Path) -> None:
@@ -139,12 +185,16 @@ def check_format(path: Path, key: str) -> str:
     raise InputError(key, str(path), "a file that ends in .csv, .csv.gz or .parquet")
 
 
-def _load(path: Path, features: Sequence[str] | None, ignore: Sequence[str]) -> pd.DataFrame:
+def _load(
+    path: Path, features: Sequence[str] | None, ignore: Sequence[str], key: str = "data"
+) -> pd.DataFrame:
+    """The columns that count, :data:`COLUMNS` first. Of questions (``predict``) labels may be
+    missing; without the column of messages nobody was told anything."""
     import pandas as pd
 
-    kind = check_format(path, "data")
+    kind = check_format(path, key)
     if not path.is_file():
-        raise InputError("data", str(path), "no such file")
+        raise InputError(key, str(path), "no such file")
     repeated: list[str] = []
     try:
         if kind == "parquet":
@@ -160,23 +210,27 @@ def _load(path: Path, features: Sequence[str] | None, ignore: Sequence[str]) -> 
             table = pd.read_csv(path, keep_default_na=False, na_values=missing, dtype=text)
     except (OSError, EOFError, zlib.error, ValueError, pd.errors.ParserError) as error:
         reason = str(error).strip().splitlines()[0] if str(error) else type(error).__name__
-        raise InputError("data", str(path), f"not a readable table ({reason})") from None
+        raise InputError(key, str(path), f"not a readable table ({reason})") from None
     if repeated:
-        raise InputError("data", repeated[0], "two columns of this name; each column once")
+        raise InputError(key, repeated[0], "two columns of this name; each column once")
+    if "messages" not in table.columns:
+        table["messages"] = ""
+    if key == "predict":
+        table["label"] = 0
     columns = [str(name) for name in table.columns]
     for name in (*COLUMNS, *(features or ()), *ignore):
         if name not in columns:
-            raise InputError("data", str(path), f"lacks the column {name}; it has {columns}")
+            raise InputError(key, str(path), f"lacks the column {name}; it has {columns}")
     if features is not None:
         wanted = [*COLUMNS, *features]
     else:
         wanted = [name for name in columns if name not in set(ignore) - set(COLUMNS)]
     if len(wanted) == len(COLUMNS):
-        raise InputError("data", str(path), "needs a column that describes the transition")
+        raise InputError(key, str(path), "needs a column that describes the transition")
     if len(set(wanted)) < len(wanted):
-        raise InputError("data", wanted, "each column once")
+        raise InputError(key, wanted, "each column once")
     if not len(table):
-        raise InputError("data", str(path), "has no rows")
+        raise InputError(key, str(path), "has no rows")
     return table[wanted]
 
 
@@ -210,8 +264,6 @@ def _message_sets(
     known = tuple(messages) if messages is not None else tuple(found)
     if len(known) > MAX_MASK:
         raise InputError("data", len(known), f"at most {MAX_MASK} different messages")
-    if not known:
-        raise InputError("data", "messages", "no row was given any message")
     for at, names in enumerate(given):
         unknown = [name for name in names if name not in known]
         if unknown:

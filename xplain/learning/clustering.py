@@ -35,6 +35,8 @@ class Clustering:
         posterior: P(number of types = k) by k; None where the method gives no posterior.
         needs: [N] int64 messages that people of each type need to be told; None where the method
             does not say.
+        expected: [O, T] P(answer 1) of each observer about each transition of the dataset, where
+            the method predicts answers itself; else None.
     """
 
     assignment: NDArray[np.int64]
@@ -44,6 +46,7 @@ class Clustering:
     vectors: NDArray[np.int64] | None = None
     posterior: Mapping[int, float] | None = None
     needs: NDArray[np.int64] | None = None
+    expected: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "assignment", by_first_appearance(self.assignment))

@@ -7,6 +7,7 @@ share them.
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
 from xplain.errors import InputError, TooLargeError
+from xplain.learning.answer_classes import answer_classes
 from xplain.learning.clustering import Clustering, KnowsFactSets, by_first_appearance
 from xplain.learning.fact_model.gibbs import Chain, sample
 from xplain.learning.fact_model.model import Answers, Prior, facts_that_matter
@@ -74,8 +76,10 @@ class DirichletMixture:
     ) -> Clustering:
         """Types, what each needs to be told, and the posterior over their number.
 
-        A trainer that knows what people might hold wrong finds the types itself: its hypotheses
-        take the place of the prior over which facts matter where.
+        Where nobody was told anything, types are classes of answers
+        (:mod:`xplain.learning.answer_classes`). A trainer that knows what people might
+        hold wrong finds the types itself: its hypotheses take the place of the prior over which
+        facts matter where.
 
         Raises:
             TooLargeError: ``depth`` is too large for so many messages.
@@ -84,6 +88,16 @@ class DirichletMixture:
             known = trainer.find_types(dataset, self.concentration, seed)
             if known is not None:
                 return known
+        if not dataset.message_set.any():
+            found = answer_classes(dataset, self.concentration, self.chains, seed)
+            _log_types(len(np.unique(found.assignment)), found.posterior)
+            return Clustering(
+                found.assignment,
+                "dirichlet",
+                "posterior",
+                posterior=found.posterior,
+                expected=found.expected,
+            )
         from joblib import Parallel, delayed
 
         observers, n = len(dataset.observers), dataset.n_messages
@@ -115,11 +129,7 @@ class DirichletMixture:
         posterior = {int(k): float(c / times.sum()) for k, c in zip(number, times, strict=True)}
         held = best.facts & facts_that_matter(prior, best)
         types = len(np.unique(held))
-        log.info(
-            "%d user types by the rule posterior: %.0f%% of the samples have as many",
-            types,
-            100 * posterior.get(types, 0.0),
-        )
+        _log_types(types, posterior)
         _, first = np.unique(by_first_appearance(held), return_index=True)
         return Clustering(held, "dirichlet", "posterior", posterior=posterior, needs=held[first])
 
@@ -128,3 +138,11 @@ class DirichletMixture:
         if chain % 2 == 0:
             return everything
         return stream(seed, "dirichlet", "first", chain).integers(0, 1 << n, observers)
+
+
+def _log_types(types: int, posterior: Mapping[int, float]) -> None:
+    log.info(
+        "%d user types by the rule posterior: %.0f%% of the samples have as many",
+        types,
+        100 * posterior.get(types, 0.0),
+    )

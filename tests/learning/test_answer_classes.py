@@ -1,0 +1,125 @@
+"""Classes of answers, where nobody was told anything."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import betaln, gammaln
+from sklearn.metrics import adjusted_rand_score
+
+from xplain.data.dataset import Dataset
+from xplain.learning.answer_classes import SHRINKAGE, answer_classes
+from xplain.learning.clustering import Single
+from xplain.learning.fact_model.dirichlet import DirichletMixture
+from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.prediction import held_out
+
+
+def answered(labels: np.ndarray, asked: np.ndarray | None = None) -> Dataset:
+    """Labels [O, T] of items that are told apart by a number, those ``asked`` [O, T] alone."""
+    observers, items = labels.shape
+    o, t = np.nonzero(np.ones_like(labels) if asked is None else asked)
+    nothing = np.zeros(len(o), dtype=np.int64)
+    features = np.arange(float(items))[:, None]
+    names = tuple(f"o{i:03d}" for i in range(observers))
+    return Dataset(features, ("item",), (), names, o, t, nothing, labels[o, t].astype(np.uint8))
+
+
+def people(seed: int, per_class: int = 60, items: int = 12) -> tuple[Dataset, np.ndarray, float]:
+    """Three classes; items are slipped at and guessed with their own rates up to .3. Also the
+    class of each, and the index of agreement of who knows all rates."""
+    rng = np.random.default_rng(seed)
+    true = rng.random((3, items)) < 0.5
+    slip, guess = rng.uniform(0, 0.3, (2, items))
+    truth = np.repeat(np.arange(3), per_class)
+    one = np.where(true, 1 - slip, guess)
+    labels = rng.random((len(truth), items)) < one[truth]
+    likely = (labels @ np.log(one).T + ~labels @ np.log(1 - one).T).argmax(axis=1)
+    return answered(labels), truth, adjusted_rand_score(truth, likely)
+
+
+def partitions(count: int):
+    """All ways to share classes, as the class of each."""
+
+    def grow(begun: list[int]):
+        if len(begun) == count:
+            yield np.array(begun)
+            return
+        for k in range(max(begun, default=-1) + 2):
+            yield from grow([*begun, k])
+
+    return list(grow([]))
+
+
+def restaurant(sizes: np.ndarray) -> float:
+    """log P(partition), α drawn from an exponential of mean 1."""
+    n, k = int(sizes.sum()), len(sizes)
+
+    def weigh(alpha: float) -> float:
+        return float(np.exp(k * np.log(alpha) + gammaln(alpha) - gammaln(alpha + n) - alpha))
+
+    return float(np.log(quad(weigh, 0, np.inf)[0]) + gammaln(sizes).sum())
+
+
+def test_what_is_expected_is_that_of_all_partitions() -> None:
+    labels = np.array([[1, 1, 0], [1, 1, 0], [0, 0, 1], [0, 1, 1]])
+    asked = np.array([[1, 1, 1], [1, 1, 0], [1, 1, 1], [0, 1, 1]])
+    data = answered(labels, asked)
+    mean = ((labels * asked).sum(axis=0) + 1) / (asked.sum(axis=0) + 2)
+    total, expected, number = 0.0, np.zeros((4, 3)), np.zeros(5)
+    for partition in partitions(4):
+        member = partition == np.arange(partition.max() + 1)[:, None]
+        ones, zeros = member @ (labels * asked), member @ ((1 - labels) * asked)
+        prior = restaurant(member.sum(axis=1))
+        for c in SHRINKAGE:
+            first, second = c * mean, c * (1 - mean)
+            evidence = betaln(first + ones, second + zeros) - betaln(first, second)
+            weight = np.exp(prior + evidence.sum())
+            total += weight
+            number[len(member)] += weight
+            expected += weight * ((first + ones) / (c + ones + zeros))[partition]
+    found = answer_classes(data, 1.0, 40, 0)
+    assert found.expected == pytest.approx(expected / total, abs=0.02)
+    for k, share in found.posterior.items():
+        assert share == pytest.approx(number[k] / total, abs=0.03)
+
+
+def test_classes_are_found_and_predict_better_than_means() -> None:
+    for seed in range(3):
+        data, truth, at_best = people(seed)
+        found = DirichletMixture().cluster(data, LabelerTrainer(), seed, None)
+        assert adjusted_rand_score(truth, found.assignment) > at_best - 0.2
+        assert found.n_types in (3, 4)
+        assert found.expected is not None
+        assert found.expected.shape == (180, 12)
+        known = held_out(data, DirichletMixture(), LabelerTrainer(), seed)
+        assert known.gain[0] > 0
+        assert known.types > max(known.one_type, known.question_mean)
+        assert "better" in known.verdict
+
+
+def test_answers_without_types_support_none() -> None:
+    verdicts = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        labels = rng.random((80, 10)) < rng.random(10)
+        known = held_out(answered(labels), DirichletMixture(), LabelerTrainer(), seed)
+        assert known.gain[0] <= 0
+        assert known.types > known.question_mean - 0.02  # and cost next to nothing
+        verdicts.append(known.verdict)
+    assert all("not" in verdict for verdict in verdicts)
+
+
+def test_one_type_cannot_gain_over_itself() -> None:
+    data, *_ = people(0)
+    known = held_out(data, Single(), LabelerTrainer(), 0)
+    assert known.types == known.one_type
+    assert known.gain[1] <= 0 or known.one_type < known.question_mean
+
+
+def test_the_order_of_rows_and_the_process_do_not_matter() -> None:
+    data, *_ = people(1, per_class=10)
+    again = data.take(np.random.default_rng(0).permutation(len(data)))
+    one, other = (answer_classes(own, 1.0, 2, 5) for own in (data, again))
+    assert np.array_equal(one.expected, other.expected)
+    assert np.array_equal(one.assignment, other.assignment)
+    assert one.posterior == other.posterior

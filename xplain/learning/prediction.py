@@ -1,0 +1,153 @@
+"""What is expected to be answered: P(answer 1) of observers about questions, and how well types
+predict answers that were held out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import softmax
+
+from xplain.data.dataset import Dataset, query_index
+from xplain.learning.clustering import Clusterer, Clustering, Single
+from xplain.learning.labelers import Labeler, LabelerTrainer, split
+from xplain.learning.user_types import UserTypes
+from xplain.randomness import derived_seed, stream
+
+SURE = 1.96
+"""Standard errors of a 95 % interval."""
+
+
+def predicted(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray[np.float64]:
+    """P(answer 1) of each row of ``questions``: [P].
+
+    Where the method predicts answers itself, that is taken; else the types' labelers, weighed for
+    each observer by the shares of the types and the observer's own labels. Of an observer without
+    labels nothing is known but the shares.
+
+    Args:
+        dataset: the labels that the types were found in.
+        types: found.
+        questions: transitions and message sets, with the features and messages of ``dataset``, by
+            the names of observers, who may be new; its labels are not looked at.
+    """
+    weight = _posterior(dataset, types)
+    place = {name: o for o, name in enumerate(dataset.observers)}
+    known = np.array([place.get(name, -1) for name in questions.observers], dtype=np.int64)
+    who = known[questions.observer]
+    result = np.einsum("pn,pn->p", weight[who], _of_types(types.labelers, questions))
+    expected = types.clustering.expected
+    if expected is not None:
+        rows = {row.tobytes(): t for t, row in enumerate(dataset.features + 0.0)}
+        found = [rows.get(row.tobytes(), -1) for row in questions.features + 0.0]
+        transition = np.array(found, dtype=np.int64)[questions.transition]
+        everyone = np.vstack([expected, expected.mean(axis=0)])  # the last is of a new observer
+        result = np.where(transition >= 0, everyone[who, transition], result)
+    return np.asarray(result)
+
+
+def _posterior(dataset: Dataset, types: UserTypes) -> NDArray[np.float64]:
+    """[O + 1, N] P(type) of each observer by their own labels; the last row is the shares."""
+    one = _of_types(types.labelers, dataset)
+    value = np.log(np.where(dataset.label[:, None] == 1, one, 1 - one))
+    joint = np.zeros((len(dataset.observers) + 1, len(types.prior)))
+    np.add.at(joint, dataset.observer, value)
+    return np.asarray(softmax(joint + np.log(types.prior), axis=1))
+
+
+def _of_types(labelers: tuple[Labeler, ...], asked: Dataset) -> NDArray[np.float64]:
+    """[P, N] P(answer 1) by type."""
+    features = asked.features[asked.transition]
+    return np.stack([one.probability(features, asked.message_set) for one in labelers], axis=1)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Mean log P of held-out labels, in nats a label: the higher, the better predicted.
+
+    Attributes:
+        types: by the types that were found in the rest.
+        one_type: by one labeler for everybody.
+        question_mean: by everybody's answers to the same question.
+        gain: [2] 95 % interval of ``types`` above the better of the others; observers are drawn.
+    """
+
+    types: float
+    one_type: float
+    question_mean: float
+    gain: tuple[float, float]
+
+    @property
+    def verdict(self) -> str:
+        """Whether these answers support that there are types, in words."""
+        low, high = self.gain
+        than = "than one type and the questions' means do"
+        if low > 0:
+            return f"types predict held-out answers better {than}"
+        if high < 0:
+            return f"types are not supported by these answers: they predict worse {than}"
+        return f"not decided whether types predict held-out answers better {than}"
+
+
+def held_out(dataset: Dataset, clusterer: Clusterer, trainer: LabelerTrainer, seed: int) -> HeldOut:
+    """Predicts labels that neither the clusterer nor the labelers saw.
+
+    A share of the distinct (transition, message set) is put aside (``trainer.holdout``), or, where
+    nobody was told anything, of the labels: questions are then items, of which no other teaches.
+    """
+    if dataset.message_set.any():
+        test = split(dataset, trainer.holdout, derived_seed(seed, "held out"))
+    else:
+        test = stream(seed, "held out").random(len(dataset)) < trainer.holdout
+    rest, held = dataset.take(np.flatnonzero(~test)), dataset.take(np.flatnonzero(test))
+    found = clusterer.cluster(rest, trainer, seed, None)
+    alone = Single().cluster(rest, trainer, seed, None)
+    of_types = log_likelihoods(rest, held, found, trainer, seed)
+    others = [log_likelihoods(rest, held, alone, trainer, seed), _of_means(dataset, test)]
+    best = max(others, key=lambda one: float(one.mean()))
+    more = np.bincount(held.observer, of_types - best)
+    count = np.bincount(held.observer)
+    gain = float(more.sum() / count.sum())
+    off = SURE * float(np.sqrt(((more - gain * count) ** 2).sum())) / count.sum()
+    one_type, question_mean = (float(one.mean()) for one in others)
+    return HeldOut(float(of_types.mean()), one_type, question_mean, (gain - off, gain + off))
+
+
+def log_likelihoods(
+    train: Dataset, test: Dataset, found: Clustering, trainer: LabelerTrainer, seed: int
+) -> NDArray[np.float64]:
+    """log P of each label of ``test``: [P]. Where the method predicts answers itself, by that;
+    else by the labeler of its observer's cluster, fitted to ``train``. A cluster without labels in
+    ``train`` is predicted by everybody's."""
+    if found.expected is not None:
+        return _log(found.expected[test.observer, test.transition], test.label)
+    result = np.empty(len(test))
+    for cluster in range(found.n_types):
+        members = found.members(cluster)
+        own = train.of(members)
+        labeler = trainer.fit(own if len(own) else train, seed)
+        rows = np.flatnonzero(np.isin(test.observer, members))
+        result[rows] = log_likelihood(labeler, test.take(rows))
+    return result
+
+
+def log_likelihood(labeler: Labeler, dataset: Dataset) -> NDArray[np.float64]:
+    """log P of each label under one labeler: [P]."""
+    if not len(dataset):
+        return np.zeros(0)
+    return _log(_of_types((labeler,), dataset)[:, 0], dataset.label)
+
+
+def _of_means(dataset: Dataset, test: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """log P of the labels ``test`` by the mean of the others to the same question, with one more
+    answer of either kind."""
+    query = query_index(dataset)
+    count = int(query.max()) + 1
+    ones = np.bincount(query[~test], dataset.label[~test], count)
+    mean = (ones + 1) / (np.bincount(query[~test], minlength=count) + 2)
+    return _log(mean[query[test]], dataset.label[test])
+
+
+def _log(one: NDArray[np.float64], label: NDArray[np.uint8]) -> NDArray[np.float64]:
+    return np.asarray(np.log(np.where(label == 1, one, 1 - one)))
