@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.special import entr
 
 from xplain.questions.expectation import EQUAL, Questions
 from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.interactions import Nearest
 
 TIE = 1e-9
 """Clips tie when their mutual informations (bits) differ by less."""
@@ -23,22 +25,72 @@ class Posterior:
     Attributes:
         hypotheses: C candidates.
         weight: [2 + V, C] posterior; sums to 1.
-        error: [2 + V] probability of a wrong label.
+        error: [2 + V] probability that an answer is the opposite of what it would have been.
         misread: probability that a clip is misread.
+        rates: [2, T] slip, P(0 | f = 1), and guess, P(1 | f = 0), of each transition, before that;
+            None: nobody slips or guesses.
     """
 
     hypotheses: Hypotheses
     weight: NDArray[np.float64]
     error: NDArray[np.float64]
     misread: float
+    rates: NDArray[np.float64] | None = None
 
     def labels(self, transitions: ArrayLike, told: int) -> NDArray[np.int64]:
         """[2 + V, C, Q] labels by layer and candidate; whom none fits goes by those assumed."""
         labels = self.hypotheses.label(transitions, told).astype(np.int64)
         return np.concatenate([labels, labels[:1]])
 
+    def likelihood(
+        self, transitions: Sequence[int], told: int, answers: Sequence[int]
+    ) -> NDArray[np.float64]:
+        """P(answers | layer, candidate) of one question, a label a transition: [2 + V, C]."""
+        labels, given = self.labels(transitions, told), np.array(answers)
+        if self.rates is None:
+            right, error = (labels == given).sum(axis=2), self.error[:, None]
+            each = (1 - error) ** right * error ** (len(given) - right)
+        else:
+            one = self._answered_one(labels, np.asarray(transitions))
+            each = np.where(given == 1, one, 1 - one).prod(axis=2)
+        return np.asarray((1 - self.misread) * each + self.misread / 2 ** len(given))
+
+    def _answered_one(
+        self, labels: NDArray[np.int64], transitions: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(answer 1) where the labels are these [2 + V, C, Q]."""
+        one = labels.astype(np.float64)
+        if self.rates is not None:
+            slip, guess = self.rates[:, transitions]
+            one = np.where(labels == 1, 1 - slip, guess)
+        error = self.error[:, None, None]
+        return np.asarray((1 - error) * one + error * (1 - one))
+
+    def gains(self, transitions: NDArray[np.int64], told: int) -> NDArray[np.float64]:
+        """Bits that the answer tells, of Q questions about one transition each: [Q]."""
+        one = self._answered_one(self.labels(transitions, told), transitions)
+        one = (1 - self.misread) * one + self.misread / 2
+        weight = self.weight[:, :, None]
+        mean, noise = (weight * one).sum(axis=(0, 1)), (weight * _binary(one)).sum(axis=(0, 1))
+        return np.asarray(_binary(mean) - noise)
+
+    def best_of(
+        self, questions: Sequence[tuple[int, int]], rng: np.random.Generator
+    ) -> tuple[int, int]:
+        """The question about one transition, of these, that tells most; of equal ones any."""
+        asked = np.array(questions, dtype=np.int64)
+        value = np.empty(len(asked))
+        for told in np.unique(asked[:, 1]).tolist():
+            own = asked[:, 1] == told
+            value[own] = self.gains(asked[own, 0], told)
+        ties = np.flatnonzero(value > value.max() - TIE)
+        transition, told = asked[rng.choice(ties)].tolist()
+        return transition, told
+
     def information(self, transitions: ArrayLike, told: int) -> float:
         """Bits that the answer to one question tells of (the layer, the candidate)."""
+        if self.rates is not None:
+            return float(self.gains(np.atleast_1d(np.asarray(transitions)), told)[0])
         labels = self.labels(transitions, told)
         count = labels.shape[2]
         pattern = labels @ (1 << np.arange(count))
@@ -59,11 +111,7 @@ class Posterior:
         All errors are those of a symmetric channel, so that a question tells more the nearer its
         P(label 1) is to ½.
         """
-        weight = (1 - 2 * self.error)[:, None] * self.weight
-        weight[0] += weight[-1]
-        weight = weight[:-1]
-        middle = weight.sum() / 2
-        found = questions.nearest(weight, middle, count)
+        found = self._nearest(questions, count)
         known = np.zeros(self.hypotheses.n_transitions, dtype=bool)
         known[seen] = True
         fresh = np.array([not known[own].all() for own in questions.transitions])
@@ -76,6 +124,22 @@ class Posterior:
             transition = int(rng.choice(unseen if len(unseen) else own))
             chosen.append((transition, int(found.told[at])))
         return chosen
+
+    def best_near_even(
+        self, questions: Questions, count: int, rng: np.random.Generator
+    ) -> tuple[int, int]:
+        """The best question about one transition among those of which the labels of the
+        hypotheses, without slips and guesses, are nearest to even odds; ``count`` at least."""
+        found = self._nearest(questions, count)
+        pairs = zip(found.function.tolist(), found.told.tolist(), strict=True)
+        every = {(int(t), told) for at, told in pairs for t in questions.transitions[at]}
+        return self.best_of(sorted(every), rng)
+
+    def _nearest(self, questions: Questions, count: int) -> Nearest:
+        weight = (1 - 2 * self.error)[:, None] * self.weight
+        weight[0] += weight[-1]
+        weight = weight[:-1]
+        return questions.nearest(weight, weight.sum() / 2, count)
 
     def best_clip(
         self, starts: list[tuple[int, int]], length: int, rng: np.random.Generator
@@ -146,6 +210,11 @@ def _channel(length: int, error: float, misread: float) -> NDArray[np.float64]:
     for _ in range(length):
         result = np.kron(one, result)
     return (1 - misread) * result + misread / len(result)
+
+
+def _binary(one: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bits of an answer that is 1 with this probability."""
+    return np.asarray((entr(one) + entr(1 - one)) / np.log(2))
 
 
 def _entropy(probability: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -32,6 +32,8 @@ NONE_ERROR = 1 / 3
 """Whom no hypothesis fits answers as the best of them says in two of three cases: anybody who
 disagrees with all hypotheses more often than errors explain."""
 MAX_CLIP = 10
+NEAR = 256
+"""Questions whose answers are nearest to even odds, among which slips and guesses decide."""
 STARTS = 16
 """Questions that clips are grown from: those that tell most by themselves."""
 FORMAT = 1
@@ -66,6 +68,12 @@ class Questionnaire:
         stop: posterior of one class of candidates that behave alike, above which it is done.
         none: prior probability that no hypothesis fits.
         misread: probability that a clip is misread.
+        slip, guess: [T] or one number, P(0 | label 1) and P(1 | label 0) of each transition, known;
+            ``error`` is then the person's own, on top of them. None: nobody slips or guesses. With
+            them questions are about one transition each.
+        told: whether people are told anything before a question; if not, transitions are asked as
+            they are, like items of an adaptive test.
+        repeats: how often each question may be asked, where nothing is told.
 
     Raises:
         InputError: a value is not allowed, or no question separates any candidates.
@@ -83,6 +91,10 @@ class Questionnaire:
         *,
         none: float = 0.01,
         misread: float = 0.0,
+        slip: ArrayLike | None = None,
+        guess: ArrayLike | None = None,
+        told: bool = True,
+        repeats: int = 1,
     ) -> None:
         known = hypotheses if isinstance(hypotheses, Hypotheses) else Hypotheses.of(hypotheses)
         self.hypotheses = known
@@ -94,6 +106,10 @@ class Questionnaire:
         self.clip = whole_number("clip", clip, 1)
         if self.clip > MAX_CLIP:
             raise InputError("clip", clip, f"at most {MAX_CLIP} transitions")
+        self.rates = _rates(slip, guess, known.n_transitions)
+        self.told, self.repeats = bool(told), whole_number("repeats", repeats, 1)
+        if self.clip > 1 and (self.rates is not None or not self.told):
+            raise InputError("clip", clip, "1, where slips or guesses are known or nothing is told")
         self._start(prior)
 
     def anew(self, prior: ArrayLike | None, seed: int) -> Questionnaire:
@@ -150,13 +166,23 @@ class Questionnaire:
         if self._pending is None:
             seen = [transition for one in self.asked for transition in one.transitions]
             rng = stream(self.seed, "questionnaire", len(self.asked))
-            posterior, starts = self._posterior, STARTS if self.clip > 1 else 1
-            singles = posterior.best_questions(self._questions, starts, seen, rng)
-            if self.clip == 1:
-                self._pending = singles[0]
+            posterior = self._posterior
+            if not self.told:
+                times = np.bincount(seen, minlength=self.hypotheses.n_transitions)
+                left = np.flatnonzero(times < self.repeats)
+                if not len(left):
+                    raise InputError("repeats", self.repeats, "more: every question was asked")
+                self._pending = posterior.best_of([(t, 0) for t in left.tolist()], rng)
+            elif self.rates is not None:
+                self._pending = posterior.best_near_even(self._questions, NEAR, rng)
             else:
-                rng = stream(self.seed, "questionnaire", "clip", len(self.asked))
-                self._pending = posterior.best_clip(singles, self.clip, rng)
+                starts = STARTS if self.clip > 1 else 1
+                singles = posterior.best_questions(self._questions, starts, seen, rng)
+                if self.clip == 1:
+                    self._pending = singles[0]
+                else:
+                    rng = stream(self.seed, "questionnaire", "clip", len(self.asked))
+                    self._pending = posterior.best_clip(singles, self.clip, rng)
         return self._pending
 
     def answer(self, label: ArrayLike, question: Question | None = None) -> None:
@@ -223,6 +249,10 @@ class Questionnaire:
                 "stop": self.stop,
                 "none": self.none_prior,
                 "misread": self.misread,
+                "slip": None if self.rates is None else self.rates[0].tolist(),
+                "guess": None if self.rates is None else self.rates[1].tolist(),
+                "told": self.told,
+                "repeats": self.repeats,
                 "asked": [[one.transitions, one.message_set, one.labels] for one in self.asked],
                 "pending": self._pending,
             }
@@ -241,6 +271,8 @@ class Questionnaire:
             written, digest = state["format"], state["hypotheses"]
             chosen = {key: state[key] for key in ("error", "prior", "clip", "seed", "stop")}
             chosen |= {key: state[key] for key in ("none", "misread")}
+            later = ("slip", "guess", "told", "repeats")  # older ones are without
+            chosen |= {key: state[key] for key in later if key in state}
             asked = [(list(t), int(told), list(labels)) for t, told, labels in state["asked"]]
             pending = state["pending"]
             waiting = None if pending is None else (pending[0], int(pending[1]))
@@ -267,13 +299,9 @@ class Questionnaire:
         return self._posterior.information(transitions, told)
 
     def _take(self, one: Asked) -> None:
-        labels = self._posterior.labels(one.transitions, one.message_set)
-        right = labels == np.array(one.labels)
-        agree, of = right.sum(axis=2), len(one.labels)
-        error = self._error[:, None]
-        likelihood = (1 - error) ** agree * error ** (of - agree)
+        likelihood = self._posterior.likelihood(one.transitions, one.message_set, one.labels)
         with np.errstate(divide="ignore"):
-            answer = np.log((1 - self.misread) * likelihood + self.misread / 2**of)
+            answer = np.log(likelihood)
         # New ones, as copies share what was before.
         self._log_joint = self._log_joint + answer
         self.asked = [*self.asked, one]
@@ -290,7 +318,7 @@ class Questionnaire:
 
     @property
     def _posterior(self) -> Posterior:
-        return Posterior(self.hypotheses, self._weight, self._error, self.misread)
+        return Posterior(self.hypotheses, self._weight, self._error, self.misread, self.rates)
 
     @cached_property
     def _questions(self) -> Questions:
@@ -322,6 +350,27 @@ def _share(key: str, value: object, below: float) -> float:
     if not 0 <= share < below:
         raise InputError(key, value, f"a number in [0, {below:.3g})")
     return share
+
+
+def _rates(
+    slip: ArrayLike | None, guess: ArrayLike | None, transitions: int
+) -> NDArray[np.float64] | None:
+    """[2, T] slips and guesses; None where there are neither."""
+    if slip is None and guess is None:
+        return None
+    rows = []
+    for key, given in (("slip", slip), ("guess", guess)):
+        try:
+            row = np.broadcast_to(np.asarray(0.0 if given is None else given, float), transitions)
+        except (TypeError, ValueError):
+            raise InputError(key, given, f"{transitions} probabilities, or one") from None
+        if not ((row >= 0) & (row < 1)).all():
+            raise InputError(key, given, "probabilities in [0, 1)")
+        rows.append(row)
+    rates = np.stack(rows)
+    if not (rates.sum(axis=0) < 1).all():
+        raise InputError("slip", float(rates.sum(axis=0).max()), "slip + guess < 1")
+    return rates
 
 
 def _digest(hypotheses: Hypotheses) -> int:
