@@ -93,7 +93,7 @@ def test_values_that_hold_an_equals_sign_stay_whole(tmp_path: Path, name: str) -
         ({"label": [0.5, 1, 1, 0, 1, 1]}, "^data=0.5: label in row 1"),
         ({"label": [0, 1, None, 0, 1, 1]}, "missing in 1 rows, first in row 3"),
         ({"label": [1] * 6}, "all labels are equal"),
-        ({"observer": ["a"] * 6}, "one observer only"),
+        ({"observer": ["a"] * 6}, "one observer; types need"),
         ({"observer": ["a", "", "", "b", "b", "b"]}, "missing in 2 rows, first in row 2"),
         ({"row": [1, 2, None, 1, 2, 1]}, "ignore=\\[row\\]"),
         ({"row": [1, 2, np.inf, 1, 2, 1]}, "infinite in row 3"),

@@ -129,7 +129,7 @@ def test_a_terminal_shows_what_happens(demo):
     code, out, err = demo("--user", "B", *QUICK)
     assert (code, err) == (0, "")
     assert "type B" in out
-    assert re.search(r"Trace \d: of the first 5, the one on which", out)
+    assert re.search(r"Trace \d: of the first 5, the one where", out)
     assert out.count("step ") >= 3
     assert "robot" in out
     assert re.search(r"cost \d", out)

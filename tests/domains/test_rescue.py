@@ -196,9 +196,9 @@ def test_the_labeler_sees_the_location_only() -> None:
     ("changes", "key", "text"),
     [
         ({"map": "ssA\nss"}, "domain.map", "row 1 has 2 symbols"),
-        ({"map": ""}, "domain.map", "one line a row"),
-        ({"map": 7}, "domain.map", "one line a row"),
-        ({"map": "##\n##"}, "domain.map", "no wall"),
+        ({"map": ""}, "domain.map", "one line for each row"),
+        ({"map": 7}, "domain.map", "one line for each row"),
+        ({"map": "##\n##"}, "domain.map", "not a wall"),
         ({"map": MAP.replace("#", "x")}, "domain.map", "unknown symbol in row 1, column 1"),
         ({"map": MAP.replace("S", ".")}, "domain.map", "exactly one shelter"),
         ({"map": MAP.replace(".", "S", 1)}, "domain.map", "exactly one shelter"),

@@ -134,7 +134,7 @@ def test_bad_types_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     fire = UserType("A", {"fire": -1.0})
     with pytest.raises(InputError, match="at least one"):
         Setting.build(domain, ())
-    with pytest.raises(InputError, match="name of its own"):
+    with pytest.raises(InputError, match="different names"):
         Setting.build(domain, (fire, fire))
     with pytest.raises(InputError, match="unknown parameter"):
         Setting.build(domain, (UserType("A", {"wind": 1.0}),))

@@ -1,7 +1,7 @@
-"""Labels given by observers: who, which transition, given which messages, which label
+"""Labels by observers: each has an observer, a transition, a message set and the label
 (docs/method.md, section 2).
 
-Simulated observers and files of real people's labels make the same table.
+Simulated observers and files of labels by real people give the same table.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ class Dataset:
 
     @property
     def n_messages(self) -> int:
-        """n: messages that there are."""
+        """n, the number of messages."""
         return len(self.messages)
 
     def of(self, observers: NDArray[np.int64]) -> Dataset:
-        """The labels of some observers (by index); the tables of names stay whole."""
+        """The labels of some observers (by index); the tables of names stay."""
         return self.take(np.flatnonzero(np.isin(self.observer, observers)))
 
     def take(self, rows: NDArray[np.int64]) -> Dataset:
-        """The labels ``rows`` [R], in this order; the tables of names and features stay whole."""
+        """The labels ``rows`` [R], in this order; tables of names and features stay."""
         return Dataset(
             self.features,
             self.feature_names,
@@ -79,5 +79,5 @@ def query_index(dataset: Dataset) -> NDArray[np.int64]:
 def inputs(
     features: NDArray[np.float64], message_sets: NDArray[np.int64], n_messages: int
 ) -> NDArray[np.float32]:
-    """The classifier's input: features [P, F] and one bit a message: [P, F + n] float32."""
+    """The classifier's input, features [P, F] and one bit for each message: [P, F + n] float32."""
     return np.hstack([features, bits_of(message_sets, n_messages)]).astype(np.float32)

@@ -1,7 +1,8 @@
-"""What makes a domain with its types a real task: how many different traces it has, how much of
-them wrong facts touch, how different they are as explanation problems (docs/domains.md).
+"""What makes a domain with its types a real task: how many different traces it has, how many of
+their transitions depend on a fact, and how different they are as explanation problems
+(docs/domains.md).
 
-From the domain, its types and their true labels alone: no learner, no solver.
+All is computed from the domain, its types and their true labels, without a learner or a solver.
 """
 
 from __future__ import annotations
@@ -20,24 +21,24 @@ from xplain.users.setting import Setting
 LARGEST_TRADE_OFF = 2.5
 """Of the paper's table."""
 MAX_LENGTH = 40
-"""Traces are taken to their end, as they are explained, or to so many transitions."""
+"""Traces go to their end, as they are explained, or to this many transitions."""
 Trace = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Problems:
-    """What explaining these traces to these types is like.
+    """Properties of the explanation problems of some traces.
 
     Attributes:
-        smallest: [traces, types] size of the smallest message set that leaves nothing
-            inexplicable.
-        worth: [traces, types] does giving that set cost less than silence at every λ ≤ 2.5
-            (Definition 2, C_e = C_inexp = 1)?
-        tables: number of distinct label tables, transitions dropped that everybody finds
-            explicable whatever is told: traces with one table are one problem.
-        commonest: share of the traces that have the commonest table.
-        puzzling: share of the traces with a transition that is inexplicable to every type as long
-            as nothing is said.
+        smallest: [traces, types] size of the smallest message set after which all
+            transitions are explicable.
+        worth: [traces, types] whether this set costs less than silence at every λ ≤ 2.5
+            (Definition 2, C_e = C_inexp = 1).
+        tables: number of distinct label tables, without transitions that are explicable to
+            all types after all messages: traces with the same table are the same problem.
+        commonest: share of the traces with the most frequent table.
+        puzzling: share of the traces with a transition that is inexplicable to every type
+            before any message.
     """
 
     smallest: NDArray[np.int64]
@@ -56,7 +57,7 @@ def on_policy_traces(
 
 
 def count_traces(setting: Setting, max_length: int = MAX_LENGTH) -> int:
-    """Number of different traces that the robot can make, counted step by step from their ends."""
+    """Number of different traces of the robot, counted step by step from their ends."""
     model, optimal = setting.models[0], setting.optimal[0]
     possible = optimal[:, :, None] & (model.probability > 0)
     # Slots that lead to the same state make the same transition.
@@ -75,14 +76,15 @@ def count_traces(setting: Setting, max_length: int = MAX_LENGTH) -> int:
 def share_through(
     domain: Domain, traces: Sequence[Trace], cells: Iterable[tuple[int, int]]
 ) -> float:
-    """Share of the traces that pass one of these cells, neither starting nor ending there."""
+    """Share of the traces that pass one of these cells, and neither start nor end there."""
     wanted = set(cells)
     passing = [any(domain.position(s) in wanted for s in trace[1:, 0]) for trace in traces]
     return float(np.mean(passing))
 
 
 def inexplicable_alone(domain: Domain, traces: Sequence[Trace]) -> dict[str, float]:
-    """By parameter: the share of transitions that puzzle whoever holds it alone inaccurately."""
+    """By parameter: the share of transitions that are inexplicable to people who hold only this
+    parameter inaccurately."""
     accurate = {parameter.name: parameter.accurate for parameter in domain.parameters}
     models = [
         domain.model(accurate | {parameter.name: parameter.inaccurate})

@@ -1,4 +1,4 @@
-"""A transition by the columns of a table of labels, as the row of numbers that labelers know."""
+"""A transition, given by the columns of a table of labels, as the features of a labeler."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ def encoded(
 ) -> tuple[float, ...]:
     """The features of a transition, in order: F numbers.
 
-    Text is one 0/1 feature a value (``zone=river``), as :mod:`xplain.data.label_file` reads it.
+    Text is one 0/1 feature for each value (``zone=river``), as in :mod:`xplain.data.label_file`.
 
     Args:
-        transition: number or text by column, each column that the features come from.
+        transition: a number or a text for each column that the features come from.
         feature_names: F names.
 
     Raises:
-        InputError: a column is missing or unknown, or has a text that no label was given on.
+        InputError: a column is missing or unknown, or has a text that the labels do not have.
     """
     row: dict[str, float] = {}
     for column, value in transition.items():

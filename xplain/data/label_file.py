@@ -1,12 +1,12 @@
-"""Tables of labels, CSV or Parquet: one row a label (docs/your-own-data.md).
+"""Tables of labels, CSV or Parquet: one row for each label (docs/your-own-data.md).
 
 Columns: ``observer``; ``messages``, names joined by ``;``, empty for none (no such column: nobody
 was told anything); ``label``, 0 or 1; every other column is a feature of the transition unless a
-list names them. Numbers stay numbers, text becomes one 0/1 feature a value (``action=left``). Rows
-with equal features show the same transition.
+list names them. Numbers stay numbers, text becomes one 0/1 feature for each value
+(``action=left``). Rows with equal features are the same transition.
 
-Stated rules. An observer may give few labels, even one: it is kept, and said so. An observer who
-answers the same question twice, differently, is kept too: both labels count, as people do err.
+The rules: an observer with few labels, even one, is kept, with a warning. An observer who answers
+the same question in both ways is kept too, and both labels count, because people err.
 Anything missing, a label other than 0 or 1, fewer than two observers, labels that are all equal,
 or fewer than four distinct (transition, message set) is an error.
 """
@@ -36,9 +36,9 @@ log = logging.getLogger(__name__)
 COLUMNS = ("observer", "messages", "label")
 MISSING = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "<NA>", "#N/A"]
 MAX_MASK = 62
-"""Messages a table may name; a message set is the bits of one integer."""
+"""Most messages in a table; a message set is the bits of one integer."""
 MIN_QUERIES = 4
-"""Distinct (transition, message set) below which no part of a split would mean anything."""
+"""Least number of distinct (transition, message set); with fewer a split says nothing."""
 
 
 def read_table(
@@ -52,14 +52,14 @@ def read_table(
 
     Args:
         path: ends in ``.csv``, ``.csv.gz`` or ``.parquet``.
-        messages: the names that may occur, in order; None takes those that occur, sorted.
-        features: columns that describe the transition; None is every other column.
-        ignore: columns that do not, where ``features`` is None.
-        under_way: accepts what is too little to learn types from, as more is to come.
+        messages: the allowed names, in order; None: those that occur, sorted.
+        features: columns that describe the transition; None: all other columns.
+        ignore: columns to leave out, if ``features`` is None.
+        under_way: accept a table that is too small to learn types from, because more will come.
 
     Raises:
-        InputError: see the module's rules; one line, with the column, the first bad value and
-            its row (1 is the first row of data).
+        InputError: a rule of this module is broken; the line gives the column, the first bad value
+            and its row (1 is the first row of data).
     """
     table = _load(Path(path), features, ignore)
     observer, observers = _factorized(_text(table["observer"], "observer"))
@@ -127,8 +127,8 @@ def read_questions(
 
 
 def write_table(dataset: Dataset, path: str | Path) -> None:
-    """Writes a table that :func:`read_table` reads back. One-hot features become one column of
-    text again."""
+    """Writes a table that :func:`read_table` can read. One-hot features become one column of text
+    again."""
     import pandas as pd
 
     distinct, mask = np.unique(dataset.message_set, return_inverse=True)
@@ -150,8 +150,8 @@ def write_table(dataset: Dataset, path: str | Path) -> None:
 def align(dataset: Dataset, names: tuple[str, ...]) -> Dataset:
     """The same labels with exactly these features, in this order.
 
-    A value of a text column that never occurs in the data (``action=left`` where ``action`` has
-    other values) is a feature that is 0 throughout.
+    A value of a text column that does not occur in the data (``action=left`` if ``action`` has
+    only other values) is a feature that is always 0.
 
     Raises:
         InputError: another feature is missing, or one is not among ``names``.
@@ -172,10 +172,10 @@ def align(dataset: Dataset, names: tuple[str, ...]) -> Dataset:
 
 
 def check_format(path: Path, key: str) -> str:
-    """``csv`` or ``parquet``, by the name's end; ``key`` is what the user set.
+    """``csv`` or ``parquet``, by the end of the name; ``key`` is the key that the user set.
 
     Raises:
-        InputError: another end.
+        InputError: another ending.
     """
     name = path.name.lower()
     if name.endswith((".csv", ".csv.gz")):
@@ -212,7 +212,7 @@ def _load(
         reason = str(error).strip().splitlines()[0] if str(error) else type(error).__name__
         raise InputError(key, str(path), f"not a readable table ({reason})") from None
     if repeated:
-        raise InputError(key, repeated[0], "two columns of this name; each column once")
+        raise InputError(key, repeated[0], "two columns have this name")
     if "messages" not in table.columns:
         table["messages"] = ""
     if key == "predict":
@@ -235,7 +235,7 @@ def _load(
 
 
 def _row(bad: Any) -> int:
-    """The number of the first bad row, as a person counts them."""
+    """The number of the first bad row, from 1."""
     return int(np.flatnonzero(np.asarray(bad))[0]) + 1
 
 
@@ -327,8 +327,8 @@ def _features(table: pd.DataFrame) -> tuple[NDArray[np.float64], tuple[str, ...]
 def _distinct(
     features: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Distinct rows and where each row is among them; column by column, so linear in the rows but
-    for a sort of small numbers."""
+    """The distinct rows, and the index of each row among them. It goes column by column: linear in
+    the rows except for a sort of small numbers."""
     number = np.zeros(len(features), dtype=np.int64)
     for column in features.T:
         values, code = np.unique(column, return_inverse=True)
@@ -340,7 +340,7 @@ def _distinct(
 
 def _check(dataset: Dataset) -> None:
     if len(dataset.observers) < 2:
-        raise InputError("data", dataset.observers[0], "one observer only; types need at least two")
+        raise InputError("data", dataset.observers[0], "one observer; types need at least two")
     if dataset.label.min() == dataset.label.max():
         raise InputError("data", int(dataset.label[0]), "all labels are equal; nothing to learn")
     query = query_index(dataset)
@@ -361,7 +361,7 @@ def _check(dataset: Dataset) -> None:
 
 
 def columns_of(dataset: Dataset) -> dict[str, NDArray[Any]]:
-    """Columns [T] of the transitions, one-hot features as text again."""
+    """Columns [T] of the transitions; one-hot features become text again."""
     groups: dict[str, list[int]] = {}
     for j, name in enumerate(dataset.feature_names):
         groups.setdefault(name.split("=")[0] if "=" in name else name, []).append(j)

@@ -1,4 +1,4 @@
-"""Observers: people, simulated or real, whose labels the user types are learned from
+"""Observers: simulated or real people. The user types are learned from their labels
 (docs/method.md, section 2)."""
 
 from __future__ import annotations
@@ -67,14 +67,13 @@ class Observers(Protocol):
 
 @dataclass(frozen=True)
 class SimulatedObservers:
-    """Observers of every type, who label what they are asked. They come in the order of their
-    types.
+    """Observers of each type, who answer the queries. They are in the order of their types.
 
     Attributes:
-        per_type: observers a type; a list gives each type its own number.
-        points: labels an observer (fewer where the queries need fewer); a pair [low, high] draws
-            it for each observer, uniformly.
-        label_noise: probability that a label is flipped, label by label.
+        per_type: observers per type; a list has a number for each type.
+        points: labels per observer (fewer if the queries need fewer); with a pair [low, high] it
+            is drawn uniformly for each observer.
+        label_noise: probability that a label is flipped, independently for each label.
     """
 
     per_type: int | Sequence[int] = 3
@@ -151,8 +150,8 @@ class FileObservers:
 
     Attributes:
         path: a CSV or Parquet file.
-        features: columns that describe a transition; None is every column that is left.
-        ignore: columns that are none.
+        features: columns that describe a transition; None: all other columns.
+        ignore: columns to leave out.
     """
 
     path: str

@@ -17,13 +17,13 @@ from xplain.users.setting import Setting
 
 Answer = Callable[[int, NDArray[np.int64], NDArray[np.int64]], NDArray[np.uint8]]
 """``answer(observer, transitions [c, 3], message_sets [c])`` → labels [c], with that observer's
-errors. Called for one screen of questions after the other: whoever is asked again may answer
-otherwise."""
+errors. It is called for each screen of questions: an observer who is asked again may give another
+answer."""
 
 
 @dataclass(frozen=True)
 class Answered:
-    """What one observer was asked, in this order, and answered.
+    """The questions and the answers of one observer, in this order.
 
     Attributes:
         transitions: [p, 3].
@@ -48,12 +48,12 @@ class Queries(Protocol):
         """Asks O observers; each question may depend on all earlier answers.
 
         A design knows the domain. The types in ``setting`` are those of the observers, which it
-        is to help find: it must not look at them.
+        must not use: it helps to find them.
 
         Args:
             setting: the domain, its messages, and what the robot does.
-            sizes: [O] labels that each observer gives, at most.
-            answer: an observer's labels.
+            sizes: [O] largest number of labels of each observer.
+            answer: gives an observer's labels.
             seed: of every draw.
 
         Returns:
@@ -64,12 +64,12 @@ class Queries(Protocol):
 
 @dataclass(frozen=True)
 class RandomTraces:
-    """Questions as the paper has them: transitions of the robot's traces, which start at random
-    and follow its optimal policy (ties broken at random), each trace under one random message set.
+    """The paper's questions: transitions of the robot's traces, which start at random and follow an
+    optimal policy (ties broken at random). Each trace comes with one random message set.
 
     Attributes:
         trace_length: where a trace is cut.
-        message_probability: of each message to be in a trace's message set.
+        message_probability: that a message is in the message set of a trace.
     """
 
     trace_length: int = 10
@@ -100,12 +100,12 @@ class RandomTraces:
 
 @dataclass(frozen=True)
 class Independent(RandomTraces):
-    """Each observer is asked about random traces of their own (the paper, as it reads)."""
+    """Each observer is asked about their own random traces (the paper, as it reads)."""
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
-        """Exactly ``sizes`` questions, one stream an observer."""
+        """Exactly ``sizes`` questions, with one random stream for each observer."""
         asked = []
         for o, size in enumerate(sizes):
             questions = self.draw(setting, int(size), stream(seed, "queries", o))
@@ -115,8 +115,8 @@ class Independent(RandomTraces):
 
 @dataclass(frozen=True)
 class Shared(RandomTraces):
-    """All observers are asked about the same random traces: clustering that counts coinciding
-    questions (the paper's) has the most to count. Without errors, observers of one type then give
+    """All observers are asked about the same random traces. This is best for a clusterer that
+    counts coinciding questions (the paper's). Without errors, observers of one type then give
     identical data."""
 
     def ask(

@@ -1,5 +1,4 @@
-"""Traces: what the robot did, from a random start along an optimal policy
-(docs/method.md, section 2)."""
+"""Traces of the robot: from a random start along an optimal policy (docs/method.md, section 2)."""
 
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ def sample_trace(
         optimal: [S, A] its optimal actions; ties are broken at random.
         starts: states to start from, equally likely.
         rng: its stream.
-        max_length: where the trace is cut if no terminal state comes first.
+        max_length: the trace is cut here if it reaches no terminal state before.
     """
     state = int(rng.choice(starts))
     steps: list[tuple[int, int, int]] = []
@@ -43,7 +42,7 @@ def expected_visits(
     transitions: NDArray[np.int64],
     max_length: int,
 ) -> NDArray[np.float64]:
-    """How often a trace of :func:`sample_trace` makes each transition, in expectation: [T].
+    """Expected number of times that a trace of :func:`sample_trace` makes each transition: [T].
 
     Args:
         model, optimal, starts, max_length: as for :func:`sample_trace`.

@@ -1,4 +1,4 @@
-"""The session as one page of HTML that can be stepped through; it loads nothing from anywhere."""
+"""The session as one HTML page to step through; it loads no other file."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 from xplain.demo.play import Played, Stage
 
 SHOWN = 6
-"""Values behind a choice that are shown, the best ones."""
+"""Number of values shown for a decision, the best ones."""
 
 
 def page(stage: Stage, played: Played) -> str:
-    """HTML of the whole page, the session's data inside it."""
+    """The HTML of the page, with the session's data in it."""
     template = files("xplain.demo").joinpath("page.html").read_text(encoding="utf-8")
     # Inside a script element only "</" and "<!--" could end or change what follows.
     data = json.dumps(content(stage, played), ensure_ascii=False).replace("<", "\\u003c")

@@ -1,4 +1,4 @@
-"""The session that the demo plays: from the configuration to every step of it."""
+"""The session that the demo plays, from the configuration to its last step."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from xplain.solvers.base import Solver
 
 @dataclass(frozen=True)
 class Stage:
-    """What is fixed before the first word.
+    """What is fixed before the first step.
 
     Attributes:
         domain, solver: their names.
-        prepared: the types that were learned, and the traces.
+        prepared: the learned types, and the traces.
         case: the trace that is explained.
-        explainer: of the learned types.
-        beliefs: for each true type by name, what it believes wrongly, as sentences.
+        explainer: for the learned types.
+        beliefs: for each true type by name, its wrong beliefs as sentences.
         trade_off: λ.
-        suggested: the true type of a simulated user for whom the trace tells most.
-        chosen: which trace it is and by what rule, as a sentence; empty where it was asked for.
+        suggested: the true type of a simulated user for whom the trace shows most.
+        chosen: which trace it is and why, as a sentence; empty if the caller named it.
     """
 
     domain: str
@@ -49,7 +49,7 @@ class Stage:
     chosen: str = ""
 
     def user_type(self, name: str | None) -> str:
-        """A true type by name; None takes the suggested one.
+        """A true type by name; None: the suggested one.
 
         Raises:
             InputError: there is no such type.
@@ -61,7 +61,7 @@ class Stage:
         return name
 
     def right(self, user: str | None) -> list[str]:
-        """The learned types that stand for a true one; none for a person, or where all are one."""
+        """The learned types that match a true one; none for a person, or if there is one type."""
         prepared, found = self.prepared, self.explainer.types.names
         if user is None or len(found) < 2:
             return []
@@ -71,7 +71,7 @@ class Stage:
         ]
 
     def title(self, learned: str) -> str:
-        """A learned type for people: the true types that it stands for, where they are known."""
+        """A learned type's name for people: the true types that match it, if they are known."""
         prepared = self.prepared
         number = dict(zip(prepared.learned_types, prepared.matched_true_type, strict=True))
         alike = prepared.distinct == number.get(learned, -1)
@@ -82,11 +82,11 @@ class Stage:
 
 @dataclass(frozen=True)
 class Step:
-    """One step: what the robot said, why, and what the user made of it.
+    """One step: the messages, the reason for them, and the user's labels.
 
     Attributes:
         said: messages given before the transition was shown, by name.
-        why: the values behind them.
+        why: the values of the choices.
         labels: of every transition shown so far, 1 = explicable.
         belief: in each learned type, after the labels.
         cost: Definition 2 up to here.
@@ -106,7 +106,7 @@ class Played:
     Attributes:
         user: the true type of the user; None for a person.
         prior: the belief before the first step.
-        steps: one a transition.
+        steps: one for each transition.
     """
 
     user: str | None
@@ -115,10 +115,10 @@ class Played:
 
 
 class Audience(Protocol):
-    """Whoever is told of a session as it is played."""
+    """An observer of a session while it is played."""
 
     def said(self, session: Session) -> None:
-        """The robot has said its messages and shown its transitions."""
+        """The robot has given its messages and shown its transitions."""
         ...
 
     def heard(self, step: Step) -> None:
@@ -131,18 +131,18 @@ Answer = Callable[[Session], Sequence[int]]
 
 
 TRIED = 5
-"""Traces among which one is chosen that tells much."""
+"""Number of traces from which the most instructive one is chosen."""
 SURE = 0.9
-"""A belief from which on a type counts as found."""
+"""A type counts as found from this belief on."""
 
 
 def stage(overrides: Sequence[str], trace: int | None = None, user: str | None = None) -> Stage:
-    """Learns the user types as an experiment does, and takes one of its traces.
+    """Learns the user types as an experiment does, and chooses one of its traces.
 
     Args:
         overrides: of the experiment's configuration.
-        trace: its number; None takes the one of the first five that tells most.
-        user: the true type that it is to tell most of; None leaves that open, too.
+        trace: its number; None: the one of the first five that shows most.
+        user: the true type for which it should show most; None: any type.
 
     Raises:
         XplainError, HydraException, OmegaConfBaseException: something in ``overrides`` is wrong.
@@ -153,7 +153,7 @@ def stage(overrides: Sequence[str], trace: int | None = None, user: str | None =
     components, costs = components_of(cfg), costs_of(cfg)
     solver, update = instantiate(cfg.solver), instantiate(cfg.belief)
     if solver.knows not in ("types", "everyone"):
-        raise InputError("solver", str(choices.solver), "one that need not know the user's type")
+        raise InputError("solver", str(choices.solver), "a solver that needs no user type")
     prepared = prepare(components)
     true_types = components.users.types(components.domain, stream(components.seed, "users"))
     sentence = {p.name: p.belief or f"({p.name} wrong)" for p in components.domain.parameters}
@@ -173,7 +173,7 @@ def stage(overrides: Sequence[str], trace: int | None = None, user: str | None =
         for case in cases
         for name in prepared.types
     ]
-    named = [one for one in stages if one.suggested == user]  # none: whoever asks is told later
+    named = [one for one in stages if one.suggested == user]  # if none, an error follows later
     best = max(named or stages, key=_tells)
     return best if trace is not None else replace(best, chosen=_rule(prepared, best))
 
@@ -181,14 +181,14 @@ def stage(overrides: Sequence[str], trace: int | None = None, user: str | None =
 def _rule(prepared: Prepared, best: Stage) -> str:
     number = next(i for i, case in enumerate(prepared.cases) if case is best.case)
     return (
-        f"Trace {number}: of the first {TRIED}, the one on which the type of a simulated user is "
-        "found with fewest messages; --trace chooses another."
+        f"Trace {number}: of the first {TRIED}, the one where the type of a simulated user is "
+        "found with the fewest messages; --trace chooses another."
     )
 
 
 def _tells(scene: Stage) -> tuple[bool, bool, int, float]:
-    """How much a session shows of the method, the more the larger: that the type was found, with
-    something said, in few messages."""
+    """How much a session shows of the method (larger is more): the type is found, with at least one
+    message, and with few."""
     played = play(scene, Simulated(scene, scene.suggested))
     belief = sum(played.steps[-1].belief[name] for name in scene.right(scene.suggested))
     messages = sum(len(step.said) for step in played.steps)
@@ -198,15 +198,15 @@ def _tells(scene: Stage) -> tuple[bool, bool, int, float]:
 def _explainer(
     prepared: Prepared, case: Case, costs: Costs, solver: Solver, update: BeliefUpdate, seed: int
 ) -> Explainer:
-    """Of one trace to users of the learned types.
+    """The explainer of one trace to users of the learned types.
 
     Raises:
-        InputError: the solver plans for everybody at once, of whom too much would have to be known.
+        InputError: the solver plans for all types at once, and the pooled labeler is too large.
     """
     alone = solver.knows == "everyone"
     table = case.everyone if alone else case.learned
     if table is None:
-        raise InputError("solver", "baseline", "one that plans for types: solver=qmdp")
+        raise InputError("solver", "baseline", "a solver that plans for types: solver=qmdp")
     types = GivenTypes(
         table,
         prepared.messages,
@@ -260,7 +260,7 @@ class Simulated:
 
 
 def asked(terminal: Any) -> Answer:
-    """Answers as the person at the terminal does."""
+    """Answers with the labels of the person at the terminal."""
 
     def answer(session: Session) -> Sequence[int]:
         labels: Sequence[int] = terminal.ask(session.shown)

@@ -1,4 +1,4 @@
-"""The session on a terminal: map, transitions, what the robot says, labels, belief bars."""
+"""The session on a terminal: map, transitions, messages, labels, belief bars."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ PATH, ROBOT = "·", "@"
 
 
 class Terminal:
-    """Shows a session as it goes, and asks the person at it.
+    """Shows a session step by step, and asks the person at the terminal.
 
     Args:
-        stage: what is explained.
-        user: true type of the simulated user; None where a person answers.
+        stage: the trace that is explained.
+        user: true type of the simulated user; None if a person answers.
     """
 
     def __init__(self, stage: Stage, user: str | None) -> None:
@@ -70,7 +70,7 @@ class Terminal:
             self.console.print(self._transitions(k, None))
 
     def heard(self, step: Step) -> None:
-        """The labels and what they did to the belief."""
+        """The labels, and how they changed the belief."""
         k = len(step.labels)
         parts: list[RenderableType] = [self._bars(step.belief)]
         if self.user is not None:
@@ -85,7 +85,7 @@ class Terminal:
             )
 
     def _pause(self) -> None:
-        """A step at a time where somebody sits at the terminal and answers nothing."""
+        """Waits for a key at each step, if somebody watches at a terminal."""
         if not self.pauses:
             return
         self.console.print("[dim]Enter: the next step; q: all of them[/]", end=" ")
@@ -135,13 +135,13 @@ class Terminal:
             was = 0.0 if self._before is None else self._before[name]
             arrow = "↑" if p > was + 0.005 else "↓" if p < was - 0.005 else " "
             bar = Text("█" * full, "blue") + Text("─" * (BAR - full), "dim")
-            # The user's own type stands out for the audience; the robot is not told.
+            # The user's type is highlighted for the audience; the robot is not told.
             style = "bold" if name in self.stage.right(self.user) else ""
             table.add_row(Text(self.stage.title(name), style), bar, f"{p:4.0%} {arrow}")
         return table
 
     def _changes(self, k: int) -> RenderableType | None:
-        """What each transition shown so far has changed; None where the domain does not tell."""
+        """What each transition shown so far has changed; None if the domain does not say it."""
         case = self.stage.case
         if not case.changes:
             return None

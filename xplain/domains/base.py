@@ -1,4 +1,4 @@
-"""What a domain is: a robot's task with parameters that people may hold wrong.
+"""The interface of a domain: a robot's task with parameters that people may hold wrong.
 
 docs/method.md, section 1.
 """
@@ -39,7 +39,7 @@ class Item:
     """Something on the map: cells (row, column) that share a symbol and a name.
 
     Attributes:
-        labels: what pictures write into each cell in place of the symbol; empty: the symbol.
+        labels: text for each cell in pictures, instead of the symbol; empty: the symbol.
     """
 
     name: str
@@ -50,12 +50,12 @@ class Item:
 
 @dataclass(frozen=True)
 class Scene:
-    """A map for people: drawn by reports, by the study's pages, and on terminals.
+    """A map for people, in reports, on the study's pages, and on terminals.
 
     Attributes:
         rows, columns: size of the grid.
         walls: cells that cannot be entered.
-        items: what lies on the map.
+        items: the things on the map.
     """
 
     rows: int
@@ -71,7 +71,7 @@ class Domain(Protocol):
     Attributes:
         name: as chosen in config.
         parameters: in the order of the messages.
-        actions: names of the actions, as many as the model has.
+        actions: names of the model's actions.
         state_features: [S, F] float64, what a labeler may know of a state.
         feature_names: F names.
         starts: [n] int64, states where traces start, equally likely.
@@ -85,7 +85,8 @@ class Domain(Protocol):
     starts: NDArray[np.int64]
 
     def model(self, values: Mapping[str, Any]) -> Model:
-        """The task of someone who holds these values: ``{parameter name: value}``, all of them."""
+        """The task of somebody who holds these values: ``{parameter name: value}`` for all
+        parameters."""
         ...
 
     def describe(self, transition: NDArray[np.int64]) -> str:
@@ -93,12 +94,12 @@ class Domain(Protocol):
         ...
 
     def position(self, state: int) -> tuple[int, int] | None:
-        """The cell (row, column) of the robot; None where the domain has no map."""
+        """The cell (row, column) of the robot; None if the domain has no map."""
         ...
 
     @property
     def scene(self) -> Scene | None:
-        """The map for people: size, walls, items; None where the domain has none."""
+        """The map for people: size, walls, items; None if the domain has none."""
         ...
 
 
@@ -120,7 +121,7 @@ def transition_features(domain: Domain, transitions: NDArray[np.int64]) -> NDArr
 
 
 def cell_name(row: int, column: int) -> str:
-    """What people call a cell: a letter for the column, then the row from 1, as in "B3"."""
+    """A cell's name for people: a letter for the column, then the row from 1, as in "B3"."""
     letters = ""
     column += 1
     while column:
@@ -130,7 +131,7 @@ def cell_name(row: int, column: int) -> str:
 
 
 def changes_of(domain: Domain, transitions: NDArray[np.int64]) -> tuple[tuple[str, ...], ...]:
-    """What each transition (s, a, s') of [m, 3] changes, as short phrases that pictures list where
-    there is no map. Empty where the domain has no method ``changes(transition)``."""
+    """What each transition (s, a, s') of [m, 3] changes, as short phrases for pictures without a
+    map. Empty if the domain has no method ``changes(transition)``."""
     told = getattr(domain, "changes", None)
     return () if told is None else tuple(tuple(told(transition)) for transition in transitions)

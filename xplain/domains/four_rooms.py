@@ -1,7 +1,7 @@
 """Four rooms (Sutton, Precup & Singh 1999): reach a goal through the doors of four rooms.
 
-Five facts about the task can be held wrong: where the goals and the penalty cells lie, the
-discount, the cost of a step, and the penalty. Their values are ours: docs/choices.md.
+Five facts about the task can be held wrong: the positions of the goals and of the penalty cells,
+the discount, the cost of a step, and the penalty. Their values are ours: docs/choices.md.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class FourRooms:
         self.state_features = self.grid.cells.astype(np.float64)
 
     def model(self, values: Mapping[str, Any]) -> MDP:
-        """The task of someone who holds these values.
+        """The task of somebody who holds these values.
 
         Raises:
             InputError: a value is not allowed.

@@ -1,9 +1,9 @@
-"""Deterministic tasks that end at a goal, undiscounted: every action costs, the cheapest plan is
+"""Deterministic undiscounted tasks that end at a goal: every action costs, the cheapest plan is
 best, and a state without a plan costs a given number (docs/method.md, section 1).
 
-A discount would reorder plans by when their costs fall due. Many beliefs about one task share its
-states and edges (:class:`StateSpace`); a belief says which edges there are, what they cost, and
-where the goal is (:class:`GoalTask`). Shortest ways to the goal solve it exactly.
+A discount would prefer plans whose costs come late. Many beliefs about one task share its states
+and edges (:class:`StateSpace`). A belief says which edges exist, what they cost, and where the goal
+is (:class:`GoalTask`). Shortest paths to the goal solve it exactly.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from xplain.errors import DomainError
 class StateSpace:
     """S states and all E edges between them that anybody believes in.
 
-    An action may do different things in different beliefs: each is a variant of it.
+    An action may have different effects in different beliefs: each is a variant of the action.
 
     Attributes:
         n_states, n_actions: S and A.
@@ -69,17 +69,17 @@ class StateSpace:
 
 @dataclass(frozen=True, eq=False)
 class GoalTask:
-    """Somebody's idea of the task.
+    """The task as the robot or a user sees it.
 
     Attributes:
-        space: shared by all ideas of it.
+        space: shared by all beliefs about the task.
         chosen: [A] the variant of each action; −1 where the action is never available.
         cost: [A] > 0, of each action.
         terminal: [S] bool, where the goal holds; nothing happens there.
-        dead_end_cost: of having no plan. A plan that costs as much is none.
+        dead_end_cost: of a state without a plan. A plan that costs as much does not count.
         start: where the task starts; it must have a plan.
-        imagined: [S] the state that somebody takes each state for, who believes that the task
-            started in another one; −1 for none of ours. None: they see it as it is.
+        imagined: [S] for a user who believes in another start: the state that they see instead of
+            each state; −1 if it is not in ``space``. None: they see the states as they are.
     """
 
     space: StateSpace
@@ -104,7 +104,7 @@ class GoalTask:
 
     @cached_property
     def _variant_cost(self) -> NDArray[np.float64]:
-        """[V] ∞ where a variant is not believed in."""
+        """[V] the cost of each variant; ∞ if this belief does not have it."""
         result = np.full(len(self.space.action), np.inf)
         own = self.chosen >= 0
         result[self.chosen[own]] = self.cost[own]
@@ -123,9 +123,9 @@ class GoalTask:
         return result
 
     def gap(self, edges: NDArray[np.int64]) -> NDArray[np.float64]:
-        """How much more it costs to take an edge and go on best than to go on best, for edges [T]:
-        relative to the dearest best plan. ∞ where the edge is not believed in, leads to a dead end,
-        or leaves a terminal state."""
+        """The extra cost of each edge [T] and a best plan after it over a best plan from its start,
+        relative to the most expensive best plan. ∞ if this belief does not have the edge, or it
+        leads to a dead end or leaves a terminal state."""
         before, variant = self.space.source[edges], self.space.variant[edges]
         behind = self._variant_cost[variant] + self.to_go[self.space.successor[edges]]
         none = ~np.isfinite(behind) | ~np.isfinite(self.to_go[before]) | self.terminal[before]
@@ -134,18 +134,18 @@ class GoalTask:
         return np.asarray(more / max(dearest, 1e-12))
 
     def explicable(self, transitions: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which transitions [T, 3] are on a cheapest plan, and come out as believed: [T]."""
+        """Whether each transition [T, 3] is on a cheapest plan and has the believed result: [T]."""
         edge = self._edges(transitions)
         result = edge >= 0
         result[result] = self.gap(edge[result]) <= TIE
         return result
 
     def possible(self, transitions: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which transitions [T, 3] of (s, a, s') come out as believed: [T]."""
+        """Whether each transition (s, a, s') of [T, 3] has the believed result: [T]."""
         return self._edges(transitions) >= 0
 
     def _edges(self, transitions: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The edge of each transition as it is imagined; −1 where there is none."""
+        """The edge of each transition as the user sees it; −1 if there is none."""
         s, a, after = transitions.T
         if self.imagined is not None:
             s, after = self.imagined[s], self.imagined[after]
@@ -155,7 +155,7 @@ class GoalTask:
         return np.where(there, edge, -1)
 
     def steps_from(self, state: int) -> NDArray[np.float64]:
-        """[S] the number of actions on the shortest way from a state; ∞ where there is none."""
+        """[S] the number of actions on the shortest path from a state; ∞ if there is none."""
         own = np.isfinite(self._variant_cost)[self.space.variant]
         return self._steps(np.array([state]), own & ~self.terminal[self.space.source])
 
@@ -168,7 +168,7 @@ class GoalTask:
         return np.stack([source, action, after], axis=1).astype(np.int64)
 
     def _steps(self, starts: NDArray[np.int64], edges: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """[S] the number of these edges on the shortest way from any of the starts."""
+        """[S] the number of these edges on the shortest path from any of the starts."""
         source, after = self.space.source[edges], self.space.successor[edges]
         result = np.full(self.n_states, np.inf)
         result[starts] = 0
@@ -189,7 +189,7 @@ class GoalTask:
 
     @cached_property
     def successor(self) -> NDArray[np.int32]:
-        """[S, A, 1] as in :class:`~xplain.domains.mdp.MDP`; made when asked for."""
+        """[S, A, 1] as in :class:`~xplain.domains.mdp.MDP`; made on demand."""
         return self._table(self.space.successor, np.int32)
 
     @cached_property
@@ -203,7 +203,7 @@ class GoalTask:
         return -self._table(self._variant_cost[self.space.variant], np.float64)
 
     def _table(self, of_edges: NDArray[Any], kind: type) -> NDArray[Any]:
-        """[S, A, 1] what the edges that are believed in have, 0 elsewhere."""
+        """[S, A, 1] a value of each edge of this belief, 0 elsewhere."""
         result: NDArray[Any] = np.zeros((self.n_states, self.n_actions, 1), dtype=kind)
         own = np.isfinite(self._variant_cost)[self.space.variant]
         own &= ~self.terminal[self.space.source]
@@ -212,13 +212,13 @@ class GoalTask:
         return result
 
     def solved(self, who: str) -> None:
-        """Makes sure that the task has a plan, and that its ties are clear.
+        """Checks that the task has a plan and clear ties.
 
         Args:
-            who: believes in it, for errors.
+            who: has this belief, for errors.
 
         Raises:
-            DomainError: it has none, or two actions are neither clearly as good nor clearly not.
+            DomainError: it has no plan, or a gap is too small to tell whether two actions tie.
         """
         start = self.start if self.imagined is None else int(self.imagined[self.start])
         if start < 0 or not np.isfinite(self.to_go[start]):
@@ -238,7 +238,7 @@ class GoalTask:
 
     @staticmethod
     def solve(models: Sequence[GoalTask], names: Sequence[str]) -> GoalSolution:
-        """All of them solved.
+        """Solves all of them.
 
         Raises:
             DomainError: see :meth:`solved`.
@@ -250,12 +250,12 @@ class GoalTask:
 
 @dataclass(frozen=True)
 class GoalSolution:
-    """What is optimal in each of B goal tasks (:class:`xplain.domains.mdp.Solution`)."""
+    """The optimal actions in each of B goal tasks (:class:`xplain.domains.mdp.Solution`)."""
 
     models: tuple[GoalTask, ...]
 
     def __getitem__(self, index: int) -> NDArray[np.bool_]:
-        """[S, A] the optimal actions of one; a table is made when asked for."""
+        """[S, A] the optimal actions of one task; the table is made on demand."""
         return self.models[index].optimal
 
     def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:

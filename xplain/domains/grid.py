@@ -19,7 +19,7 @@ Cell = tuple[int, int]
 MOVES: dict[str, Cell] = {"up": (-1, 0), "down": (1, 0), "left": (0, -1), "right": (0, 1)}
 """The moves, in the order of the actions; (rows, columns) added."""
 SIDEWAYS = np.array([[2, 3], [2, 3], [0, 1], [0, 1]])
-"""The two moves at right angles to each: where a slip leads."""
+"""The two moves at right angles to each move: the directions of a slip."""
 WALL, FLOOR, START = "#", ".", "s"
 
 
@@ -44,15 +44,15 @@ class Grid:
         """Reads an ASCII map: ``#`` wall, ``.`` floor, ``s`` floor where traces may start.
 
         Args:
-            text: one line a row; blank lines around it are ignored.
-            symbols: the other symbols that may stand on the map, and what each means.
+            text: one line for each row; blank lines around it are ignored.
+            symbols: the other symbols of the map, and the meaning of each.
             key: of the map in the configuration, for errors.
 
         Raises:
             InputError: no text, rows of unequal length, an unknown symbol, or walls only.
         """
         if not isinstance(text, str) or not text.strip():
-            raise InputError(key, text, "an ASCII map, one line a row")
+            raise InputError(key, text, "an ASCII map, one line for each row")
         lines = [line.rstrip() for line in text.strip("\n").splitlines()]
         known = {WALL: "wall", FLOOR: "floor", START: "floor where traces start", **symbols}
         where: dict[str, list[Cell]] = {}
@@ -70,7 +70,7 @@ class Grid:
                 where.setdefault(symbol, []).append((r, c))
         wall = np.array([[symbol == WALL for symbol in line] for line in lines])
         if wall.all():
-            raise InputError(key, text, "at least one cell that is no wall")
+            raise InputError(key, text, "at least one cell that is not a wall")
         number = np.where(wall, -1, np.cumsum(~wall).reshape(wall.shape) - 1)
         return cls(wall.shape, np.argwhere(~wall), number, {s: tuple(c) for s, c in where.items()})
 
@@ -78,9 +78,9 @@ class Grid:
         """The number of a cell.
 
         Raises:
-            InputError: it is outside the map, a wall, or no pair of whole numbers.
+            InputError: it is outside the map, a wall, or not a pair of whole numbers.
         """
-        allowed = f"(row, column) of a cell that is no wall, counted from 0, of {self.shape}"
+        allowed = f"(row, column) of a cell that is not a wall, from 0, in a map of {self.shape}"
         try:
             r, c = (index(x) for x in cell)
         except (TypeError, ValueError):
@@ -109,13 +109,13 @@ class Grid:
         return np.where(to < 0, np.arange(len(self.cells))[:, None], to)
 
     def outcomes(self, slip: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """What moves lead to: cells [C, 4, K] and probabilities [C, 4, K].
+        """The outcomes of moves: cells [C, 4, K] and probabilities [C, 4, K].
 
         Args:
             slip: probability that the robot slides to one of the two sides (half each) instead.
 
         Raises:
-            InputError: slip is no number in [0, 1).
+            InputError: slip is not a number in [0, 1).
         """
         if isinstance(slip, bool) or not isinstance(slip, (int, float)) or not 0 <= slip < 1:
             raise InputError("domain.slip", slip, "a probability in [0, 1)")
@@ -126,7 +126,7 @@ class Grid:
         return cells, np.broadcast_to([1 - slip, slip / 2, slip / 2], cells.shape).copy()
 
     def connected(self, cell: int) -> NDArray[np.bool_]:
-        """[C] which cells can be reached from this one (and it from them)."""
+        """[C] the cells that can be reached from this one (and from which it can be reached)."""
         seen = np.zeros(len(self.cells), dtype=bool)
         frontier = np.array([cell])
         while len(frontier):
@@ -136,7 +136,7 @@ class Grid:
         return seen
 
     def require_path(self, what: str, cell: int, goal_name: str, goal: int) -> None:
-        """A cell has a way to the goal.
+        """Checks that a cell has a path to the goal.
 
         Raises:
             InputError: it has none.
@@ -147,7 +147,7 @@ class Grid:
             )
 
     def starts(self) -> NDArray[np.int64]:
-        """Cells marked ``s``, or every floor cell where none is marked.
+        """Cells marked ``s``, or every floor cell if none is marked.
 
         Raises:
             InputError: the map has neither.
@@ -158,7 +158,7 @@ class Grid:
         return np.array([self.number[cell] for cell in marked], dtype=np.int64)
 
     def position(self, cell: int) -> Cell:
-        """(row, column) of a cell's number."""
+        """The (row, column) of a cell, by its number."""
         r, c = self.cells[cell]
         return int(r), int(c)
 

@@ -1,8 +1,8 @@
 """Gymnasium environments with a tabular model (``env.unwrapped.P``) as domains.
 
-FrozenLake, CliffWalking, Taxi and whatever else shows its model become tasks by configuration
-alone: the robot knows the environment as it is, and each parameter that people may hold wrong is a
-list of changes of its rewards or transitions.
+FrozenLake, CliffWalking, Taxi and other environments that show their model become tasks by
+configuration alone. The robot knows the environment as it is. Each parameter that people may hold
+wrong is a list of changes of its rewards or transitions.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from xplain.errors import InputError, XplainError, discount_factor, number
 
 EFFECTS = ("add", "like", "to", "arguments")
 CHANGES = ("when", "actions", "next", *EFFECTS)
-"""What a change may say; exactly one of EFFECTS."""
+"""Fields of a change; exactly one of them is in EFFECTS."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,14 @@ class Tables:
 
 
 class Features:
-    """What the numbers of the states mean: one value of each feature, the last changing fastest.
+    """The features in a state's number: one value of each, the last feature changing fastest.
 
     Args:
         given: ``{feature: how many values, or their names}``.
         n_states: S.
 
     Raises:
-        InputError: they do not make S states.
+        InputError: they do not give S states.
     """
 
     def __init__(self, given: Mapping[str, int | Sequence[str]], n_states: int) -> None:
@@ -67,7 +67,7 @@ class Features:
         return result
 
     def changed(self, key: str, target: Any) -> NDArray[np.int64]:
-        """[S] the number of each state once the features in ``{feature: value}`` are set."""
+        """[S] the number of each state after the features in ``{feature: value}`` are set."""
         if not isinstance(target, Mapping):
             raise InputError(key, target, "{feature: value}")
         codes = self.codes.copy()
@@ -96,12 +96,12 @@ class Features:
 
 
 class Gymnasium:
-    """A tabular Gymnasium environment. States are the environment's own, by number.
+    """A tabular Gymnasium environment. States are the numbers of the environment's states.
 
     Args:
         id: of the environment, as in ``gymnasium.make(id, **arguments)``.
-        states: what a state's number means, ``{feature: how many values, or their names}``, the
-            last one changing fastest; these are the labeler's features. Features called ``row``
+        states: the features in a state's number, ``{feature: how many values, or their names}``,
+            the last one changing fastest; these are the labeler's features. Features called ``row``
             and ``column`` give the robot's place on a map.
         actions: names of the actions, by number.
         discount: γ of the task, in (0, 1).
@@ -171,7 +171,7 @@ class Gymnasium:
         ]
 
     def model(self, values: Mapping[str, Any]) -> MDP:
-        """The environment with the changes of someone who holds these values.
+        """The environment with the changes of somebody who holds these values.
 
         Raises:
             InputError: a change is not allowed.
@@ -217,7 +217,7 @@ class Gymnasium:
         return [self.actions.index(name) for name in names]
 
     def position(self, state: int) -> Cell | None:
-        """The robot's cell, where the states have a row and a column."""
+        """The robot's cell, if states have a row and a column."""
         if not {"row", "column"} <= set(self.feature_names):
             return None
         code = dict(zip(self.feature_names, self._features.codes[state], strict=True))
@@ -231,7 +231,7 @@ class Gymnasium:
 
     @property
     def scene(self) -> Scene | None:
-        """The map, where the states have a row and a column."""
+        """The map, if states have a row and a column."""
         if not {"row", "column"} <= set(self.feature_names):
             return None
         rows, columns = (len(self._features.values[name]) for name in ("row", "column"))
@@ -250,9 +250,9 @@ def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
         if sum(effect in change for effect in EFFECTS) != 1:
             raise InputError(key, dict(change), f"one of {', '.join(EFFECTS)}")
         if "arguments" in change and len(change) > 1:
-            raise InputError(key, dict(change), "arguments stand alone in a change")
+            raise InputError(key, dict(change), "a change with arguments has no other field")
         if "next" in change and "add" not in change:
-            raise InputError(key, dict(change), "next goes with add only")
+            raise InputError(key, dict(change), "next needs add")
         listed = change.get("actions", [])
         if isinstance(listed, str) or not isinstance(listed, Sequence):
             raise InputError(f"{key}.actions", listed, "a list of actions")

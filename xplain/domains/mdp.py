@@ -1,7 +1,7 @@
 """Tabular Markov decision processes, solved many at a time (docs/method.md, section 1).
 
-A robot's task and each user's idea of it are models over the same states and actions; they are
-solved in one batch, to an accuracy at which "is this action optimal?" has a safe answer.
+A robot's task and each user's belief about it are models over the same states and actions. They
+are solved in one batch, so accurately that "is this action optimal?" has a safe answer.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SOLVED = 1e-11
 
 
 class Model(Protocol):
-    """Somebody's idea of the task: an :class:`MDP`, or a
+    """A model of the task, the robot's or a user's: an :class:`MDP`, or a
     :class:`~xplain.domains.goal_task.GoalTask`. Arrays are as in :class:`MDP`."""
 
     @property
@@ -55,16 +55,16 @@ class Model(Protocol):
 
     @staticmethod
     def solve(models: Any, names: Sequence[str]) -> Solution:
-        """What is optimal in models of this kind.
+        """The optimal actions in models of this kind.
 
         Raises:
-            DomainError: it cannot be told safely; ``names`` says in whose model.
+            DomainError: ties are ambiguous; ``names`` says in whose model.
         """
         ...
 
 
 class Solution(Protocol):
-    """What is optimal in each of B models over the same states and actions."""
+    """The optimal actions in each of B models over the same states and actions."""
 
     def __getitem__(self, index: int) -> NDArray[np.bool_]:
         """[S, A] the optimal actions of one model."""
@@ -129,20 +129,20 @@ class MDP:
         return int(self.successor.shape[1])
 
     def possible(self, transitions: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which transitions [T, 3] of (s, a, s') have positive probability: [T]."""
+        """Whether each transition (s, a, s') of [T, 3] has positive probability: [T]."""
         s, a, after = transitions.T
         reached = (self.successor[s, a] == after[:, None]) & (self.probability[s, a] > 0)
         return np.asarray(reached.any(axis=1))
 
     @staticmethod
     def solve(models: Sequence[MDP], names: Sequence[str]) -> MDPSolution:
-        """All of them solved (:func:`optimal_actions`)."""
+        """Solves all of them (:func:`optimal_actions`)."""
         return MDPSolution(tuple(models), optimal_actions(models, names))
 
 
 @dataclass(frozen=True)
 class MDPSolution:
-    """What is optimal in each of B MDPs (:class:`Solution`).
+    """The optimal actions in each of B MDPs (:class:`Solution`).
 
     Attributes:
         models: as given.
@@ -162,7 +162,7 @@ class MDPSolution:
 
 
 class Fields(NamedTuple):
-    """Those of an :class:`MDP`, for a kernel."""
+    """The arrays of an :class:`MDP`, for a kernel."""
 
     successor: NDArray[np.int64]
     probability: NDArray[np.float64]
@@ -174,13 +174,13 @@ class Fields(NamedTuple):
 def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
     """Optimal action values of many models over the same states and actions.
 
-    Each to |Q − Q*| ≤ SOLVED × scale, where scale is the largest reward in size over 1 − γ.
+    Each has |Q − Q*| ≤ SOLVED × scale, where scale is the largest |reward| over 1 − γ.
 
     Returns:
         [B, S, A]; −inf where an action is not available, 0 in terminal states.
 
     Raises:
-        DomainError: a discount so near to 1 that rounding hides the optimum.
+        DomainError: a discount is so near to 1 that rounding hides the optimum.
     """
     result = np.empty((len(models), models[0].n_states, models[0].n_actions))
     for b, model in enumerate(models):
@@ -204,7 +204,7 @@ def optimal_actions(models: Sequence[MDP], names: Sequence[str] = ()) -> NDArray
         names: of the models, for the error's text.
 
     Raises:
-        DomainError: the gap between two actions is neither clearly a tie nor clearly none.
+        DomainError: the gap between two actions is too small to tell whether they tie.
     """
     q = q_values(models)
     best = q.max(axis=2, keepdims=True)
@@ -246,7 +246,7 @@ def _scale(model: MDP) -> float:
 
 @inlined
 def _action_value(model, value, s, a):  # type: ignore[no-untyped-def]
-    """Q(s, a) for the values [S] of what comes after."""
+    """Q(s, a), given the values [S] of the next states."""
     total = 0.0
     for k in range(model.successor.shape[2]):
         p = model.probability[s, a, k]
@@ -263,14 +263,14 @@ def _solve(model, tolerance, q, value, greedy):  # type: ignore[no-untyped-def]
     An in-place Bellman sweep is a γ-contraction in the max norm with fixed point V*. So when it
     changes no value by more than δ, the swept values lie within δ γ / (1 − γ) of V*, and the action
     values backed up from them within δ γ² / (1 − γ) of Q*: this ends the loop. Between two such
-    sweeps the values move towards those of the greedy policy, A times cheaper; this alone bears on
-    speed, not on the stopping rule.
+    sweeps the values move towards those of the greedy policy, A times cheaper; this changes the
+    speed, not the stopping rule.
 
     Args:
-        value, greedy: [S] zeros, room to work in.
+        value, greedy: [S] zeros, work arrays.
 
     Returns:
-        whether the tolerance was reached.
+        Whether the tolerance was reached.
     """
     states, actions = q.shape
     allowed = tolerance * (1.0 - model.discount) / max(model.discount**2, 1e-300)

@@ -1,7 +1,7 @@
 """Disaster rescue (paper, "Illustrative example"): a robot brings a victim to a shelter.
 
-On its way it may pick up first aid, extinguish a fire and refuel, each rewarded once. Rubble,
-puddles and fences cost it nothing, though people may think so.
+On its way it may pick up first aid, extinguish a fire and refuel; each is rewarded once. Rubble,
+puddles and fences cost it nothing, but people may think that they do.
 What the paper leaves open about the task: docs/choices.md.
 """
 
@@ -45,7 +45,8 @@ SYMBOLS = {
 
 
 class Rescue:
-    """The rescue task. A state is a cell, one flag a bonus (done or not), and "carries the victim".
+    """The rescue task. A state is a cell, one flag for each bonus (done or not), and
+    "carries the victim".
 
     Args:
         map: ASCII map with one S (shelter), one V (victim); A first aid, F fire, U fuel station
@@ -55,7 +56,7 @@ class Rescue:
             of the action for first_aid, fire, refuel; of entering a cell for rubble, puddle, fence.
         rescue_reward: for bringing the victim into the shelter, which ends the task.
         slip: probability that a move slides to a side.
-        discount: γ of the task, the robot's and everybody's.
+        discount: γ of the task, for the robot and all people.
         name: of the domain.
 
     Raises:
@@ -111,7 +112,7 @@ class Rescue:
         self._lay_out(slip)
 
     def _lay_out(self, slip: float) -> None:
-        """Successors and probabilities, which no parameter changes."""
+        """Successors and probabilities, which do not depend on the parameters."""
         to, chance = self.grid.outcomes(slip)
         flags = np.arange(self._flags)
         n_cells, _, slots = to.shape
@@ -143,7 +144,7 @@ class Rescue:
         self._delivered = self._terminal[self._successor] & (self._probability > 0)
 
     def model(self, values: Mapping[str, Any]) -> MDP:
-        """The task of someone who holds these rewards."""
+        """The task of somebody who holds these rewards."""
         reward = np.where(self._delivered, self.rescue_reward, 0.0)
         for kind, entered in self._entered.items():
             reward[entered] += float(values[kind])
@@ -172,13 +173,13 @@ class Rescue:
         return f"{verb} into the shelter" if self._terminal[after] else f"{verb} to {cell}"
 
     def situation(self, state: int) -> tuple[str, ...]:
-        """What has happened before this state, as sentences: nothing on the map tells it."""
+        """What has happened before this state, as sentences, because the map does not show it."""
         flags = state % self._flags
         done = [SINCE[kind] for bit, kind in enumerate(self.bonuses) if flags >> bit & 1]
         return (*done, *(["The robot carries the victim."] if flags & self._carrying else []))
 
     def gone(self, state: int) -> tuple[str, ...]:
-        """Names of the things on the map that are there no more in this state. A fuel station
+        """Names of the things that are no longer on the map in this state. A fuel station
         stays."""
         flags = state % self._flags
         taken = [ITEM_NAMES[kind] for bit, kind in enumerate(self.bonuses) if flags >> bit & 1]

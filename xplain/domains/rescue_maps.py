@@ -1,4 +1,4 @@
-"""A random generator of maps for the rescue task; where its default map comes from
+"""A random generator of maps for the rescue task. Its default map is one of them
 (docs/choices.md)."""
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ MOST_WALLS = SIZE * SIZE // 4
 
 
 def random_map(rng: np.random.Generator) -> str:
-    """A 6 × 6 map: numbers of obstacles and walls drawn first, then everything put into different
-    cells uniformly at random; the rest is floor. Nothing ensures that all of it can be reached."""
+    """A 6 × 6 map. The numbers of obstacles and walls are drawn first, then everything is put into
+    different cells uniformly at random; the rest is floor. Parts of it may be out of reach."""
     symbols = ONE_OF_EACH
     for obstacle in OBSTACLES:
         symbols += obstacle * int(rng.integers(1, MOST_OBSTACLES + 1))

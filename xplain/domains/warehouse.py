@@ -1,9 +1,10 @@
-"""A warehouse: a robot drives along aisles between shelves to the dispatch; dozens of local facts.
+"""A warehouse with dozens of local facts: a robot drives along aisles between shelves to the
+dispatch.
 
-Aisles and cross-aisles meet at crossings; between two neighbours lies a stretch of two cells. What
-people may hold wrong is local, one fact a stretch: that its floor is wet, that it is one-way, or
-that it charges the battery. Every drive of one cell costs the robot 1 and nothing else, so it takes
-any of the shortest ways, and who holds nothing wrong about these finds all of them explicable.
+Aisles and cross-aisles meet at crossings. Between two neighbouring crossings is a stretch of two
+cells. A fact that people may hold wrong is about one stretch: that its floor is wet, that it is
+one-way, or that it charges the battery. Each cell costs the robot 1 and nothing else, so it takes
+any shortest path, and people who hold nothing wrong about these paths find them all explicable.
 """
 
 from __future__ import annotations
@@ -22,23 +23,23 @@ from xplain.domains.mdp import MDP
 from xplain.errors import InputError, discount_factor, number, whole_number
 
 BLOCK = 3
-"""Cells from a crossing to the next."""
+"""Cells from one crossing to the next."""
 KINDS = ("wet", "lane", "charger")
 PATTERN = ("wet", "lane", "wet", "lane", "charger")
-"""How often each kind occurs: charging spots attract from afar, the others matter nearby."""
+"""How often each kind occurs: charging spots matter from far away, the others nearby."""
 SYMBOLS = {"wet": "≈", "right": "←", "down": "↑", "charger": "+"}
 """On the map; of a lane the way that some think it has, by the robot's."""
 BACK = {"right": "left", "down": "up"}
-"""Ways to the dispatch, and the opposite."""
+"""Directions to the dispatch, and the opposite ones."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """What lies between two crossings.
+    """The two cells between two crossings.
 
     Attributes:
         cells: its two cells, in the direction of the dispatch.
-        way: the move of that direction.
+        way: the move in that direction.
         ends: names of its crossings.
     """
 
@@ -53,15 +54,15 @@ class Stretch:
 class Warehouse:
     """The warehouse task. States are cells; the dispatch, the last crossing, ends the task.
 
-    The map is the smallest (square, or one wider than high) with a stretch for every fact. Which
-    stretches have one, and of which kind, is drawn at random by ``layout``.
+    The map is the smallest (square, or one wider than high) with a stretch for every fact. The
+    stretches with a fact, and the kinds of the facts, are drawn at random by ``layout``.
 
     Args:
-        facts: how many facts might be held wrong, 2 … 62.
+        facts: number of facts that may be held wrong, 2 … 62.
         layout: seed of the draw.
-        wet, against: what people think each cell of wet floor costs, and of a lane in the wrong
+        wet, against: what people think a cell of wet floor costs, and a cell of a lane in the wrong
             direction.
-        charge: what they think a cell of a charging spot gives back; less than 1, a drive's cost.
+        charge: what they think a cell of a charging spot gives back, less than 1.
         discount: γ of the task.
         slip: probability that a move slides to a side.
         name: of the domain.
@@ -126,8 +127,8 @@ class Warehouse:
         self._entered = {name: self._entering(name) for name in self.stretches}
 
     def _entering(self, name: str) -> NDArray[np.bool_]:
-        """Which outcomes [S, 4, K] a fact is about: entering a cell of its stretch, and for a lane
-        only by the move towards the dispatch."""
+        """The outcomes [S, 4, K] that a fact is about: those that enter a cell of its stretch, for
+        a lane only by the move towards the dispatch."""
         stretch = self.stretches[name]
         numbers = [int(self.grid.number[cell]) for cell in stretch.cells]
         stays = self._successor == np.arange(len(self.grid.cells))[:, None, None]
@@ -137,7 +138,7 @@ class Warehouse:
         return entered
 
     def model(self, values: Mapping[str, Any]) -> MDP:
-        """The task of someone who holds these values."""
+        """The task of somebody who holds these values."""
         reward = np.full(self._successor.shape, -1.0)
         for name, entered in self._entered.items():
             if values[name]:
@@ -164,8 +165,8 @@ class Warehouse:
 
     @property
     def scene(self) -> Scene:
-        """The map with the dispatch, and the stretches that facts are about, by the facts'
-        numbers."""
+        """The map with the dispatch and the stretches that facts are about, with the numbers of the
+        facts."""
         by_symbol: dict[str, list[str]] = {symbol: [] for symbol in SYMBOLS.values()}
         for name, stretch in self.stretches.items():
             kind = name.split("_")[0]
@@ -199,7 +200,7 @@ def _map(high: int, wide: int) -> str:
 
 
 def _stretches(high: int, wide: int) -> Sequence[Stretch]:
-    """Row by row; from a crossing first the one to the right, then the one down."""
+    """Stretches row by row; from each crossing first the one to the right, then the one down."""
     found = []
     for r, c in product(range(high), range(wide)):
         for way, dr, dc in (("right", 0, 1), ("down", 1, 0)):
@@ -215,7 +216,7 @@ def _letter(column: int) -> str:
 
 
 def _parameter(name: str, kind: str, stretch: Stretch, worth: float) -> Parameter:
-    """The robot's value is 0: none of this is so."""
+    """The robot's value is 0: what the fact says is not true."""
     cost = f"{abs(worth):g}"
     message, belief = {
         "wet": (

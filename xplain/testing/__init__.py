@@ -1,11 +1,11 @@
-"""Suites that a component of your own inherits. Three lines test a package::
+"""Test suites for your own components. Three lines test a package::
 
     from xplain.testing import Chosen, SolverConformance
     class TestMine(SolverConformance):
         chosen = Chosen("solver", "mine", conf="conf")
 
-``chosen`` is what a YAML file makes, as the command line would. An object of your own, or many at
-once, is tested by overriding the fixture that hands it to every test::
+``chosen`` is a component as the command line makes it from a YAML file. To test an object of your
+own, or many at once, override the fixture that gives it to every test::
 
     class TestMine(SolverConformance):
         @pytest.fixture(params=[Mine(depth=1), Mine(depth=9)])
@@ -52,7 +52,7 @@ _WHERE = {
 
 
 def __getattr__(name: str) -> Any:
-    # Imported when asked for: the data and problems beside the suites do without pytest.
+    # Imported on demand: the data and problems need no pytest.
     if name not in _WHERE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

@@ -15,7 +15,7 @@ class Chosen:
     Args:
         group, choice: as on the command line.
         overrides: further keys, ``"solver.simulations=50"``.
-        conf: a folder of configs of your own, looked in besides xplain's.
+        conf: a folder of your own configs, in addition to xplain's.
     """
 
     def __init__(
@@ -28,14 +28,14 @@ class Chosen:
 
     @cached_property
     def component(self) -> Any:
-        """Made when first asked for, then the same one; see :meth:`make`."""
+        """Made on first use, then the same object; see :meth:`make`."""
         return self.make()
 
     def make(self) -> Any:
         """A new component, as a run with these keys would get it.
 
         Raises:
-            HydraException: no such choice.
+            HydraException: there is no such choice.
             XplainError: its values are not allowed.
         """
         from hydra import compose, initialize_config_dir

@@ -1,4 +1,4 @@
-"""What every clusterer and every partition keeps to (see :mod:`xplain.learning.clustering`)."""
+"""Properties of every clusterer and every partition (see :mod:`xplain.learning.clustering`)."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from xplain.testing.suite import Conformance
 
 
 class ClustererConformance(Conformance):
-    """Holds a clusterer, ``cluster(dataset, trainer, seed, truth)``, to what learning and scoring
-    need of its :class:`~xplain.learning.clustering.Clustering`.
+    """Tests a clusterer, ``cluster(dataset, trainer, seed, truth)``, for what learning and scoring
+    need from its :class:`~xplain.learning.clustering.Clustering`.
 
     Attributes:
-        finds_types: it must tell types apart that answer the same questions differently.
+        finds_types: it must distinguish types that answer the same questions differently.
         needs_truth: it works with the true types (perfect clustering).
     """
 
@@ -28,19 +28,19 @@ class ClustererConformance(Conformance):
     needs_truth = False
 
     def test_every_observer_gets_a_type(self, component: Any) -> None:
-        """Numbered from 0 in the order of the observers."""
+        """Types are numbered from 0 in the order of the observers."""
         data, truth = self._data()
         found = self._cluster(component, data, truth).assignment
-        assert found.shape == (len(data.observers),), "one type an observer"
+        assert found.shape == (len(data.observers),), "not one type for each observer"
         assert np.array_equal(found, by_first_appearance(found)), "not numbered by appearance"
 
     def test_says_how_it_chose(self, component: Any) -> None:
-        """For the report: a method, a rule, and a curve where there is one."""
+        """The report needs a method, a rule, and a curve if there is one."""
         data, truth = self._data()
         clustering = self._cluster(component, data, truth)
         assert isinstance(clustering, Clustering)
-        assert clustering.method.strip(), "no word for the method"
-        assert clustering.rule.strip(), "no word for what chose the number of types"
+        assert clustering.method.strip(), "the method has no name"
+        assert clustering.rule.strip(), "the rule for the number of types has no name"
 
     def test_the_same_seed_gives_the_same_types(self, component: Any) -> None:
         """Randomness comes from the seed alone."""
@@ -49,7 +49,7 @@ class ClustererConformance(Conformance):
         assert np.array_equal(once, again), "two clusterings with one seed differ"
 
     def test_does_not_look_at_the_truth(self, component: Any) -> None:
-        """Simulated observers' true types are for scoring."""
+        """The true types of simulated observers are for scoring alone."""
         if self.needs_truth:
             return
         data, truth = self._data()
@@ -66,7 +66,7 @@ class ClustererConformance(Conformance):
         assert np.array_equal(found, truth), f"found {found.tolist()}, true {truth.tolist()}"
 
     def test_observers_may_come_in_any_order(self, component: Any) -> None:
-        """Whoever comes first among them is type 0, whatever the true types' numbers."""
+        """The first observer is of type 0, whatever the numbers of the true types."""
         data, truth = self._data()
         last_type_first = np.array([8, 0, 4, 1, 7, 3, 6, 5, 2])
         shuffled, true = _in_order(data, last_type_first), truth[last_type_first]
@@ -98,7 +98,7 @@ class ClustererConformance(Conformance):
 
 
 def _in_order(data: Dataset, order: NDArray[np.int64]) -> Dataset:
-    """The same labels, their observers [O] in another order."""
+    """The same labels, with the observers [O] in another order."""
     place = np.argsort(order)[data.observer]
     rows = np.argsort(place, kind="stable")
     names = tuple(data.observers[o] for o in order)
@@ -106,12 +106,12 @@ def _in_order(data: Dataset, order: NDArray[np.int64]) -> Dataset:
 
 
 class PartitionConformance(Conformance):
-    """Holds a partition, ``partition(vectors, k, seed)``, the plug-in of
-    :class:`~xplain.learning.paper_clusterer.Elbow`, to what its curve of disagreements needs.
+    """Tests a partition, ``partition(vectors, k, seed)``, the plug-in of
+    :class:`~xplain.learning.paper_clusterer.Elbow`, for what its curve of disagreements needs.
     """
 
     def test_makes_at_most_k_groups(self, component: Any) -> None:
-        """One group for k = 1; each distinct vector its own where k allows."""
+        """One group for k = 1; a group for each distinct vector if k allows it."""
         vectors = self._vectors()
         distinct = len(np.unique(vectors, axis=0))
         for k in range(1, distinct + 3):
@@ -121,14 +121,14 @@ class PartitionConformance(Conformance):
                 assert groups == distinct, f"{distinct} distinct vectors made {groups} groups"
 
     def test_equal_vectors_stay_together(self, component: Any) -> None:
-        """Observers who need the same messages cannot be told apart, so no k may separate them."""
+        """Observers who need the same messages are indistinguishable, so no k may separate them."""
         vectors = self._vectors()
         for k in range(1, 6):
             groups = component.partition(vectors, k, 0)
-            assert groups.shape == (len(vectors),), "one group a vector"
+            assert groups.shape == (len(vectors),), "not one group for each vector"
             for row in np.unique(vectors, axis=0):
                 same = groups[(vectors == row).all(axis=1)]
-                assert (same == same[0]).all(), f"equal vectors are torn for k = {k}"
+                assert (same == same[0]).all(), f"equal vectors are in different groups for k = {k}"
 
     def test_the_same_seed_gives_the_same_groups(self, component: Any) -> None:
         """Randomness comes from the seed alone."""
@@ -137,7 +137,7 @@ class PartitionConformance(Conformance):
         assert np.array_equal(once, again), "two partitions with one seed differ"
 
     def test_leaves_the_vectors_as_they_were(self, component: Any) -> None:
-        """The array is the caller's, and is not written to."""
+        """The array belongs to the caller and must not change."""
         vectors = self._vectors()
         component.partition(vectors, 3, 0)
         assert np.array_equal(vectors, self._vectors()), "the vectors were changed"

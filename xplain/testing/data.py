@@ -1,4 +1,4 @@
-"""Small data sets with a known rule behind the labels."""
+"""Small data sets whose labels follow a known rule."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def rule_data(
 ) -> tuple[Dataset, NDArray[np.int64]]:
     """Labels by observers of several types, and the type of each observer.
 
-    A transition is a place 0 … 9; place i is inexplicable to a type that needs message i mod 4
-    until it is given. All observers answer the same questions.
+    A transition is a place 0 … 9. To a type that needs message i mod 4, place i is inexplicable
+    until this message is given. All observers answer the same questions.
 
     Args:
         rng: draws the questions.
         needs: for each type, the messages that it needs.
-        per_type: observers of each.
-        points: labels an observer.
+        per_type: observers per type.
+        points: labels per observer.
     """
     truth = np.repeat(np.arange(len(needs)), per_type)
     place, given = rng.integers(10, size=points), rng.integers(16, size=points)

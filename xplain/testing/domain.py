@@ -1,4 +1,4 @@
-"""What every domain keeps to (see :mod:`xplain.domains.base`)."""
+"""Properties of every domain (see :mod:`xplain.domains.base`)."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from xplain.users.setting import MAX_MODELS, Setting, UserType
 
 
 class DomainConformance(Conformance):
-    """Holds a :class:`~xplain.domains.base.Domain` to what labels, traces, messages and maps need.
+    """Tests a :class:`~xplain.domains.base.Domain` for what labels, traces, messages and maps need.
 
-    Two tests fail for a task that is sound but tells nothing: a message that never changes a
-    label, and actions so nearly as good as each other that a label would be a guess.
+    Two tests fail for a task that is valid but useless: a message never changes a label, or two
+    actions nearly tie, so that a label would be a guess.
     """
 
     def test_is_a_domain(self, component: Any) -> None:
-        """It has all that :class:`xplain.domains.base.Domain` names."""
-        assert isinstance(component, Domain), "something of xplain.domains.base.Domain lacks"
+        """It has all attributes of :class:`xplain.domains.base.Domain`."""
+        assert isinstance(component, Domain), "lacks an attribute of xplain.domains.base.Domain"
 
     def test_parameters_are_named_and_told_in_words(self, component: Any) -> None:
-        """Each has a name of its own, a sentence, and a wrong value that is not the right one."""
+        """Each has a unique name, a sentence, and an inaccurate value unlike the accurate one."""
         parameters = component.parameters
         assert parameters, "a domain needs a parameter that people may hold wrong"
         names = [parameter.name for parameter in parameters]
@@ -36,17 +36,17 @@ class DomainConformance(Conformance):
             assert parameter.accurate != parameter.inaccurate, f"{parameter.name}: two equal values"
 
     def test_every_idea_of_the_task_shares_states_and_actions(self, component: Any) -> None:
-        """Labels compare what different people think of the same transition."""
+        """All models have the same states and actions: labels compare the same transition."""
         robot, *others = _setting(component).models
         for model in others:
             assert model.successor.shape[:2] == robot.successor.shape[:2], (
                 "states or actions differ"
             )
-        assert len(component.actions) == robot.n_actions, "one name an action"
+        assert len(component.actions) == robot.n_actions, "not one name for each action"
         assert len(set(component.actions)) == robot.n_actions, "actions share a name"
 
     def test_a_model_is_a_function_of_the_values(self, component: Any) -> None:
-        """Asked again after other values, it is the same."""
+        """The same values give the same model, also after other values."""
         accurate = {p.name: p.accurate for p in component.parameters}
         once = component.model(accurate)
         component.model({p.name: p.inaccurate for p in component.parameters})
@@ -56,7 +56,7 @@ class DomainConformance(Conformance):
         assert once.discount == again.discount, "the discount has changed"
 
     def test_features_describe_every_state(self, component: Any) -> None:
-        """``state_features`` is [S, F], all finite; ``feature_names`` has F names that differ."""
+        """``state_features`` is [S, F], all finite; ``feature_names`` has F different names."""
         features, names = component.state_features, component.feature_names
         setting = _setting(component)
         assert features.shape == (setting.models[0].n_states, len(names)), features.shape
@@ -66,21 +66,21 @@ class DomainConformance(Conformance):
         assert rows.shape[1] == len(transition_feature_names(component))
 
     def test_traces_can_start(self, component: Any) -> None:
-        """Starts are states in which there is something to do."""
+        """Traces start in states that are not terminal."""
         starts, robot = component.starts, _setting(component).models[0]
         assert len(starts), "no start"
-        assert ((starts >= 0) & (starts < robot.n_states)).all(), "a start is no state"
-        assert not robot.terminal[starts].any(), "a trace would end where it starts"
+        assert ((starts >= 0) & (starts < robot.n_states)).all(), "a start is not a state"
+        assert not robot.terminal[starts].any(), "a start is terminal"
 
     def test_the_robot_is_explicable_to_those_who_know_the_task(self, component: Any) -> None:
-        """Whoever holds all values right calls every transition of the robot explicable."""
+        """People who hold all values right find every transition of the robot explicable."""
         setting = _setting(component)
         labels = setting.label_by_model(setting.reachable)[0]
         assert labels.all(), "the robot's own model finds the robot inexplicable"
 
     def test_every_message_can_matter(self, component: Any) -> None:
-        """For someone who holds everything wrong, each message changes some label, given some
-        others."""
+        """For somebody who holds everything wrong, each message changes some label, together with
+        some other messages."""
         setting = _setting(component)
         labels = setting.labels_by_type(setting.reachable)
         for j, name in enumerate(setting.message_names):
@@ -88,14 +88,14 @@ class DomainConformance(Conformance):
             assert matters, f"{name} never changes a label"
 
     def test_transitions_are_told_in_words(self, component: Any) -> None:
-        """``describe`` says each in one line that is not empty."""
+        """``describe`` gives one line for each transition, not empty."""
         for transition in _setting(component).reachable[:500]:
             phrase = component.describe(transition)
             assert phrase.strip(), f"no words for {transition}"
             assert "\n" not in phrase, f"more than a line for {transition}"
 
     def test_the_map_has_a_place_for_the_robot(self, component: Any) -> None:
-        """Where there is a map, every state has a cell on it that is no wall."""
+        """If there is a map, every state has a cell on it that is not a wall."""
         scene = component.scene
         for state in np.unique(_setting(component).reachable[:, [0, 2]]):
             cell = component.position(int(state))
@@ -109,11 +109,11 @@ class DomainConformance(Conformance):
 
 
 def _setting(domain: Domain) -> Setting:
-    """One type that holds everything wrong: every model that any type can hold. Where there are
-    too many of these, a type for each parameter, which holds that one wrong.
+    """One type that holds everything wrong: it has every model that a type can have. If these are
+    too many, a type for each parameter, which holds this one wrong.
 
     Raises:
-        AssertionError: a model is no MDP, or has actions too nearly as good as each other.
+        AssertionError: a model is not valid, or its ties are ambiguous.
     """
     wrong = {p.name: p.inaccurate for p in domain.parameters}
     types = [UserType("all_wrong", wrong)]

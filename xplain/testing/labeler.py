@@ -1,4 +1,4 @@
-"""What every labeler keeps to (see :mod:`xplain.learning.labelers`)."""
+"""Properties of every labeler (see :mod:`xplain.learning.labelers`)."""
 
 from __future__ import annotations
 
@@ -14,18 +14,17 @@ from xplain.testing.suite import Conformance
 
 
 class LabelerConformance(Conformance):
-    """Holds a trainer, ``fit(dataset, seed)``, and the labelers that it makes to what beliefs and
-    planners need of them. A scikit-learn classifier of your own is tested as
-    ``LabelerTrainer(classifier)``.
+    """Tests a trainer, ``fit(dataset, seed)``, and its labelers for what beliefs and planners need.
+    Test your own scikit-learn classifier as ``LabelerTrainer(classifier)``.
 
     Attributes:
-        learns: the least accuracy on points not seen before, where 300 labels follow a plain rule.
+        learns: the least accuracy on unseen points, for 300 labels that follow a simple rule.
     """
 
     learns = 0.8
 
     def test_learns_a_plain_rule(self, component: Any) -> None:
-        """On points not seen before, at least the share ``learns`` of predicted labels is right."""
+        """On unseen points, at least the share ``learns`` of the predicted labels is right."""
         labeler = component.fit(self._data(0), 0)
         fresh = self._data(1)
         said = labeler.predict(fresh.features[fresh.transition], fresh.message_set)
@@ -33,17 +32,17 @@ class LabelerConformance(Conformance):
         assert right >= self.learns, f"{right:.0%} right, expected {self.learns:.0%}"
 
     def test_probabilities_are_never_certain(self, component: Any) -> None:
-        """A labeler that is certain would make the belief deaf to all that follows."""
+        """A labeler that is certain would make the belief ignore all later labels."""
         for probability in self._asked(component):
             assert ((probability > 0) & (probability < 1)).all(), "P must be inside (0, 1)"
 
     def test_the_table_says_what_single_questions_say(self, component: Any) -> None:
-        """``table`` [T, 2^n] may take a shortcut, but not to other numbers than ``probability``."""
+        """``table`` [T, 2^n] may take a shortcut, but gives the same numbers as ``probability``."""
         table, single = self._asked(component)
         assert np.allclose(table, single, rtol=1e-12), "table and probability differ"
 
     def test_labels_follow_the_probabilities(self, component: Any) -> None:
-        """A label of 1 is the likelier one where 1 is predicted (confidence above ½)."""
+        """P(1) is at least ½ exactly where 1 is predicted (confidence above ½)."""
         data = self._data(0)
         labeler = component.fit(data, 0)
         rows = data.features[data.transition]
@@ -57,7 +56,7 @@ class LabelerConformance(Conformance):
         assert np.array_equal(one, other), "two fits with one seed differ"
 
     def test_one_kind_of_label_is_learned_too(self, component: Any) -> None:
-        """Where all labels are 1, or all 0, it says so of every transition."""
+        """If all labels are 1, or all 0, it predicts this label everywhere."""
         data = self._data(0)
         for only in (0, 1):
             same = replace(data, label=np.full(len(data), only, dtype=np.uint8))
@@ -75,7 +74,7 @@ class LabelerConformance(Conformance):
         assert labeler.n_train + labeler.n_test == distinct, "some questions are lost or repeated"
 
     def test_the_order_of_the_labels_does_not_matter(self, component: Any) -> None:
-        """The same data give the same labeler, whoever answered first."""
+        """The same data give the same labeler, in any order of the labels."""
         data = self._data(0)
         shuffled = data.take(np.random.default_rng(5).permutation(len(data)))
         one, other = (
@@ -89,7 +88,7 @@ class LabelerConformance(Conformance):
         return rule_data(np.random.default_rng(seed), [[0, 2]], per_type=1, points=300)[0]
 
     def _asked(self, component: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The table [T, 2^n], and the same by one question each."""
+        """The table [T, 2^n], and the same numbers question by question."""
         data = self._data(0)
         labeler = component.fit(data, 3)
         table = labeler.table(data.features).array(data.n_messages)[0]

@@ -11,8 +11,8 @@ from xplain.explanation.problem import Problem
 def random_problem(
     rng: np.random.Generator, max_types: int = 3, max_steps: int = 3, max_messages: int = 2
 ) -> Problem:
-    """A problem of the kinds that have broken a solver: unequal costs (some nought), any discount
-    in (0, 1], sharp and soft probabilities, prior entries of zero, repeated transitions, messages
+    """A problem with features that broke a solver before: unequal costs (some 0), any discount in
+    (0, 1], certain and uncertain labels, prior entries of 0, repeated transitions, messages
     without effect."""
     types = int(rng.integers(1, max_types + 1))
     steps = int(rng.integers(1, max_steps + 1))
@@ -21,10 +21,10 @@ def random_problem(
     p = rng.random((types, steps, 1 << n))
     if kind == 1:  # labels that are certain
         p = np.round(p)
-    elif kind == 2:  # one confidence a type, as a labeler with held-out accuracy gives
+    elif kind == 2:  # one confidence per type, as labelers with a held-out accuracy have
         confidence = 0.5 + 0.5 * rng.random((types, 1, 1))
         p = np.where(p < 0.5, 1 - confidence, confidence)
-    elif kind == 3:  # certain and soft ones together
+    elif kind == 3:  # certain and uncertain ones together
         p = np.where(rng.random(p.shape) < 0.4, np.round(p), p)
     if rng.random() < 0.3:
         p[:, -1] = p[:, 0]

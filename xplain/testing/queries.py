@@ -1,4 +1,4 @@
-"""What every query design keeps to (see :mod:`xplain.data.queries`)."""
+"""Properties of every query design (see :mod:`xplain.data.queries`)."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from xplain.users.setting import Setting, UserType
 
 RESCUE = Chosen("domain", "rescue")
 SIZES = np.array([23, 1, 12, 40])
-"""Labels that each of four observers gives, at most."""
+"""The largest number of labels of each of four observers."""
 
 
 class QueriesConformance(Conformance):
-    """Holds a design, ``ask(setting, sizes, answer, seed)``, to what data and learning need of its
-    questions. The observers here answer at random: a design must bear any answers."""
+    """Tests a design, ``ask(setting, sizes, answer, seed)``, for what data and learning need from
+    its questions. The observers here answer at random: a design must accept any answers."""
 
     @pytest.fixture(scope="class")
     def domain(self) -> Domain:
-        """What is asked about; to be overridden for designs of another domain."""
+        """The domain of the questions; override it for designs of another domain."""
         made: Domain = RESCUE.component
         return made
 
@@ -35,22 +35,22 @@ class QueriesConformance(Conformance):
         return _setting(domain, 0)
 
     def test_everybody_is_asked_no_more_than_agreed(self, component: Any, setting: Setting) -> None:
-        """One :class:`~xplain.data.queries.Answered` an observer, 1 to ``sizes[o]`` questions."""
+        """One :class:`~xplain.data.queries.Answered` per observer, 1 to ``sizes[o]`` questions."""
         asked, _ = _asked(component, setting)
-        assert len(asked) == len(SIZES), "not one of each observer"
+        assert len(asked) == len(SIZES), "not one for each observer"
         counts = [len(one.labels) for one in asked]
         assert all(1 <= c <= s for c, s in zip(counts, SIZES, strict=True)), f"asked {counts}"
         for one in asked:
             assert one.transitions.shape == (len(one.labels), 3), "transitions are [p, 3]"
-            assert one.message_sets.shape == one.labels.shape, "one message set a label"
+            assert one.message_sets.shape == one.labels.shape, "not one message set for each label"
 
     def test_answers_are_the_observers(self, component: Any, setting: Setting) -> None:
-        """Every question and answer is handed on, in the order in which it was asked."""
+        """All questions and answers are returned, in the order in which they were asked."""
         asked, heard = _asked(component, setting)
         for one, told in zip(asked, heard, strict=True):
             assert np.array_equal(one.transitions, told.transitions), "asked another transition"
             assert np.array_equal(one.message_sets, told.message_sets), "under other messages"
-            assert np.array_equal(one.labels, told.labels), "answered otherwise"
+            assert np.array_equal(one.labels, told.labels), "with other answers"
 
     def test_questions_are_about_what_the_robot_does(
         self, component: Any, setting: Setting
@@ -69,7 +69,7 @@ class QueriesConformance(Conformance):
             assert _same(once, again), "two rounds with one seed and the same answers differ"
 
     def test_does_not_look_at_the_true_types(self, component: Any, domain: Domain) -> None:
-        """Where other types answer alike, it asks alike."""
+        """If other types give the same answers, it asks the same questions."""
         last = len(domain.parameters) - 1
         one, other = (_asked(component, _setting(domain, j))[0] for j in (0, last))
         assert _same(one, other), "the questions depend on the true types"
@@ -81,7 +81,7 @@ def _setting(domain: Domain, wrong: int) -> Setting:
 
 
 def _asked(design: Any, setting: Setting, seed: int = 0) -> tuple[list[Answered], list[Answered]]:
-    """What the design returns, and what its observers saw and said."""
+    """What the design returns, and the questions and answers of its observers."""
     rngs = [np.random.default_rng([o, seed]) for o in range(len(SIZES))]
     nothing = np.zeros((0, 3), dtype=np.int64)
     heard = [Answered(nothing, nothing[:, 0], nothing[:, 0].astype(np.uint8)) for _ in SIZES]

@@ -1,4 +1,4 @@
-"""What every solver keeps to (see :mod:`xplain.solvers.base`)."""
+"""Properties of every solver (see :mod:`xplain.solvers.base`)."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ Question = tuple[int, int, NDArray[np.float64]]
 
 
 class SolverConformance(Conformance):
-    """Holds a :class:`~xplain.solvers.base.Solver` and its policies to what episodes, sessions,
-    replay and exact evaluation need: above all that a policy is a function of what it is asked.
+    """Tests a :class:`~xplain.solvers.base.Solver` and its policies for what episodes, sessions,
+    replay and exact evaluation need: above all, a policy is a function of its arguments.
 
-    How good its decisions are is not tested, but for three problems whose answer is plain.
+    The quality of its decisions is tested on three problems alone, whose answer is obvious.
 
     Attributes:
-        problems: how many random problems are tried.
-        weighs_costs: whether it plans at all; False for references such as silence, which are
-            spared the three.
+        problems: number of random problems.
+        weighs_costs: whether it plans at all; False for references such as silence, which skip
+            the three.
     """
 
     problems = 12
     weighs_costs = True
 
     def test_is_a_solver(self, component: Any) -> None:
-        """It plans, and says what it must know of the user."""
+        """It plans, and says what it needs to know about the user."""
         assert isinstance(component, Solver), "a solver has `knows` and `plan`"
         assert component.knows in get_args(Knowledge), f"knows: one of {get_args(Knowledge)}"
 
@@ -46,23 +46,23 @@ class SolverConformance(Conformance):
             policy = component.plan(problem, 0)
             for step, given, belief in questions:
                 new = policy.messages(step, given, belief)
-                assert isinstance(new, (int, np.integer)), f"{new!r} is no bitmask"
-                assert new >= 0, f"{new} is no bitmask"
+                assert isinstance(new, (int, np.integer)), f"{new!r} is not a bitmask"
+                assert new >= 0, f"{new} is not a bitmask"
                 assert new & given == 0, f"{new:b} repeats messages of {given:b}"
-                assert new >> problem.n_messages == 0, f"{new:b} names a message that is not there"
+                assert new >> problem.n_messages == 0, f"{new:b} has a message that does not exist"
 
     def test_the_same_question_gets_the_same_answer(self, component: Any) -> None:
-        """Asked twice, after other questions, and of another plan with the same seed."""
+        """The same decisions in another order, and from another plan with the same seed."""
         for problem, questions in self._situations(component):
             policy, other = component.plan(problem, 7), component.plan(problem, 7)
             first = [policy.messages(*question) for question in questions]
             again = [policy.messages(*question) for question in reversed(questions)]
             others = [other.messages(*question) for question in questions]
-            assert first == again[::-1], "the answers depend on what was asked before"
-            assert first == others, "two plans of one problem and seed answer differently"
+            assert first == again[::-1], "decisions depend on earlier ones"
+            assert first == others, "two plans of one problem and seed decide differently"
 
     def test_values_belong_to_messages_that_can_be_given(self, component: Any) -> None:
-        """Finite numbers by the message set given next; there may be none."""
+        """Finite numbers for message sets given next; there may be none."""
         for problem, questions in self._situations(component):
             policy = component.plan(problem, 0)
             for step, given, belief in questions:
@@ -72,7 +72,7 @@ class SolverConformance(Conformance):
                     assert np.isfinite(value), f"the value of {new:b} is {value}"
 
     def test_leaves_problem_and_belief_as_they_were(self, component: Any) -> None:
-        """The arrays that it is given are the caller's, and are not written to."""
+        """Its arguments belong to the caller and must not change."""
         for problem, questions in self._situations(component):
             before = problem.p_explicable.copy()
             policy = component.plan(problem, 0)
@@ -84,7 +84,7 @@ class SolverConformance(Conformance):
             assert np.array_equal(before, problem.p_explicable), "the table was changed"
 
     def test_says_nothing_where_everything_is_explicable(self, component: Any) -> None:
-        """A message has a cost there, and nothing to gain."""
+        """If all is explicable, a message costs and gains nothing."""
         if not self.weighs_costs:
             return
         for steps in (1, 5):
@@ -92,7 +92,7 @@ class SolverConformance(Conformance):
             problem = Problem(certain, np.ones(2))
             policy = component.plan(problem, 0)
             for step in range(steps):
-                assert policy.messages(step, 0, _belief(problem)) == 0, "it spoke in vain"
+                assert policy.messages(step, 0, _belief(problem)) == 0, "a message without a gain"
 
     def test_says_at_once_what_makes_the_whole_trace_explicable(self, component: Any) -> None:
         """One cheap message of two makes every transition explicable; silence costs 10 zeros."""
@@ -103,10 +103,10 @@ class SolverConformance(Conformance):
         table[:, :, [2, 3]] = good
         problem = Problem(LabelTable.dense(table), np.ones(2), trade_off=0.1)
         policy = component.plan(problem, 0)
-        assert policy.messages(0, 0, _belief(problem)) == 2, "message 1 alone is worth it"
+        assert policy.messages(0, 0, _belief(problem)) == 2, "message 1 alone is worth its cost"
 
     def test_explains_a_whole_trace(self, component: Any) -> None:
-        """The loop of the experiments runs to the end; a price too high is never paid."""
+        """An episode runs to its end, and a message that costs too much is never given."""
         rng = np.random.default_rng(4)
         for problem, _ in self._situations(component):
             m, sets = problem.p_explicable.shape[1:]

@@ -1,4 +1,4 @@
-"""What the suites share: the component that they test."""
+"""The base of the suites: the component that they test."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from xplain.testing.chosen import Chosen
 
 
 class Conformance:
-    """A suite; its subclasses state the properties, and theirs say what is tested.
+    """A suite. Its subclasses state the properties, and their subclasses say what is tested.
 
     Attributes:
-        chosen: the choice to test. Whoever tests something else, or many choices, overrides the
-            fixture :meth:`component` instead.
+        chosen: the choice to test. To test something else, or many choices, override the fixture
+            :meth:`component` instead.
     """
 
     chosen: Chosen
 
     @pytest.fixture
     def component(self) -> Any:
-        """What every test of the suite is given."""
+        """The component, for every test of the suite."""
         return self.chosen.component

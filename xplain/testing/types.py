@@ -1,4 +1,4 @@
-"""What every source of user types keeps to (see :mod:`xplain.users.types`)."""
+"""Properties of every source of user types (see :mod:`xplain.users.types`)."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ RESCUE = Chosen("domain", "rescue")
 
 
 class TypeSourceConformance(Conformance):
-    """Holds a source, ``types(domain, rng)``, to what observers and labels need of its types."""
+    """Tests a source, ``types(domain, rng)``, for what observers and labels need from its types."""
 
     @pytest.fixture
     def domain(self) -> Domain:
-        """Whose parameters the types hold wrong; to be overridden for types of another domain."""
+        """The domain of the types; override it for types of another domain."""
         made: Domain = RESCUE.component
         return made
 
     def test_types_hold_parameters_of_the_domain_wrong(
         self, component: Any, domain: Domain
     ) -> None:
-        """At least one type, each with a name of its own and something it does not know."""
+        """At least one type, each with a unique name and at least one fact held wrong."""
         known = {parameter.name for parameter in domain.parameters}
         types = _types(component, domain, 0)
         assert types, "no types"
@@ -39,10 +39,10 @@ class TypeSourceConformance(Conformance):
             assert user_type.inaccurate.keys() <= known, f"{user_type.name}: unknown parameters"
 
     def test_the_same_stream_gives_the_same_types(self, component: Any, domain: Domain) -> None:
-        """Whatever is random comes from ``rng``."""
+        """All randomness comes from ``rng``."""
         for seed in range(3):
             assert _types(component, domain, seed) == _types(component, domain, seed), (
-                "the types are random by themselves"
+                "the types do not depend on rng alone"
             )
 
     def test_their_labels_can_be_computed(self, component: Any, domain: Domain) -> None:
@@ -52,7 +52,7 @@ class TypeSourceConformance(Conformance):
             assert len(setting.distinct) == len(setting.types)
 
     def test_types_can_be_told_apart(self, component: Any, domain: Domain) -> None:
-        """No two types label every transition alike; otherwise they are one."""
+        """No two types give all transitions the same labels; otherwise they are one type."""
         for seed in range(3):
             distinct = Setting.build(domain, _types(component, domain, seed)).distinct
             assert len(np.unique(distinct)) == len(distinct), f"alike: {distinct.tolist()}"

@@ -32,14 +32,14 @@ class UserType:
 
 @dataclass(frozen=True)
 class Setting:
-    """A domain with N user types, every distinct model of the task solved.
+    """A domain with N user types; every distinct model of the task is solved.
 
     Attributes:
         domain, types: as given.
         models: the distinct models; the first is the robot's.
         optimal: the optimal actions [S, A] of each, by index.
         bits: for each type, the positions of the messages that correct it.
-        table: for each type, [2^len(bits)] index of its model, by which of these were given.
+        table: for each type, [2^len(bits)] index of its model after each set of these messages.
     """
 
     domain: Domain
@@ -55,7 +55,7 @@ class Setting:
 
         Raises:
             InputError: no types, two of one name, or a type that names an unknown parameter.
-            DomainError: some model's ties are ambiguous, or it has no way to its goal.
+            DomainError: a model has ambiguous ties, or no way to its goal.
             TooLargeError: more than MAX_MODELS distinct models.
         """
         names = [parameter.name for parameter in domain.parameters]
@@ -63,7 +63,7 @@ class Setting:
             raise InputError("users", [], "at least one user type")
         called = [user_type.name for user_type in types]
         if len(set(called)) < len(called):
-            raise InputError("users", called, "each user type needs a name of its own")
+            raise InputError("users", called, "user types need different names")
         for user_type in types:
             for name in user_type.inaccurate:
                 if name not in names:
@@ -106,16 +106,16 @@ class Setting:
 
     @property
     def message_names(self) -> tuple[str, ...]:
-        """Names of the messages: one a parameter, in order."""
+        """Names of the messages, one for each parameter, in order."""
         return tuple(parameter.name for parameter in self.domain.parameters)
 
     @property
     def n_messages(self) -> int:
-        """n: messages, one a parameter of the domain."""
+        """n, the number of messages: one for each parameter of the domain."""
         return len(self.domain.parameters)
 
     def model_index(self, user_type: int, message_sets: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The model that a type holds once given each of these message sets: [P] → [P]."""
+        """The model that a type holds after each of these message sets: [P] → [P]."""
         local = np.zeros_like(message_sets)
         for i, j in enumerate(self.bits[user_type]):
             local |= (message_sets >> j & 1) << i
@@ -128,7 +128,7 @@ class Setting:
     def labels(
         self, user_type: int, transitions: NDArray[np.int64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.uint8]:
-        """The true labels of a type, one a (transition [P, 3], message set [P]): [P]."""
+        """The true labels of a type for each (transition [P, 3], message set [P]): [P]."""
         by_model = self.label_by_model(transitions)
         return by_model[self.model_index(user_type, message_sets), np.arange(len(transitions))]
 
@@ -174,8 +174,8 @@ class Setting:
 
     @cached_property
     def distinct(self) -> NDArray[np.int64]:
-        """[N] the same number for types that label every reachable (transition, message set)
-        alike: behaviourally they are one type."""
+        """[N] the same number for types with the same labels for every reachable (transition,
+        message set): they are behaviourally one type."""
         labels = self.labels_by_type(self.reachable)
         first: dict[tuple[tuple[int, ...], bytes], int] = {}
         found = []

@@ -61,17 +61,17 @@ def user_type(domain: Domain, name: str, facts: Sequence[str] | Mapping[str, Any
 
 @dataclass(frozen=True)
 class Explicit:
-    """Types written out in YAML.
+    """Types given in YAML.
 
     Attributes:
         groups: ``{name: [parameter, ...]}``, or ``{name: {parameter: its value for the type}}``
-            where a type brings values of its own (null: the domain's inaccurate value).
+            where a type has its own values (null: the domain's inaccurate value).
     """
 
     groups: Mapping[str, Sequence[str] | Mapping[str, Any]]
 
     def __post_init__(self) -> None:
-        """Raises InputError where ``groups`` is no mapping with at least one type."""
+        """Raises InputError if ``groups`` is not a mapping with at least one type."""
         if not isinstance(self.groups, Mapping) or not self.groups:
             raise InputError("users.groups", self.groups, "at least one user type, {name: [facts]}")
 
@@ -86,14 +86,14 @@ class Completions:
     rescue types is lost (docs/choices.md).
 
     A completion gives each free name one bonus and one obstacle, so that all types are distinct
-    and all facts are in use. For ``rescue`` 27 exist (as sets of types: which of the free names
-    has which pair does not matter).
+    and all facts are in use. For ``rescue`` there are 27 (as sets of types: it does not matter
+    which of the free names has which pair).
 
     Attributes:
         known: ``{name: [bonus, obstacle]}`` of the types that the paper's text names.
         free: names of the types to complete.
         bonuses, obstacles: the facts.
-        index: which completion, counted from 0, in the order of the facts.
+        index: of the completion, from 0, in the order of the facts.
     """
 
     known: Mapping[str, Sequence[str]]
@@ -103,7 +103,7 @@ class Completions:
     index: int = 0
 
     def __post_init__(self) -> None:
-        """Raises InputError where ``index`` is not that of a completion."""
+        """Raises InputError if there is no completion ``index``."""
         count = len(self.completions())
         if isinstance(self.index, bool) or not isinstance(self.index, int):
             raise InputError("users.index", self.index, f"a whole number in 0 ... {count - 1}")
@@ -111,7 +111,7 @@ class Completions:
             raise InputError("users.index", self.index, f"a whole number in 0 ... {count - 1}")
 
     def completions(self) -> tuple[tuple[tuple[str, str], ...], ...]:
-        """All completions: for each, one (bonus, obstacle) a free name."""
+        """All completions: each has one (bonus, obstacle) for each free name."""
         known = {tuple(pair) for pair in self.known.values()}
         pairs = [p for p in product(self.bonuses, self.obstacles) if p not in known]
         facts = {*self.bonuses, *self.obstacles}
@@ -131,13 +131,13 @@ class Completions:
 
 @dataclass(frozen=True)
 class RandomCover:
-    """Types drawn at random: each a non-empty subset of the parameters, their union all of them
-    (paper, four rooms).
+    """Types drawn at random: each is a non-empty subset of the parameters, and their union is all
+    parameters (paper, four rooms).
 
     Attributes:
         count: types to draw.
-        distinct: only types that label some reachable (transition, message set) differently.
-            Then whole draws are repeated until one fits.
+        distinct: only types that differ in the label of some reachable (transition, message
+            set). Whole draws are then repeated until one fits.
         attempts: draws before giving up.
     """
 
@@ -146,16 +146,16 @@ class RandomCover:
     attempts: int = 1000
 
     def __post_init__(self) -> None:
-        """Raises InputError where a count is not a whole number ≥ 1."""
+        """Raises InputError if a count is not a whole number ≥ 1."""
         for key in ("count", "attempts"):
             whole_number(f"users.{key}", getattr(self, key), 1)
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """Uniform over the lists of distinct subsets that cover all parameters (and, if asked,
-        differ in behaviour): draws that do not are thrown away whole.
+        """Uniform over the lists of distinct subsets that cover all parameters (and, if required,
+        differ in behaviour): other draws are rejected as a whole.
 
         Raises:
-            InputError: there are not so many subsets, or no draw fitted.
+            InputError: there are fewer subsets than ``count``, or no draw fitted.
         """
         names = [parameter.name for parameter in domain.parameters]
         full = (1 << len(names)) - 1
@@ -185,11 +185,11 @@ class RandomCover:
 
 @dataclass(frozen=True)
 class FewFacts:
-    """Types drawn at random where facts are many: each holds a few of them wrong.
+    """Types drawn at random for domains with many facts: each type holds a few facts wrong.
 
     Attributes:
         count: types to draw.
-        fewest, most: facts of a type; how many is drawn uniformly, then which.
+        fewest, most: facts of a type; first their number is drawn uniformly, then the facts.
         attempts: draws before giving up.
     """
 
@@ -199,13 +199,13 @@ class FewFacts:
     attempts: int = 1000
 
     def __post_init__(self) -> None:
-        """Raises InputError where a count is not a whole number ≥ 1, or ``most`` the smaller."""
+        """Raises InputError if a count is not a whole number ≥ 1, or ``most`` < ``fewest``."""
         for key in ("count", "fewest", "attempts"):
             whole_number(f"users.{key}", getattr(self, key), 1)
         whole_number("users.most", self.most, self.fewest)
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
-        """Types that differ in some label of a reachable (transition, message set): whole draws
+        """Types that differ in the label of some reachable (transition, message set): whole draws
         are repeated until one fits.
 
         Raises:

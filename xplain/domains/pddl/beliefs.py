@@ -1,4 +1,4 @@
-"""A task under every belief about it: the states and actions that all of them share, and the model
+"""A task under every belief about it: the states and actions that all beliefs share, and the model
 of somebody who holds some of the facts wrong."""
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from xplain.domains.pddl.states import Bits, Compiled, Words, explore
 from xplain.domains.pddl.task import Action, Literal, Task
 
 Wrong = frozenset[int]
-"""Which facts somebody holds wrong."""
+"""The facts that somebody holds wrong."""
 
 
 class Beliefs:
@@ -26,15 +26,15 @@ class Beliefs:
         task: the robot's.
         facts: the changes of each.
         more: actions that changes may add.
-        dead_end_cost: of having no plan.
-        max_states: more are refused.
+        dead_end_cost: of a state without a plan.
+        max_states: a task with more states is refused.
 
     Attributes:
         task: as given.
         bits: numbers the atoms that can change.
-        states: [S, W] those that the robot reaches, first the initial one; those that people take
-            them for who believe in another start; and all that these reach by what any belief says
-            of the actions, mixed as may be.
+        states: [S, W] those that the robot reaches, first the initial one; those that people who
+            believe in another start see instead; and all that can be reached from these by the
+            actions of any beliefs, in any mixture.
         actions: A ground actions, (schema, object, …), those that occur between these states.
 
     Raises:
@@ -102,7 +102,7 @@ class Beliefs:
         self._about_start, self._about_goal = frozenset(about), frozenset(goals)
 
     def _ends(self, wrongs: Sequence[Wrong]) -> tuple[Words, Words]:
-        """The goals of people with these facts wrong, for exploring; none if one cannot be met."""
+        """The goals of people with these facts wrong, to explore; none if one cannot be met."""
         goals = [self._goal(wrong) for wrong in wrongs]
         if any(goal is None for goal in goals):
             goals = []
@@ -113,7 +113,7 @@ class Beliefs:
         )  # type: ignore[return-value]
 
     def _goal(self, wrong: Wrong) -> list[Literal] | None:
-        """What can change of the goal; None where the rest is not met."""
+        """The part of the goal that can change; None if the rest is not met."""
         task = self._grounding.task_of(wrong)
         changing = self._grounding.changing
         rest = [x for x in task.goal if x.atom[0] not in changing]
@@ -122,7 +122,7 @@ class Beliefs:
         return [x for x in task.goal if x.atom[0] in changing]
 
     def _believed_start(self, fact: int) -> list[tuple[str, Literal]]:
-        """What a fact says of the start that the robot can change: (kind of change, atom)."""
+        """What a fact says about the start that the robot can change: (kind of change, atom)."""
         task, other = self.task, self._grounding.task_of(frozenset({fact}))
         return [
             ("drop" if atom in task.initial else "add", Literal(atom))
@@ -131,8 +131,8 @@ class Beliefs:
         ]
 
     def _imagine(self, rows: Words, fact: int) -> Words:
-        """The states [n, W] that somebody takes these for who holds a fact about the start wrong:
-        the same where the robot has changed any of what the fact is about."""
+        """The states [n, W] that people who hold a fact about the start wrong see instead of these;
+        the same states if the robot has changed anything that the fact is about."""
         differing = self._believed_start(fact)
         about = self.bits.row(x.atom for _, x in differing)
         added = self.bits.row(x.atom for kind, x in differing if kind == "add")
@@ -140,7 +140,7 @@ class Beliefs:
         return np.where(untouched[:, None], (rows & ~about) | added, rows)
 
     def _imagined_by(self, wrong: Wrong) -> NDArray[np.int64] | None:
-        """[S] the state that each is taken for; itself where the robot never comes."""
+        """[S] the state that people see instead of each; itself if the robot never reaches it."""
         if not wrong:
             return None
         rows = self.states[: self._robot_states]

@@ -1,4 +1,4 @@
-"""Changes of a task: what a fact that people hold wrong makes of it (:mod:`..task`).
+"""Changes of a task: how a fact that people hold wrong changes it (:mod:`..task`).
 
 A change is a mapping as YAML has it, such as ``{action: pick-up, drop_precondition: (handempty)}``;
 it leads from the robot's task to what people believe.
@@ -15,9 +15,9 @@ from xplain.domains.pddl.task import EQUAL, Action, Atom, Effect, Literal, Task,
 from xplain.errors import InputError, number
 
 OF_ACTIONS = ("drop_precondition", "add_precondition", "drop_effect", "add_effect", "cost")
-"""What a change may do to the action that it names; each alone."""
+"""What a change can do to the action that it names; one at a time."""
 OF_TASKS = ("drop_initial", "add_initial", "drop_goal", "add_goal", "drop_action", "add_action")
-"""What a change may do otherwise; each alone. So may ``function`` with its ``value``."""
+"""What else a change can do; one at a time. Another one is ``function`` with its ``value``."""
 Change = Mapping[str, Any]
 
 
@@ -46,10 +46,10 @@ def expression(key: str, text: object) -> Any:
 
 
 def literal(key: str, text: object, task: Task, action: Action | None) -> Literal:
-    """A literal of a task, its parameters those of an action.
+    """A literal of a task, with the parameters of an action.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not a literal.
     """
     return _literal(key, text, expression(key, text), task, action)
 
@@ -81,7 +81,7 @@ def effect(key: str, text: object, task: Task, action: Action) -> Effect:
     """An effect, ``(when condition literal)`` or a literal.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not an effect.
     """
     node = expression(key, text)
     if not node or node[0] != "when":
@@ -94,10 +94,10 @@ def effect(key: str, text: object, task: Task, action: Action) -> Effect:
 
 
 def checked(key: str, value: Any) -> tuple[Change, ...]:
-    """The changes of a fact, one or a list of them, right in form.
+    """The changes of a fact, one or a list of them, checked in form.
 
     Raises:
-        InputError: they are not.
+        InputError: their form is wrong.
     """
     changes = [value] if isinstance(value, Mapping) else value
     if isinstance(changes, str) or not isinstance(changes, Sequence) or not changes:
@@ -129,12 +129,12 @@ def applied(
     """The task with the changes made, one after the other.
 
     Args:
-        task: is left as it is.
+        task: is not changed.
         changes: of :func:`checked`.
         more: actions that ``add_action`` may name.
         key: of the changes in the configuration, for errors.
-        strict: whether what is dropped must be there, and what is added must not. Where several
-            facts change one item, only the first finds it.
+        strict: whether a dropped item must exist, and an added one must not. If several facts
+            change one item, only the first finds it.
 
     Raises:
         InputError: a change does not fit the task.
@@ -165,7 +165,7 @@ def applied(
 
 
 def _action(key: str, name: object, task: Task, strict: bool) -> Action | None:
-    """The action of this name; None where another fact has taken it away."""
+    """The action of this name; None if another fact has dropped it."""
     if strict and (not isinstance(name, str) or name.lower() not in task.actions):
         raise InputError(key, name, f"unknown action; known: {', '.join(task.actions)}")
     return task.actions.get(str(name).lower())
@@ -205,9 +205,7 @@ def _toggled(key: str, kind: str, item: Any, items: frozenset[Any], strict: bool
     adds = kind.startswith("add")
     if strict and (item in items) == adds:
         shown = sorted(pddl(x) if isinstance(x, tuple) else str(x) for x in items)
-        text = (
-            "is there already" if adds else f"is not there; there are {', '.join(shown) or 'none'}"
-        )
+        text = "exists already" if adds else f"does not exist; known: {', '.join(shown) or 'none'}"
         raise InputError(key, pddl(item) if isinstance(item, tuple) else str(item), text)
     return items | {item} if adds else items - {item}
 
@@ -216,7 +214,7 @@ def function_term(key: str, text: object, task: Task, action: Action | None = No
     """A function with its arguments, such as (distance ?a b).
 
     Raises:
-        InputError: it is none of the task's.
+        InputError: the task does not have it.
     """
     node = expression(key, text)
     own = dict(action.parameters) if action else {}

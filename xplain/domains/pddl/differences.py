@@ -1,4 +1,4 @@
-"""What two tasks differ in, fact by fact, and what a fact says in words."""
+"""The differences between two tasks, one fact for each, and what a fact says in words."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class Difference:
 
 
 def differences(robot: Task, believed: Task, key: str) -> tuple[Difference, ...]:
-    """Every item in which two tasks differ, each as a fact of its own, in a fixed order.
+    """Each item in which two tasks differ, as a fact, in a fixed order.
 
-    Actions' parameters are compared by their places, whatever they are called.
+    Parameters of actions are compared by position, not by name.
 
     Raises:
-        InputError: they differ in objects, types, or an action's parameters: what they are about.
+        InputError: they differ in objects, types, or the parameters of an action.
     """
     if robot.objects != believed.objects or robot.parents != believed.parents:
         other = sorted(
@@ -66,7 +66,7 @@ def differences(robot: Task, believed: Task, key: str) -> tuple[Difference, ...]
 
 
 def _renamed(own: Action, other: Action, key: str) -> Action:
-    """The other action with the parameter names of our own."""
+    """The other action with the parameter names of ``own``."""
     if [kind for _, kind in own.parameters] != [kind for _, kind in other.parameters]:
         raise InputError(f"{key}.{own.name}", other.parameters, f"parameters as {own.parameters}")
     binding = {b: a for (a, _), (b, _) in zip(own.parameters, other.parameters, strict=True)}
@@ -112,7 +112,7 @@ def _slug(text: str) -> str:
 
 
 def told(task: Task, changes: Sequence[Change], words: Words) -> tuple[str, str]:
-    """What is so, and what somebody believes, of whom these changes are true: two texts."""
+    """Two texts: what is true, and what somebody with these changes believes."""
     sentences = [_told(task, change, words) for change in changes]
     return " ".join(so for so, _ in sentences), " ".join(believed for _, believed in sentences)
 

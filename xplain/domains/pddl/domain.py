@@ -25,7 +25,7 @@ from xplain.errors import DomainError, InputError, number, whole_number
 log = logging.getLogger(__name__)
 
 COMBINATIONS = 1024
-"""Sets of facts held wrong that are tried before a fact is said to have no effect."""
+"""Sets of facts held wrong that are tried before a fact is reported to have no effect."""
 
 
 class PDDL:
@@ -33,33 +33,33 @@ class PDDL:
     action costs. States are those that the robot's task or a believed one reaches, from the states
     that the robot can reach; actions are the ground ones that occur between them.
 
-    Undiscounted: plans are compared by what they cost, each action 1 where the files have no
-    metric. Somebody who believes that the start was another sees the robot's states so, for as long
-    as the robot has changed nothing of what this belief is about. In a state without a plan no
-    action makes sense to them.
+    Undiscounted: plans are compared by their costs; without a metric each action costs 1. Somebody
+    who believes in another start sees the robot's states so, until the robot changes something that
+    this belief is about. In a state without a plan no action makes sense to them.
 
     Args:
         file, problem: the robot's domain and problem; ``pkg://package/path`` is a file inside an
             installed package.
         believed: what people believe, as the path of another domain file, or ``{file, problem}``
-            (either may be missing): every difference becomes a parameter.
+            (either may be missing): each difference becomes a parameter.
         facts: ``{name: {change, message, belief}}``. ``change`` is one change or a list of them
-            (:mod:`xplain.domains.pddl.changes`); without it, the words are those of the difference
-            of this name, or of those that ``join`` lists, which are one fact then. Words not given
-            are made from the change.
+            (:mod:`xplain.domains.pddl.changes`). Without it, the fact is the difference of this
+            name, or those that ``join`` lists, as one fact. Sentences that are not given are made
+            from the change.
         words: see :class:`~xplain.domains.pddl.words.Words`.
-        features: counts for a labeler, besides the atoms: ``{name: pattern, or a list of them}``,
-            for how many ways of replacing ``?x`` all patterns hold, such as (at ?package airport).
+        features: counts for a labeler, in addition to the atoms: ``{name: pattern, or a list of
+            them}``, the number of ways to replace ``?x`` so that all patterns hold, such as
+            (at ?package airport).
         starts: where traces start, equally likely: ``initial``; ``reachable``, every state that the
-            robot can reach and finish from; a number, those within so many actions of the initial
-            one.
-        dead_end_cost: of having no plan; nobody believes in a plan that costs as much.
-        max_states: a task with more is refused.
-        name: of the domain; None is pddl.
+            robot can reach and finish from; or a number, the states within so many actions of the
+            initial one.
+        dead_end_cost: of a state without a plan; a plan that costs as much does not count.
+        max_states: a task with more states is refused.
+        name: of the domain; None: pddl.
 
     Raises:
         XplainError: unified-planning is not installed.
-        InputError: a file or a value is not allowed; whoever believes a fact alone has no plan.
+        InputError: a file or a value is not allowed, or people with one fact wrong have no plan.
         DomainError: the robot has no plan, or its ties are ambiguous.
         TooLargeError: more than ``max_states`` states.
     """
@@ -100,7 +100,7 @@ class PDDL:
     def _differences(
         self, file: str, problem: str, believed: Any
     ) -> tuple[dict[str, list[Change]], Mapping[str, Action]]:
-        """The facts in which two tasks differ, by name; the actions of the believed task."""
+        """The facts in which two tasks differ, by name, and the actions of the believed task."""
         if believed is None:
             return {}, {}
         both = {"file": believed} if isinstance(believed, str) else believed
@@ -117,7 +117,7 @@ class PDDL:
         found: Mapping[str, list[Change]],
         more: Mapping[str, Action],
     ) -> tuple[Parameter, ...]:
-        """The facts found, then those given; the robot's value is no change."""
+        """The facts found, then those given. The robot's value is: no change."""
         result = []
         joined = {name for fields in given.values() for name in _joined(fields)}
         for fact in dict.fromkeys([*(name for name in found if name not in joined), *given]):
@@ -141,7 +141,7 @@ class PDDL:
             for field, text in zip(("message", "belief"), texts, strict=True):
                 if not isinstance(text, str) or not text.strip():
                     raise InputError(f"{key}.{field}", text, "a sentence")
-            # Plain values: a type's models are told apart by them.
+            # Plain values: models of a type are distinguished by them.
             plain = [dict(change) for change in changes]
             result.append(Parameter(str(fact), [], plain, *texts))
         if not result:
@@ -149,7 +149,7 @@ class PDDL:
         return tuple(result)
 
     def model(self, values: Mapping[str, Any]) -> GoalTask:
-        """The task of someone who holds these values.
+        """The task of somebody who holds these values.
 
         Raises:
             InputError: a value is neither the robot's nor the inaccurate one.
@@ -165,7 +165,7 @@ class PDDL:
         return self._model(frozenset(wrong))
 
     def _name_states(self, given: Mapping[str, str | Sequence[str]]) -> None:
-        """Names of actions and features; features are the atoms that differ between states."""
+        """Names actions and features; features are the atoms that differ between states."""
         self.actions = tuple(" ".join(action) for action in self._beliefs.actions)
         table = self._beliefs.bits.table(self._beliefs.states)
         varying = np.flatnonzero(table.any(axis=0) & ~table.all(axis=0))
@@ -198,10 +198,10 @@ class PDDL:
         return found
 
     def _try_facts(self, robot: GoalTask) -> None:
-        """Warns of facts that change no label of what the robot may do, whatever else is believed.
+        """Warns of facts that change no label of the robot's transitions, with any other facts.
 
         Raises:
-            InputError: whoever believes one of the facts alone has no plan.
+            InputError: people who hold one fact wrong have no plan.
         """
         n = len(self.parameters)
         for j, parameter in enumerate(self.parameters):
@@ -226,8 +226,8 @@ class PDDL:
                 break
         for j in sorted(silent):
             log.warning(
-                "domain.facts.%s has no effect: no best plan of the robot's is more or less "
-                "explicable to somebody who believes it",
+                "domain.facts.%s has no effect: people who believe it find the same best plans "
+                "explicable",
                 self.parameters[j].name,
             )
 
@@ -245,7 +245,7 @@ class PDDL:
         )
 
     def state(self, number: int) -> tuple[str, ...]:
-        """The atoms that hold in a state, of those that can change, as PDDL writes them."""
+        """The changeable atoms that hold in a state, as PDDL writes them."""
         row = self._beliefs.bits.table(self._beliefs.states[[number]])[0]
         return tuple(pddl(self._beliefs.bits.atoms[i]) for i in np.flatnonzero(row))
 
@@ -265,10 +265,10 @@ def _subsets(n: int) -> Iterator[Wrong]:
 
 
 def _mapping(field: str, given: Any, allowed: str) -> Mapping[str, Any]:
-    """What is given for a field; None is nothing.
+    """The mapping given for a field; None: an empty one.
 
     Raises:
-        InputError: no mapping.
+        InputError: it is not a mapping.
     """
     found = {} if given is None else given
     if not isinstance(found, Mapping):

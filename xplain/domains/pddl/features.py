@@ -1,4 +1,4 @@
-"""Features of states that YAML names: in how many ways a pattern holds."""
+"""Features of states that YAML names: the number of ways in which a pattern holds."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ def counts(
     number: Mapping[Atom, int],
     table: NDArray[np.bool_],
 ) -> NDArray[np.int64]:
-    """[S] for how many ways of replacing the parameters all patterns hold.
+    """[S] the number of ways to replace the parameters so that all patterns hold.
 
     Args:
         key: of the feature in the configuration, for errors.
         patterns: atoms such as (on ?x b).
         task: the robot's.
-        number: the column in the table of every atom that can change.
-        table: [S, atoms] which hold.
+        number: the column in the table of each atom that can change.
+        table: [S, atoms] whether each atom holds.
 
     Raises:
-        InputError: a pattern is no atom of the task.
+        InputError: a pattern is not an atom of the task.
     """
     listed = [patterns] if isinstance(patterns, str) else patterns
     if not isinstance(listed, Sequence) or not listed:
@@ -64,12 +64,12 @@ def _ways(
         more = _matched(patterns[0], atom, binding)
         if more is not None:
             for columns in _ways(patterns[1:], more, atoms, number):
-                # Atoms that nothing changes hold in all states, or would not be here.
+                # Atoms that never change are here only if they hold in all states.
                 yield ([number[atom]] if atom in number else []) + columns
 
 
 def _matched(pattern: Atom, atom: Atom, binding: Mapping[str, str]) -> dict[str, str] | None:
-    """The binding that makes the pattern this atom; None where there is none."""
+    """The binding that turns the pattern into this atom; None if there is none."""
     if pattern[0] != atom[0]:
         return None
     more = dict(binding)

@@ -1,4 +1,4 @@
-"""Ground actions of a task under every combination of facts that bears on them."""
+"""Ground actions of a task under every combination of the facts that affect them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from xplain.domains.pddl.task import EQUAL, Action, Atom, Literal, Task, pddl, s
 from xplain.errors import TooLargeError, XplainError
 
 MAX_VARIANTS = 200_000
-"""Ground actions, each counted once for every combination of facts about its schema."""
+"""Most ground actions, each counted once for every combination of facts about its schema."""
 Atoms = tuple[Atom, ...]
 
 
 @dataclass(frozen=True)
 class Ground:
-    """What a ground action needs and does; all sorted, atoms that can change only.
+    """Preconditions and effects of a ground action; sorted, and only atoms that can change.
 
     Attributes:
         holds, lacks: atoms that must hold, or must not.
@@ -42,12 +42,12 @@ class Grounding:
 
     Attributes:
         actions: A ground actions, (schema, object, …), in the order of the files.
-        variants: V of them, what an action does in some belief; ``action`` [V] which it is one of.
+        variants: V of them, an action as some belief has it; ``action`` [V] is the action of each.
         atoms: those that can change, sorted.
         changing: their predicates.
 
     Raises:
-        XplainError: a function that an action costs is not positive, or has no value.
+        XplainError: the function that is the cost of an action has no value, or not a positive one.
         TooLargeError: more than MAX_VARIANTS.
     """
 
@@ -57,7 +57,7 @@ class Grounding:
         facts: Sequence[Sequence[Change]],
         more: Mapping[str, Action],
     ) -> None:
-        """Grounds every schema once for each combination of the facts that bear on it."""
+        """Grounds every schema once for each combination of the facts that affect it."""
         self._facts = facts
         self.task_of = cache(lambda wrong: self._task_of(task, wrong, more))
         tasks = [task, *(self.task_of(frozenset({j})) for j in range(len(facts)))]
@@ -85,7 +85,7 @@ class Grounding:
         return task
 
     def _bears(self, tasks: Sequence[Task], fact: int, name: str) -> bool:
-        """Whether a fact changes what a schema's ground actions are, do or cost."""
+        """Whether a fact changes the ground actions of a schema, their effects or their costs."""
         before, after = tasks[0], tasks[fact + 1]
         if before.actions.get(name) != after.actions.get(name):
             return True
@@ -98,7 +98,7 @@ class Grounding:
         return any(atom[0] in functions for atom, _ in changed)
 
     def _ground(self, task: Task, name: str) -> dict[tuple[str, ...], tuple[Ground, float]]:
-        """What each ground action of a schema needs, does and costs in a task, by its objects."""
+        """Preconditions, effects and cost of each ground action of a schema, by its objects."""
         found: dict[tuple[str, ...], tuple[Ground, float]] = {}
         action = task.actions.get(name)
         if action is None:
@@ -112,7 +112,7 @@ class Grounding:
         return found
 
     def _made(self, task: Task, action: Action, binding: Mapping[str, str]) -> Ground | None:
-        """None where what it needs never holds."""
+        """None if its preconditions never hold."""
         needs = self._split(task, (x.substituted(binding) for x in action.preconditions))
         if needs is None:
             return None
@@ -128,8 +128,8 @@ class Grounding:
         return Ground(*needs, done)  # type: ignore[arg-type]
 
     def _split(self, task: Task, literals: Iterator[Literal]) -> tuple[Atoms, Atoms] | None:
-        """The atoms that must hold and must not, without those that never change; None where one
-        of these is against it, or two literals contradict each other."""
+        """The atoms that must hold and must not, without those that never change. None if one of
+        these contradicts it, or two literals contradict each other."""
         holds: set[Atom] = set()
         lacks: set[Atom] = set()
         for literal in literals:
@@ -144,7 +144,7 @@ class Grounding:
         tables: Mapping[tuple[str, frozenset[int]], Mapping[tuple[str, ...], tuple[Ground, float]]],
         initial: Sequence[frozenset[Atom]],
     ) -> dict[tuple[tuple[str, ...], Ground], None]:
-        """The (ground action, what it does) that can happen when nothing is ever deleted."""
+        """The (ground action, effects) that can happen if nothing is ever deleted."""
         waiting = dict.fromkeys(
             ((name, *objects), made)
             for (name, _), table in tables.items()
@@ -206,7 +206,7 @@ class Grounding:
 
 
 def static_holds(task: Task, literal: Literal) -> bool | None:
-    """Whether a literal holds that nothing changes; None while a parameter is not replaced."""
+    """Whether a literal that never changes holds; None while a parameter is not replaced."""
     if any(argument.startswith("?") for argument in literal.atom[1:]):
         return None
     if literal.atom[0] == EQUAL:
@@ -215,7 +215,7 @@ def static_holds(task: Task, literal: Literal) -> bool | None:
 
 
 def _cost(task: Task, action: Action, binding: Mapping[str, str]) -> float:
-    """Of a ground action.
+    """The cost of a ground action.
 
     Raises:
         XplainError: it is a function whose value is not positive, or not given.
@@ -234,7 +234,7 @@ def _cost(task: Task, action: Action, binding: Mapping[str, str]) -> float:
 
 
 def _bindings(task: Task, action: Action, changing: set[str]) -> Iterator[dict[str, str]]:
-    """Objects for the parameters, such that the preconditions hold that nothing changes."""
+    """Objects for the parameters with which the preconditions that never change hold."""
     static = [x for x in action.preconditions if x.atom[0] not in changing]
     objects = [task.of_type(kind) for _, kind in action.parameters]
     binding: dict[str, str] = {}
@@ -258,7 +258,7 @@ def _bindings(task: Task, action: Action, changing: set[str]) -> Iterator[dict[s
 def _subsets(items: Sequence[int]) -> Iterator[frozenset[int]]:
     if len(items) > 12:
         raise TooLargeError(
-            f"domain: {len(items)} facts bear on one action; at most 12 can be combined"
+            f"domain: {len(items)} facts affect one action; at most 12 can be combined"
         )
     for mask in range(1 << len(items)):
         yield frozenset(item for i, item in enumerate(items) if mask >> i & 1)

@@ -28,7 +28,7 @@ CONSTRUCTS = {
     r"\(\s*(:process)\b": "processes",
     r"\(\s*(:event)\b": "events",
 }
-"""Constructs of PDDL that unified-planning's grammar lacks: by what they are written with."""
+"""Constructs of PDDL that unified-planning's grammar lacks, by the word that shows them."""
 SUPPORTED = (
     "supported are STRIPS with types, equality, negative preconditions, conditional effects, and "
     "costs with (:metric minimize (total-cost))"
@@ -45,9 +45,9 @@ KNOWN = {
     "STATIC_FLUENTS_IN_ACTIONS_COST",
     "INT_NUMBERS_IN_ACTIONS_COST",
     "REAL_NUMBERS_IN_ACTIONS_COST",
-    "UNDEFINED_INITIAL_NUMERIC",  # refused later, where it would be the cost of an action
+    "UNDEFINED_INITIAL_NUMERIC",  # refused later, if it is the cost of an action
 }
-"""What unified-planning may find in a task, in its words."""
+"""The features of a task that are allowed, in unified-planning's names."""
 PACKAGED = "pkg://"
 
 
@@ -55,7 +55,7 @@ def read_text(key: str, path: object) -> str:
     """The text of a file; ``pkg://package/path`` is one inside an installed package.
 
     Raises:
-        InputError: there is no such file, or it is no text.
+        InputError: there is no such file, or it is not text.
     """
     if not isinstance(path, str) or not path:
         raise InputError(key, path, "the path of a PDDL file")
@@ -80,8 +80,8 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
 
     Raises:
         XplainError: unified-planning is not installed.
-        InputError: a file cannot be read, is no PDDL (with the line), or asks for what is out of
-            scope.
+        InputError: a file cannot be read, is not PDDL (with the line), or uses PDDL that is not
+            supported.
     """
     try:
         from unified_planning.io import PDDLReader
@@ -94,7 +94,7 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
         _require_supported(key, path, text)
     try:
         found = _parsed(keys[1], problem, lambda: PDDLReader().parse_problem_string(*texts))
-    except InputError:  # whose error is it? The domain's, where it cannot be read alone.
+    except InputError:  # which file is wrong? The domain, if it cannot be read alone.
         _parsed(keys[0], file, lambda: PDDLReader().parse_problem_string(texts[0], None))
         raise
     unsupported = sorted(set(found.kind.features) - KNOWN)
@@ -109,7 +109,7 @@ def read_task(file: object, problem: object, keys: tuple[str, str]) -> Task:
 
 
 def _require_supported(key: str, file: object, text: str) -> None:
-    """Raises InputError where a file requires or uses PDDL that is out of scope."""
+    """Raises InputError if a file requires or uses PDDL that is not supported."""
     without_comments = re.sub(r";[^\n]*", "", text.lower())
 
     def refuse(at: int, what: str) -> NoReturn:
@@ -130,7 +130,7 @@ def _parsed(key: str, file: object, parse: Any) -> Any:
     """What ``parse`` returns.
 
     Raises:
-        InputError: the file's error, with its line where the parser tells it.
+        InputError: the file's error, with its line if the parser gives it.
     """
     from pyparsing import ParseBaseException
     from unified_planning.environment import get_environment
@@ -156,7 +156,7 @@ def _parsed(key: str, file: object, parse: Any) -> Any:
 
 
 def _task(found: Any, keys: tuple[str, str], paths: tuple[object, object]) -> Task:
-    """A problem of unified-planning in our own terms."""
+    """A unified-planning problem as a :class:`Task`."""
     costs: dict[Any, Any] = {}
     counted = False
     for metric in found.quality_metrics:
@@ -244,5 +244,5 @@ def _cost(node: Any, key: str, file: object, action: str) -> float | Atom:
     raise InputError(
         key,
         file,
-        f"the action {action} costs {shown}; a cost is a number > 0, or a function that is one",
+        f"the action {action} costs {shown}; a cost is a number > 0, or a function with one",
     )

@@ -26,11 +26,11 @@ class Bits:
         self.width = max(1, -(-len(atoms) // 64))
 
     def row(self, atoms: Iterable[Atom]) -> Words:
-        """[W] the set of those of the atoms that are numbered."""
+        """[W] the set of these atoms, without those that have no number."""
         return np.asarray(self.rows([atoms])[0])
 
     def rows(self, sets: Iterable[Iterable[Atom]]) -> Words:
-        """[n, W] a row a set."""
+        """[n, W] one row for each set."""
         listed = list(sets)
         result = np.zeros((len(listed), self.width), dtype=np.uint64)
         for i, atoms in enumerate(listed):
@@ -40,12 +40,12 @@ class Bits:
         return result
 
     def table(self, rows: Words) -> NDArray[np.bool_]:
-        """[n, atoms] which atoms each row has."""
+        """[n, atoms] whether each row has each atom."""
         bits = np.arange(len(self.atoms))
         return (rows[:, bits // 64] >> (bits % 64).astype(np.uint64) & np.uint64(1)).astype(bool)
 
     def meets(self, rows: Words, literals: Iterable[Literal]) -> NDArray[np.bool_]:
-        """[n] which rows meet all literals; an atom without a number holds nowhere."""
+        """[n] whether each row meets all literals; an atom without a number never holds."""
         listed = list(literals)
         if any(x.positive and x.atom not in self.number for x in listed):
             return np.zeros(len(rows), dtype=bool)
@@ -56,8 +56,8 @@ class Bits:
 
 @dataclass(frozen=True)
 class Compiled:
-    """Variants of ground actions for the kernel: [V, W] what each needs, and [X, W] the effects,
-    those of variant v from first[v] to first[v + 1]."""
+    """Variants of ground actions for the kernel: [V, W] the preconditions of each, and [X, W] the
+    effects, those of variant v from first[v] to first[v + 1]."""
 
     holds: Words
     lacks: Words
@@ -103,12 +103,12 @@ def explore(
         compiled: V variants.
         seeds: [n, W] distinct states.
         allowed: [V] the variants to use.
-        ends: [G, W] what holds and [G, W] what lacks in each of G goals; a state that meets all G
-            has no edges. With G = 0 every state has.
-        limit: of states.
+        ends: [G, W] the atoms that hold and [G, W] those that do not hold in each of G goals; a
+            state that meets all G has no edges. With G = 0 all states have edges.
+        limit: largest number of states.
 
     Raises:
-        TooLargeError: more states.
+        TooLargeError: there are more states.
     """
     found = _explore(
         compiled.holds, compiled.lacks, compiled.first, compiled.if_holds, compiled.if_lacks,
@@ -128,7 +128,7 @@ def _explore(  # type: ignore[no-untyped-def]
     holds, lacks, first_effect, if_holds, if_lacks, adds, deletes, seeds, allowed,
     end_holds, end_lacks, limit,
 ):  # fmt: skip
-    """Stops once there are more states than ``limit``."""
+    """Stops when there are more states than ``limit``."""
     width = seeds.shape[1]
     capacity = max(1024, 2 * len(seeds))
     states = np.zeros((capacity, width), dtype=np.uint64)
@@ -196,7 +196,7 @@ def _explore(  # type: ignore[no-untyped-def]
 
 @kernel
 def _place(states, table, row):  # type: ignore[no-untyped-def]
-    """Where a state is in the table of numbers, or would be: open addressing."""
+    """The slot of a state in the table of numbers, or its free slot: open addressing."""
     mixed = np.uint64(0x9E3779B97F4A7C15)
     key = np.uint64(0)
     for word in row:

@@ -1,4 +1,4 @@
-"""A planning task, lifted: what its files say, as plain values that can be compared."""
+"""A lifted planning task: the content of its files, as plain values that can be compared."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def substituted(atom: Atom, binding: Mapping[str, str]) -> Atom:
 
 @dataclass(frozen=True, order=True)
 class Literal:
-    """An atom that must hold, or must not."""
+    """An atom that must hold, or must not hold."""
 
     atom: Atom
     positive: bool = True
@@ -37,7 +37,7 @@ class Literal:
 
 @dataclass(frozen=True, order=True)
 class Effect:
-    """What an action makes true or false, where all of ``condition`` (sorted) held before."""
+    """What an action makes true or false if all of ``condition`` (sorted) held before."""
 
     literal: Literal
     condition: tuple[Literal, ...] = ()
@@ -61,8 +61,8 @@ class Action:
     Attributes:
         parameters: (name, type) of each; names begin with ``?``.
         preconditions: all must hold.
-        effects: all that apply happen at once; what is added stays, though it be deleted as well.
-        cost: a number, or the function (with arguments) whose initial value it is.
+        effects: all that apply happen at once; an atom that is added and deleted is added.
+        cost: a number, or a function (with arguments) whose initial value is the cost.
     """
 
     name: str
@@ -86,10 +86,10 @@ class Task:
         parents: each type's supertype; "" for those that have none.
         objects: each object's type, constants included.
         predicates: each predicate's parameters, (name, type).
-        functions: the number of arguments of each function that costs may name.
+        functions: the number of arguments of each function that a cost may use.
         actions: by name.
         initial: the atoms that hold at the start.
-        values: of functions, at the start and for ever.
+        values: of functions; they never change.
         goal: all must hold.
     """
 

@@ -9,20 +9,20 @@ from xplain.domains.pddl.task import Action, Atom, Literal, Task
 from xplain.errors import InputError
 
 INFIX = ("above", "at", "behind", "below", "beside", "in", "inside", "near", "on", "under")
-"""Predicates of two arguments that read better between them."""
+"""Predicates that stand between their two arguments, because they read better so."""
 
 
 class Words:
-    """How a task is told.
+    """A task in words.
 
     Args:
-        task: whose names are put in words.
+        task: its names are put in words.
         given: templates, ``{predicate, function or action: "{x} is on {y}"}``, parameters in
             braces by their names in the domain. Those not given are made from the names:
             "clear a", "a on b", "pick up block a".
 
     Raises:
-        InputError: a template for what the task does not have, or with an unknown parameter.
+        InputError: a template for a name that the task does not have, or with an unknown parameter.
     """
 
     def __init__(self, task: Task, given: Mapping[str, str]) -> None:
@@ -63,7 +63,7 @@ class Words:
         return " ".join([plain(predicate), *told])
 
     def literal(self, literal: Literal, action: Action | None = None) -> str:
-        """As :meth:`atom`, with "not" before it where it must not hold."""
+        """As :meth:`atom`, with "not" before it if it must not hold."""
         if literal.atom[0] == "=":
             left, right = (self._argument(argument, action) for argument in literal.atom[1:])
             return f"{left} {'is' if literal.positive else 'is not'} {right}"
@@ -86,7 +86,7 @@ class Words:
         )
 
     def _argument(self, argument: str, action: Action | None) -> str:
-        """An object's name; a parameter as "the block", or "block x" where there are several."""
+        """An object's name; a parameter as "the block", or "block x" if there are several."""
         if not argument.startswith("?") or action is None:
             return plain(argument)
         kinds = dict(action.parameters)
