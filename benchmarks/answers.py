@@ -1,0 +1,220 @@
+"""Answers of real people that were left out, predicted: `xplain discover … predict=` beside others.
+
+    python benchmarks/answers.py --data FOLDER   every NAME.csv in it (observer, item, label)
+    python benchmarks/answers.py --quick         simulated pupils, one split
+
+A fifth of the answers is left out, by chance, in each of three splits. All methods see the same
+answers, and have no options but these: `question's mean` smooths by one answer of either kind;
+`Rasch` is a logistic regression on persons and items; `DINA` (Junker & Sijtsma 2001) takes the
+skills of NAME_items.csv (item, inexplicable_if: skills joined by `;`), with slips and guesses by
+item and shares of the 2^n profiles by expectation maximisation; `classes` are StepMix's latent
+classes, their number by BIC (needs `pip install 'xplain-hri[bench]'`); `mixture k` has k classes
+drawn to the question's mean with the weight of five answers.
+
+Tables of others stay out of the repository. Measured with it: fractions, K. Tatsuoka's data as in
+the R package CDM (data.fraction1); skateboard, of SUCCESS-MURI/psiturk-machine-teaching on GitHub.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+from sklearn.linear_model import LogisticRegression
+
+Table = NDArray[np.float64]
+"""[O, T] answers, NaN where none was given, or was left out."""
+Method = Callable[[Table, Table | None], Table]
+"""P(answer 1) [O, T], by the answers and the skills of each item."""
+WEIGHT = 5.0
+
+
+def mean(answers: Table, _: Table | None) -> Table:
+    """The question's mean."""
+    asked = ~np.isnan(answers)
+    value = (np.nansum(answers, axis=0) + 1) / (asked.sum(axis=0) + 2)
+    return np.broadcast_to(value, answers.shape)
+
+
+def rasch(answers: Table, _: Table | None) -> Table:
+    """Ability and difficulty, each drawn to 0 by a normal prior of variance 1."""
+    o, t = np.nonzero(~np.isnan(answers))
+    both = np.hstack([np.eye(len(answers))[o], np.eye(answers.shape[1])[t]])
+    model = LogisticRegression(C=1.0, max_iter=1000).fit(both, answers[o, t])
+    ability, ease = np.split(model.coef_[0], [len(answers)])
+    return 1 / (1 + np.exp(-(ability[:, None] + ease + model.intercept_[0])))
+
+
+def mixture(k: int, seed: int = 0) -> Method:
+    """k classes, the best of three starts."""
+
+    def expected(answers: Table, _: Table | None) -> Table:
+        asked, centre = ~np.isnan(answers), mean(answers, None)[0]
+        ones, zeros = np.nan_to_num(answers), asked - np.nan_to_num(answers)
+        best, result = -np.inf, np.zeros(answers.shape)
+        for start in range(3):
+            weight = np.random.default_rng((seed, start)).dirichlet(np.ones(k), len(answers))
+            before = -np.inf
+            for _ in range(300):
+                one = (weight.T @ ones + WEIGHT * centre) / (weight.T @ asked + WEIGHT)
+                share = (weight.sum(axis=0) + 1) / (len(answers) + k)
+                joint = ones @ np.log(one).T + zeros @ np.log(1 - one).T + np.log(share)
+                total = logsumexp(joint, axis=1)
+                weight = np.exp(joint - total[:, None])
+                if total.sum() - before < 1e-5:
+                    break
+                before = total.sum()
+            if total.sum() > best:
+                best, result = total.sum(), weight @ one
+        return result
+
+    return expected
+
+
+def dina(answers: Table, needed: Table | None) -> Table:
+    """``needed`` [T, n]: the skills of each item."""
+    assert needed is not None
+    n = needed.shape[1]
+    held = np.arange(1 << n)[:, None] >> np.arange(n) & 1
+    able = (held @ needed.T == needed.sum(axis=1)).astype(float)  # [2^n, T]
+    asked = ~np.isnan(answers)
+    ones, zeros = np.nan_to_num(answers), asked - np.nan_to_num(answers)
+    slip, guess = np.full((2, len(needed)), 0.2)
+    share = np.full(1 << n, 1 / (1 << n))
+    for _ in range(500):
+        one = np.where(able == 1, 1 - slip, guess)
+        joint = ones @ np.log(one).T + zeros @ np.log(1 - one).T + np.log(share)
+        weight = np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
+        share = (weight.sum(axis=0) + 0.1) / (len(answers) + 0.1 * len(share))
+        of_ones, of_zeros = weight.T @ ones, weight.T @ zeros
+        slip = ((able * of_zeros).sum(axis=0) + 1) / ((able * (of_ones + of_zeros)).sum(axis=0) + 5)
+        unable = 1 - able
+        guess = (unable * of_ones).sum(axis=0) + 1
+        guess /= (unable * (of_ones + of_zeros)).sum(axis=0) + 5
+    return weight @ one
+
+
+def classes(answers: Table, _: Table | None) -> Table:
+    """StepMix, one to eight classes."""
+    from stepmix.stepmix import StepMix
+
+    found = [
+        StepMix(k, measurement="binary_nan", n_init=3, random_state=0, progress_bar=0).fit(answers)
+        for k in range(1, 9)
+    ]
+    best = min(found, key=lambda model: model.bic(answers))
+    one = np.stack([best.get_parameters()["measurement"]["pis"]])[0].reshape(-1, answers.shape[1])
+    return best.predict_proba(answers) @ one
+
+
+def discovered(answers: Table, labels: Table, folder: Path) -> Table:
+    """``xplain discover``, as a user runs it: [O, T], NaN but where answers were left out."""
+    given, left = np.nonzero(~np.isnan(answers)), np.nonzero(np.isnan(answers) & ~np.isnan(labels))
+    names = {"observer": [f"p{o:05d}" for o in given[0]], "item": given[1]}
+    pd.DataFrame(names | {"label": answers[given].astype(int)}).to_csv(folder / "given.csv")
+    asked = {"observer": [f"p{o:05d}" for o in left[0]], "item": left[1]}
+    pd.DataFrame(asked).to_csv(folder / "left.csv")
+    command = [sys.executable, "-m", "xplain", "discover", "data=given.csv", "predict=left.csv"]
+    options = ["features=[item]", "held_out=false"]
+    subprocess.run([*command, *options], cwd=folder, check=True, capture_output=True)
+    result = np.full(answers.shape, np.nan)
+    result[left] = pd.read_csv(folder / "outputs/discover/predictions.csv")["p"]
+    return result
+
+
+def nats(one: Table, labels: Table, left: NDArray[np.bool_]) -> float:
+    """A left-out answer."""
+    p = np.clip(one[left], 1e-6, 1 - 1e-6)
+    return float(-np.log(np.where(labels[left] == 1, p, 1 - p)).mean())
+
+
+def calibration(one: NDArray[np.float64], label: NDArray[np.float64]) -> float:
+    """By how much the mean prediction and the mean answer of a tenth of the predictions differ, at
+    most; tenths of equal size."""
+    order = np.array_split(np.argsort(one, kind="stable"), 10)
+    return max(abs(float(one[own].mean() - label[own].mean())) for own in order)
+
+
+def table_of(path: Path) -> tuple[Table, Table | None]:
+    """Answers, and the skills of each item where the file beside says them."""
+    wide = pd.read_csv(path).pivot_table("label", "observer", "item", aggfunc="first")
+    items = path.with_name(f"{path.stem}_items.csv")
+    if not items.exists():
+        return wide.to_numpy(float), None
+    said = pd.read_csv(items).set_index("item")["inexplicable_if"].loc[wide.columns]
+    skills = sorted({one for own in said for one in own.split(";")})
+    needed = [[float(one in own.split(";")) for one in skills] for own in said]
+    return wide.to_numpy(float), np.array(needed)
+
+
+def simulated() -> tuple[Table, Table]:
+    """200 pupils, ten items, three skills."""
+    rng = np.random.default_rng(0)
+    needed = (rng.random((10, 3)) < 0.5).astype(float)
+    needed[needed.sum(axis=1) == 0, 0] = 1
+    skilled = rng.random((200, 3)) < 0.6
+    able = skilled.astype(float) @ needed.T == needed.sum(axis=1)
+    return (rng.random(able.shape) < np.where(able, 0.9, 0.15)).astype(float), needed
+
+
+def compare(name: str, labels: Table, needed: Table | None, splits: int) -> None:
+    """Prints the table of one data set."""
+    methods: dict[str, Method] = {"question's mean": mean, "Rasch": rasch}
+    if needed is not None:
+        methods["DINA"] = dina
+    try:
+        import stepmix  # noqa: F401
+
+        methods["classes"] = classes
+    except ImportError:
+        print("(no StepMix: pip install 'xplain-hri[bench]')")
+    methods["mixture 3"], methods["mixture 5"] = mixture(3), mixture(5)
+    rows: dict[str, list[float]] = {}
+    seconds, one, label = [], [], []
+    for split in range(splits):
+        rng = np.random.default_rng((split, 1))
+        left = ~np.isnan(labels) & (rng.random(labels.shape) < 0.2)
+        answers = np.where(left, np.nan, labels)
+        for method, expected in methods.items():
+            rows.setdefault(method, []).append(nats(expected(answers, needed), labels, left))
+        with tempfile.TemporaryDirectory() as folder:
+            began = time.perf_counter()
+            found = discovered(answers, labels, Path(folder))
+            seconds.append(time.perf_counter() - began)
+        rows.setdefault("discover", []).append(nats(found, labels, left))
+        one.append(found[left])
+        label.append(labels[left])
+    print(f"\n## {name}: {labels.shape[0]} people, {labels.shape[1]} questions\n")
+    print("nats a left-out answer | " + " | ".join(f"split {k}" for k in range(splits)) + " | mean")
+    print(" | ".join(["---"] * (splits + 2)))
+    for method, values in rows.items():
+        print(f"{method} | " + " | ".join(f"{v:.3f}" for v in (*values, np.mean(values))))
+    off = calibration(np.concatenate(one), np.concatenate(label))
+    print(f"\ndiscover: {np.mean(seconds):.1f} s; calibration off by {off:.3f} at most in a tenth")
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, help="a folder of tables")
+    parser.add_argument("--quick", action="store_true", help="simulated pupils, one split")
+    given = parser.parse_args()
+    if given.data is None:
+        compare("simulated pupils", *simulated(), 1 if given.quick else 3)
+        return
+    for path in sorted(given.data.glob("*.csv")):
+        if not path.stem.endswith("_items"):
+            compare(path.stem, *table_of(path), 3)
+
+
+if __name__ == "__main__":
+    main()
