@@ -1,7 +1,8 @@
 """Answers of real people that were left out, predicted: `xplain discover … predict=` beside others.
 
     python benchmarks/answers.py --data FOLDER   every NAME.csv in it (observer, item, label)
-    python benchmarks/answers.py --quick         simulated pupils, one split
+    python benchmarks/answers.py --examinees     an adaptive test of simulated examinees
+    python benchmarks/answers.py --quick         simulated pupils, one split; few examinees
 
 A fifth of the answers is left out, by chance, in each of three splits. All methods see the same
 answers, and have no options but these: `question's mean` smooths by one answer of either kind;
@@ -30,6 +31,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 from sklearn.linear_model import LogisticRegression
+
+from xplain import Questionnaire
 
 Table = NDArray[np.float64]
 """[O, T] answers, NaN where none was given, or was left out."""
@@ -202,12 +205,48 @@ def compare(name: str, labels: Table, needed: Table | None, splits: int) -> None
     print(f"\ndiscover: {np.mean(seconds):.1f} s; calibration off by {off:.3f} at most in a tenth")
 
 
+def examinees(banks: int, people: int) -> None:
+    """An adaptive test with known slips and guesses: five skills, drawn anew for each examinee; 300
+    items a bank, each of one to three skills, slips and guesses from .05 to .15."""
+    right: dict[int, list[bool]] = {5: [], 10: [], 15: []}
+    until = []
+    for bank in range(banks):
+        rng = np.random.default_rng(bank)
+        skills = [rng.choice(5, rng.integers(1, 4), replace=False) for _ in range(300)]
+        needed = np.array([(1 << own).sum() for own in skills])
+        labels = ((np.arange(32)[:, None] & needed) == 0).astype(np.uint8)
+        slip, guess = rng.uniform(0.05, 0.15, (2, 300))
+        test = Questionnaire(labels, 0.0, none=0.0, slip=slip, guess=guess, told=False)
+        for person in range(people):
+            lacked, questions, number, sure = int(rng.integers(32)), test.anew(None, person), 0, 0
+            while not sure or number < max(right):
+                item, _ = questions.next()
+                one = 1 - slip[item] if labels[lacked, item] else guess[item]
+                questions.answer(int(rng.random() < one))
+                number += 1
+                if number in right:
+                    right[number].append(questions.best == lacked)
+                sure = sure or number * questions.done
+            until.append(sure)
+    print(f"{banks * people} examinees, 95 % intervals")
+    for number, values in right.items():
+        off = 1.96 * np.std(values) / len(values) ** 0.5
+        print(f"profile right after {number} questions: {np.mean(values):.3f} ± {off:.3f}")
+    off = 1.96 * np.std(until) / len(until) ** 0.5
+    print(f"questions until a posterior of .95: {np.mean(until):.2f} ± {off:.2f}")
+
+
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, help="a folder of tables")
     parser.add_argument("--quick", action="store_true", help="simulated pupils, one split")
+    parser.add_argument("--examinees", action="store_true", help="an adaptive test")
     given = parser.parse_args()
+    if given.examinees or given.quick:
+        examinees(*((1, 20) if given.quick else (10, 100)))
+    if given.examinees:
+        return
     if given.data is None:
         compare("simulated pupils", *simulated(), 1 if given.quick else 3)
         return
