@@ -34,7 +34,7 @@ from xplain.users.types import RandomCover
 AS_ASSUMED = "as assumed"
 BY_A_VARIANT = ("half", "double")
 """Whom a variant of the hypotheses fits exactly, though they are not as assumed."""
-OTHER_VALUES = ("half or double", "x .3 to 3", "tenth", "opposite")
+OTHER_VALUES = ("half or double", "x .3 to 3", "tenth", "opposite", "half a bonus")
 """Believe other values than the hypotheses and their variants say."""
 OTHERWISE = ("unwritten", "tire", "misread", "misread clips")
 """Hold a fact wrong that no hypothesis does; answer otherwise."""
@@ -46,6 +46,7 @@ IN_WORDS = {
     "x .3 to 3": "each × .3 to 3",
     "tenth": "a tenth of the values",
     "opposite": "the opposite error",
+    "half a bonus": "obstacles half a bonus",
     "unwritten": "a fact in no hypothesis",
 }
 """For pictures."""
@@ -83,6 +84,8 @@ def believed(domain: Domain, fact: Parameter, people: str, rng: np.random.Genera
         return wrong
     if people == "opposite":
         tried = [right + (right - wrong) / 2**k for k in range(8)]
+    elif people == "half a bonus":  # obstacles are worth 0 to the robot; all else is as assumed
+        tried = [right - wrong / 2 if right == 0 else wrong]
     elif people == "x .3 to 3":
         tried = [wrong * float(np.exp(rng.uniform(np.log(0.3), np.log(3))))]
     else:

@@ -59,7 +59,7 @@ def plainly(known, answers, facts, variant, d, error):
     for (t, held), labels in cells.items():
         said = [table[h.facts.tolist().index(held), t] for table in h.tables]
         delta = DEVIATION[d]
-        if len(set(said)) > 1:
+        if len({label for label, same in zip(said, h.sizes, strict=True) if same}) > 1:
             delta = min(DISPUTED * delta, DEVIATION[-1])
         one = said[variant] * (1 - MATTERS if held & known.unwritten else 1)
         one = one * (1 - delta) + (1 - one) * delta

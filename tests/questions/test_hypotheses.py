@@ -15,7 +15,7 @@ from tests.users.corridor import Corridor
 from xplain.config import composed
 from xplain.errors import DomainError, InputError, TooLargeError, XplainError
 from xplain.questions.expectation import groups
-from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.hypotheses import AS_ASSUMED, OPPOSITE, Hypotheses
 from xplain.questions.inaccurate_values import NUDGES, scaled_values, without_ties
 from xplain.users.setting import Setting, UserType
 
@@ -265,7 +265,7 @@ def test_a_variant_that_ties_is_nudged():
     domain = Toll(2 * (-0.81 - 5e-8))
     with pytest.raises(DomainError, match="ambiguous tie"):
         labels_at(domain, {"toll": -0.81 - 5e-8})
-    (variant,) = Hypotheses.of_domain(domain, scales=(0.5,)).variants
+    variant = Hypotheses.of_domain(domain, scales=(0.5,)).variants[0]
     assert np.array_equal(variant[0b10], labels_at(domain, {"toll": -0.8181}))
     assert np.array_equal(variant[0b11], labels_at(domain, {"end": "left", "toll": -0.8181}))
 
@@ -289,7 +289,8 @@ def test_values_without_ties_are_the_first_nudge_that_has_none(middle, width, se
 
 def test_a_variant_that_is_lost_is_told(caplog):
     domain = Toll(-5.0, (-3.0, -2.0))
-    assert Hypotheses.of_domain(domain, scales=(0.5, 2.0)).variants.shape[0] == 1
+    hypotheses = Hypotheses.of_domain(domain, scales=(0.5, 2.0))
+    assert hypotheses.sizes.tolist() == [True, True, False]  # as assumed, double, the opposite
     (record,) = [one for one in caplog.records if one.levelno >= logging.WARNING]
     assert "toll=-2.5" in record.getMessage()
     assert "stays -5.0" in record.getMessage()
@@ -301,7 +302,7 @@ def test_a_value_that_ties_does_not_cost_the_variant_of_others(caplog):
     domain = instantiate(composed("observe", ["domain=four_rooms"]).domain)
     hypotheses = Hypotheses.of_domain(domain)
     names = [parameter.name for parameter in domain.parameters]
-    assert len(hypotheses.variants) == 2
+    assert hypotheses.sizes.sum() == 3
     (record,) = [one for one in caplog.records if one.levelno >= logging.WARNING]
     assert "discount=0.35" in record.getMessage()
     for held in ({"step_cost": 1.0}, {"penalty": -0.5}, {"step_cost": 1.0, "penalty": -0.5}):
@@ -311,6 +312,45 @@ def test_a_value_that_ties_does_not_cost_the_variant_of_others(caplog):
     assert np.array_equal(hypotheses.variants[0, discount], hypotheses.labels[discount]), (
         "as assumed"
     )
+
+
+def test_values_on_the_other_side_are_variants_all_at_once_and_each_alone():
+    """The robot's toll is 0, people fear one of −5: some might believe in a gift of 5."""
+    domain = Toll(-5.0)
+    hypotheses = Hypotheses.of_domain(domain)
+    gift = labels_at(domain, {"toll": 5.0})
+    assert not np.array_equal(gift, labels_at(domain, {"toll": -5.0}))
+    (of_gift,) = (own[0b10] for own in hypotheses.variants[~hypotheses.sizes[1:]])
+    assert np.array_equal(of_gift, gift)
+    rooms = instantiate(composed("observe", ["domain=four_rooms"]).domain)
+    hypotheses = Hypotheses.of_domain(rooms)
+    names = [parameter.name for parameter in rooms.parameters]
+    opposite = hypotheses.variants[~hypotheses.sizes[1:]]
+    both = sum(1 << names.index(name) for name in ("step_cost", "penalty"))
+    step_cost = 1 << names.index("step_cost")
+    wanted = [
+        {"step_cost": -2.0, "penalty": 9.0},
+        {"step_cost": -2.0, "penalty": -1.0},
+        {"step_cost": 2.0, "penalty": 9.0},
+    ]
+    for own, held in zip(opposite, wanted, strict=True):
+        assert np.array_equal(own[both], labels_at(rooms, held))
+        assert np.array_equal(own[step_cost], labels_at(rooms, {"step_cost": held["step_cost"]}))
+    prior = hypotheses.variant_prior
+    assert prior.sum() == pytest.approx(1)
+    assert prior[0] == pytest.approx(AS_ASSUMED)
+    assert prior[~hypotheses.sizes].sum() == pytest.approx(OPPOSITE)
+
+
+def test_weights_of_variants_are_kept_and_checked(tmp_path):
+    made = Hypotheses.of_domain(Toll(-5.0))
+    made.save(tmp_path / "hypotheses.npz")
+    read = Hypotheses.load(tmp_path / "hypotheses.npz")
+    assert np.array_equal(read.variant_prior, made.variant_prior)
+    assert np.array_equal(read.sizes, made.sizes)
+    for wrong in ([0.1], [0.5, 0.5, 0.5], [0.2, 0.2, -0.1]):
+        with pytest.raises(InputError, match="variant_weight"):
+            replace(made, variant_weight=np.array(wrong))._check()
 
 
 def test_where_no_value_is_a_number_there_are_no_variants():

@@ -25,6 +25,7 @@ from xplain.questions.inaccurate_values import (
     FurtherLabels,
     few,
     labels_of,
+    opposite_values,
     scaled_values,
     with_subsets,
     without_ties,
@@ -35,6 +36,10 @@ from xplain.users.setting import MAX_MODELS
 
 AS_ASSUMED = 0.6
 """Prior of the assumed values, where there are variants."""
+OPPOSITE = 0.05
+"""Prior of all values on the other side of the robot's, together."""
+EACH = 8
+"""Facts up to which each is also on the other side alone."""
 FEW = 0.1
 """Prior probability that a fact is held wrong, where facts are too many to list all sets."""
 
@@ -55,6 +60,8 @@ class Hypotheses:
             row; None where unknown.
         variants: [V, C, T] uint8 the labels were the wrong values others (half, double, …), which
             somebody may hold as well; V may be 0.
+        variant_weight: [V] prior probabilities of the variants; None: as likely each, and together
+            less likely than the values as assumed.
         further: labels of sets that are no candidates yet (:meth:`with_sets`); None where nobody
             can work them out.
     """
@@ -68,6 +75,7 @@ class Hypotheses:
     phrases: tuple[str, ...] = ()
     states: NDArray[np.int64] | None = None
     variants: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 1, 1), np.uint8))
+    variant_weight: NDArray[np.float64] | None = None
     further: FurtherLabels | None = None
 
     @classmethod
@@ -125,9 +133,10 @@ class Hypotheses:
         Args:
             domain: the robot's task.
             most: parameters held wrong together; None: as many as MAX_MODELS models allow.
-            scales: one variant each: all inaccurate values that are numbers times this. A value
-                that the domain refuses stays as assumed. Where ties are ambiguous, values are
-                nudged, or stay as assumed with a warning: see
+            scales: one variant each: all inaccurate values that are numbers times this. Further
+                variants have them on the other side of the robot's values, all at once or, up to
+                EACH facts, one alone. A value that the domain refuses stays as assumed. Where ties
+                are ambiguous, values are nudged, or stay as assumed with a warning: see
                 :func:`~xplain.questions.inaccurate_values.without_ties`. Where no value is another
                 than assumed, there is no variant.
 
@@ -144,8 +153,18 @@ class Hypotheses:
         assumed = {parameter.name: parameter.inaccurate for parameter in domain.parameters}
         setting, facts, labels = labels_of(domain, most, assumed)
         transitions = setting.reachable
-        scaled = [without_ties(domain, most, scaled_values(domain, scale)) for scale in scales]
-        other = [(values, own) for values, own in scaled if values != assumed]
+        opposite = opposite_values(domain)
+        turned = [opposite]
+        if n <= EACH:
+            turned += [assumed | {name: value} for name, value in opposite.items()]
+        scaled = [scaled_values(domain, scale) for scale in scales]
+        other, weight = [], []
+        for share, wanted in ((1 - AS_ASSUMED - OPPOSITE, scaled), (OPPOSITE, turned)):
+            different = {str(one): one for one in wanted if one != assumed}
+            made = [without_ties(domain, most, one) for one in different.values()]
+            made = [(values, own) for values, own in made if values != assumed]
+            other += made
+            weight += [share / max(len(made), 1)] * len(made)
         every_value = (assumed, *(values for values, _ in other))
         every = np.arange(len(transitions))
         return cls.of(
@@ -158,6 +177,7 @@ class Hypotheses:
             phrases=tuple(domain.describe(transition) for transition in transitions),
             states=transitions[:, [0, 2]],
             variants=np.array([own for _, own in other], dtype=np.uint8),
+            variant_weight=np.array(weight) if weight else None,
             further=FurtherLabels(domain, every_value, transitions, every) if most < n else None,
         )
 
@@ -200,7 +220,7 @@ class Hypotheses:
         }
         if len(self.variants):
             arrays["variants"] = self.variants
-        for key in ("features", "states"):
+        for key in ("features", "states", "variant_weight"):
             if getattr(self, key) is not None:
                 arrays[key] = getattr(self, key)
         for key in ("feature_names", "phrases"):
@@ -264,7 +284,15 @@ class Hypotheses:
     def variant_prior(self) -> NDArray[np.float64]:
         """[1 + V] of the values as assumed, and of the variants."""
         count = len(self.variants)
-        return np.array([AS_ASSUMED] + [(1 - AS_ASSUMED) / count] * count if count else [1.0])
+        weight = np.full(count, (1 - AS_ASSUMED) / max(count, 1))
+        weight = weight if self.variant_weight is None else self.variant_weight
+        return np.append(1 - weight.sum(), weight)
+
+    @cached_property
+    def sizes(self) -> NDArray[np.bool_]:
+        """[1 + V] the values as assumed, and the variants of the same direction: the likelier."""
+        weight = self.variant_prior[1:]
+        return np.append(True, weight >= weight.max(initial=0) / 2)
 
     def told_apart_by_features(self) -> Hypotheses:
         """Without transitions that share their features with others of other labels: an answer
@@ -338,6 +366,15 @@ class Hypotheses:
                 lone = int(self.facts[~np.isin(less, self.facts)][0])
                 names = ";".join(names_of(lone, self.messages))
                 raise InputError("hypotheses.facts", names, "with each set all of its subsets")
+        weight = self.variant_weight
+        if weight is not None and (
+            weight.shape != (len(self.variants),) or (weight <= 0).any() or weight.sum() >= 1
+        ):
+            shown, allowed = (
+                weight.tolist(),
+                f"{len(self.variants)} probabilities, below 1 together",
+            )
+            raise InputError("hypotheses.variant_weight", shown, allowed)
         wanted = {"features": self.features, "states": self.states}
         for key, array in wanted.items():
             if array is not None and (array.ndim != 2 or len(array) != self.n_transitions):

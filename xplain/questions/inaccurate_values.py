@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
@@ -141,19 +141,31 @@ class FurtherLabels:
 def scaled_values(domain: Domain, scale: float) -> dict[str, Any]:
     """All inaccurate values times ``scale``, by parameter, where they are numbers and the domain
     takes them."""
-    return {one.name: _scaled(domain, one, scale) for one in domain.parameters}
+    return {
+        one.name: _taken(domain, one, lambda _, wrong: scale * wrong) for one in domain.parameters
+    }
 
 
-def _scaled(domain: Domain, parameter: Parameter, scale: float) -> Any:
-    wrong = parameter.inaccurate
-    if not _is_number(wrong):
+def opposite_values(domain: Domain) -> dict[str, Any]:
+    """Of each parameter the value as far from the robot's on the other side, where both are numbers
+    and the domain takes it: the fire that people fear may also be believed a bonus."""
+    return {
+        one.name: _taken(domain, one, lambda right, wrong: 2 * right - wrong)
+        for one in domain.parameters
+    }
+
+
+def _taken(domain: Domain, parameter: Parameter, other: Callable[[float, float], float]) -> Any:
+    """Another wrong value, or the inaccurate one where the domain does not take the other."""
+    right, wrong = parameter.accurate, parameter.inaccurate
+    if not _is_number(wrong) or not _is_number(right):
         return wrong
     values = {one.name: one.accurate for one in domain.parameters}
     try:
-        domain.model(values | {parameter.name: scale * wrong})
+        domain.model(values | {parameter.name: other(right, wrong)})
     except XplainError:
         return wrong
-    return scale * wrong
+    return other(right, wrong)
 
 
 def few(facts: NDArray[np.int64], n: int, share: float) -> NDArray[np.float64]:

@@ -102,7 +102,9 @@ class FactSetClassifier:
         for r, facts in enumerate(self.facts.tolist()):
             key = known.hypotheses.row(facts & ~told) * known.share.shape[2] + transition
             cells, place = np.unique(key, return_inverse=True)
-            one = (truth(known.by_cell[cells]) * self.weight[r]).sum(axis=(1, 2))
+            one = (truth(known.by_cell[cells], known.hypotheses.sizes) * self.weight[r]).sum(
+                axis=(1, 2)
+            )
             own = np.flatnonzero(self.cells.which == r)
             _, here, there = np.intersect1d(
                 cells, self.cells.key[own], assume_unique=True, return_indices=True
@@ -119,7 +121,7 @@ class FactSetClassifier:
         result = np.zeros(len(transitions))
         for r, facts in enumerate(self.facts.tolist()):
             share = self.known.share_of(facts & ~told, transitions)
-            result += (truth(share) * self.weight[r]).sum(axis=(1, 2))
+            result += (truth(share, self.known.hypotheses.sizes) * self.weight[r]).sum(axis=(1, 2))
         return np.clip(result, EDGE, 1 - EDGE)
 
     def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:

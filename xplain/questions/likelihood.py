@@ -38,6 +38,7 @@ class Cells:
         key: [N] row of what is held wrong · U + transition; ascending for each fact set.
         share: [N, 1 + V] the hypotheses' P(label 1), by variant.
         ones, zeros: [N] answers.
+        sizes: [1 + V] see :attr:`~xplain.questions.hypotheses.Hypotheses.sizes`.
     """
 
     which: NDArray[np.int64]
@@ -45,6 +46,7 @@ class Cells:
     share: NDArray[np.float64]
     ones: NDArray[np.float64]
     zeros: NDArray[np.float64]
+    sizes: NDArray[np.bool_]
 
     @classmethod
     def of(cls, known: KnownTransitions, answers: Answers, facts: NDArray[np.int64]) -> Cells:
@@ -59,12 +61,13 @@ class Cells:
         ones = np.asarray(np.bincount(where.ravel(), one.ravel(), len(cells)), np.float64)
         total = np.asarray(np.bincount(where.ravel(), every.ravel(), len(cells)), np.float64)
         inner = cells % size
-        return cls(cells // size, inner, known.by_cell[inner], ones, total - ones)
+        sizes = known.hypotheses.sizes
+        return cls(cells // size, inner, known.by_cell[inner], ones, total - ones, sizes)
 
     def log_joint(self, error: NDArray[np.float64]) -> NDArray[np.float64]:
         """log P(answers in the cell, f | variant, δ, ε) of f = 0 and 1: [2, N, 1 + V, D, E] for
         errors [E]."""
-        prior = truth(self.share)[..., None]
+        prior = truth(self.share, self.sizes)[..., None]
         good, bad = np.log1p(-error), np.log(error)
         ones, zeros = self.ones[:, None, None, None], self.zeros[:, None, None, None]
         return np.stack(
@@ -82,10 +85,11 @@ class Cells:
         return result
 
 
-def truth(share: NDArray[np.float64]) -> NDArray[np.float64]:
+def truth(share: NDArray[np.float64], sizes: NDArray[np.bool_]) -> NDArray[np.float64]:
     """P(f = 1) of cells [N, 1 + V] by how often the hypotheses are wrong: [N, 1 + V, D]. Where
-    variants disagree, more than the others may be true."""
-    disputed = share.min(axis=1) != share.max(axis=1)
+    variants that differ in ``sizes`` [1 + V] disagree, more than the others may be true."""
+    of_sizes = share[:, sizes]
+    disputed = of_sizes.min(axis=1) != of_sizes.max(axis=1)
     more = np.minimum(DISPUTED * DEVIATION, DEVIATION[-1])
     deviation = np.where(disputed[:, None], more, DEVIATION)[:, None]
     return np.asarray(share[:, :, None] * (1 - deviation) + (1 - share[:, :, None]) * deviation)
