@@ -88,7 +88,8 @@ class Greedy:
         model = self.model
         cells = rows_at(model.rows, given | self._actions) * model.n_types + self._types
         later = self.optimal[step + 1].reshape(-1).take(cells[0])
-        zeros = (1 - model.p.reshape(model.n_steps, -1)[: step + 1].take(cells[0], axis=1)).sum(0)
+        p = model.p.reshape(model.n_steps, -1)[: step + 1].take(cells[0], axis=1)
+        zeros = step + 1 - np.add.reduce(p)
         values: NDArray[np.float64] = model.message_discount * (
             self.optimal[step].reshape(-1).take(cells) @ belief
         )

@@ -177,7 +177,8 @@ def test_labels_are_drawn_with_their_probabilities() -> None:
     other = np.random.default_rng(3).uniform(0.1, 0.9, count)
     problem = Problem(np.stack([p, other])[:, :, None], np.empty(0))
     model = model_of(problem)
-    tree = Tree.rooted(draws, 0, count, 0, 0, problem.prior, 1)
+    first, tree = (Tree.rooted(draws, 0, count, 0, 0, problem.prior, 1) for _ in "12")
+    _draw_many(1, model, first, problem.prior)  # codes the observations
     model.weight[0] = 1 << np.arange(count, dtype=np.uint64)
     for t in range(2):
         usual = model.p[0, :, t] < 0.5
