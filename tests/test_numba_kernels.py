@@ -10,12 +10,14 @@ import shutil
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import numba
 import pytest
 from numba.core import event
+from packaging.requirements import Requirement
 
 from xplain import numba_kernels
 from xplain.numba_kernels import PACKAGE, _Listener, cache_folder, kernel, kernel_sources
@@ -213,6 +215,15 @@ def test_tells_which_kernel_of_how_many_is_compiled_and_when_it_is_done() -> Non
     assert [text.split()[1] for text in begun] == ["1", "2"]
     assert all(f"({name})" in text for name, text in zip(("first", "second"), begun, strict=True))
     assert all(int(text.split()[1]) <= int(text.split()[5]) for text in begun)
+
+
+def test_numba_is_bounded_by_the_version_that_is_tested() -> None:
+    """The compiler's inner parts may change with any version: none is installed untried."""
+    project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())["project"]
+    (bound,) = [Requirement(one) for one in project["dependencies"] if one.startswith("numba>")]
+    major, minor = (int(part) for part in numba.__version__.split(".")[:2])
+    assert bound.specifier.contains(numba.__version__)
+    assert not bound.specifier.contains(f"{major}.{minor + 1}.0")
 
 
 def test_the_cache_is_numbas_own_index_below_our_folder() -> None:

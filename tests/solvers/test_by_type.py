@@ -26,6 +26,7 @@ from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.pomcp.rollout import MAX_OF_MEAN, leaf_value
 from xplain.solvers.pomcp.search_model import model_of as search_model
 from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.pomcp.tree import Tree
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
 
@@ -107,9 +108,9 @@ def test_pomcp_answers_alike_where_the_type_is_certain(both: Both) -> None:
 
 
 @lean_kernel
-def leaf(model, gain, step, given, belief):  # type: ignore[no-untyped-def]
+def leaf(model, tree, step, given, belief):  # type: ignore[no-untyped-def]
     """What POMCP takes a leaf for."""
-    return leaf_value(model, gain, MAX_OF_MEAN, step, given, belief)
+    return leaf_value(model, tree, MAX_OF_MEAN, step, given, belief)
 
 
 @settings(deadline=None, max_examples=50)
@@ -120,7 +121,8 @@ def test_a_leaf_is_worth_what_qmdp_says(both: Both) -> None:
     for shown in range(1 << n):
         belief, k = rng.dirichlet(np.ones(both[0].n_types)), int(rng.integers(both[0].n_steps))
         known = plain_qmdp_value(both[1], k, shown, belief)
-        assert leaf(model, np.zeros(n), k, shown, belief) == pytest.approx(known, abs=1e-9)
+        tree = Tree.rooted(1, n, both[0].n_steps, k, shown, belief, 0)
+        assert leaf(model, tree, k, shown, belief) == pytest.approx(known, abs=1e-9)
 
 
 def plain_qmdp_value(problem: Problem, step: int, shown: int, belief: NDArray[np.float64]) -> float:

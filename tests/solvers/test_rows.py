@@ -10,7 +10,7 @@ import pytest
 from xplain.errors import TooLargeError
 from xplain.explanation.label_table import NONE, LabelTable
 from xplain.numba_kernels import lean_kernel
-from xplain.solvers.rows import Rows, delaying, is_left, make_rows, row, rows_at, spread
+from xplain.solvers.rows import Rows, delaying, make_rows, row, rows_at
 
 RELEVANT = np.array([[1, 4], [0, NONE]])
 PRICE = np.array([1.0, 1.0, 2.0, 2.0, 1.0, 2.0, 3.0])
@@ -31,17 +31,18 @@ def classes(t: int) -> list[list[int]]:
 
 @lean_kernel
 def _row(rows, given, t):  # type: ignore[no-untyped-def]
-    return row(rows, given, t)
-
-
-@lean_kernel
-def _is_left(rows, at, t, c):  # type: ignore[no-untyped-def]
-    return is_left(rows, at, t, c)
+    return row(rows.part, given, t)
 
 
 @pytest.fixture(scope="module")
 def rows() -> Rows:
     return make_rows(by_type(), PRICE, IDLE)
+
+
+def one_more(rows: Rows, at: int, c: int, t: int) -> float:
+    """The price of one more message of a digit in a row; inf where none is left."""
+    count = at // rows.stride[c] % (rows.size[c] + 1)
+    return float(rows.price[c, count, t]) if count < rows.size[c] else np.inf
 
 
 @pytest.mark.parametrize("t", [0, 1])
@@ -52,25 +53,41 @@ def test_a_row_counts_what_is_given_of_each_class(rows: Rows, t: int) -> None:
         at = _row(rows, given, t)
         assert at == rows_at(rows, given)[t]
         assert found.setdefault(counts, at) == at
-        for c, members in enumerate(classes(t)):
-            assert _is_left(rows, at, t, c) == (counts[c] < len(members))
-    # A row each, none between, the relevant messages first.
-    assert sorted(found.values()) == list(range(int(rows.number[t])))
+        assert 0 <= at < rows.number
+    assert len(set(found.values())) == len(found)  # a row each
     n_relevant = int((RELEVANT[t] != NONE).sum())
     for bits in product((0, 1), repeat=n_relevant):
         counts = bits + (0,) * (len(classes(t)) - n_relevant)
         assert found[counts] == sum(bit << place for place, bit in enumerate(bits))
 
 
+@pytest.mark.parametrize("t", [0, 1])
+def test_one_more_message_moves_the_row_and_costs_its_price(rows: Rows, t: int) -> None:
+    """From every row there is exactly one way on for each class with a message left."""
+    for given in range(1 << len(PRICE)):
+        at = int(rows_at(rows, given)[t])
+        left = [[j for j in members if not given >> j & 1] for members in classes(t)]
+        known = {int(rows_at(rows, given | 1 << own[0])[t]): PRICE[own[0]] for own in left if own}
+        prices = {
+            at + int(stride): one_more(rows, at, c, t) for c, stride in enumerate(rows.stride)
+        }
+        assert {row: price for row, price in prices.items() if price < np.inf} == known
+
+
+def test_a_row_of_a_dense_problem_is_the_message_set() -> None:
+    """Also where messages are more than are looked up together."""
+    n = 14
+    rows = make_rows(LabelTable.dense(np.full((3, 1, 1 << n), 0.5)), np.ones(n))
+    sets = np.arange(1 << n)
+    assert (rows_at(rows, sets) == sets[:, None]).all()
+    assert [_row(rows, given, 2) for given in (0, 5, 1 << 13, (1 << n) - 1)] == [
+        0, 5, 1 << 13, (1 << n) - 1
+    ]  # fmt: skip
+
+
 def test_rows_of_many_sets_are_those_of_each(rows: Rows) -> None:
     given = np.arange(1 << len(PRICE))
     np.testing.assert_array_equal(rows_at(rows, given), [rows_at(rows, int(h)) for h in given])
-
-
-@pytest.mark.parametrize("t", [0, 1])
-def test_a_class_has_the_price_of_its_messages(rows: Rows, t: int) -> None:
-    for c, members in enumerate(classes(t)):
-        assert rows.price[t, c] == PRICE[members[0]]
 
 
 def test_too_many_rows_are_refused() -> None:
@@ -91,16 +108,12 @@ def test_what_may_pay_as_a_delay_costs_less_than_it_saves() -> None:
     assert delaying(by_type(), PRICE, 0.1, optimal) == [[0, 2, 3, 5], [1, 4]]
 
 
-def test_rows_that_a_type_lacks_cost_nothing(rows: Rows) -> None:
-    """The least value over all rows bounds what is still to be paid (:func:`delaying`)."""
-    table = np.random.default_rng(0).random((2, 3, 4))
-    table[1, :, 2:] = table[1, :, :2]  # of a single relevant message
-    found = spread(LabelTable.by_type(RELEVANT, table), rows)
-    assert found.shape == (3, rows.number.max(), 2)
-    for t, own in enumerate(table):
+def test_the_relevant_messages_are_the_lowest_digits_of_every_row(rows: Rows) -> None:
+    """So a model's table is the problem's own, once for each count of the others."""
+    for t, own in enumerate(RELEVANT.tolist()):
         for given in range(1 << len(PRICE)):
-            relevant = [j for j in RELEVANT[t].tolist() if j != NONE]
-            subset = sum((given >> j & 1) << i for i, j in enumerate(relevant))
-            assert (found[:, rows_at(rows, given)[t], t] == own[:, subset]).all()
-        assert (found[:, int(rows.number[t]) :, t] == 1).all()
-    assert rows.number.min() < rows.number.max()
+            subset = sum((given >> j & 1) << i for i, j in enumerate(own) if j != NONE)
+            assert rows_at(rows, given)[t] % 4 == subset
+    assert rows.relevant.tolist() == [
+        sum(1 << j for members in classes(t) for j in members) for t in (0, 1)
+    ]

@@ -41,6 +41,12 @@ class LabelTable:
     relevant: NDArray[np.int64]
     p: NDArray[np.float64]
 
+    def __post_init__(self) -> None:
+        """One layout, whatever the table was taken from: kernels are compiled for it alone."""
+        for name in ("relevant", "p"):
+            array = np.require(getattr(self, name), requirements=["C", "W"])
+            object.__setattr__(self, name, array)
+
     @classmethod
     def dense(cls, table: ArrayLike) -> LabelTable:
         """Of P(label is 1 | type, transition, message set), [N, m, 2^n].
@@ -59,7 +65,7 @@ class LabelTable:
             raise InputError("p_explicable", p.shape, "the last axis must be a power of two")
         _check_probabilities("p_explicable", p)
         relevant = np.tile(np.arange(n, dtype=np.int64), (len(p), 1))
-        return cls(relevant, np.ascontiguousarray(p.transpose(1, 2, 0)))
+        return cls(relevant, p.transpose(1, 2, 0))
 
     @classmethod
     def by_type(cls, relevant: ArrayLike, tables: ArrayLike) -> LabelTable:
@@ -93,7 +99,7 @@ class LabelTable:
         for row in own:
             if len(set(row)) < len(row):
                 raise InputError("relevant", row, "each message once a type")
-        given = cls(indices.astype(np.int64), np.ascontiguousarray(p.transpose(1, 2, 0)))
+        given = cls(indices.astype(np.int64), p.transpose(1, 2, 0))
         table = given._read_over([sorted(row) for row in own])  # in whatever order, pads anywhere
         _check_probabilities("p_relevant", table.p)
         return table

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.numba_kernels import inlined, shared_kernel
-from xplain.solvers.model import explicable
+from xplain.solvers.rows import row
 
 SCALE = float(1 << 40)
 IMPOSSIBLE = -(1 << 62)
@@ -32,6 +32,7 @@ class Answers(NamedTuple):
         weight: [capacity, N] joint probability of the past, each type, and the answer.
         evidence: [capacity, N] log-likelihoods after it, 0 for the likeliest type.
         tail: [N] the joint weight of all that was not listed.
+        column: [m, N] P(label 1) of the transitions shown.
         groups: [4, m + 1] first transition, size, first row and count of a group.
         likelihood, news: [2 m, N] probability and evidence of a group's counts.
         weights, logs: [m + 1, N] joint probability and evidence of a prefix of counts.
@@ -40,6 +41,7 @@ class Answers(NamedTuple):
     weight: NDArray[np.float64]
     evidence: NDArray[np.int64]
     tail: NDArray[np.float64]
+    column: NDArray[np.float64]
     groups: NDArray[np.int64]
     likelihood: NDArray[np.float64]
     news: NDArray[np.int64]
@@ -53,6 +55,7 @@ def make_answers(capacity: int, steps: int, types: int) -> Answers:
         np.empty((capacity, types)),
         np.empty((capacity, types), np.int64),
         np.empty(types),
+        np.empty((steps, types)),
         np.empty((4, steps + 1), np.int64),
         np.empty((2 * steps, types)),
         np.empty((2 * steps, types), np.int64),
@@ -87,22 +90,27 @@ def _group(model, step, given, weight, answers):  # type: ignore[no-untyped-def]
     """Finds the groups of exchangeable transitions that carry news, and fills in what each count
     of 1s in a group says. Returns their number."""
     first, size, start = answers.groups[0], answers.groups[1], answers.groups[2]
+    column = answers.column
+    for t in range(len(weight)):
+        at = row(model.rows.part, given, t)
+        for i in range(step + 1):
+            column[i, t] = model.p[i, at, t]
     groups = 0
     for i in range(step + 1):
-        if not _informative(model, i, given, weight):
+        if not _informative(column[i], weight):
             continue
         for g in range(groups + 1):
             if g == groups:
                 first[g], size[g] = i, 0
                 groups += 1
-            if _same_column(model, first[g], i, given, weight):
+            if _same_column(column[first[g]], column[i], weight):
                 size[g] += 1
                 break
     start[0] = 0
     for g in range(groups):
         start[g + 1] = start[g] + size[g] + 1
         for t in range(len(weight)):
-            yes = explicable(model, first[g], given, t) if weight[t] > 0.0 else -1.0
+            yes = column[first[g], t] if weight[t] > 0.0 else -1.0
             _binomial(yes, size[g], start[g], t, answers.likelihood, answers.news)
     return groups
 
@@ -152,24 +160,23 @@ def _list_counts(groups, weight, evidence, negligible, answers):  # type: ignore
 
 
 @inlined
-def _informative(model, i, given, weight):  # type: ignore[no-untyped-def]
+def _informative(column, weight):  # type: ignore[no-untyped-def]
     first = -1
     for t in range(len(weight)):
         if weight[t] > 0.0:
             if first < 0:
                 first = t
-            elif explicable(model, i, given, t) != explicable(model, i, given, first):
+            elif column[t] != column[first]:
                 return True
     return False
 
 
 @inlined
-def _same_column(model, i, other, given, weight):  # type: ignore[no-untyped-def]
+def _same_column(column, other, weight):  # type: ignore[no-untyped-def]
+    different = False
     for t in range(len(weight)):
-        differs = explicable(model, i, given, t) != explicable(model, other, given, t)
-        if weight[t] > 0.0 and differs:
-            return False
-    return True
+        different |= weight[t] > 0.0 and column[t] != other[t]
+    return not different
 
 
 @inlined

@@ -10,8 +10,8 @@ backwards in k (Bellman 1957). P[t, i, H] is the probability of label 1, transit
     V_t(k, H) = max( Q_t(k, H), max_{j ∉ H} −λ C_e(j) + γ' V_t(k, H ∪ {j}) ),   V_t(m, ·) = 0,
 
 with γ' = γ where every action discounts (the paper), 1 where only steps do. Every table here is
-indexed [k, row, t], the types side by side, as beliefs want them. Where the problem's table is
-dense, the row is H; where it is kept by type, see :mod:`xplain.solvers.rows`.
+indexed [k, row, t], the types side by side, as beliefs want them (:mod:`xplain.solvers.rows`). In
+a dense problem the row is H.
 """
 
 from __future__ import annotations
@@ -24,16 +24,7 @@ from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, lean_kernel, tell_when_compiling
-from xplain.solvers.rows import (
-    Rows,
-    delaying,
-    is_left,
-    make_rows,
-    relevant_rows,
-    row,
-    rows_at,
-    spread,
-)
+from xplain.solvers.rows import Rows, delaying, make_rows, row, rows_at
 
 TIE = 1e-9
 """Values closer than this, relative to 1 + their size, are equal."""
@@ -42,16 +33,16 @@ BATCH = 1 << 20
 
 
 class Model(NamedTuple):
-    """N types, m steps, n messages. Making one takes no time and no memory: tables are asked for.
+    """N types, m steps, n messages. Making one takes little time and memory: tables are asked for.
 
     Attributes:
-        p: [m, rows, N] P(label 1), where dense the problem's own. Read by the functions of this
-            module alone.
+        p: [m, rows, N] P(label 1), but for idle messages the problem's own. Read by the functions
+            of this module alone.
         price: [n] λ C_e(j) of each message.
         inexplicability: C_inexp.
         discount: γ, of *explain*.
         message_discount: γ', of a message.
-        rows: where a type's row of H is; None where it is H.
+        rows: where a type's row of H is.
     """
 
     p: NDArray[np.float64]
@@ -59,7 +50,7 @@ class Model(NamedTuple):
     inexplicability: float
     discount: float
     message_discount: float
-    rows: Rows | None = None
+    rows: Rows
 
     @property
     def n_steps(self) -> int:
@@ -78,24 +69,29 @@ class Model(NamedTuple):
 
 
 def model_of(problem: Problem) -> Model:
-    """The reduced POMDP of a problem; shares the problem's table where that is dense."""
-    table = problem.table
+    """The reduced POMDP of a problem.
+
+    Raises:
+        TooLargeError: too many rows.
+    """
+    table, price = problem.table, problem.trade_off * problem.message_cost
     model = Model(
         table.p,
-        problem.trade_off * problem.message_cost,
+        price,
         problem.inexplicability_cost,
         problem.discount,
         problem.discount if problem.discount_per == "action" else 1.0,
+        make_rows(table, price),
     )
-    if problem.is_dense:
+    delay = 1 - model.message_discount
+    if problem.is_dense or delay <= 0:
         return model
-    rows = relevant_rows(table, model.price)
-    alone = model._replace(p=spread(table, rows), rows=rows)
-    idle = delaying(table, model.price, 1 - model.message_discount, optimal_values(alone))
+    idle = delaying(table, price, delay, optimal_values(model))
     if not any(idle):
-        return alone
-    rows = make_rows(table, model.price, idle)
-    return model._replace(p=spread(table, rows), rows=rows)
+        return model
+    rows = make_rows(table, price, idle)
+    times = rows.number // model.n_rows
+    return model._replace(p=np.tile(table.p, (1, times, 1)), rows=rows)
 
 
 def table_bytes(problem: Problem) -> int:
@@ -111,17 +107,20 @@ def dense_table_bytes(problem: Problem) -> int:
 
 def explain_costs(model: Model) -> NDArray[np.float64]:
     """C_t(k, H) for all: [m, rows, N]."""
-    costs = np.empty(model.p.shape)
-    _accumulate(model.p, model.inexplicability, costs)
+    return _accumulate(model, np.empty(model.p.shape))
+
+
+def _accumulate(model: Model, costs: NDArray[np.float64]) -> NDArray[np.float64]:
+    np.subtract(1, model.p, out=costs)
+    costs *= model.inexplicability
+    for k in range(1, len(costs)):
+        costs[k] += costs[k - 1]
     return costs
 
 
 def explain_cost_at(model: Model, step: int, given: int | NDArray[np.int64]) -> NDArray[np.float64]:
     """C_t(k, H) at one k: [N], or [B, N] for B message sets."""
-    if model.rows is None:
-        p = model.p[: step + 1, given]
-    else:
-        p = model.p[: step + 1, rows_at(model.rows, given), np.arange(model.n_types)]
+    p = model.p[: step + 1, rows_at(model.rows, given), np.arange(model.n_types)]
     zeros: NDArray[np.float64] = np.add.reduce(1 - p, axis=0)
     return model.inexplicability * zeros
 
@@ -130,8 +129,6 @@ def take(
     model: Model, table: NDArray[np.float64], given: int | NDArray[np.int64]
 ) -> NDArray[np.float64]:
     """Every type's entry for H of a table [rows, N]: [N], or [B, N] for B sets."""
-    if model.rows is None:
-        return table[given]
     return table[rows_at(model.rows, given), np.arange(model.n_types)]
 
 
@@ -139,12 +136,9 @@ def optimal_values(model: Model) -> NDArray[np.float64]:
     """V*_t(k, H) for all: [m + 1, rows, N]."""
     tell_when_compiling()
     values = np.zeros((model.n_steps + 1, model.n_rows, model.n_types))
-    _accumulate(model.p, model.inexplicability, values)
+    _accumulate(model, values[:-1])
     for first, end in backwards(model):
-        if model.rows is None:
-            _back_up(model.price, model.discount, model.message_discount, values, first, end)
-        else:
-            _back_up_rows(model.rows, model.discount, model.message_discount, values, first, end)
+        _back_up(model.rows, model.discount, model.message_discount, values, first, end)
     return values
 
 
@@ -216,16 +210,10 @@ def one_by_one(best_action: Callable[[int], int], given: int) -> int:
 
 
 @inlined
-def explicable(model, i, given, t):  # type: ignore[no-untyped-def]
-    """P(label of transition i is 1 | H, t)."""
-    return model.p[i, row(model.rows, given, t), t]
-
-
-@inlined
 def explain_cost(model, k, given, t):  # type: ignore[no-untyped-def]
     """C_t(k, H), the expected cost of *explain* for type t."""
     cost = 0.0
-    at = row(model.rows, given, t)
+    at = row(model.rows.part, given, t)
     for i in range(k + 1):
         cost += model.inexplicability * (1.0 - model.p[i, at, t])
     return cost
@@ -241,45 +229,25 @@ def expected(belief, row):  # type: ignore[no-untyped-def]
 
 
 @lean_kernel
-def _accumulate(p, inexplicability, costs):  # type: ignore[no-untyped-def]
-    """Fills ``costs`` [≥ m, rows, N] with C_t(k, H)."""
-    for k in range(p.shape[0]):
-        for given in range(costs.shape[1]):
-            for t in range(costs.shape[2]):
-                newest = inexplicability * (1.0 - p[k, given, t])
-                costs[k, given, t] = costs[k - 1, given, t] + newest if k > 0 else newest
-
-
-@lean_kernel
-def _back_up(price, discount, message_discount, values, first, end):  # type: ignore[no-untyped-def]
-    """``values`` [m + 1, 2^n, N] holds C(k, ·) from step ``first`` to before ``end``, V(k, ·) from
-    there on, and leaves with V(k, ·) in all of these. A superset of H is a larger integer than H,
-    so descending H meets it first."""
-    _, sets, types = values.shape
+def _back_up(rows, discount, message_discount, values, first, end):  # type: ignore[no-untyped-def]
+    """``values`` [m + 1, rows, N] holds C(k, ·) from step ``first`` to before ``end``, V(k, ·) from
+    there on, and leaves with V(k, ·) in all of these. One message more is a larger row, so
+    descending rows meet it first."""
+    _, number, types = values.shape
     for k in range(end - 1, first - 1, -1):
         now, after = values[k], values[k + 1]
-        for given in range(sets - 1, -1, -1):
+        for at in range(number - 1, -1, -1):
             for t in range(types):
-                now[given, t] = discount * after[given, t] - now[given, t]
-            for j in range(len(price)):
-                more = given | (1 << j)
-                if more != given:
+                now[at, t] = discount * after[at, t] - now[at, t]
+            for c in range(len(rows.stride)):
+                stride = rows.stride[c]
+                if c < rows.bits:  # told more quickly than a digit
+                    count, size = at >> c & 1, 1
+                else:
+                    size = rows.size[c]
+                    count = at // stride % (size + 1)
+                if count < size:
                     for t in range(types):
-                        value = message_discount * now[more, t] - price[j]
-                        if value > now[given, t]:
-                            now[given, t] = value
-
-
-@lean_kernel
-def _back_up_rows(rows, discount, message_discount, values, first, end):  # type: ignore[no-untyped-def]
-    """As :func:`_back_up`, type by type, for a model with rows. One more message of a class is
-    its stride further on."""
-    for k in range(end - 1, first - 1, -1):
-        for t in range(values.shape[2]):
-            for at in range(rows.number[t] - 1, -1, -1):
-                best = discount * values[k + 1, at, t] - values[k, at, t]
-                for c in range(rows.stride.shape[1]):
-                    if is_left(rows, at, t, c):
-                        value = message_discount * values[k, at + rows.stride[t, c], t]
-                        best = max(best, value - rows.price[t, c])
-                values[k, at, t] = best
+                        value = message_discount * now[at + stride, t] - rows.price[c, count, t]
+                        if value > now[at, t]:
+                            now[at, t] = value

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.message_sets import subsets
-from xplain.numba_kernels import kernel
 from xplain.solvers.base import Knowledge, Policy
-from xplain.solvers.model import Model, best_of, explicable, model_of
+from xplain.solvers.model import Model, best_of, model_of
 from xplain.solvers.restriction import Restricted, coupled
 
 
@@ -66,20 +65,8 @@ class QHRPolicy:
         # Transition i is in the prefixes of max(k, i) + 1 to m transitions (i counted from 0).
         times = m - np.maximum(step, np.arange(m))
         masks = subsets(j for j in range(len(model.price)) if not given >> j & 1)
-        zeros = _expected_zeros(model, belief, times, masks, given)
+        zeros = (times @ (belief.sum() - model.p @ belief))[masks | given]
         price = np.zeros(len(masks))
         for j, cost in enumerate(model.price):
             price += cost * (masks >> j & 1)
         return masks, -(price + model.inexplicability * zeros)
-
-
-@kernel
-def _expected_zeros(model, belief, times, masks, given):  # type: ignore[no-untyped-def]
-    zeros = np.zeros(len(masks))
-    for t in range(len(belief)):
-        if belief[t] > 0.0:
-            for i in range(len(times)):
-                weight = belief[t] * times[i]
-                for s in range(len(masks)):
-                    zeros[s] += weight * (1.0 - explicable(model, i, masks[s] | given, t))
-    return zeros

@@ -20,14 +20,13 @@ from xplain.solvers.memory import check_memory, check_memory_gib
 from xplain.solvers.model import (
     Model,
     best_of,
-    explain_cost_at,
     model_of,
     one_by_one,
     optimal_values,
     table_bytes,
-    take,
 )
 from xplain.solvers.restriction import Restricted, messages_worth_giving
+from xplain.solvers.rows import rows_at
 
 
 @dataclass(frozen=True)
@@ -79,14 +78,23 @@ class Greedy:
         """[n + 1] *explain*, then the messages."""
         return np.array([0, *(1 << j for j in range(len(self.model.price)))])
 
+    @cached_property
+    def _types(self) -> NDArray[np.int64]:
+        """[N] a type's column."""
+        return np.arange(self.model.n_types)
+
     def _values(self, step: int, given: int, belief: NDArray[np.float64]) -> NDArray[np.float64]:
         """[n + 1] values of the actions; −inf of the messages already given."""
         model = self.model
-        values = np.empty(len(self._actions))
-        explain = model.discount * take(model, self.optimal[step + 1], given)
-        values[0] = belief @ (explain - explain_cost_at(model, step, given))
-        later = take(model, self.optimal[step], given | self._actions[1:]) @ belief
-        values[1:] = model.message_discount * later - model.price
+        cells = rows_at(model.rows, given | self._actions) * model.n_types + self._types
+        later = self.optimal[step + 1].reshape(-1).take(cells[0])
+        p = model.p.reshape(model.n_steps, -1)[: step + 1].take(cells[0], axis=1)
+        zeros = step + 1 - np.add.reduce(p)
+        values: NDArray[np.float64] = model.message_discount * (
+            self.optimal[step].reshape(-1).take(cells) @ belief
+        )
+        values[1:] -= model.price
+        values[0] = belief @ (model.discount * later - model.inexplicability * zeros)
         values[self._actions & given != 0] = -np.inf
         return values
 

@@ -1,10 +1,13 @@
 """Where a type's values for a message set H stand, where types look at messages of their own.
 
-To one type many message sets are the same. A message relevant to it is a *class* of its own. The
+To one type many message sets are the same. A message relevant to it is a *digit* of its own. The
 others change no label; but where giving discounts, giving one puts off what is still to be paid,
 and an optimal plan does so where it is cheap enough. Of such messages with one price only how many
-are given matters: they are one class. So a row is a number whose digits count, class by class, the
-messages given, and one table [k, row, t] holds any function of (k, H) that a type's plans ask for.
+are given matters: they are one digit. So a row is a number whose digits count the messages given,
+and one table [k, row, t] holds any function of (k, H) that a type's plans ask for. In a dense
+problem every message is relevant to every type, and the row is H.
+
+Row and H are linear: each message has a *place*, what giving it adds to the row.
 """
 
 from __future__ import annotations
@@ -15,100 +18,117 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import TooLargeError
-from xplain.explanation.label_table import MAX_RELEVANT, LabelTable
-from xplain.numba_kernels import inlined
-from xplain.solvers.bits import count_bits
+from xplain.explanation.label_table import MAX_RELEVANT, NONE, LabelTable
+from xplain.numba_kernels import inlined, shared_kernel
 
 MAX_ROWS = 1 << MAX_RELEVANT
-"""Rows of a type's table, at most."""
+"""Rows of a table, at most."""
+CHUNK = 12
+"""Messages whose sets are looked up together."""
 
 
 class Rows(NamedTuple):
-    """For N types, up to c classes each; unused ones hold no message.
+    """For N types and C digits, of up to s messages each.
 
     Attributes:
-        mask: [N, c] the messages of a class.
-        stride: [N, c] by how much one more of them moves the row.
-        size: [N, c] how many there are.
-        price: [N, c] λ C_e of each.
-        number: [N] rows of a type.
+        relevant: [N] bitmask of the messages that a type's row counts.
+        place: [n, N] what giving a message adds to a type's row.
+        part: [⌈n / CHUNK⌉, 2^CHUNK, N] what each set of CHUNK messages adds.
+        bits: so many digits, the first, are single messages: bits of the row.
+        stride: [C] what one more message of a digit adds.
+        size: [C] how many it may count.
+        price: [C, s, N] λ C_e of one more, where so many are given; inf where a type has no more.
     """
 
-    mask: NDArray[np.int64]
+    relevant: NDArray[np.int64]
+    place: NDArray[np.int64]
+    part: NDArray[np.int64]
+    bits: int
     stride: NDArray[np.int64]
     size: NDArray[np.int64]
     price: NDArray[np.float64]
-    number: NDArray[np.int64]
+
+    @property
+    def number(self) -> int:
+        """Rows of a table."""
+        return int(np.prod(self.size + 1))
 
 
 @inlined
-def row(rows, given, t):  # type: ignore[no-untyped-def]
-    """The row of H for type t; H itself where the problem is dense."""
-    if rows is None:
-        return given
+def row(part, given, t):  # type: ignore[no-untyped-def]
+    """The row of H for type t."""
+    at = part[0, given & ((1 << CHUNK) - 1), t]
+    return at if len(part) == 1 else at + _further(part, given, t)
+
+
+@shared_kernel
+def _further(part, given, t):  # type: ignore[no-untyped-def]
+    """What the messages after the first chunk add."""
     at = 0
-    for c in range(rows.mask.shape[1]):
-        at += rows.stride[t, c] * count_bits(given & rows.mask[t, c])
+    for i in range(1, len(part)):
+        at += part[i, given >> CHUNK * i & ((1 << CHUNK) - 1), t]
     return at
 
 
 @inlined
-def is_left(rows, at, t, c):  # type: ignore[no-untyped-def]
-    """Whether some message of a class is not yet given in a row."""
-    stride, size = rows.stride[t, c], rows.size[t, c]
-    if size <= 1 and stride & (stride - 1) == 0:  # a bit, which is quicker told than a digit
-        return size == 1 and at & stride == 0
-    return at // stride % (size + 1) < size
+def find_rows(part, given, at):  # type: ignore[no-untyped-def]
+    """Fills in ``at`` [N], the row of H for each type."""
+    for t in range(len(at)):
+        at[t] = row(part, given, t)
 
 
 def rows_at(rows: Rows, given: int | NDArray[np.int64]) -> NDArray[np.int64]:
     """The rows of H for all types: [N], or [B, N] for B message sets."""
-    counts = np.bitwise_count(np.asarray(given, dtype=np.int64)[..., None, None] & rows.mask)
-    at: NDArray[np.int64] = (counts * rows.stride).sum(axis=-1)
+    at: NDArray[np.int64] = rows.part[0, given & (1 << CHUNK) - 1]
+    for i, part in enumerate(rows.part[1:], 1):
+        at = at + part[given >> CHUNK * i & (1 << CHUNK) - 1]
     return at
 
 
-def relevant_rows(table: LabelTable, price: NDArray[np.float64]) -> Rows:
-    """Rows of relevant messages alone: exact where no message is worth giving as a delay."""
-    return make_rows(table, price, [[] for _ in table.relevant])
-
-
-def make_rows(table: LabelTable, price: NDArray[np.float64], idle: list[list[int]]) -> Rows:
-    """Rows of the relevant messages and, for each type, these others.
+def make_rows(
+    table: LabelTable, price: NDArray[np.float64], idle: list[list[int]] | None = None
+) -> Rows:
+    """Rows of the relevant messages and, for each type, these others; without others exact where
+    no message is worth giving as a delay.
 
     Raises:
-        TooLargeError: more than MAX_ROWS for a type.
+        TooLargeError: more than MAX_ROWS.
     """
-    classes: list[list[list[int]]] = []
-    for relevant, others in zip(table.rows, idle, strict=True):
-        alike: dict[float, list[int]] = {}
-        for j in others:
-            alike.setdefault(float(price[j]), []).append(j)
-        classes.append([[j] for j in relevant] + list(alike.values()))
-    width = max(map(len, classes))
-    shape = len(classes), width
-    rows = Rows(
-        np.zeros(shape, np.int64),
-        np.ones(shape, np.int64),
-        np.zeros(shape, np.int64),
-        np.zeros(shape),
-        np.ones(len(classes), np.int64),
-    )
-    for t, own in enumerate(classes):
-        count = 1
-        for c, members in enumerate(own):
-            rows.mask[t, c] = sum(1 << j for j in members)
-            rows.stride[t, c], rows.size[t, c] = count, len(members)
-            rows.price[t, c] = price[members[0]]
-            count *= len(members) + 1
-        if count > MAX_ROWS:
-            raise TooLargeError(
-                f"{len(own)} messages or prices matter to one type on this trace: {count:.1e} "
-                "rows of its table; where giving messages pays as a mere delay, discount_per=step "
-                "makes an end of it"
-            )
-        rows.number[t] = count
-    return rows
+    types, bits = table.relevant.shape
+    others = idle or []
+    values = sorted({float(price[j]) for messages in others for j in messages})
+    alike = [[[j for j in one if price[j] == value] for one in others] for value in values]
+    size = np.array([1] * bits + [max(map(len, digit)) for digit in alike], np.int64)
+    number = np.prod(size + 1.0)
+    if number > max(MAX_ROWS, table.p.shape[1]):
+        raise TooLargeError(
+            f"{len(size)} messages or prices matter on this trace: {number:.1e} rows of its "
+            "table; where giving messages pays as a mere delay, discount_per=step makes an end "
+            "of it"
+        )
+    stride = np.cumprod(np.concatenate([[1], size + 1]))[:-1]
+    place = np.zeros((len(price), types), np.int64)
+    prices = np.full((len(size), size.max(initial=1), types), np.inf)
+    whose, digit = np.nonzero(table.relevant != NONE)
+    own = table.relevant[whose, digit]
+    place[own, whose], prices[digit, 0, whose] = stride[digit], price[own]
+    for c, of_price in enumerate(alike, bits):
+        for t, messages in enumerate(of_price):
+            place[messages, t] = stride[c]
+            prices[c, : len(messages), t] = price[messages]
+    relevant = (1 << np.arange(len(place))) @ (place != 0)
+    return Rows(relevant, place, _parts(place), bits, stride, size, prices)
+
+
+def _parts(place: NDArray[np.int64]) -> NDArray[np.int64]:
+    """[⌈n / CHUNK⌉, 2^CHUNK, N] from what each message adds, [n, N]."""
+    n, types = place.shape
+    chunks = -(-n // CHUNK) or 1
+    parts = np.zeros((chunks, 1 << min(n, CHUNK), types), np.int64)
+    for j, adds in enumerate(place):
+        chunk, half = parts[j // CHUNK], 1 << j % CHUNK
+        np.add(chunk[:half], adds, out=chunk[half : 2 * half])
+    return parts
 
 
 def delaying(
@@ -125,19 +145,8 @@ def delaying(
         delay: 1 − γ', what giving one saves of all that is still to be paid.
         optimal: [m + 1, rows, N] V*_t without such messages, whose least value bounds that.
     """
-    if delay <= 0:
-        return [[] for _ in table.relevant]
     ahead = -optimal.min(axis=(0, 1))
     return [
         [j for j in range(len(price)) if price[j] < delay * ahead[t] and j not in own]
         for t, own in enumerate(table.rows)
     ]
-
-
-def spread(table: LabelTable, rows: Rows) -> NDArray[np.float64]:
-    """The table by rows: [m, rows, N]. Relevant messages are the lowest digits of a row."""
-    p = np.ones((len(table.p), int(rows.number.max()), table.n_types))
-    for t, own in enumerate(table.rows):
-        number = int(rows.number[t])
-        p[:, :number, t] = table.p[:, np.arange(number) % (1 << len(own)), t]
-    return p

@@ -44,7 +44,7 @@ def simulate(simulations, model, options, tree, log_root, inverse_root):  # type
             tree.path[1, length] = edge
             tree.path[2, length] = action
             length += 1
-            depth += 1 if action == len(model.price) else options.message_depth
+            depth += 1 if action == len(model.reduced.price) else options.message_depth
             node, is_new = expand(model, tree, node, edge, action, user_type)
         value = evaluate(model, options, tree, node, is_new, user_type)
         backward(model, options, tree, node, length, value)
@@ -68,7 +68,7 @@ def select(model, options, tree, node, log_root, inverse_root):  # type: ignore[
     record = tree.nodes[node]
     if record.edges == UNOPENED:
         open_(model, tree, node)
-    n = len(model.price)
+    n = len(model.reduced.price)
     first, untried = record.edges, np.int64(record.untried)
     available = ((1 << (n + 1)) - 1) & ~np.int64(record.given)
     if untried != 0:
@@ -93,7 +93,7 @@ def expand(model, tree, node, edge, action, user_type):  # type: ignore[no-untyp
     record = tree.nodes[node]
     step, given, base = np.int64(record.step), np.int64(record.given), np.int64(record.base)
     child = np.int64(tree.edges[edge].child)
-    if action < len(model.price):
+    if action < len(model.reduced.price):
         if child != UNVISITED:
             return child, False
         given |= 1 << action
@@ -111,7 +111,7 @@ def expand(model, tree, node, edge, action, user_type):  # type: ignore[no-untyp
         child = add(tree, slot, tag, parent, code)
         record = tree.nodes[child]
         record.given = given
-        if action < len(model.price):
+        if action < len(model.reduced.price):
             record.step, record.base = step, base
         else:
             record.step, record.base = step + 1, child
@@ -133,12 +133,12 @@ def evaluate(model, options, tree, node, is_new, user_type):  # type: ignore[no-
     step, given, belief = np.int64(record.step), np.int64(record.given), tree.beliefs[record.base]
     if not is_new:
         if np.isnan(record.leaf):
-            record.leaf = leaf_value(model, tree.gain, options.leaf, step, given, belief)
+            record.leaf = leaf_value(model, tree, options.leaf, step, given, belief)
         return record.leaf
     if options.rollout == RANDOM:
         return roll_random(model, tree.counter, step, given, user_type)
     if options.rollout == SILENT:
-        return roll_silent(model, step, given, belief)
+        return roll_silent(model, tree, step, given, belief)
     return roll_qmdp(model, tree, step, given, user_type, belief)
 
 
@@ -149,7 +149,7 @@ def backward(model, options, tree, node, length, value):  # type: ignore[no-unty
     With MAX a node is worth its best action, and *explain* the mean of what its observations are
     worth now: ``moved`` corrects what earlier arrivals counted as.
     """
-    n, to_max, moved = len(model.price), options.backup == MAX, 0.0
+    n, to_max, moved = len(model.reduced.price), options.backup == MAX, 0.0
     if node != END:
         record = tree.nodes[node]
         moved = record.visits * (value - record.value)
@@ -161,13 +161,13 @@ def backward(model, options, tree, node, length, value):  # type: ignore[no-unty
         edge.visits += 1
         before = edge.value
         if is_message:
-            value = model.message_discount * value - model.price[tree.path[2, i]]
+            value = model.reduced.message_discount * value - model.reduced.price[tree.path[2, i]]
         else:
-            value = record.reward + model.discount * value
+            value = record.reward + model.reduced.discount * value
         if edge.visits == 1 or (to_max and is_message):
             edge.value = value
         elif to_max:
-            edge.value += (value - before + model.discount * moved) / edge.visits
+            edge.value += (value - before + model.reduced.discount * moved) / edge.visits
         else:
             edge.value += (value - before) / edge.visits
         if to_max:

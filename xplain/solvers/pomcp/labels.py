@@ -21,7 +21,7 @@ def draw_labels(model, tree, step, given, t):  # type: ignore[no-untyped-def]
     A number u decides how many labels in a row are the likelier of the two. Mostly all are, which
     is one look into a table; else ``tree.zero`` is filled, with a new u after each unlikely label.
     """
-    at = place_of(model.rows, model, given)
+    at = place_of(model, given)
     count = model.informative[at, step]
     if count == 0:
         return uint64(0)
@@ -46,7 +46,7 @@ def draw_labels(model, tree, step, given, t):  # type: ignore[no-untyped-def]
 def update_belief(model, tree, step, given, t, code, belief):  # type: ignore[no-untyped-def]
     """belief [N] ∝ itself × likelihood of the labels just drawn, for type t. The likelihoods of
     labels met before are remembered."""
-    at = place_of(model.rows, model, given)
+    at = place_of(model, given)
     count = model.informative[at, step]
     if count == 0:
         return

@@ -4,8 +4,8 @@ What every type answers alike is no news and is not drawn. Labels with the same 
 are exchangeable, so an observation is known by Σ_i [l_i = 0] · w_i, with one 64-bit hash w a
 distinct column (two different observations of a node are taken for one with probability 2^-64).
 
-In a problem kept by type, values stand at each type's row of H, and observations, which couple all
-types, are coded when a simulation first comes to an H.
+Values stand at each type's row of H. Observations, which couple all types, are coded when a
+simulation first comes to an H.
 """
 
 from __future__ import annotations
@@ -13,19 +13,18 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import uint64
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import inlined, lean_kernel, shared_kernel
-from xplain.solvers.model import Model, explain_costs, explicable, optimal_values, table_bytes
+from xplain.numba_kernels import inlined, shared_kernel
+from xplain.solvers.model import Model, explain_costs, optimal_values, table_bytes
 from xplain.solvers.model import model_of as reduced_model
 from xplain.solvers.pomcp.random_words import GOLDEN, splitmix64
-from xplain.solvers.rows import Rows, is_left, row
+from xplain.solvers.rows import row
 
 LIKELIEST = np.dtype([("probability", np.float64), ("code", np.uint64)])
 CACHE = 1 << 24
-"""Bytes of coded observations, about, in a problem kept by type."""
+"""Bytes of coded observations, about."""
 SETTLED = -1
 """In ``wanted``: no type should be given any message from here to the end."""
 
@@ -34,98 +33,69 @@ class SearchModel(NamedTuple):
     """The reduced POMDP as simulations want it: what one looks at stands side by side.
 
     Attributes:
+        reduced: the reduced POMDP.
         optimal: [m + 1, rows, N] V*_t(k, H).
         explain_cost: [rows, m, N] C_inexp Σ_{i ≤ k + 1} (1 − P[t, i, H]).
+        wanted: [rows, m, N] bitmask of the messages that a type should be given next rather than
+            *explain*; SETTLED where it should not from here to the end. Where all types' rows are
+            the same, [rows, m, 1] for all together.
+        coded: [sets] the message set that is coded here, −1 for none:
         informative: [sets, m] how many of the first k + 1 labels types answer differently.
         p: [sets, m, N] P of the informative labels, in order.
         weight: [sets, m] their w.
         likeliest: [sets, m, N] LIKELIEST, where each of the first k + 1 informative labels is the
             likelier of the two: its probability (≥ ½ a label), and its code.
-        wanted: [2^n, m, 1] bitmask of the messages that some type should be given next rather than
-            *explain*; SETTLED where no type should from here to the end. By type: [rows, m, N].
-        price: [n] λ C_e.
-        discount, message_discount: γ of *explain* and of a message.
-        rows: see :class:`~xplain.solvers.model.Model`; None where dense, and ``sets`` is 2^n.
-        coded: [sets] the message set that is coded there, −1 for none, and
-        reduced: what it is coded from; both None where dense.
     """
 
+    reduced: Model
     optimal: NDArray[np.float64]
     explain_cost: NDArray[np.float64]
+    wanted: NDArray[np.int64]
+    coded: NDArray[np.int64]
     informative: NDArray[np.int32]
     p: NDArray[np.float64]
     weight: NDArray[np.uint64]
     likeliest: NDArray[np.void]
-    wanted: NDArray[np.int32] | NDArray[np.int64]
-    price: NDArray[np.float64]
-    discount: float
-    message_discount: float
-    rows: Rows | None = None
-    coded: NDArray[np.int64] | None = None
-    reduced: Model | None = None
 
 
 def model_bytes(problem: Problem) -> int:
-    """Memory that :func:`model_of` takes, in bytes."""
-    if not problem.is_dense:
-        return 4 * table_bytes(problem) + CACHE
-    sets, steps = 1 << problem.n_messages, problem.n_steps
-    return table_bytes(problem) + sets * steps * (32 * problem.n_types + 16)
+    """Memory that :func:`model_of` takes at most, in bytes: tables of values, costs and wanted
+    messages, one more to work with, and coded observations."""
+    steps, types = problem.n_steps, problem.n_types
+    sets = _coded_sets(problem.n_messages, steps, types)
+    return 4 * table_bytes(problem) + sets * (8 + steps * (24 * types + 12))
 
 
 def model_of(problem: Problem) -> SearchModel:
     """Lays a problem out for the search."""
     reduced = reduced_model(problem)
-    steps, rows, types = reduced.n_steps, reduced.n_rows, reduced.n_types
-    by_type = reduced.rows is not None
-    informative, p, weight, likeliest = _room(
-        _cached_sets(steps, types) if by_type else rows, steps, types
-    )
-    model = SearchModel(
-        optimal=optimal_values(reduced),
-        explain_cost=np.ascontiguousarray(explain_costs(reduced).transpose(1, 0, 2)),
-        informative=informative,
-        p=p,
-        weight=weight,
-        likeliest=likeliest,
-        wanted=np.empty((rows, steps, 1), np.int32),
-        price=reduced.price,
-        discount=reduced.discount,
-        message_discount=reduced.message_discount,
-    )
-    if by_type:
-        wanted = np.empty((rows, steps, types), np.int64)
-        model = with_own_room(model._replace(wanted=wanted, rows=reduced.rows, reduced=reduced))
-        _find_wanted_by_type(model)
-    else:
-        _code_observations(reduced, model)
-        _find_wanted(model)
-    return model
+    optimal, costs = optimal_values(reduced), explain_costs(reduced)
+    wanted = _wanted(reduced, optimal, costs)
+    if problem.is_dense:
+        none = (wanted == SETTLED).all(axis=-1, keepdims=True)
+        together = np.bitwise_or.reduce(np.maximum(wanted, 0), axis=-1, keepdims=True)
+        wanted = np.where(none, SETTLED, together)
+    explain_cost = np.ascontiguousarray(costs.transpose(1, 0, 2))
+    wanted = np.ascontiguousarray(wanted.transpose(1, 0, 2))
+    steps, types = reduced.n_steps, reduced.n_types
+    sets = _coded_sets(problem.n_messages, steps, types)
+    return SearchModel(reduced, optimal, explain_cost, wanted, *_room(sets, steps, types))
 
 
 def with_own_room(model: SearchModel) -> SearchModel:
-    """The same model for another thread: nothing is coded yet. A dense one is only read."""
-    if model.rows is None:
-        return model
-    sets, steps, types = model.likeliest.shape
-    informative, p, weight, likeliest = _room(sets, steps, types)
-    return model._replace(
-        informative=informative,
-        p=p,
-        weight=weight,
-        likeliest=likeliest,
-        coded=np.full(sets, -1, np.int64),
-    )
+    """The same model for another thread: nothing is coded yet."""
+    return SearchModel(*model[:4], *_room(*model.p.shape))
 
 
-def _cached_sets(steps: int, types: int) -> int:
+def _coded_sets(messages: int, steps: int, types: int) -> int:
     """How many message sets are kept coded: a power of two."""
-    return 1 << min(max(CACHE // (steps * (24 * types + 12)), 16).bit_length() - 1, 12)
+    return 1 << min(max(CACHE // (steps * (24 * types + 12)), 16).bit_length() - 1, 12, messages)
 
 
 def _room(sets: int, steps: int, types: int) -> tuple[NDArray[Any], ...]:
     """For coded observations; memory that is not written takes none."""
     return (
+        np.full(sets, -1, np.int64),
         np.empty((sets, steps), np.int32),
         np.empty((sets, steps, types)),
         np.empty((sets, steps), np.uint64),
@@ -133,36 +103,52 @@ def _room(sets: int, steps: int, types: int) -> tuple[NDArray[Any], ...]:
     )
 
 
-@lean_kernel
-def _code_observations(reduced, model):  # type: ignore[no-untyped-def]
-    """Fills ``informative``, ``p``, ``weight`` and ``likeliest``."""
-    for given in range(len(model.likeliest)):
-        _code_set(reduced, model, given, given)
+def _wanted(
+    model: Model, optimal: NDArray[np.float64], costs: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """``wanted``, [m, rows, N], type by type."""
+    steps, types, rows = model.n_steps, model.n_types, model.rows
+    now, silent = optimal[:-1], model.discount * optimal[1:] - costs
+    wanted = np.zeros(silent.shape, np.int64)
+    bit = 1 << np.arange(len(model.price), dtype=np.int64)
+    for stride, size, price in zip(rows.stride, rows.size, rows.price, strict=True):
+        messages = bit @ (rows.place == stride)
+        shape = steps, -1, size + 1, stride, types
+        values, least, found = (table.reshape(shape) for table in (now, silent, wanted))
+        for count in range(size):
+            said = model.message_discount * values[:, :, count + 1] - price[count]
+            found[:, :, count] |= np.where(said > least[:, :, count], messages, 0)
+    for cost in set(model.price.tolist()):
+        messages = (bit * (model.price == cost)) @ (rows.place == 0)  # they change nothing
+        if messages.any():
+            wanted |= np.where(model.message_discount * now - cost > silent, messages, 0)
+    wanted[now <= silent] = 0
+    later = np.logical_or.accumulate(wanted[::-1] != 0, axis=0)[::-1]
+    wanted[~later] = SETTLED
+    return wanted
 
 
-@inlined
-def _code_set(reduced, model, given, slot):  # type: ignore[no-untyped-def]
+@shared_kernel
+def _code_set(model, given, slot):  # type: ignore[no-untyped-def]
     """Codes the observations at H in this place."""
     _, steps, types = model.likeliest.shape
     found = 0
     for i in range(steps):
         differs = False
         code = GOLDEN
-        first = explicable(reduced, i, given, 0)
+        column = model.p[slot, found]  # overwritten where this transition is no news
         for t in range(types):
-            yes = explicable(reduced, i, given, t)
-            differs |= yes != first
-            code = splitmix64((code + GOLDEN) ^ np.float64(yes).view(np.uint64))
+            column[t] = model.reduced.p[i, row(model.reduced.rows.part, given, t), t]
+            differs |= column[t] != column[0]
+            code = splitmix64((code + GOLDEN) ^ np.float64(column[t]).view(np.uint64))
         for t in range(types):
             usual = model.likeliest[slot, i, t]
             before = model.likeliest[slot, max(i - 1, 0), t]
             usual.probability = before.probability if i > 0 else 1.0
             usual.code = before.code if i > 0 else np.uint64(0)
             if differs:
-                yes = explicable(reduced, i, given, t)
-                model.p[slot, found, t] = yes
-                usual.probability *= max(yes, 1.0 - yes)
-                usual.code += code if yes < 0.5 else np.uint64(0)
+                usual.probability *= max(column[t], 1.0 - column[t])
+                usual.code += code if column[t] < 0.5 else np.uint64(0)
         if differs:
             model.weight[slot, found] = code
             found += 1
@@ -170,80 +156,26 @@ def _code_set(reduced, model, given, slot):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def place_of(rows, model, given):  # type: ignore[no-untyped-def]
-    """Where the observations at H are coded."""
-    if rows is None:
-        return given
-    return _cached_place(model, given)
-
-
-@shared_kernel
-def _cached_place(model, given):  # type: ignore[no-untyped-def]
-    """One place for each hash of H: what is coded there for another set is coded anew when that
-    is met again, and is the same."""
-    slot = np.int64(splitmix64(uint64(given)) & uint64(len(model.coded) - 1))
+def place_of(model, given):  # type: ignore[no-untyped-def]
+    """Where the observations at H are coded. There is one place for each hash of H: what is coded
+    there for another set is coded anew when that is met again, and is the same."""
+    slot = given
+    if slot >= len(model.coded):
+        slot ^= slot >> 24 ^ slot >> 48
+        slot = (slot ^ slot >> 12) & (len(model.coded) - 1)
     if model.coded[slot] != given:
-        _code_set(model.reduced, model, given, slot)
+        _code_set(model, given, slot)
         model.coded[slot] = given
     return slot
 
 
 @inlined
-def wanted_at(rows, wanted, step, given):  # type: ignore[no-untyped-def]
-    """The messages that some type should be given next at (k, H), or SETTLED."""
-    if rows is None:
-        return np.int64(wanted[given, step, 0])
+def wanted_at(model, step, given, at):  # type: ignore[no-untyped-def]
+    """The messages that some type should be given next at (k, H), or SETTLED. ``at``: [N] rows."""
     mask, settled = 0, True
-    for t in range(wanted.shape[2]):
-        own = wanted[row(rows, given, t), step, t]
+    for t in range(model.wanted.shape[2]):
+        own = model.wanted[at[t], step, t]
         if own != SETTLED:
             settled = False
             mask |= own
     return SETTLED if settled else mask & ~given
-
-
-@lean_kernel
-def _find_wanted(model):  # type: ignore[no-untyped-def]
-    """Fills ``wanted``, backwards in k."""
-    sets, steps, types = model.explain_cost.shape
-    for given in range(sets):
-        for k in range(steps - 1, -1, -1):
-            mask = 0
-            for t in range(types):
-                silent = model.discount * model.optimal[k + 1, given, t]
-                silent -= model.explain_cost[given, k, t]
-                if model.optimal[k, given, t] > silent:
-                    for j in range(len(model.price)):
-                        if not given >> j & 1:
-                            said = model.message_discount * model.optimal[k, given | 1 << j, t]
-                            mask |= (said - model.price[j] > silent) << j
-            settled = mask == 0 and (k + 1 == steps or model.wanted[given, k + 1, 0] == SETTLED)
-            model.wanted[given, k, 0] = SETTLED if settled else mask
-
-
-@lean_kernel
-def _find_wanted_by_type(model):  # type: ignore[no-untyped-def]
-    """Fills ``wanted``, type by type."""
-    rows = model.rows
-    _, steps, types = model.explain_cost.shape
-    for t in range(types):
-        others = (1 << len(model.price)) - 1
-        for c in range(rows.mask.shape[1]):
-            others &= ~rows.mask[t, c]
-        for at in range(rows.number[t]):
-            for k in range(steps - 1, -1, -1):
-                mask = 0
-                silent = model.discount * model.optimal[k + 1, at, t] - model.explain_cost[at, k, t]
-                if model.optimal[k, at, t] > silent:
-                    for j in range(len(model.price)):
-                        if others >> j & 1:
-                            said = model.message_discount * model.optimal[k, at, t]
-                            mask |= (said - model.price[j] > silent) << j
-                    for c in range(rows.stride.shape[1]):
-                        stride = rows.stride[t, c]
-                        if is_left(rows, at, t, c):
-                            said = model.message_discount * model.optimal[k, at + stride, t]
-                            if said - rows.price[t, c] > silent:
-                                mask |= rows.mask[t, c]
-                settled = mask == 0 and (k + 1 == steps or model.wanted[at, k + 1, t] == SETTLED)
-                model.wanted[at, k, t] = SETTLED if settled else mask

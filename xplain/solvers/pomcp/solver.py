@@ -175,17 +175,17 @@ class Search:
 
     def _known_values(self, step: int, given: int, t: int) -> Mapping[int, float]:
         """Q*_t(k, H, a) of *explain* (0) and of each message (its bit) not given."""
-        model = self.model
+        optimal, reduced = self.model.optimal, self.model.reduced
 
         def row(shown: int) -> int:
-            return shown if model.rows is None else int(rows_at(model.rows, shown)[t])
+            return int(rows_at(reduced.rows, shown)[t])
 
-        later = model.discount * model.optimal[step + 1, row(given), t]
-        values = {0: float(later - model.explain_cost[row(given), step, t])}
-        for j, price in enumerate(model.price):
+        later = reduced.discount * optimal[step + 1, row(given), t]
+        values = {0: float(later - self.model.explain_cost[row(given), step, t])}
+        for j, price in enumerate(reduced.price):
             if not given >> j & 1:
-                optimal = model.optimal[step, row(given | 1 << j), t]
-                values[1 << j] = float(model.message_discount * optimal - price)
+                said = optimal[step, row(given | 1 << j), t]
+                values[1 << j] = float(reduced.message_discount * said - price)
         return values
 
     def search(
@@ -204,8 +204,8 @@ class Search:
             budget = whole + (number < rest)
             tree = Tree.rooted(
                 budget,
-                len(self.model.price),
-                len(self.model.optimal) - 1,
+                len(self.model.reduced.price),
+                self.model.reduced.n_steps,
                 step,
                 given,
                 belief,

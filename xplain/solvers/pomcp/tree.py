@@ -17,7 +17,7 @@ from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined
 from xplain.solvers.bits import count_bits
 from xplain.solvers.pomcp.random_words import GOLDEN, splitmix64
-from xplain.solvers.rows import row
+from xplain.solvers.rows import find_rows
 
 NODE = np.dtype(
     [
@@ -93,7 +93,8 @@ class Tree(NamedTuple):
         likelihoods: [.., N] what they are for each type.
         zero: [m] which of the labels drawn last are 0, where not all were the likelier.
         rollout_belief: [N] a rollout keeps its belief here.
-        gain: [n] what QMDP finds messages worth, in problems kept by type.
+        rows: [N] of a history, and
+        gain: [n] what QMDP finds messages worth.
         path: [3, n + m + 1] nodes, edges and actions of a simulation.
         used: [3] how many nodes and edges are taken (NODES, EDGES), and the table's MASK.
         counter: [1] of the random stream.
@@ -107,6 +108,7 @@ class Tree(NamedTuple):
     likelihoods: NDArray[np.float64]
     zero: NDArray[np.bool_]
     rollout_belief: NDArray[np.float64]
+    rows: NDArray[np.int64]
     gain: NDArray[np.float64]
     path: NDArray[np.int64]
     used: NDArray[np.int64]
@@ -135,6 +137,7 @@ class Tree(NamedTuple):
             np.empty((remembered, len(belief))),
             np.empty(n_steps, np.bool_),
             np.empty(len(belief)),
+            np.empty(len(belief), np.int64),
             np.zeros(n_messages),
             np.empty((3, n_messages + n_steps + 1), np.int64),
             np.array([1, actions, FIRST_TABLE - 1]),
@@ -208,13 +211,13 @@ def open_(model, tree, node):  # type: ignore[no-untyped-def]
     """Gives a node its edges: one for each message not yet given, the last for *explain*."""
     record = tree.nodes[node]
     record.edges = tree.used[EDGES]
-    record.untried = ((1 << (len(model.price) + 1)) - 1) & ~record.given
+    record.untried = ((1 << (len(model.reduced.price) + 1)) - 1) & ~record.given
     actions = count_bits(np.int64(record.untried))
     tree.used[EDGES] += actions
     record.reward = 0.0
+    find_rows(model.reduced.rows.part, np.int64(record.given), tree.rows)
     for t in range(tree.beliefs.shape[1]):
-        at = row(model.rows, np.int64(record.given), t)
-        cost = model.explain_cost[at, record.step, t]
+        cost = model.explain_cost[tree.rows[t], record.step, t]
         record.reward -= tree.beliefs[record.base, t] * cost
     for a in range(actions):
         edge = tree.edges[record.edges + a]
