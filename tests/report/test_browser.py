@@ -134,7 +134,7 @@ return (function () {
 
 
 def assert_the_answer_is_seen(driver, folder):
-    """A row a (solver, λ, users.count) with its regret, the least first."""
+    """A row a (solver, λ, users.count) with its regret, in the order of the problems."""
     wanted = expected_rows(folder)
     assert len(wanted) == 12
     deadline = time.monotonic() + 90
@@ -143,8 +143,8 @@ def assert_the_answer_is_seen(driver, folder):
         time.sleep(0.5)
         rows = driver.execute_script(ROWS)
     assert {tuple(row) for row in rows} == wanted
-    regrets = [float(row[3]) for row in rows]
-    assert regrets == sorted(regrets)
+    trade_offs = [float(row[1]) for row in rows]
+    assert trade_offs == sorted(trade_offs)  # across λ no regret is better than another
 
 
 def test_the_printed_link_shows_the_answer_without_a_click(driver, sweep, server):
@@ -180,18 +180,17 @@ def close_notice(driver):
 
 def test_the_chart_has_a_line_a_solver_and_setting(driver, sweep, server):
     driver.get(link(sweep[1], server, "  regret against λ"))
-    shown(driver, "document.body.innerText.includes('regret against 10 × λ')")
+    shown(driver, "document.body.innerText.includes('regret against 10 λ')")
     # Two solvers and two numbers of types, means of one job at each λ.
     lines = "document.querySelectorAll('.js-plotly-plot .scatterlayer .trace path.js-line').length"
     shown(driver, f"{lines} >= 4")
     screenshot(driver, "mlflow-chart.png")
 
 
-def test_all_sweeps_are_listed_with_their_best_regret(driver, sweep, server):
+def test_all_sweeps_are_listed_with_what_they_answered(driver, sweep, server):
     view = "workflowType=machine_learning&viewStateShareKey=sweeps"
     driver.get(f"{server}/#/experiments/1/runs?{view}")
-    best = min(float(row[3]) for row in expected_rows(sweep[0]))
-    shown(driver, f"document.body.innerText.includes('{best:g}')")
+    shown(driver, "document.body.innerText.includes('Least cost: ')")
     shown(driver, "document.body.innerText.includes('multirun-')")
     screenshot(driver, "mlflow-sweeps.png")
 

@@ -217,8 +217,8 @@ def test_missing_jobs_are_told_and_incomplete_cells_make_no_curve(sweep):
     assert "1 of 36 jobs are missing" in paper_table.table(summary).caption
     main = MainKey("lambda", 10)
     points = {(name, step) for name, step, _ in curves(summary, main)}
-    assert ("regret/rescue/qmdp", 10) not in points
-    assert ("regret/rescue/qmdp", 5) in points
+    assert ("regret against 10 λ/rescue/qmdp", 10) not in points
+    assert ("regret against 10 λ/rescue/qmdp", 5) in points
     _, report = write_report(sweep)
     page = (report / "index.html").read_text()
     assert "InputError: &lt;no&gt;" in page

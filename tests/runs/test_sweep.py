@@ -63,6 +63,8 @@ def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
     assert len(parents) == 1
     assert parents[0].startswith("multirun-")
     children = sorted(name for name, _, parent in found if parent is not None)
+    assert [name.split(" · ")[0] for name in children] == list("123456")
+    children = sorted(name.split(" · ")[1] for name in children)
     assert children == sorted(
         f"{solver} λ={trade_off}" for solver in ("qmdp", "qhr") for trade_off in ("0.5", "1", "2")
     )
@@ -70,7 +72,7 @@ def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
     with sweeps.database(folder) as database:
         curve = database.execute(
             "select step, value from metrics join runs using (run_uuid) where runs.name = ? and "
-            "key = 'regret/qmdp' order by step",
+            "key = 'regret against 10 λ/qmdp' order by step",
             (parents[0],),
         ).fetchall()
         note = database.execute(
@@ -86,6 +88,7 @@ def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
     assert dict(curve) == pytest.approx(regrets)
     assert sorted(regrets) == [5, 10, 20]
     assert "| λ | oracle's cost | QMDP | QHR |" in note[0]
+    assert note[0].startswith("Least cost: ")
 
 
 def test_mlflow_shows_what_people_compare_and_true_times(finished):
@@ -95,7 +98,7 @@ def test_mlflow_shows_what_people_compare_and_true_times(finished):
             assert len(counts) == 7
             assert max(count for (count,) in counts) <= most, table
         times = {
-            name: (start, end)
+            name.rpartition(" · ")[2]: (start, end)
             for name, start, end in database.execute("select name, start_time, end_time from runs")
         }
         described = database.execute(

@@ -1,6 +1,8 @@
-"""Tables, plots and a page of a sweep: ``xplain report [SWEEP FOLDER]``.
+"""Tables, plots and a page of a sweep: ``xplain report [SWEEP FOLDER] [measure=NAME]``.
 
-Without a folder, the newest sweep below ``outputs/``.
+Without a folder, the newest sweep below ``outputs/``. Jobs are compared by their ``regret`` where
+all of them share an oracle, else by ``above_floor``, the cost above the clairvoyant's;
+``measure=cost``, ``regret`` or ``above_floor`` compares by that.
 """
 
 from __future__ import annotations
@@ -12,11 +14,12 @@ from xplain.errors import InputError
 
 def main(arguments: list[str]) -> None:
     """Writes the report anew, prints its table and the paths of its files."""
-    folder = _folder(arguments)
+    given = [word for word in arguments if word.startswith("measure=")]
+    folder = _folder([word for word in arguments if word not in given])
     from xplain.report.console import print_sweep
     from xplain.report.write import write_report
 
-    summary, report = write_report(folder)
+    summary, report = write_report(folder, given[-1].partition("=")[2] if given else None)
     if not summary.results:
         raise InputError("folder", str(folder), "a sweep with finished jobs")
     print_sweep(summary)
@@ -26,7 +29,9 @@ def main(arguments: list[str]) -> None:
 
 def _folder(arguments: list[str]) -> Path:
     if len(arguments) > 1 or any(word.startswith("-") for word in arguments):
-        raise InputError("folder", " ".join(arguments), "xplain report [SWEEP FOLDER]")
+        raise InputError(
+            "folder", " ".join(arguments), "xplain report [SWEEP FOLDER] [measure=NAME]"
+        )
     if arguments:
         folder = Path(arguments[0])
         if not (folder / "sweep.json").exists():

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 
-from xplain.report import claims, decomposition, learning, paper_table
+from xplain.report import claims, comparison, decomposition, learning, paper_table
 from xplain.report.combinations import heading
 from xplain.report.layout import shown_keys
 from xplain.report.paper import title
-from xplain.report.regret_table import regret_table
 from xplain.report.summary import Summary
 
 
@@ -58,7 +57,7 @@ def page(summary: Summary, pictures: Pictures) -> str:
         code=f"{about['code']} (commit {commit}{dirty})",
         size=_size(summary),
         is_table1=is_table1,
-        table=paper_table.table(summary) if is_table1 else regret_table(summary),
+        table=comparison.main_table(summary),
         claims=claims.table(claims.claims(summary.episodes, summary.data_sets)),
         parts=decomposition.table(summary),
         ranges=paper_table.ranges(summary),

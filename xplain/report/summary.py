@@ -19,6 +19,7 @@ import pandas as pd
 from xplain.evaluation.metrics import possible
 from xplain.evaluation.statistics import Estimate, clustered_mean
 from xplain.experiment.results import RESULTS, Results, load_results
+from xplain.report.measure import Measure, measure_of
 from xplain.report.settings import method_of, setting_of
 
 ORDER = (
@@ -43,10 +44,12 @@ class Summary:
 
     Args:
         folder: of the sweep.
+        measure: what its jobs are compared by; None takes what is fair
+            (:func:`xplain.report.measure.measure_of`).
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, measure: str | None = None) -> None:
+        self.folder, self._asked = folder, measure
         self.about: dict[str, Any] = json.loads((folder / "sweep.json").read_text("utf-8"))
         self.jobs: list[dict[str, Any]] = self.about["jobs"]
         self.results: list[tuple[dict[str, Any], Results]] = []
@@ -163,8 +166,13 @@ class Summary:
         frame = pd.DataFrame(rows)
         if len(frame):
             frame["regret"] = frame["cost"] - frame["oracle"]
-            frame["regret to clairvoyant"] = frame["cost"] - frame["clairvoyant"]
+            frame["above_floor"] = frame["cost"] - frame["clairvoyant"]
         return frame
+
+    @cached_property
+    def measure(self) -> Measure:
+        """What its jobs are compared by."""
+        return measure_of(self.episodes, self.keys, self._asked)
 
     @cached_property
     def methods(self) -> list[str]:

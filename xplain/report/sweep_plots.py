@@ -47,7 +47,6 @@ def against_main_key(summary: Summary, measure: str, label: str) -> Figure | Non
     lines = [values for values, _ in grouped(summary, layout.lines)]
     figure, axes = figure_of_panels(len(panels))
     gap = min(np.diff(sorted(place.values())), default=1.0)
-    means = [summary.mean(own, "regret").mean for own in _cells(summary, layout)]
     for panel, (values, frame) in zip(axes, panels, strict=True):
         for index, line in enumerate(lines):
             points = _points(summary, _where(frame, line), layout.x, measure)
@@ -66,7 +65,7 @@ def against_main_key(summary: Summary, measure: str, label: str) -> Figure | Non
         title = ", ".join(value_label(key, value) for key, value in values.items())
         panel.set_title(title, loc="left", weight="bold", fontsize=10)
     for panel in axes:
-        _scale(panel, measure, summary.report == "table1" or wide_range(means))
+        _scale(panel, measure, measure == summary.measure.name and has_roots(summary))
     _share_scale(axes, layout)
     axes[0].set_ylabel(label)
     if summary.report == "table1" and measure == "regret":
@@ -75,28 +74,28 @@ def against_main_key(summary: Summary, measure: str, label: str) -> Figure | Non
     return figure
 
 
-def regret_caption(summary: Summary) -> str:
-    """What the plot of regrets shows."""
-    layout = plot_layout(summary)
-    text = f"Regret against {heading(layout.x or '')}"
+def measure_caption(summary: Summary) -> str:
+    """What the plot of the sweep's measure shows."""
+    layout, measure = plot_layout(summary), summary.measure
+    text = f"{measure.title[0].upper()}{measure.title[1:]} against {heading(layout.x or '')}"
     if not summary.episodes.empty and summary.clusters(summary.episodes).nunique() > 1:
         text += f", with 95 % intervals over {'seeds' if summary.seeds > 1 else 'traces'}"
-    if summary.report == "table1":
+    if summary.report == "table1" and measure.name == "regret":
         text += "; open markers are the paper’s values"
     count = len(grouped(summary, layout.panels))
     if count > MOST_PANELS:
         text += f"; the first {MOST_PANELS} of {count} panels"
-    means = [summary.mean(frame, "regret").mean for frame in _cells(summary, layout)]
-    if wide_range(means):
-        text += ". The axis is scaled by the square root, so that small and large regrets both show"
-    return f"{text}."
+    if has_roots(summary):
+        text += ". The axis is scaled by the square root, so that small and large ones both show"
+    return f"{text}. {measure.why}"
 
 
-def _cells(summary: Summary, layout: PlotLayout) -> list[pd.DataFrame]:
-    """The episodes behind each point."""
+def has_roots(summary: Summary) -> bool:
+    """Whether the sweep's measure is drawn on an axis of square roots."""
+    layout, measure = plot_layout(summary), summary.measure.name
     keys = [*([layout.x] if layout.x else []), *layout.lines, *layout.panels]
-    frames = (frame.dropna(subset=["regret"]) for _, frame in grouped(summary, keys))
-    return [frame for frame in frames if len(frame)]
+    found = [summary.estimate(frame, measure) for _, frame in grouped(summary, keys)]
+    return summary.report == "table1" or wide_range([one.mean for one in found if one is not None])
 
 
 def belief_over_steps(summary: Summary) -> Figure | None:
@@ -209,11 +208,11 @@ def _draw_paper(
 
 
 def _scale(axes: Axes, measure: str, roots: bool) -> None:
-    """Regrets of the baseline and of the others differ tenfold: square roots show both."""
-    if measure != "regret":
+    """What the baseline and the others cost differs tenfold: square roots show both."""
+    if measure == "regret":
+        axes.axhline(0, color="#222222", lw=0.8)
+    else:
         axes.set_ylim(bottom=0)
-        return
-    axes.axhline(0, color="#222222", lw=0.8)
     if roots:
         axes.set_yscale(
             "function",
