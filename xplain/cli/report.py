@@ -7,6 +7,7 @@ all of them share an oracle, else by ``above_floor``, the cost above the clairvo
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from xplain.errors import InputError
@@ -32,12 +33,16 @@ def _folder(arguments: list[str]) -> Path:
         raise InputError(
             "folder", " ".join(arguments), "xplain report [SWEEP FOLDER] [measure=NAME]"
         )
+    from xplain.report.summary import load_sweep
+
     if arguments:
         folder = Path(arguments[0])
         if not (folder / "sweep.json").exists():
             raise InputError("folder", arguments[0], "a sweep's folder, below outputs/sweeps")
         return folder
-    found = list(Path("outputs/sweeps").glob("*/sweep.json"))
-    if not found:
-        raise InputError("folder", "outputs/sweeps", "no sweep there; name a sweep's folder")
-    return max(found, key=lambda path: path.stat().st_mtime).parent
+    found = sorted(Path("outputs/sweeps").glob("*/sweep.json"), key=lambda p: -p.stat().st_mtime)
+    for path in found:
+        with suppress(InputError):  # a damaged one hides no other
+            load_sweep(path.parent)
+            return path.parent
+    raise InputError("folder", "outputs/sweeps", "no sweep there; name a sweep's folder")

@@ -6,10 +6,10 @@ only where the sweep's file says so (``pool``).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations as combinations_of
 from typing import Any
 
 import numpy as np
@@ -114,7 +114,7 @@ def differences_csv(summary: Summary) -> str:
     names = ways(summary, by)
     rows = []
     for values, frame in grouped(summary, conditions):
-        for other, method in combinations_of(names, 2):
+        for other, method in itertools.combinations(names, 2):
             difference = apart(summary, frame, by, method, other)
             if difference is not None:
                 posed = {key: plain_text(value) for key, value in values.items()}
@@ -132,6 +132,7 @@ def ways(summary: Summary, by: Sequence[str]) -> dict[tuple[Value, ...], str]:
         tuple(way.values()): " ".join(
             plain_text(value) if key == "solver" else f"{key}={plain_text(value)}"
             for key, value in way.items()
+            if value != ""
         )
         for way, _ in grouped(summary, by)
     }
@@ -196,7 +197,13 @@ def value_title(key: str, value: Value) -> str:
 
 
 def value_label(key: str, value: Value) -> str:
-    """A value with its key for people: ``λ = 0.5``, but ``QMDP`` and ``Four rooms``."""
-    if key in ("domain", "solver"):
+    """A value with its key for people: ``λ = 0.5``, but ``QMDP`` and ``Four rooms``; "" of a key
+    that the job lacks."""
+    if key in ("domain", "solver") or value == "":
         return value_title(key, value)
-    return f"{heading(key)} = {plain_text(value) or '–'}"
+    return f"{heading(key)} = {plain_text(value)}"
+
+
+def label(values: Mapping[str, Value]) -> str:
+    """Values with their keys, as :func:`value_label` has them."""
+    return ", ".join(filter(None, itertools.starmap(value_label, values.items())))

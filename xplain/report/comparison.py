@@ -10,7 +10,15 @@ import pandas as pd
 
 from xplain.evaluation.statistics import Estimate
 from xplain.report import paper_table
-from xplain.report.combinations import apart, grouped, heading, value_label, value_title, ways
+from xplain.report.combinations import (
+    apart,
+    grouped,
+    heading,
+    label,
+    value_label,
+    value_title,
+    ways,
+)
 from xplain.report.layout import shown_keys, table_layout
 from xplain.report.measure import NEGATIVE, TITLES, is_choice
 from xplain.report.summary import Summary, Value
@@ -81,7 +89,7 @@ def table(summary: Summary) -> Table:
             cells.insert(0, Cell(estimate=summary.estimate(told, known)))
         rows.append((*_headings(values), *cells))
     heads = [*map(heading, layout.down), *([TITLES[known]] if known else [])]
-    heads += [" ".join(map(value_label, layout.across, way)) for way in columns]
+    heads += [label(dict(zip(layout.across, way, strict=True))) for way in columns]
     return _table(summary, heads, rows, len(layout.down), marked=True)
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from xplain.errors import InputError
 from xplain.evaluation.metrics import possible
 from xplain.evaluation.statistics import Estimate, clustered_mean
 from xplain.experiment.results import RESULTS, Results, load_results
@@ -39,6 +40,26 @@ Value = float | str
 """Of a swept key: a number where all its values are; "" where a setting lacks the key."""
 
 
+SWEEP = "sweep.json"
+
+
+def load_sweep(folder: Path) -> dict[str, Any]:
+    """What a sweep is: its command, its ``jobs``, how it is shown.
+
+    Raises:
+        OSError: there is no such file.
+        InputError: it is damaged.
+    """
+    path = folder / SWEEP
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if {"command", "jobs"} <= content.keys() and isinstance(content["jobs"], list):
+            return content
+    except (ValueError, AttributeError):
+        pass
+    raise InputError("sweep", str(path), "is damaged; the sweep's own command writes it anew")
+
+
 class Summary:
     """What a sweep's finished jobs say.
 
@@ -50,7 +71,7 @@ class Summary:
 
     def __init__(self, folder: Path, measure: str | None = None) -> None:
         self.folder, self._asked = folder, measure
-        self.about: dict[str, Any] = json.loads((folder / "sweep.json").read_text("utf-8"))
+        self.about = load_sweep(folder)
         self.jobs: list[dict[str, Any]] = self.about["jobs"]
         self.results: list[tuple[dict[str, Any], Results]] = []
         for job in self.jobs:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from xplain.report.combinations import grouped, heading, plain_text, value_label, value_title
+from xplain.report.combinations import grouped, heading, label, plain_text, value_title
 from xplain.report.layout import PlotLayout, plot_layout
 from xplain.report.paper import table1
 from xplain.report.plots import figure_of_panels, series_style
@@ -33,7 +33,7 @@ WIDE_RANGE = 8.0
 """Means whose largest is so many times their median are drawn on an axis of square roots."""
 
 
-def against_main_key(summary: Summary, measure: str, label: str) -> Figure | None:
+def against_main_key(summary: Summary, measure: str, title: str) -> Figure | None:
     """A measure against the main swept key, with intervals; None where nothing was swept.
 
     Regrets in a report of Table 1 stand beside the paper's (open markers).
@@ -57,17 +57,16 @@ def against_main_key(summary: Summary, measure: str, label: str) -> Figure | Non
             mean, low, high = np.array(list(points.values())).T
             errors = np.nan_to_num([mean - low, high - mean])
             style = series_style(index) | ({} if layout.numeric else {"linestyle": "none"})
-            name = ", ".join(value_label(key, value) for key, value in line.items())
+            name = label(line)
             panel.errorbar(x, mean, errors, capsize=2.5, lw=1.4, ms=5, label=name or None, **style)
             if summary.report == "table1" and measure == "regret":
                 _draw_paper(panel, summary, {**values, **line}, shift, style)
         _name_axes(panel, layout, ticks, place)
-        title = ", ".join(value_label(key, value) for key, value in values.items())
-        panel.set_title(title, loc="left", weight="bold", fontsize=10)
+        panel.set_title(label(values), loc="left", weight="bold", fontsize=10)
     for panel in axes:
         _scale(panel, measure, measure == summary.measure.name and has_roots(summary))
     _share_scale(axes, layout)
-    axes[0].set_ylabel(label)
+    axes[0].set_ylabel(title)
     if summary.report == "table1" and measure == "regret":
         axes[len(panels) - 1].plot([], [], "o", color="#666666", mfc="white", label="paper")
     legend_right(figure, axes)
@@ -111,18 +110,20 @@ def belief_over_steps(summary: Summary) -> Figure | None:
         for index, line in enumerate(lines):
             if line.get("solver") == "baseline":
                 continue  # it believes nothing
-            belief = _by_step(summary, "belief_in_true_type", {**fixed, **values, **line})
+            belief, episodes = _by_step(summary, "belief_in_true_type", {**fixed, **values, **line})
             if len(belief):
                 drawn = True
-                name = ", ".join(value_label(key, value) for key, value in line.items()) or None
+                if episodes[-1] < episodes[0]:
+                    left = f" {episodes[-1]:.0f} of {episodes[0]:.0f} last so long"
+                    panel.annotate(left, (len(belief) - 1, belief[-1]), fontsize=7, va="center")
+                name = label(line) or None
                 style = series_style(index)
                 panel.plot(belief, lw=1.4, ms=4, markevery=2, label=name, **style)
         panel.set_ylim(0, 1.02)
-        title = ", ".join(value_label(key, value) for key, value in values.items())
-        panel.set_title(title, loc="left", weight="bold", fontsize=10)
+        panel.set_title(label(values), loc="left", weight="bold", fontsize=10)
         panel.set_xlabel("steps explained")
         panel.xaxis.set_major_locator(MaxNLocator(integer=True))
-    at = ", ".join(value_label(key, value) for key, value in fixed.items())
+    at = label(fixed)
     axes[0].set_ylabel("belief in the true type" + (f" ({at})" if at else ""))
     legend_right(figure, axes)
     return figure if drawn else None
@@ -234,8 +235,10 @@ def wide_range(means: list[float]) -> bool:
     return bool(known) and max(known) > WIDE_RANGE * float(np.median(known))
 
 
-def _by_step(summary: Summary, name: str, wanted: Mapping[str, Value]) -> NDArray[np.float64]:
-    """Mean at each step over all episodes of these values that last so long."""
+def _by_step(
+    summary: Summary, name: str, wanted: Mapping[str, Value]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean at each step over all episodes of these values that last so long, and how many do."""
     total: NDArray[np.float64] = np.zeros(0)
     count: NDArray[np.float64] = np.zeros(0)
     for job, results in summary.results:
@@ -249,5 +252,4 @@ def _by_step(summary: Summary, name: str, wanted: Mapping[str, Value]) -> NDArra
         count = np.pad(count, (0, longest - len(count)))
         total[: len(series)] += series * weight
         count[: len(series)] += weight
-    mean: NDArray[np.float64] = total / count
-    return mean
+    return total / count, count
