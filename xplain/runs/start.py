@@ -51,6 +51,7 @@ def start(
         if not own.is_dir():
             raise InputError("--config-dir", config_dir, "a folder with choices of your own")
         path.prepend("command-line", f"file://{own}", anchor=SearchPathQuery(provider="schema"))
+    theirs = GlobalHydra.instance().hydra  # of a program that uses Hydra itself
     GlobalHydra.instance().clear()
     hydra = Hydra.create_main_hydra2("xplain", path)
     words = named(overrides)
@@ -67,7 +68,7 @@ def start(
         made = Path(done.hydra_cfg.hydra.runtime.output_dir)
         return made if made.exists() else None
     finally:
-        GlobalHydra.instance().clear()
+        GlobalHydra.instance().hydra = theirs
 
 
 def job(cfg: DictConfig) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-import sys
+import shlex
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -81,7 +81,7 @@ def run_sweep(
             plan,
             {
                 "started": began,
-                "command": " ".join(["python -m xplain", *sys.argv[1:]]),
+                "command": _command(config),
                 "code": code_version(),
                 "git": git_state(),
                 **shown,
@@ -95,6 +95,14 @@ def run_sweep(
 
         carry_out(todo, plan, folder, tracking, outputs, start)
     return folder.path
+
+
+def _command(config: DictConfig) -> str:
+    """What starts the same sweep, from Python as well."""
+    given = [*config.hydra.overrides.hydra, *config.hydra.overrides.task]
+    words = [word for word in given if not word.startswith("hydra.mode=")]
+    prepared = any(word.startswith("sweeps=") for word in words)
+    return shlex.join(["python", "-m", "xplain", *([] if prepared else ["-m"]), *words])
 
 
 def _todo(plan: Plan, folder: SweepFolder, outputs: Path, resume: str) -> Todo:
