@@ -64,7 +64,7 @@ def test_solvers_share_an_oracle_and_are_compared_by_regret(tmp_path):
     assert (summary.measure.name, summary.measure.fair) == ("regret", True)
     assert [row[0].words for row in main_table(summary).rows] == ["Baseline", "QMDP", "QHR"]
     assert "oracle's cost" in main_table(summary).heads
-    assert answer(summary).startswith("baseline costs least, 0.50 less than qmdp. Decided")
+    assert answer(summary).startswith("Baseline costs least, 0.50 less than QMDP. Decided")
 
 
 def test_learners_have_oracles_of_their_own_and_the_least_cost_wins(tmp_path):
@@ -77,7 +77,9 @@ def test_learners_have_oracles_of_their_own_and_the_least_cost_wins(tmp_path):
     assert rows[0][1].estimate.mean == pytest.approx(2.5 + 0.01 * 1.5)
     assert "labeler" in summary.measure.why
     assert "regret" not in main_table(summary).heads
-    assert answer(summary).startswith("labeler=hypotheses costs least, 6.20 less than labeler=tree")
+    assert answer(summary).startswith(
+        "labeler = hypotheses costs least, 6.20 less than labeler = tree"
+    )
 
 
 def test_mlflow_opens_on_the_same_winner(tmp_path):
@@ -127,7 +129,7 @@ def test_trade_offs_and_domains_pose_problems_of_their_own(tmp_path):
     summary = made(tmp_path, jobs, oracle, regret, lambda v, t: 0.1 * oracle(v) + 0.1 * t)
     assert summary.measure.name == "regret"
     assert len(verdicts(summary)) == 4
-    assert "qmdp in 2 of 4 problems (2 decided)" in answer(summary)
+    assert "QMDP in 2 of 4 problems (2 decided)" in answer(summary)
     assert set(bests(summary)) == {
         f"best_regret/{domain}/λ {trade_off}"
         for domain in ("rescue", "four_rooms")
@@ -135,7 +137,7 @@ def test_trade_offs_and_domains_pose_problems_of_their_own(tmp_path):
     }
     jobs = [SimpleNamespace(values=job["values"]) for job in summary.jobs]
     view = sweep_view("parent", summary, main_key(jobs))
-    assert view["orderByKey"] == "params.`domain`"
+    assert view["orderByKey"] == "params.`lambda`"
 
 
 def test_where_the_clairvoyant_differs_as_well_the_cost_decides(tmp_path):

@@ -214,7 +214,8 @@ def answer(summary: Summary) -> str:
     found = verdicts(summary)
     if not found:
         return ""
-    names = ways(summary, [key for key in shown_keys(summary) if is_choice(key)])
+    by = [key for key in shown_keys(summary) if is_choice(key)]
+    names = {tuple(way.values()): label(way) for way, _ in grouped(summary, by)}
     if len(found) == 1:
         best, second = found[0].order[:2]
         text = f"{names[best.way]} costs least"

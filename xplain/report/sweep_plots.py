@@ -73,22 +73,6 @@ def against_main_key(summary: Summary, measure: str, title: str) -> Figure | Non
     return figure
 
 
-def measure_caption(summary: Summary) -> str:
-    """What the plot of the sweep's measure shows."""
-    layout, measure = plot_layout(summary), summary.measure
-    text = f"{measure.title[0].upper()}{measure.title[1:]} against {heading(layout.x or '')}"
-    if not summary.episodes.empty and summary.clusters(summary.episodes).nunique() > 1:
-        text += f", with 95 % intervals over {'seeds' if summary.seeds > 1 else 'traces'}"
-    if summary.report == "table1" and measure.name == "regret":
-        text += "; open markers are the paper’s values"
-    count = len(grouped(summary, layout.panels))
-    if count > MOST_PANELS:
-        text += f"; the first {MOST_PANELS} of {count} panels"
-    if has_roots(summary):
-        text += ". The axis is scaled by the square root, so that small and large ones both show"
-    return f"{text}. {measure.why}"
-
-
 def has_roots(summary: Summary) -> bool:
     """Whether the sweep's measure is drawn on an axis of square roots."""
     layout, measure = plot_layout(summary), summary.measure.name
@@ -110,7 +94,7 @@ def belief_over_steps(summary: Summary) -> Figure | None:
         for index, line in enumerate(lines):
             if line.get("solver") == "baseline":
                 continue  # it believes nothing
-            belief, episodes = _by_step(summary, "belief_in_true_type", {**fixed, **values, **line})
+            belief, episodes = by_step(summary, "belief_in_true_type", {**fixed, **values, **line})
             if len(belief):
                 drawn = True
                 if episodes[-1] < episodes[0]:
@@ -235,7 +219,7 @@ def wide_range(means: list[float]) -> bool:
     return bool(known) and max(known) > WIDE_RANGE * float(np.median(known))
 
 
-def _by_step(
+def by_step(
     summary: Summary, name: str, wanted: Mapping[str, Value]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean at each step over all episodes of these values that last so long, and how many do."""

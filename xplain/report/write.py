@@ -59,47 +59,24 @@ def draw(summary: Summary, report: Path) -> Pictures:
     from xplain.report import plots, sweep_plots
 
     pictures, measure = Pictures(), summary.measure
-    drawn = [
-        (
-            pictures.regret,
-            "regret",
-            sweep_plots.against_main_key(summary, measure.name, measure.title),
-            sweep_plots.measure_caption(summary),
+    drawn = {
+        "regret": sweep_plots.against_main_key(summary, measure.name, measure.title),
+        "messages": sweep_plots.against_main_key(summary, "messages", "messages an episode"),
+        "inexplicable": sweep_plots.against_main_key(
+            summary, "inexplicable labels", "inexplicable labels an episode"
         ),
-        (
-            pictures.diagnostics,
-            "messages",
-            sweep_plots.against_main_key(summary, "messages", "messages an episode"),
-            "Messages given in an episode, mean over traces and users.",
-        ),
-        (
-            pictures.diagnostics,
-            "inexplicable",
-            sweep_plots.against_main_key(
-                summary, "inexplicable labels", "inexplicable labels an episode"
-            ),
-            "Labels “inexplicable” in an episode, summed over its steps, mean over traces and "
-            "users.",
-        ),
-        (
-            pictures.types,
-            "disagreements",
-            plots.elbows(summary),
-            "Disagreements of labels within clusters against the number of clusters; rings mark "
-            "the numbers of user types that were chosen.",
-        ),
-        (
-            pictures.types,
-            "belief",
-            sweep_plots.belief_over_steps(summary),
-            "Belief in the user’s true type after each step, mean over the traces that last so "
-            "long.",
-        ),
-    ]
-    for section, name, figure, caption in drawn:
+        "belief": sweep_plots.belief_over_steps(summary),
+        "disagreements": plots.elbows(summary),
+    }
+    for name, figure in drawn.items():
         if figure is not None:
             plots.save(figure, report / f"{name}.svg")
-            section.append(Picture(report / f"{name}.svg", caption))
+    if drawn["disagreements"] is not None:
+        caption = (
+            "Disagreements of labels within clusters against the number of clusters; rings mark "
+            "the numbers of user types that were chosen."
+        )
+        pictures.types.append(Picture(report / "disagreements.svg", caption))
     for domain, path, caption in _trace_pictures(summary, report):
         pictures.traces.setdefault(domain, []).append(Picture(path, caption))
     return pictures

@@ -138,7 +138,8 @@ def sweep_view(parent: str, summary: Summary, main: MainKey) -> dict[str, Any]:
         "yaxis": {"key": measure, "type": "METRIC"},
         "displayName": f"{summary.measure.title} against {heading(main.key)}, a point a job",
     }
-    problem = next((f"params.`{key}`" for key in swept if is_problem(key)), None)
+    posed = sorted((key for key in swept if is_problem(key)), key=lambda key: key != main.key)
+    problem = f"params.`{posed[0]}`" if posed else None
     return {
         **_view(parent, problem or f"metrics.`{measure}`"),
         "selectedColumns": columns,
