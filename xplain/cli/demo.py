@@ -5,7 +5,7 @@ needs to know; the user says which transitions make no sense.
     xplain demo --user B lambda=2            a simulated user of type B
     xplain demo --me                         you are the user
     xplain demo --trace 3                    another trace, from 0
-    xplain demo --html demo.html             the same as one page, to step through
+    xplain demo --html demo.html             the same as one page, to step through, on phones too
     xplain demo domain=four_rooms solver=qhr seed=3
 
 Without --trace it is the one of the first five in which the user's type is found with fewest

@@ -17,7 +17,6 @@ from xplain.report.combinations import (
     label,
     value_label,
     value_title,
-    ways,
 )
 from xplain.report.layout import shown_keys, table_layout
 from xplain.report.measure import NEGATIVE, TITLES, is_choice
