@@ -62,6 +62,7 @@ SIDEBAR = {
     ],
     "Embed and extend": [
         "docs/explainer.md",
+        "docs/python.md",
         "docs/api.rst",
         "docs/your-own-domain.md",
         "docs/your-own-data.md",

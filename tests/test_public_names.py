@@ -16,7 +16,8 @@ from {package} import *
 print(*(name for name in package.__all__ if name in globals()))
 """
 NAMES = {
-    "xplain": "Explainer GivenTypes Hypotheses LearnedTypes Questionnaire __version__",
+    "xplain": "Explainer GivenTypes Hypotheses LearnedTypes Questionnaire Run Sweep "
+    "__version__ load run sweep",
     "xplain.testing": "Chosen ClustererConformance DomainConformance LabelerConformance "
     "PartitionConformance QueriesConformance SolverConformance TypeSourceConformance",
 }

@@ -1,7 +1,8 @@
 """Personalized explanations of sequential decisions (Soni, Sreedharan & Kambhampati, 2021).
 
 For programs: ``from xplain import Explainer, GivenTypes, LearnedTypes`` (see docs/explainer.md),
-``from xplain import Hypotheses, Questionnaire`` (see docs/what-to-ask.md).
+``from xplain import Hypotheses, Questionnaire`` (see docs/what-to-ask.md). Experiments:
+``xplain.run``, ``xplain.sweep``, ``xplain.load`` (see docs/python.md).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from xplain.learning.saved_types import LearnedTypes
     from xplain.questions.hypotheses import Hypotheses
     from xplain.questions.questionnaire import Questionnaire
+    from xplain.runs.api import Run, Sweep, load, run, sweep
     from xplain.sessions.explainer import Explainer, GivenTypes
 
 __all__ = [
@@ -20,7 +22,12 @@ __all__ = [
     "Hypotheses",
     "LearnedTypes",
     "Questionnaire",
+    "Run",
+    "Sweep",
     "__version__",
+    "load",
+    "run",
+    "sweep",
 ]
 __version__ = "0.1.0"
 
@@ -30,6 +37,7 @@ _WHERE = {
     "Hypotheses": "xplain.questions.hypotheses",
     "LearnedTypes": "xplain.learning.saved_types",
     "Questionnaire": "xplain.questions.questionnaire",
+    **dict.fromkeys(("Run", "Sweep", "load", "run", "sweep"), "xplain.runs.api"),
 }
 
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import difflib
 import os
-import re
 import secrets
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from hydra.core.config_store import ConfigStore
 from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException
@@ -24,7 +23,8 @@ from omegaconf import (
     OmegaConf,
     StringNode,
 )
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from yaml import MarkedYAMLError, YAMLError
 
 from xplain.errors import InputError, XplainError, whole_number
 
@@ -63,25 +63,18 @@ _unique = secrets.token_hex(3)
 
 
 def schema() -> DictConfig:
-    """Types of the top-level keys: 1 and 1.0 are the same λ, text is refused at once."""
-    return OmegaConf.create(
-        {
-            "seed": IntegerNode(0),
-            "lambda": FloatNode(1.0),
-            "points": IntegerNode("???"),
-            "traces": IntegerNode(20),
-            "max_steps": IntegerNode(40),
-            "discount": FloatNode(0.95),
-            "discount_per": StringNode("action"),
-            "message_cost": AnyNode(1.0),  # a number, or one by name; checked with the messages
-            "inexplicability_cost": FloatNode(1.0),
-            "prior": StringNode("uniform"),
-            "resume": StringNode("missing"),
-            "dry_run": BooleanNode(False),
-            # Absolute, so that it is the same folder in every worker.
-            "outputs": StringNode(str(Path.cwd() / "outputs")),
-        }
-    )
+    """Types of the top-level keys: 1 and 1.0 are the same λ, text is refused at once. Values are in
+    conf/config.yaml alone."""
+    kinds = {
+        IntegerNode: ("seed", "points", "traces", "max_steps"),
+        FloatNode: ("lambda", "discount", "inexplicability_cost"),
+        StringNode: ("discount_per", "prior", "resume"),
+        BooleanNode: ("dry_run",),
+        AnyNode: ("message_cost",),  # a number, or one by name; checked with the messages
+    }
+    typed = {key: kind("???") for kind, keys in kinds.items() for key in keys}
+    # Absolute, so that it is the same folder in every worker.
+    return OmegaConf.create({**typed, "outputs": StringNode(str(Path.cwd() / "outputs"))})
 
 
 def register() -> None:
@@ -90,15 +83,6 @@ def register() -> None:
     OmegaConf.register_new_resolver("unique", lambda: _unique, replace=True)
     # Hydra prints errors over several lines and exits; with this it raises, and we print one.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
-
-
-_handed_over: list[Exception] = []
-
-
-def hand_over(error: Exception) -> None:
-    """Keeps an error for :func:`report_errors`. Hydra prints lines of its own about an exception
-    that leaves a job, so a single job hands its over and returns."""
-    _handed_over.append(error)
 
 
 def composed(name: str, overrides: Sequence[str], with_hydra: bool = False) -> DictConfig:
@@ -168,22 +152,28 @@ def report_errors() -> Iterator[None]:
 
     With ``XPLAIN_TRACEBACK=1`` the traceback is shown instead.
     """
-    _handed_over.clear()
     try:
         yield
-        if _handed_over:
-            raise _handed_over[0]
     except BrokenPipeError:  # whoever read the output has gone
         sys.exit(1)
     except KeyboardInterrupt as error:
-        print(": ".join(["xplain: interrupted", *map(str, error.args)]), file=sys.stderr)
-        sys.exit(130)
-    except (XplainError, HydraException, OmegaConfBaseException, OSError) as error:
+        _say_interrupted(error)
+    except (XplainError, HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
         text = one_line(error)
         if text is None or os.environ.get("XPLAIN_TRACEBACK"):
             raise
         print(f"xplain: {text}", file=sys.stderr)
         sys.exit(2)
+    except Exception as error:
+        for cause in _causes(error):
+            if isinstance(cause, KeyboardInterrupt):  # it became another error on its way
+                _say_interrupted(cause)
+        raise
+
+
+def _say_interrupted(error: BaseException) -> NoReturn:
+    print(": ".join(["xplain: interrupted", *map(str, error.args)]), file=sys.stderr)
+    sys.exit(130)
 
 
 def one_line(error: BaseException) -> str | None:
@@ -198,8 +188,11 @@ def one_line(error: BaseException) -> str | None:
         if isinstance(cause, OmegaConfBaseException):
             key = getattr(cause, "full_key", None) or "config"
             return f"{key}: {_first_line(cause)}"
-        if isinstance(cause, OSError) and cause.filename is not None:
-            return f"{cause.filename}: {cause.strerror}"
+        if isinstance(cause, MarkedYAMLError) and (mark := cause.problem_mark) is not None:
+            return f"{mark.name}: line {mark.line + 1}: {cause.problem}"
+        if isinstance(cause, OSError) and cause.strerror is not None:
+            where = "" if cause.filename is None else f"{cause.filename}: "
+            return f"{where}{cause.strerror}"
     if isinstance(error, HydraException):
         return " ".join(str(error).split())
     return None
@@ -229,26 +222,30 @@ def _unknown_choice(error: MissingConfigException) -> str:
     return f"{group}={choice}: unknown choice;{hint} allowed: {', '.join(options)}"
 
 
-def _composition(error: ConfigCompositionException) -> str:
-    text = str(error)
-    misspelt = re.search(r"Could not override '([^']+)'", text)
+def missing_key(error: BaseException) -> str | None:
+    """The key that a configuration lacks and an override sets; None where the error is another."""
     cause: Any = error.__cause__
-    if misspelt:
-        missing = str(getattr(cause, "full_key", None) or misspelt.group(1))
+    lacks = isinstance(cause, ConfigAttributeError | ConfigKeyError)
+    return str(cause.full_key) if lacks else None
+
+
+def _composition(error: ConfigCompositionException) -> str:
+    cause: Any = error.__cause__
+    if missing := missing_key(error):
         if missing.count(".") > 1:
             return _unknown_inside(missing, cause.parent_node)
-        return unknown_key(misspelt.group(1))
+        return unknown_key(missing)
     if isinstance(cause, OmegaConfBaseException):
         return f"{getattr(cause, 'full_key', None) or 'config'}: {_first_line(cause)}"
-    return " ".join(text.split())
+    if "@domain." in str(error):
+        return NO_PACKAGE
+    return " ".join(str(error).split())
 
 
 def unknown_key(key: str) -> str:
     """What a key of the experiment that there is not might have been."""
     if key in MOVED:
         return f"{key}: no such key; it is {MOVED[key]} now"
-    if "@domain." in key:
-        return NO_PACKAGE
     top, _, inner = key.partition(".")
     known = known_keys()
     if not inner or top not in known:

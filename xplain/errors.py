@@ -6,6 +6,12 @@ The checks below raise them.
 from __future__ import annotations
 
 import math
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 class XplainError(ValueError):
@@ -45,6 +51,27 @@ class TooLargeError(XplainError):
 
 class Refused(Exception):
     """An answer of a participant that is not accepted; the text is for them."""
+
+
+@contextmanager
+def left_at_once() -> Iterator[None]:
+    """While modules are imported, Ctrl-C ends the process with one line: an exception in the middle
+    of an import becomes another one, or a traceback."""
+
+    def leave(*_: object) -> None:
+        print("xplain: interrupted", file=sys.stderr, flush=True)
+        os._exit(130)
+
+    before = signal.getsignal(signal.SIGINT)
+    ours = threading.current_thread() is threading.main_thread()
+    if not ours or before is not signal.default_int_handler:  # someone else hears it
+        yield
+        return
+    signal.signal(signal.SIGINT, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def number(key: str, value: object) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import inspect
 import os
 import re
@@ -18,7 +19,7 @@ from tests.conftest import ROOT
 from xplain.cli.commands import COMMANDS
 from xplain.cli.completion import completions
 from xplain.cli.main import main
-from xplain.config import CONF
+from xplain.config import CONF, report_errors
 
 HEAVY = ("mlflow", "sklearn", "kneed", "numba", "scipy", "pandas", "matplotlib")
 
@@ -30,7 +31,8 @@ def xplain(tmp_path, monkeypatch, capsys):
 
     def run(*arguments: str):
         monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "argv", ["xplain", f"outputs={tmp_path / 'outputs'}", *arguments])
+        own = () if arguments[0] in COMMANDS else (f"outputs={tmp_path / 'outputs'}",)
+        monkeypatch.setattr(sys, "argv", ["xplain", *own, *arguments])
         GlobalHydra.instance().clear()
         code = 0
         try:
@@ -204,6 +206,52 @@ def test_a_domain_file_without_its_package_is_told_the_line(xplain, tmp_path, ov
     assert code == 2
     assert len(err.splitlines()) == 1
     assert "# @package _global_" in err
+
+
+@pytest.mark.parametrize("sweep", [(), ("-m", "lambda=1,2")])
+def test_malformed_yaml_is_one_line_with_its_place(xplain, tmp_path, sweep):
+    folder = tmp_path / "mine" / "solver"
+    folder.mkdir(parents=True)
+    (folder / "broken.yaml").write_text("depth: [1\nwidth: }\n")
+    code, _, err = xplain(f"--config-dir={tmp_path / 'mine'}", *sweep, "solver=broken")
+    assert code == 2
+    assert err.startswith(f"xplain: {folder / 'broken.yaml'}: line 2: ")
+    assert len(err.splitlines()) == 1
+    code, _, err = xplain("--config-dir=absent", "solver=broken")
+    assert (code, err) == (
+        2,
+        "xplain: --config-dir='absent': a folder with choices of your own\n",
+    )
+
+
+def test_every_command_knows_choices_of_ones_own(xplain, tmp_path):
+    folder = tmp_path / "mine" / "domain"
+    folder.mkdir(parents=True)
+    (folder / "my_rooms.yaml").write_text((CONF / "domain" / "four_rooms.yaml").read_text())
+    for command in ("demo", "questions"):
+        for flag in (("--config-dir", str(folder.parent)), (f"-cd={folder.parent}",)):
+            code, out, err = xplain(command, *flag, "domain=my_room")
+            assert code == 2, out
+            assert "did you mean my_rooms?" in err
+        code, _, err = xplain(command, "--config-dir", "absent", "domain=my_rooms")
+        assert (code, "a folder with choices of your own" in err) == (2, True)
+
+
+@pytest.mark.parametrize("name", [None, "run/trace.png"])
+def test_a_full_disk_is_one_line(name, capsys):
+    with pytest.raises(SystemExit), report_errors():
+        raise OSError(errno.ENOSPC, "No space left on device", name)
+    where = "" if name is None else f"{name}: "
+    assert capsys.readouterr().err == f"xplain: {where}No space left on device\n"
+
+
+def test_an_interruption_that_an_import_made_another_error_of_is_told_as_one(capsys):
+    half = ImportError("half of a module")
+    half.__cause__ = KeyboardInterrupt()
+    with pytest.raises(SystemExit) as ended, report_errors():
+        raise half
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "xplain: interrupted\n"
 
 
 HEAD = "observer,messages,label,row,column"

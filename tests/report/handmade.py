@@ -60,6 +60,7 @@ def sweep(
     oracle: Callable[[Values, int], float] = lambda values, trace: 1.0 + trace,
     traces: int = 4,
     index: Callable[[Values], float] = lambda values: 1.0,
+    floor: Callable[[Values, int], float] | None = None,
     **about: object,
 ) -> Path:
     """A finished sweep.
@@ -70,6 +71,7 @@ def sweep(
         regret, oracle: of a job on a trace, the same for users of both types.
         traces: how many.
         index: adjusted Rand index of the types that a job found.
+        floor: the clairvoyant's cost, of a job on a trace; None where none ran.
         about: beside the jobs in ``sweep.json``, such as ``pool``.
     """
     written = []
@@ -84,6 +86,12 @@ def sweep(
             for kind in TYPES
             for solver, more in (("oracle", 0.0), ("solver", regret(values, trace)))
         ]
+        if floor is not None:
+            episodes += [
+                episode("clairvoyant", trace, kind, floor(values, trace))
+                for trace in range(traces)
+                for kind in TYPES
+            ]
         made = results(name, values, tuple(episodes))
         learning = made.learning | {"adjusted_rand_index": index(values)}
         save_results(own, replace(made, learning=learning))

@@ -14,13 +14,21 @@ from scipy import stats
 from tests.report import handmade
 from xplain.report import console, sweep_plots
 from xplain.report.combinations import differences_csv, regret_csv
+from xplain.report.comparison import table as comparison_table
 from xplain.report.layout import plot_layout, shown_keys, table_layout
-from xplain.report.regret_table import regret_table
-from xplain.report.summary import Summary
+from xplain.report.summary import Summary, is_number
 from xplain.report.table import BEST, TIE
 from xplain.report.write import write_report
 
-MEASURES = ("regret", "cost", "messages", "inexplicable_labels", "oracle", "clairvoyant")
+MEASURES = (
+    "regret",
+    "above_floor",
+    "cost",
+    "messages",
+    "inexplicable_labels",
+    "oracle",
+    "clairvoyant",
+)
 
 
 def product(**values):
@@ -94,7 +102,12 @@ THREE = {
         [0.0, 0.02, 0.05],
         ("observers.label_noise", ()),
     ),
-    "clusterers": (product(clusterer="kmeans,em,dirichlet"), (), [], ("clusterer", ())),
+    "clusterers": (
+        product(clusterer="kmeans,em,dirichlet"),
+        ("clusterer",),
+        ["kmeans", "em", "dirichlet"],
+        ("clusterer", ()),
+    ),
 }
 
 
@@ -102,9 +115,10 @@ THREE = {
 def test_sweeps_of_one_or_two_keys_are_shown_by_these_keys(tmp_path, name):
     jobs, down, values, (x, lines) = THREE[name]
     summary = summary_of(tmp_path, jobs)
-    table = regret_table(summary)
+    table = comparison_table(summary)
     assert table.heads[: table.left] == down
-    assert [float(cell.words) for row in table.rows for cell in row[: table.left]] == values
+    named = [cell.words for row in table.rows for cell in row[: table.left]]
+    assert [float(word) if is_number(word) else word for word in named] == values
     shown = plot_layout(summary)
     assert (shown.x, shown.lines, shown.panels) == (x, lines, ())
     means = {round(cell.estimate.mean, 4) for row in table.rows for cell in row if cell.estimate}
@@ -113,14 +127,14 @@ def test_sweeps_of_one_or_two_keys_are_shown_by_these_keys(tmp_path, name):
     figure = sweep_plots.against_main_key(summary, "regret", "regret")
     assert figure is not None
     ticks = {text.get_text() for text in figure.axes[0].get_xticklabels()}
-    assert ticks == {f"{float(v):g}" if down else v for v in {job[x] for job in jobs}}
+    assert ticks == {f"{float(v):g}" if is_number(v) else v for v in {job[x] for job in jobs}}
     assert len(figure.axes[0].containers) == max(1, len({job.get("solver") for job in jobs}))
 
 
 def test_a_third_key_makes_rows_and_panels_of_its_own(tmp_path):
     jobs = product(users__count="2,3,4", solver="qmdp,qhr", trade_off="0.5,1,2,3")
     summary = summary_of(tmp_path, jobs)
-    table = regret_table(summary)
+    table = comparison_table(summary)
     assert table.left == 2
     assert len(table.rows) == 12
     assert table.heads == ("users.count", "λ", "oracle's cost", "QMDP", "QHR")
@@ -160,7 +174,7 @@ def test_a_key_that_another_decides_is_no_dimension_but_is_in_the_csv(tmp_path):
 def test_only_what_the_sweep_file_names_is_pooled(tmp_path):
     jobs = product(users__count="2,4", solver="qmdp,qhr", trade_off="1,2")
     summary = summary_of(tmp_path, jobs, pool=["users.count"])
-    table = regret_table(summary)
+    table = comparison_table(summary)
     assert table.heads[: table.left] == ("λ",)
     # Between 2 and 4 types lie 20: their mean is that of 3 types.
     middle = np.mean([regret({"users.count": "3", "lambda": "1"}, t) for t in range(4)])
@@ -179,7 +193,7 @@ def test_the_best_of_a_row_and_what_cannot_be_told_from_it_are_marked(tmp_path):
         lambda values, trace: 10.0 * trace + lead[values["solver"]](trace),
     )
     summary = Summary(folder)
-    for row in regret_table(summary).rows:
+    for row in comparison_table(summary).rows:
         assert [cell.mark for cell in row[1:]] == ["", BEST, "", TIE]
     pairs = {(r["method"], r["minus"]): r for r in rows(differences_csv(summary))}
     assert float(pairs["qhr", "qmdp"]["low"]) == pytest.approx(0.5)
@@ -221,4 +235,4 @@ def test_what_table_1_has_no_row_for_is_not_pooled_into_it(tmp_path):
     jobs = product(observers__label_noise="0,.02", solver="qmdp,qhr")
     summary = summary_of(tmp_path, jobs, report="table1", pool=["users.count"])
     assert summary.report is None
-    assert regret_table(summary).heads[0] == "observers.label_noise"
+    assert comparison_table(summary).heads[0] == "observers.label_noise"

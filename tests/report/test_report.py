@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import csv
+import gzip
 import html.parser
 import io
 import itertools
@@ -217,8 +219,8 @@ def test_missing_jobs_are_told_and_incomplete_cells_make_no_curve(sweep):
     assert "1 of 36 jobs are missing" in paper_table.table(summary).caption
     main = MainKey("lambda", 10)
     points = {(name, step) for name, step, _ in curves(summary, main)}
-    assert ("regret/rescue/qmdp", 10) not in points
-    assert ("regret/rescue/qmdp", 5) in points
+    assert ("regret against 10 λ/rescue/qmdp", 10) not in points
+    assert ("regret against 10 λ/rescue/qmdp", 5) in points
     _, report = write_report(sweep)
     page = (report / "index.html").read_text()
     assert "InputError: &lt;no&gt;" in page
@@ -248,9 +250,9 @@ def test_the_page_is_whole_and_loads_nothing(known):
     page = Page()
     page.feed(text)
     assert page.open == []
-    assert page.images >= 6
-    assert all(address.startswith("data:image/") for address in page.loads)
-    assert not re.search(r"url\(|@import|<script", text)
+    assert page.images >= 3
+    assert all(address.startswith("data:") for address in page.loads)
+    assert not re.search(r"url\(|@import|<script[^>]* src|\bfetch\(|XMLHttpRequest|import\(", text)
     assert "The robot likes &lt;fire&gt;." in text
     for name in ("regret.svg", "messages.svg", "inexplicable.svg", "disagreements.svg"):
         drawing = ElementTree.parse(report / name).getroot()
@@ -259,6 +261,54 @@ def test_the_page_is_whole_and_loads_nothing(known):
         # A curve a method and domain, one a domain of the disagreements.
         curves = len(SETTINGS) * (1 if name == "disagreements.svg" else len(METHODS))
         assert len({line.get("d") for line in drawn if "L" in line.get("d")}) >= curves
+
+
+def inside(text, name):
+    """What a script of the page holds, compressed or plain."""
+    found = re.search(rf'<script [^>]*id="{name}">(.*?)</script>', text, re.DOTALL)
+    assert found
+    plain = found[1].lstrip().startswith("{")
+    return json.loads(found[1] if plain else gzip.decompress(base64.b64decode(found[1])))
+
+
+def test_the_page_says_who_costs_least_and_holds_every_figure_and_episode(tmp_path):
+    """What the script draws and plays is what was on disk."""
+    jobs = [
+        {"solver": solver, "lambda": trade_off, "seed": seed}
+        for solver, trade_off, seed in itertools.product(("qmdp", "qhr"), ("0.5", "1"), "012")
+    ]
+
+    def worse(values, trace):
+        return 1.0 + (values["solver"] == "qhr") + 0.01 * int(values["seed"])
+
+    handmade.sweep(tmp_path, jobs, worse)
+    summary, report = write_report(tmp_path)
+    text = (report / "index.html").read_text()
+    assert '<p class="answer">Least cost: QMDP in 2 of 2 problems (2 decided)' in text
+    plots = inside(text, "plots")
+    assert [key["name"] for key in plots["keys"]] == ["λ", "Solver"]
+    assert [m["name"] for m in plots["measures"]][:2] == ["regret", "cost"]
+    assert len(plots["cells"]) == 4
+    for cell in plots["cells"]:
+        trade_off, solver = (plots["keys"][i]["values"][v] for i, v in enumerate(cell["at"]))
+        mean, low, high = cell["of"]["regret"]
+        assert mean == pytest.approx(1.01 + (solver == "QHR"))
+        assert low < mean < high
+        assert (cell["belief"], cell["episodes"]) == ([0.5, 0.8, 0.9], [24, 24, 24])
+        assert trade_off in ("0.5", "1")
+    episodes = inside(text, "all-episodes")
+    assert [job["label"] for job in episodes] == [job["label"] for job, _ in summary.results]
+    first = episodes[0]["episodes"][0]
+    # Two messages' worth of λ a message, and one label 0 in the second step.
+    assert [step["cost"] for step in first["steps"]] == [0.5, 1.5]
+    assert (first["user"], first["right"], first["trace"]) == ("A", ["1"], 0)
+    assert first["steps"][1]["belief"] == {"1": 0.9, "2": 0.1}
+    assert "/*DATA*/null" in inside(text, "player")
+    assert "</script" not in inside_raw(text)
+
+
+def inside_raw(text):
+    return re.search(r'id="plots">(.*?)</script>', text, re.DOTALL)[1]
 
 
 def test_the_report_is_the_same_bytes_each_time(known):

@@ -29,7 +29,10 @@ def test_the_jobs_most_alike_are_the_judge() -> None:
     assert expected_seconds(known, config("rescue", "qmdp", 3)) == 3 * 2.0  # of 2, 1 and 9
     assert expected_seconds(known, config("warehouse", "qmdp", 2)) == 2 * 5.5  # and 30
     assert expected_seconds(known, config("rescue", "pomcp", 1)) == 40.0
-    assert expected_seconds(known, config("rescue", "qhr", 1)) == 9.0  # of all five
+    assert expected_seconds(known, config("rescue", "qhr", 1)) is None  # nobody knows
+    more = config("rescue", "pomcp", 1)
+    more["solver"] |= {"simulations": 1e10}
+    assert expected_seconds(known, more) is None  # another search than those known
     assert expected_seconds([], config("rescue", "qmdp", 3)) is None
 
 
@@ -49,7 +52,9 @@ def test_the_launcher_says_how_many_work_at_a_time(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(forecast, "experiences", lambda _: [Experience("rescue", "qmdp", 0.5)])
+    monkeypatch.setattr(
+        forecast, "experiences", lambda _: [Experience.of(config("rescue", "qmdp", 2), 1.0)]
+    )
     monkeypatch.setattr("os.cpu_count", lambda: 3)
     jobs = [SimpleNamespace(fingerprint=str(i), label=f"seed={i}") for i in range(4)]
     todo = Todo((), {}, tuple(job.fingerprint for job in jobs))
@@ -64,3 +69,9 @@ def test_the_launcher_says_how_many_work_at_a_time(
     assert "4 jobs: 0 done, 0 done elsewhere (to be copied), 4 to run" in told
     assert said in told
     assert "judged by 1 finished job\n" in told
+
+
+def test_jobs_that_nobody_can_judge_are_counted_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    print(forecast._time([2.0, None, None], 1, 4))
+    told = capsys.readouterr().out
+    assert "about 2 s on 1 worker, and 2 jobs unlike all that have finished, judged by 4" in told

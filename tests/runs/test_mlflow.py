@@ -191,11 +191,17 @@ def test_the_command_that_opens_the_pages_names_the_runs_database(
     assert MLflow(uri="http://lab:5000").how_to_open(own) is None
 
 
-def test_the_view_of_a_sweep_has_what_people_compare() -> None:
-    summary = cast("Summary", SimpleNamespace(keys=("lambda", "users.count"), seeds=3))
+def test_the_view_of_a_sweep_begins_with_its_measure_and_has_what_was_swept() -> None:
+    swept = {"lambda": ["1", "2"], "users.count": ["2", "3"], "solver": ["qmdp"]}
+    summary = SimpleNamespace(
+        keys=tuple(swept),
+        values=swept.__getitem__,
+        seeds=3,
+        measure=SimpleNamespace(name="above_floor", title="cost above the clairvoyant's"),
+    )
     jobs = tuple(Job(value, "", (), {"lambda": value}, value, "") for value in ("1", "2"))
-    view = sweep_view("parent", summary, main_key(jobs))
+    view = sweep_view("parent", cast("Summary", summary), main_key(jobs))
     columns = [re.sub(r"`|params\.|metrics\.", "", column) for column in view["columnOrder"]]
-    compared = ["regret", "regret.low", "regret.high", "cost", "messages", "inexplicable_labels"]
-    assert columns == ["solver", "lambda", "users.count", "seed", *compared]
+    ends = ["above_floor.low", "above_floor.high", "messages", "inexplicable_labels"]
+    assert columns == ["above_floor", "cost", "lambda", "users.count", "seed", *ends]
     assert view["selectedColumns"] == view["columnOrder"] == list(view["columnWidths"])

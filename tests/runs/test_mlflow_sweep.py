@@ -26,6 +26,13 @@ from xplain.runs.plan import Job
 PARENT = "mlflow.parentRunId"
 
 
+def label_of(run: SimpleNamespace) -> str:
+    """Of a child: its name begins with the job's number."""
+    number, _, label = str(run.data.name).partition(" · ")
+    assert number.isdigit()
+    return label
+
+
 class Page(list[Any]):
     token: str | None = None
 
@@ -92,7 +99,7 @@ class Client:
         """{label: status}"""
         below = {PARENT: self.parent().info.run_id}.items()
         return {
-            run.data.name: run.info.status
+            label_of(run): run.info.status
             for run in self.runs.values()
             if below <= run.data.tags.items()
         }
@@ -152,7 +159,7 @@ def test_a_sweep_is_a_parent_with_a_child_for_each_job_that_ended(
     assert parent.data.tags["xplain.jobs"] == "3"
     assert parent.data.params == {"seed": "0, 1, 2", "jobs": "3"}
     assert client.children() == {second.label: "FAILED"}
-    (failed,) = (run for run in client.runs.values() if run.data.name == second.label)
+    (failed,) = (run for run in client.runs.values() if second.label in run.data.name)
     assert failed.data.tags["xplain.error"] == "no memory"
     assert "line 1" in failed.data.tags["mlflow.note.content"]
     assert set(failed.files) == {FAILURE}

@@ -6,6 +6,8 @@ import hashlib
 import itertools
 
 import pytest
+from hydra.errors import ConfigCompositionException
+from omegaconf.errors import ConfigAttributeError
 
 from xplain.errors import InputError
 from xplain.runs.plan import in_launch_order, make_plan
@@ -138,3 +140,30 @@ def test_a_choice_that_reads_as_a_truth_value_is_still_a_name(written):
     one, other = plan([{"labeler": written}]).jobs
     assert (one.overrides, other.overrides) == (("labeler='true'",), ("labeler=tree",))
     assert plan([{"domain.sparse": "true"}]).jobs[0].overrides == ("domain.sparse=true",)
+
+
+def test_a_key_that_some_solvers_have_varies_where_it_is_and_is_noted_where_not():
+    def composed(overrides):
+        values = compose(overrides)
+        if "solver.simulations" in values and values["solver"] != "pomcp":
+            cause = ConfigAttributeError("no such key")
+            cause.full_key = "solver.simulations"
+            raise ConfigCompositionException("Could not override") from cause
+        return values
+
+    def made(solvers):
+        swept = {"solver": solvers, "solver.simulations": "10,20"}
+        return make_plan("sweep", [swept], [], composed, fingerprints)
+
+    mixed = made("pomcp,qmdp,qhr")
+    assert [job.label for job in mixed.jobs] == [
+        "simulations=10 pomcp",
+        "simulations=20 pomcp",
+        "qmdp",
+        "qhr",
+    ]
+    assert mixed.notes == ("solver.simulations: no key of qmdp, qhr",)
+    assert made("pomcp").notes == ()
+    for without in ("qmdp", "qmdp,qhr"):  # nobody has it: a mistake
+        with pytest.raises(ConfigCompositionException):
+            made(without)

@@ -17,10 +17,9 @@ from hydra.core.global_hydra import GlobalHydra
 from tests import forked, processes
 from tests.configurations import composed
 from tests.runs import sweeps
-from xplain.cli import hydra_plugins
 from xplain.config import CONF, SWEEPS
 from xplain.experiment.results import RESULTS
-from xplain.runs import sweep
+from xplain.runs import hydra_plugins, sweep
 from xplain.runs.folder import FAILURE
 from xplain.runs.mlflow import Disk
 from xplain.runs.sweep import carry_out
@@ -63,6 +62,8 @@ def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
     assert len(parents) == 1
     assert parents[0].startswith("multirun-")
     children = sorted(name for name, _, parent in found if parent is not None)
+    assert [name.split(" · ")[0] for name in children] == list("123456")
+    children = sorted(name.split(" · ")[1] for name in children)
     assert children == sorted(
         f"{solver} λ={trade_off}" for solver in ("qmdp", "qhr") for trade_off in ("0.5", "1", "2")
     )
@@ -70,7 +71,7 @@ def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
     with sweeps.database(folder) as database:
         curve = database.execute(
             "select step, value from metrics join runs using (run_uuid) where runs.name = ? and "
-            "key = 'regret/qmdp' order by step",
+            "key = 'regret against 10 λ/qmdp' order by step",
             (parents[0],),
         ).fetchall()
         note = database.execute(
@@ -86,6 +87,7 @@ def test_mlflow_has_one_parent_with_curves_and_named_children(finished):
     assert dict(curve) == pytest.approx(regrets)
     assert sorted(regrets) == [5, 10, 20]
     assert "| λ | oracle's cost | QMDP | QHR |" in note[0]
+    assert note[0].startswith("Least cost: ")
 
 
 def test_mlflow_shows_what_people_compare_and_true_times(finished):
@@ -95,7 +97,7 @@ def test_mlflow_shows_what_people_compare_and_true_times(finished):
             assert len(counts) == 7
             assert max(count for (count,) in counts) <= most, table
         times = {
-            name: (start, end)
+            name if "multirun" in name else name.partition(" · ")[2]: (start, end)
             for name, start, end in database.execute("select name, start_time, end_time from runs")
         }
         described = database.execute(
@@ -433,8 +435,7 @@ def test_damaged_results_of_another_job_do_not_disturb_what_failed(tmp_path):
     def fail_again(jobs):
         sweeps.put(folder, failed, FAILURE, '{"error": "no memory"}')
 
-    with pytest.raises(SystemExit):
-        carry_out(todo, plan, folder, Disk(), tmp_path, fail_again)
+    carry_out(todo, plan, folder, Disk(), tmp_path, fail_again)
     assert [folder.state(job) for job in plan.jobs] == ["failed", "waiting", "waiting"]
 
 
@@ -454,3 +455,37 @@ def test_progress_counts_what_was_finished_before_and_what_was_copied(tmp_path, 
     with pytest.raises(KeyboardInterrupt):
         carry_out(todo, plan, folder, Disk(), tmp_path, lambda jobs: None)
     assert watched == [(2, 2)]
+
+
+def test_a_damaged_sweep_hides_no_other_and_its_command_mends_it(finished, tmp_path):
+    shutil.copytree(finished.folder / "outputs", tmp_path / "outputs")
+    own = sweeps.sweep_folder(tmp_path)
+    damaged = tmp_path / "outputs" / "sweeps" / "other" / "sweep.json"
+    damaged.parent.mkdir()
+    damaged.write_text('{"jobs": [')
+    code, output = forked.run(tmp_path, "report")
+    assert code == 0, output
+    assert str(own.relative_to(tmp_path)) in output
+    code, output = forked.run(tmp_path, "sync")
+    assert code == 0, output
+    assert "left out: sweep=" in output
+    assert "6 results in MLflow" in output
+    code, output = forked.run(tmp_path, "report", str(damaged.parent))
+    assert (code, len(output.splitlines())) == (2, 1)
+    damaged.unlink()
+    damaged.parent.rmdir()
+    (own / "sweep.json").write_text("not JSON")
+    code, output = sweeps.run(tmp_path, *sweeps.TINY, sweeps.SERIAL)
+    assert code == 0, output
+    assert "nothing is missing" in output
+
+
+@pytest.mark.parametrize("seconds", [0.5, 6])
+def test_ctrl_c_in_the_first_seconds_is_no_traceback(tmp_path, seconds):
+    """The terminal sends it to the workers as well, while they import."""
+    process = sweeps.start(tmp_path, *sweeps.TINY)
+    time.sleep(seconds)
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGINT)
+    _, output = sweeps.wait(tmp_path, process)
+    assert "Traceback" not in output

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.explanation.problems import random_problem
@@ -44,6 +44,7 @@ def explainer_of(problem, solver, belief_update):
 def situations(draw):
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     problem = random_problem(rng, max_steps=5, max_messages=3)
+    assume(problem.p_explicable.any())  # a table of zeros is refused
     answers = rng.integers(0, 2, problem.p_explicable.shape[1:]).astype(np.uint8)
     solver = SOLVERS[rng.integers(len(SOLVERS))]
     update = Independent() if rng.random() < 0.5 else Persistent()
@@ -246,6 +247,54 @@ def test_a_bad_setting_is_one_clear_line(setting, words):
     assert "\n" not in str(error.value)
     for word in words:
         assert word in str(error.value)
+
+
+HALF = np.full((2, 3, 4), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: types_of(np.full((2, 3, 8), 0.5)), "2**2 = 4 sets of 2 messages"),
+        (lambda: types_of(np.full((3, 3, 4), 0.5)), "table=3: 2 types, as there are names"),
+        (lambda: types_of([[1], [2, 3]]), "numbers"),
+        (lambda: types_of(np.zeros((2, 3, 4))), "all of these are 0"),
+        (
+            lambda: types_of(LabelTable.dense(np.full((3, 3, 4), 0.5))),
+            "2 types, as there are names",
+        ),
+        (lambda: asked(lambda trace: np.full((2, len(trace), 8), 0.5)), "sets of 2 messages"),
+        (lambda: Explainer(types_of(), solver="qmdp"), "solver='qmdp': an object, such as QMDP()"),
+        (lambda: Explainer(types_of(), solver=QMDP), "an object, such as QMDP()"),
+        (lambda: Explainer(types_of(), belief_update="persistent"), "an object"),
+        (lambda: Explainer(types_of(), trade_off="1"), "trade_off='1': a finite number"),
+        (lambda: Explainer(types_of(), trade_off=None), "trade_off=None: a finite number"),
+        (lambda: Explainer(types_of(), message_cost="x"), "message_cost="),
+        (lambda: Explainer(types_of(), seed="1"), "seed='1': a whole number"),
+        (lambda: Explainer(types_of(names=("x", "x"))), "each once"),
+        (lambda: Explainer(None), "types.messages"),
+        (lambda: answered([1, 0]), "1 labels, 0 or 1 for each transition shown so far"),
+    ],
+)
+def test_what_a_stranger_gives_wrong_is_told_in_plain_words(make, said):
+    with pytest.raises(InputError) as error:
+        make()
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def types_of(table=HALF, names=("x", "y")):
+    return GivenTypes(table, ("a", "b"), names)
+
+
+def asked(table):
+    Explainer(types_of(table)).session([0]).messages()
+
+
+def answered(labels):
+    session = Explainer(types_of()).session([0, 1])
+    session.messages()
+    session.observe(labels)
 
 
 def test_misuse_is_one_clear_line():

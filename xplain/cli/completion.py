@@ -50,7 +50,7 @@ def _keys(config: str, line: str) -> list[str]:
     from hydra.core.global_hydra import GlobalHydra
     from hydra.plugins.completion_plugin import DefaultCompletionPlugin
 
-    from xplain.cli import hydra_plugins
+    from xplain.runs import hydra_plugins
 
     register()
     hydra_plugins.register()

@@ -9,10 +9,11 @@ import gc
 import logging
 import sys
 from importlib import import_module
+from pathlib import Path
 
 from xplain import __version__
 from xplain.cli.commands import COMMANDS
-from xplain.errors import InputError
+from xplain.errors import InputError, left_at_once
 
 COLLECT = 100_000, 20, 20
 """Objects made between two looks for garbage, and looks between two deeper ones."""
@@ -43,7 +44,8 @@ def main(arguments: list[str] | None = None) -> None:
     # does by default takes a third of their time.
     gc.set_threshold(*COLLECT)
     _tell(given, "loading …")
-    from xplain.config import report_errors
+    with left_at_once():
+        from xplain.config import report_errors
 
     with report_errors():
         if given[:1] in (["--help"], ["-h"]):
@@ -67,7 +69,8 @@ def _tell(given: list[str], what: str) -> None:
 def _run(given: list[str]) -> None:
     name, rest = split(given)
     if name is None:
-        from xplain.cli import run
+        with left_at_once():
+            from xplain.cli import run
 
         _tell(given, "composing …")
         run.main(given)
@@ -75,7 +78,8 @@ def _run(given: list[str]) -> None:
     from xplain.config import CONF
 
     command = COMMANDS[name]
-    module = import_module(f"xplain.cli.{command.module}")
+    with left_at_once():
+        module = import_module(f"xplain.cli.{command.module}")
     if any(word in ("--help", "-h") for word in rest):
         print(module.__doc__)
         if below := _commands(name):
@@ -84,7 +88,25 @@ def _run(given: list[str]) -> None:
             print((CONF / f"{command.config}.yaml").read_text(encoding="utf-8"))
         return
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
-    module.main(rest)
+    module.main(_with_own_choices(rest))
+
+
+def _with_own_choices(words: list[str]) -> list[str]:
+    """``--config-dir FOLDER``, as Hydra's own command line has it, for every command.
+
+    Raises:
+        InputError: there is no such folder.
+    """
+    flags = ("--config-dir", "-cd")
+    for i, word in enumerate(words):
+        flag, equals, folder = word.partition("=")
+        if flag in flags:
+            end = i + 1 if equals else i + 2
+            own = Path(folder if equals else "".join(words[i + 1 : end])).absolute()
+            if not own.is_dir():
+                raise InputError(flag, str(own), "a folder with choices of your own")
+            return [*words[:i], *words[end:], f"hydra.searchpath=['file://{own}']"]
+    return words
 
 
 def split(words: list[str]) -> tuple[str | None, list[str]]:

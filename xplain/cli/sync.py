@@ -6,6 +6,7 @@ What is in MLflow already is not sent again; what was left open or half-sent is 
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 from hydra.utils import instantiate
@@ -13,9 +14,12 @@ from hydra.utils import instantiate
 from xplain.config import composed
 from xplain.errors import InputError
 from xplain.experiment.results import RESULTS
-from xplain.runs.folder import SWEEP, SweepFolder
+from xplain.report.summary import SWEEP
+from xplain.runs.folder import SweepFolder
 from xplain.runs.mlflow import MLflow
 from xplain.runs.reuse import runs_and_sweeps
+
+log = logging.getLogger(__name__)
 
 
 def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
@@ -37,6 +41,11 @@ def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
                 count += 1
                 continue
             sweep = SweepFolder(one)
+            try:
+                sweep.load()
+            except InputError as error:  # the others can be sent all the same
+                log.warning("left out: %s", error)
+                continue
             with sweep.alone(f"{one.name}: it is running; waiting for its end"):
                 tracking.send(one, outputs)
             count += sum(sweep.state(job) == "finished" for job in sweep.jobs())

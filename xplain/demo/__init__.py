@@ -1,1 +1,1 @@
-"""One explanation, played: ``python -m xplain demo`` (terminal), ``--html FILE`` (a page)."""
+"""One explanation, played: ``xplain demo`` (terminal), ``--html FILE`` (a page), ``--serve``."""

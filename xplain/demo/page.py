@@ -14,7 +14,7 @@ SHOWN = 6
 
 def page(stage: Stage, played: Played) -> str:
     """The HTML of the page, with the session's data in it."""
-    template = files("xplain.demo").joinpath("page.html").read_text(encoding="utf-8")
+    template = files("xplain.report").joinpath("player.html").read_text(encoding="utf-8")
     # Inside a script element only "</" and "<!--" could end or change what follows.
     data = json.dumps(content(stage, played), ensure_ascii=False).replace("<", "\\u003c")
     return template.replace("/*DATA*/null", data)

@@ -6,35 +6,30 @@ only where the sweep's file says so (``pool``).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations as combinations_of
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from xplain.evaluation.statistics import Estimate, clustered_mean
+from xplain.report.measure import is_choice
 from xplain.report.paper import title
 from xplain.report.summary import Summary, Value
 
-MEASURES = ("regret", "cost", "messages", "inexplicable labels", "oracle", "clairvoyant")
-"""Columns of the table of episodes that are estimated; ``oracle`` and ``clairvoyant`` are costs."""
-
-CONDITIONS = (
-    "domain",
-    "users",
-    "observers",
-    "queries",
-    "lambda",
-    "points",
-    "traces",
-    "max_steps",
-    "message_cost",
-    "inexplicability_cost",
+MEASURES = (
+    "regret",
+    "above_floor",
+    "cost",
+    "messages",
+    "inexplicable labels",
+    "oracle",
+    "clairvoyant",
 )
-"""Keys that pose a problem. All others choose how it is solved, and so can be better or worse."""
+"""Columns of the table of episodes that are estimated; ``oracle`` and ``clairvoyant`` are costs."""
 
 _ALWAYS = ("domain", "lambda")
 
@@ -106,27 +101,41 @@ def regret_csv(summary: Summary) -> str:
 
 
 def differences_csv(summary: Summary) -> str:
-    """Regret of one way to solve a problem minus that of another, paired on the same traces and
-    users: one row a problem and pair; six decimals.
+    """Cost of one way to solve a problem minus that of another, paired on the same traces and
+    users: one row a problem and pair; six decimals. Where both have one oracle, so do regrets
+    differ.
 
     Columns: ``domain``, ``lambda``, every other swept key that poses the problem; ``method`` and
     ``minus``, the two ways; mean, low and high end of the 95 % interval.
     """
     keys = [key for key in summary.keys if key not in summary.pool]
     conditions = ["domain", *(k for k in keys if not is_choice(k) and k not in _ALWAYS), "lambda"]
-    ways = [key for key in keys if is_choice(key)] or ["solver"]
-    names = {tuple(way.values()): _way(way) for way, _ in grouped(summary, ways)}
+    by = [key for key in keys if is_choice(key)] or ["solver"]
+    names = ways(summary, by)
     rows = []
     for values, frame in grouped(summary, conditions):
-        for other, method in combinations_of(names, 2):
-            apart = regret_apart(summary, frame, ways, method, other)
-            if apart is not None:
+        for other, method in itertools.combinations(names, 2):
+            difference = apart(summary, frame, by, method, other)
+            if difference is not None:
                 posed = {key: plain_text(value) for key, value in values.items()}
                 rows.append(
-                    {**posed, "method": names[method], "minus": names[other]} | _ends(apart)
+                    {**posed, "method": names[method], "minus": names[other]} | _ends(difference)
                 )
     columns = [*conditions, "method", "minus", "mean", "low", "high"]
     return csv_text(pd.DataFrame(rows, columns=columns))
+
+
+def ways(summary: Summary, by: Sequence[str]) -> dict[tuple[Value, ...], str]:
+    """``{values: name}`` of the ways to solve a problem: ``pomcp``, or
+    ``pomcp solver.simulations=500``."""
+    return {
+        tuple(way.values()): " ".join(
+            plain_text(value) if key == "solver" else f"{key}={plain_text(value)}"
+            for key, value in way.items()
+            if value != ""
+        )
+        for way, _ in grouped(summary, by)
+    }
 
 
 def csv_text(frame: pd.DataFrame) -> str:
@@ -140,53 +149,35 @@ def _ends(estimate: Estimate, name: str = "") -> dict[str, float]:
     return {f"{name}{end}": getattr(estimate, end) for end in ("mean", "low", "high")}
 
 
-def _way(values: Mapping[str, Value]) -> str:
-    """``pomcp``, or ``pomcp solver.simulations=500``."""
-    return " ".join(
-        plain_text(value) if key == "solver" else f"{key}={plain_text(value)}"
-        for key, value in values.items()
-    )
-
-
 def paired(
     frame: pd.DataFrame,
     by: Sequence[str],
     one: Sequence[Value],
     two: Sequence[Value],
     on: Sequence[str] = PROBLEM,
-    measure: str = "cost",
 ) -> pd.DataFrame:
-    """Episodes of one way to solve a problem with ``difference``: their measure less that of
-    another way, ``<measure>_other``, on the same problem; without those that have no partner.
+    """Episodes of one way to solve a problem with ``difference``: their cost less that of another
+    way, ``cost_other``, on the same problem; without those that have no partner.
 
     Args:
         frame: of episodes.
         by: columns that tell ways apart.
         one, two: their values in the two ways.
         on: columns that are the same in a pair.
-        measure: column of what is compared.
     """
     left, right = (frame[(frame[list(by)] == list(way)).all(axis=1)] for way in (one, two))
     key = [*on]
-    both = left.merge(
-        right[[*key, measure]], on=key, suffixes=("", "_other"), validate="one_to_one"
-    )
-    both["difference"] = both[measure] - both[f"{measure}_other"]
-    return both.dropna(subset=["difference"])
+    both = left.merge(right[[*key, "cost"]], on=key, suffixes=("", "_other"), validate="one_to_one")
+    return both.assign(difference=both["cost"] - both["cost_other"])
 
 
-def regret_apart(
+def apart(
     summary: Summary, frame: pd.DataFrame, by: Sequence[str], one: Any, two: Any
 ) -> Estimate | None:
-    """Regret of one way minus that of another, on the same traces and users."""
-    both = paired(frame, by, one, two, (*summary.pool, "seed", "trace", "type"), "regret")
+    """Cost of one way minus that of another, on the same traces and users; None where they share
+    none."""
+    both = paired(frame, by, one, two, (*summary.pool, "seed", "trace", "type"))
     return clustered_mean(both["difference"], summary.clusters(both)) if len(both) else None
-
-
-def is_choice(key: str) -> bool:
-    """Whether the values of a key compete: with a solver one may do better, with a λ one may
-    not."""
-    return key.partition(".")[0] not in CONDITIONS
 
 
 def plain_text(value: Value) -> str:
@@ -206,7 +197,13 @@ def value_title(key: str, value: Value) -> str:
 
 
 def value_label(key: str, value: Value) -> str:
-    """A value with its key for people: ``λ = 0.5``, but ``QMDP`` and ``Four rooms``."""
-    if key in ("domain", "solver"):
+    """A value with its key for people: ``λ = 0.5``, but ``QMDP`` and ``Four rooms``; "" of a key
+    that the job lacks."""
+    if key in ("domain", "solver") or value == "":
         return value_title(key, value)
-    return f"{heading(key)} = {plain_text(value) or '–'}"
+    return f"{heading(key)} = {plain_text(value)}"
+
+
+def label(values: Mapping[str, Value]) -> str:
+    """Values with their keys, as :func:`value_label` has them."""
+    return ", ".join(filter(None, itertools.starmap(value_label, values.items())))

@@ -6,8 +6,7 @@ import sys
 
 from rich.console import Console
 
-from xplain.report import paper_table
-from xplain.report.regret_table import regret_table
+from xplain.report.comparison import answer, main_table
 from xplain.report.summary import Summary
 
 WIDTH = 100
@@ -15,13 +14,12 @@ WIDTH = 100
 
 
 def print_sweep(summary: Summary) -> None:
-    """The sweep's table on standard output; Table 1 with the paper's values where it asks for
-    it."""
-    of = paper_table.table if summary.report == "table1" else regret_table
-    table = of(summary)
+    """The sweep's table on standard output, and who costs least."""
+    table = main_table(summary)
     shown = table.shown()
     needed = Console(width=10_000).measure(shown).maximum
-    for text, width in ((table.about, needed), (shown, needed), (table.caption, WIDTH)):
+    below = ((answer(summary), WIDTH), (table.caption, WIDTH))
+    for text, width in ((table.about, needed), (shown, needed), *below):
         columns = None if sys.stdout.isatty() else max(WIDTH, width)
         if text:
             Console(highlight=False, markup=False, width=columns).print(text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import prod
 
-from xplain.report.combinations import is_choice
+from xplain.report.measure import is_choice
 from xplain.report.summary import Summary
 
 WIDEST = 8

@@ -18,9 +18,6 @@ from xplain.report.table import Cell, Table, number
 REFERENCES = ("oracle", "clairvoyant")
 """Whose costs stand before the methods' regrets."""
 
-TO_FLOOR = "regret to clairvoyant"
-"""The measure beside ``regret`` (to the oracle); the paper has no values of it."""
-
 
 def numbers(summary: Summary, by_setting: bool = False, measure: str = "regret") -> pd.DataFrame:
     """A row a number of the table: the references' costs, then the regret of each method.
@@ -31,7 +28,7 @@ def numbers(summary: Summary, by_setting: bool = False, measure: str = "regret")
     Args:
         summary: of a sweep.
         by_setting: a domain's settings apart; else they are pooled, as in the paper.
-        measure: ``regret`` or TO_FLOOR.
+        measure: ``regret``, as the paper, ``above_floor`` or ``cost``.
     """
     published = table1() if measure == "regret" else {}
     rows = []
@@ -96,8 +93,11 @@ def _columns(summary: Summary) -> list[str]:
 
 
 def _caption(summary: Summary, measure: str) -> str:
-    to_oracle = measure == "regret"
-    whose = "oracle's" if to_oracle else "clairvoyant's"
+    whose = {
+        "regret": "regret (cost minus the oracle's on the same trace and user)",
+        "above_floor": "cost minus the clairvoyant's on the same trace and user",
+        "cost": "cost",
+    }
     paper = "; in parentheses the paper's value, with a sign our difference to it"
     pooled = [
         f" {title(domain)} pools {len(settings)} settings ({'; '.join(settings)})."
@@ -105,9 +105,9 @@ def _caption(summary: Summary, measure: str) -> str:
         if len(settings) > 1
     ]
     return (
-        f"Costs of the references, and regret (cost minus the {whose} on the same trace and user) "
-        f"of each method; 95 % intervals over {summary.unit} in brackets"
-        f"{paper if to_oracle else ''}.{summary.told_missing}{''.join(pooled)}"
+        f"Costs of the references, and {whose[measure]} of each method; 95 % intervals over "
+        f"{summary.unit} in brackets{paper if measure == 'regret' else ''}.{summary.told_missing}"
+        + "".join(pooled)
     )
 
 

@@ -19,6 +19,7 @@ from matplotlib.ticker import MaxNLocator
 from xplain.report.learning import elbows as curves_of
 from xplain.report.paper import title
 from xplain.report.summary import Summary
+from xplain.storage import written_whole
 
 # Okabe and Ito's palette, grey for their yellow; each series has a marker and a line style, too.
 COLOURS = (
@@ -95,7 +96,7 @@ def elbows(summary: Summary) -> Figure | None:
         for index, (setting, (curve, chosen)) in enumerate(curves.items()):
             style = series_style(index) if few else {"color": "#888888", "alpha": 0.5}
             words = ", ".join(
-                f"{k}" + (f" ({times} seeds)" if len(chosen) > 1 else "")
+                f"{k}" + (f" ({times} seed{'s' * (times > 1)})" if len(chosen) > 1 else "")
                 for k, times in sorted(chosen.items())
             )
             text = f"{setting}: chosen {words}" if setting else f"chosen: {words}"
@@ -134,6 +135,12 @@ def figure_of_panels(
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Writes a figure in the format of the path's suffix."""
+    """Writes a figure in the format of the path's suffix, whole or not at all.
+
+    Raises:
+        OSError: with the path.
+    """
     # Without dates and random ids the same figure is the same file.
-    figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+    metadata = {"Date": None} if path.suffix == ".svg" else None
+    with written_whole(path, "wb") as file:
+        figure.savefig(file, format=path.suffix[1:], metadata=metadata)

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from xplain.experiment.results import Figure, Results
+from xplain.report.measure import NEGATIVE
 from xplain.report.paper import table1
 
 TITLES = {
@@ -51,6 +52,8 @@ def print_summary(results: Results) -> None:
         value = paper.get(name)
         table.add_row(*row, *(["" if value is None else f"{value:.2f}"] if published else []))
     console.print(table)
+    if "regret" in results.metrics and results.metrics["regret"].mean < 0:
+        console.print(NEGATIVE)
 
 
 def print_certificates(bounds: Mapping[str, float]) -> None:

@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from xplain.errors import InputError
 from xplain.evaluation.metrics import possible
 from xplain.evaluation.statistics import Estimate, clustered_mean
 from xplain.experiment.results import RESULTS, Results, load_results
+from xplain.report.measure import Measure, measure_of
 from xplain.report.settings import method_of, setting_of
 
 ORDER = (
@@ -38,16 +40,38 @@ Value = float | str
 """Of a swept key: a number where all its values are; "" where a setting lacks the key."""
 
 
+SWEEP = "sweep.json"
+
+
+def load_sweep(folder: Path) -> dict[str, Any]:
+    """What a sweep is: its command, its ``jobs``, how it is shown.
+
+    Raises:
+        OSError: there is no such file.
+        InputError: it is damaged.
+    """
+    path = folder / SWEEP
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if {"command", "jobs"} <= content.keys() and isinstance(content["jobs"], list):
+            return content
+    except (ValueError, AttributeError):
+        pass
+    raise InputError("sweep", str(path), "is damaged; the sweep's own command writes it anew")
+
+
 class Summary:
     """What a sweep's finished jobs say.
 
     Args:
         folder: of the sweep.
+        measure: what its jobs are compared by; None takes what is fair
+            (:func:`xplain.report.measure.measure_of`).
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.about: dict[str, Any] = json.loads((folder / "sweep.json").read_text("utf-8"))
+    def __init__(self, folder: Path, measure: str | None = None) -> None:
+        self.folder, self._asked = folder, measure
+        self.about = load_sweep(folder)
         self.jobs: list[dict[str, Any]] = self.about["jobs"]
         self.results: list[tuple[dict[str, Any], Results]] = []
         for job in self.jobs:
@@ -163,8 +187,13 @@ class Summary:
         frame = pd.DataFrame(rows)
         if len(frame):
             frame["regret"] = frame["cost"] - frame["oracle"]
-            frame["regret to clairvoyant"] = frame["cost"] - frame["clairvoyant"]
+            frame["above_floor"] = frame["cost"] - frame["clairvoyant"]
         return frame
+
+    @cached_property
+    def measure(self) -> Measure:
+        """What its jobs are compared by."""
+        return measure_of(self.episodes, self.keys, self._asked)
 
     @cached_property
     def methods(self) -> list[str]:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from xplain.report.combinations import grouped, heading, plain_text, value_label, value_title
+from xplain.report.combinations import grouped, heading, label, plain_text, value_title
 from xplain.report.layout import PlotLayout, plot_layout
 from xplain.report.paper import table1
 from xplain.report.plots import figure_of_panels, series_style
@@ -33,7 +33,7 @@ WIDE_RANGE = 8.0
 """Means whose largest is so many times their median are drawn on an axis of square roots."""
 
 
-def against_main_key(summary: Summary, measure: str, label: str) -> Figure | None:
+def against_main_key(summary: Summary, measure: str, title: str) -> Figure | None:
     """A measure against the main swept key, with intervals; None where nothing was swept.
 
     Regrets in a report of Table 1 stand beside the paper's (open markers).
@@ -47,7 +47,6 @@ def against_main_key(summary: Summary, measure: str, label: str) -> Figure | Non
     lines = [values for values, _ in grouped(summary, layout.lines)]
     figure, axes = figure_of_panels(len(panels))
     gap = min(np.diff(sorted(place.values())), default=1.0)
-    means = [summary.mean(own, "regret").mean for own in _cells(summary, layout)]
     for panel, (values, frame) in zip(axes, panels, strict=True):
         for index, line in enumerate(lines):
             points = _points(summary, _where(frame, line), layout.x, measure)
@@ -58,45 +57,28 @@ def against_main_key(summary: Summary, measure: str, label: str) -> Figure | Non
             mean, low, high = np.array(list(points.values())).T
             errors = np.nan_to_num([mean - low, high - mean])
             style = series_style(index) | ({} if layout.numeric else {"linestyle": "none"})
-            name = ", ".join(value_label(key, value) for key, value in line.items())
+            name = label(line)
             panel.errorbar(x, mean, errors, capsize=2.5, lw=1.4, ms=5, label=name or None, **style)
             if summary.report == "table1" and measure == "regret":
                 _draw_paper(panel, summary, {**values, **line}, shift, style)
         _name_axes(panel, layout, ticks, place)
-        title = ", ".join(value_label(key, value) for key, value in values.items())
-        panel.set_title(title, loc="left", weight="bold", fontsize=10)
+        panel.set_title(label(values), loc="left", weight="bold", fontsize=10)
     for panel in axes:
-        _scale(panel, measure, summary.report == "table1" or wide_range(means))
+        _scale(panel, measure, measure == summary.measure.name and has_roots(summary))
     _share_scale(axes, layout)
-    axes[0].set_ylabel(label)
+    axes[0].set_ylabel(title)
     if summary.report == "table1" and measure == "regret":
         axes[len(panels) - 1].plot([], [], "o", color="#666666", mfc="white", label="paper")
     legend_right(figure, axes)
     return figure
 
 
-def regret_caption(summary: Summary) -> str:
-    """What the plot of regrets shows."""
-    layout = plot_layout(summary)
-    text = f"Regret against {heading(layout.x or '')}"
-    if not summary.episodes.empty and summary.clusters(summary.episodes).nunique() > 1:
-        text += f", with 95 % intervals over {'seeds' if summary.seeds > 1 else 'traces'}"
-    if summary.report == "table1":
-        text += "; open markers are the paper’s values"
-    count = len(grouped(summary, layout.panels))
-    if count > MOST_PANELS:
-        text += f"; the first {MOST_PANELS} of {count} panels"
-    means = [summary.mean(frame, "regret").mean for frame in _cells(summary, layout)]
-    if wide_range(means):
-        text += ". The axis is scaled by the square root, so that small and large regrets both show"
-    return f"{text}."
-
-
-def _cells(summary: Summary, layout: PlotLayout) -> list[pd.DataFrame]:
-    """The episodes behind each point."""
+def has_roots(summary: Summary) -> bool:
+    """Whether the sweep's measure is drawn on an axis of square roots."""
+    layout, measure = plot_layout(summary), summary.measure.name
     keys = [*([layout.x] if layout.x else []), *layout.lines, *layout.panels]
-    frames = (frame.dropna(subset=["regret"]) for _, frame in grouped(summary, keys))
-    return [frame for frame in frames if len(frame)]
+    found = [summary.estimate(frame, measure) for _, frame in grouped(summary, keys)]
+    return summary.report == "table1" or wide_range([one.mean for one in found if one is not None])
 
 
 def belief_over_steps(summary: Summary) -> Figure | None:
@@ -112,18 +94,20 @@ def belief_over_steps(summary: Summary) -> Figure | None:
         for index, line in enumerate(lines):
             if line.get("solver") == "baseline":
                 continue  # it believes nothing
-            belief = _by_step(summary, "belief_in_true_type", {**fixed, **values, **line})
+            belief, episodes = by_step(summary, "belief_in_true_type", {**fixed, **values, **line})
             if len(belief):
                 drawn = True
-                name = ", ".join(value_label(key, value) for key, value in line.items()) or None
+                if episodes[-1] < episodes[0]:
+                    left = f" {episodes[-1]:.0f} of {episodes[0]:.0f} last so long"
+                    panel.annotate(left, (len(belief) - 1, belief[-1]), fontsize=7, va="center")
+                name = label(line) or None
                 style = series_style(index)
                 panel.plot(belief, lw=1.4, ms=4, markevery=2, label=name, **style)
         panel.set_ylim(0, 1.02)
-        title = ", ".join(value_label(key, value) for key, value in values.items())
-        panel.set_title(title, loc="left", weight="bold", fontsize=10)
+        panel.set_title(label(values), loc="left", weight="bold", fontsize=10)
         panel.set_xlabel("steps explained")
         panel.xaxis.set_major_locator(MaxNLocator(integer=True))
-    at = ", ".join(value_label(key, value) for key, value in fixed.items())
+    at = label(fixed)
     axes[0].set_ylabel("belief in the true type" + (f" ({at})" if at else ""))
     legend_right(figure, axes)
     return figure if drawn else None
@@ -209,11 +193,11 @@ def _draw_paper(
 
 
 def _scale(axes: Axes, measure: str, roots: bool) -> None:
-    """Regrets of the baseline and of the others differ tenfold: square roots show both."""
-    if measure != "regret":
+    """What the baseline and the others cost differs tenfold: square roots show both."""
+    if measure == "regret":
+        axes.axhline(0, color="#222222", lw=0.8)
+    else:
         axes.set_ylim(bottom=0)
-        return
-    axes.axhline(0, color="#222222", lw=0.8)
     if roots:
         axes.set_yscale(
             "function",
@@ -235,8 +219,10 @@ def wide_range(means: list[float]) -> bool:
     return bool(known) and max(known) > WIDE_RANGE * float(np.median(known))
 
 
-def _by_step(summary: Summary, name: str, wanted: Mapping[str, Value]) -> NDArray[np.float64]:
-    """Mean at each step over all episodes of these values that last so long."""
+def by_step(
+    summary: Summary, name: str, wanted: Mapping[str, Value]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean at each step over all episodes of these values that last so long, and how many do."""
     total: NDArray[np.float64] = np.zeros(0)
     count: NDArray[np.float64] = np.zeros(0)
     for job, results in summary.results:
@@ -250,5 +236,4 @@ def _by_step(summary: Summary, name: str, wanted: Mapping[str, Value]) -> NDArra
         count = np.pad(count, (0, longest - len(count)))
         total[: len(series)] += series * weight
         count[: len(series)] += weight
-    mean: NDArray[np.float64] = total / count
-    return mean
+    return total / count, count

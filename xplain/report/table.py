@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from xplain.evaluation.statistics import Estimate
@@ -136,7 +136,8 @@ class Table:
         if self.halves:
             text = " ".join(filter(None, [cell.main, spread]))
             text = rf"$\mathbf{{{text}}}$" if cell.mark == BEST else f"${text}$"
-            return text + (r" $\approx$" if cell.mark == TIE else "")
+            text += r" $\approx$" if cell.mark == TIE else ""
+            return rf"\shortstack[r]{{{text}\\\tiny {tex(cell.note)}}}" if cell.note else text
         above = f"${cell.main}$" + ("" if math.isnan(cell.paper) else f" ({cell.paper:.2f})")
         return rf"\shortstack[r]{{{above}\\\tiny${spread}$}}" if spread else above
 
@@ -163,8 +164,10 @@ class Table:
         return table
 
     def _shown(self, cell: Cell) -> str:
-        if self.halves or cell.estimate is None:
+        if cell.estimate is None:
             return self.text(cell)
+        if self.halves:
+            return "\n".join(filter(None, [self.text(replace(cell, note="")), cell.note]))
         paper = "" if math.isnan(cell.paper) else f" ({cell.paper:.2f})"
         return "\n".join(filter(None, [cell.main + paper, cell.ends]))
 

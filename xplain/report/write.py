@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from xplain.report import claims, decomposition, paper_table
+from xplain.report import claims, comparison, decomposition, paper_table
 from xplain.report.combinations import differences_csv, regret_csv
 from xplain.report.page import Picture, Pictures, page
 from xplain.report.paper import title
-from xplain.report.regret_table import regret_table
 from xplain.report.summary import Summary
 from xplain.storage import write_text
 
@@ -18,13 +17,17 @@ REPORT = "report"
 CSV_OF_COMBINATIONS = "regret.csv"
 
 
-def write_report(folder: Path) -> tuple[Summary, Path]:
+def write_report(folder: Path, measure: str | None = None) -> tuple[Summary, Path]:
     """Makes everything below ``<sweep>/report`` anew from the finished jobs.
+
+    Args:
+        folder: of the sweep.
+        measure: see :class:`Summary`.
 
     Raises:
         OSError, ValueError: this is no sweep's folder, or it cannot be written.
     """
-    summary = Summary(folder)
+    summary = Summary(folder, measure)
     report = folder / REPORT
     report.mkdir(exist_ok=True)
     if summary.results:
@@ -38,10 +41,10 @@ def _tables(summary: Summary) -> Iterator[tuple[str, str]]:
     """(file, content)."""
     yield CSV_OF_COMBINATIONS, regret_csv(summary)
     yield "differences.csv", differences_csv(summary)
-    yield "table.md", regret_table(summary).markdown()
-    yield "table.tex", regret_table(summary).latex()
+    yield "table.md", comparison.table(summary).markdown()
+    yield "table.tex", comparison.table(summary).latex()
     if summary.report == "table1":
-        for name, measure in (("table1", "regret"), ("table1_clairvoyant", paper_table.TO_FLOOR)):
+        for name, measure in (("table1", "regret"), ("table1_clairvoyant", "above_floor")):
             yield f"{name}.md", paper_table.table(summary, measure=measure).markdown()
             yield f"{name}.csv", paper_table.as_csv(summary, measure)
         yield "table1.tex", paper_table.table(summary).latex()
@@ -55,48 +58,25 @@ def draw(summary: Summary, report: Path) -> Pictures:
     """Draws every plot and picture into the folder."""
     from xplain.report import plots, sweep_plots
 
-    pictures = Pictures()
-    drawn = [
-        (
-            pictures.regret,
-            "regret",
-            sweep_plots.against_main_key(summary, "regret", "regret (cost − oracle’s)"),
-            sweep_plots.regret_caption(summary),
+    pictures, measure = Pictures(), summary.measure
+    drawn = {
+        "regret": sweep_plots.against_main_key(summary, measure.name, measure.title),
+        "messages": sweep_plots.against_main_key(summary, "messages", "messages an episode"),
+        "inexplicable": sweep_plots.against_main_key(
+            summary, "inexplicable labels", "inexplicable labels an episode"
         ),
-        (
-            pictures.diagnostics,
-            "messages",
-            sweep_plots.against_main_key(summary, "messages", "messages an episode"),
-            "Messages given in an episode, mean over traces and users.",
-        ),
-        (
-            pictures.diagnostics,
-            "inexplicable",
-            sweep_plots.against_main_key(
-                summary, "inexplicable labels", "inexplicable labels an episode"
-            ),
-            "Labels “inexplicable” in an episode, summed over its steps, mean over traces and "
-            "users.",
-        ),
-        (
-            pictures.types,
-            "disagreements",
-            plots.elbows(summary),
-            "Disagreements of labels within clusters against the number of clusters; rings mark "
-            "the numbers of user types that were chosen.",
-        ),
-        (
-            pictures.types,
-            "belief",
-            sweep_plots.belief_over_steps(summary),
-            "Belief in the user’s true type after each step, mean over the traces that last so "
-            "long.",
-        ),
-    ]
-    for section, name, figure, caption in drawn:
+        "belief": sweep_plots.belief_over_steps(summary),
+        "disagreements": plots.elbows(summary),
+    }
+    for name, figure in drawn.items():
         if figure is not None:
             plots.save(figure, report / f"{name}.svg")
-            section.append(Picture(report / f"{name}.svg", caption))
+    if drawn["disagreements"] is not None:
+        caption = (
+            "Disagreements of labels within clusters against the number of clusters; rings mark "
+            "the numbers of user types that were chosen."
+        )
+        pictures.types.append(Picture(report / "disagreements.svg", caption))
     for domain, path, caption in _trace_pictures(summary, report):
         pictures.traces.setdefault(domain, []).append(Picture(path, caption))
     return pictures

@@ -19,11 +19,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from xplain.errors import InputError
 from xplain.experiment.results import RESULTS, load_results
+from xplain.report.summary import SWEEP, load_sweep
 from xplain.runs.plan import Job, Plan
 from xplain.storage import write_text
 
-SWEEP = "sweep.json"
 FAILURE = "failure.json"
 STARTED = "started.json"
 
@@ -61,8 +62,11 @@ class SweepFolder:
             lock.release()
 
     def save(self, plan: Plan, about: dict[str, Any]) -> None:
-        """Writes down what the sweep is (once: the first command stays the one on record)."""
-        if not (self.path / SWEEP).exists():
+        """Writes down what the sweep is (once, or anew where it is damaged: the first command stays
+        the one on record)."""
+        try:
+            self.load()
+        except (OSError, InputError):
             content = {"name": plan.name, **about, "jobs": [asdict(job) for job in plan.jobs]}
             write_text(self.path / SWEEP, json.dumps(content, indent=1) + "\n")
 
@@ -70,10 +74,10 @@ class SweepFolder:
         """What :meth:`save` wrote.
 
         Raises:
-            OSError, ValueError: this is no sweep's folder.
+            OSError: this is no sweep's folder.
+            InputError: the file is damaged.
         """
-        content: dict[str, Any] = json.loads((self.path / SWEEP).read_text(encoding="utf-8"))
-        return content
+        return load_sweep(self.path)
 
     def jobs(self) -> tuple[Job, ...]:
         """The jobs in the order in which the sweep runs them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import statistics
 from collections.abc import Mapping, Sequence
@@ -23,7 +24,8 @@ from xplain.runs.todo import Todo
 
 @dataclass(frozen=True)
 class Experience:
-    """How long a finished job took: seconds a trace, with this class of domain and of solver."""
+    """How long a finished job took: seconds a trace, with this class of domain, and with this
+    solver and all its settings: ten times the simulations are another solver."""
 
     domain: str
     solver: str
@@ -34,7 +36,7 @@ class Experience:
         """Of a job with this resolved configuration, which took so long."""
         return cls(
             domain=str(config["domain"]["_target_"]),
-            solver=str(config["solver"]["_target_"]),
+            solver=json.dumps(config["solver"], sort_keys=True),
             seconds=seconds / int(config["traces"]),
         )
 
@@ -50,13 +52,12 @@ def experiences(outputs: Path) -> list[Experience]:
 
 
 def expected_seconds(known: Sequence[Experience], config: Mapping[str, Any]) -> float | None:
-    """Median of the jobs most like this one, a trace, times its traces; None where none is."""
+    """Median of the jobs most like this one, a trace, times its traces; None where none had its
+    solver."""
     own = Experience.of(config, 0.0)
-    alike = (
-        [one.seconds for one in known if (one.domain, one.solver) == (own.domain, own.solver)]
-        or [one.seconds for one in known if one.solver == own.solver]
-        or [one.seconds for one in known]
-    )
+    alike = [
+        one.seconds for one in known if (one.domain, one.solver) == (own.domain, own.solver)
+    ] or [one.seconds for one in known if one.solver == own.solver]
     return int(config["traces"]) * statistics.median(alike) if alike else None
 
 
@@ -106,7 +107,9 @@ def _time(expected: list[float | None], workers: int, known: int) -> str:
     seconds = [value for value in expected if value is not None]
     if not seconds:
         return "time to expect: unknown, no job like these has finished yet"
+    unknown = len(expected) - len(seconds)
     on = f"{workers} worker{'s' if workers > 1 else ''}"
+    on += f", and {unknown} jobs unlike all that have finished" if unknown else ""
     return (
         f"time to expect: about {duration(sum(seconds) / workers)} on {on}, judged by {known} "
         f"finished job{'s' if known > 1 else ''}"

@@ -19,7 +19,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__
-from xplain.config import GROUPS, hand_over, one_line, require_usable
+from xplain.config import GROUPS, one_line, require_usable
 from xplain.experiment.cache import prepared_once, source_fingerprint
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import evaluate, with_true_labels
@@ -67,13 +67,10 @@ def run_job(cfg: DictConfig) -> float | None:
             shutil.rmtree(folder, ignore_errors=True)
             return None
         return _run_alone(cfg, folder)
-    except Exception as error:  # whatever it is: it is raised again or handed over
-        if HydraConfig.get().mode != RunMode.RUN:
-            raise
-        if one_line(error) is not None:
+    except Exception as error:  # whatever it is: it is raised again
+        if HydraConfig.get().mode == RunMode.RUN and one_line(error) is not None:
             shutil.rmtree(folder, ignore_errors=True)
-        hand_over(error)
-        return None
+        raise
 
 
 def _run_alone(cfg: DictConfig, folder: Path) -> float | None:

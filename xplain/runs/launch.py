@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, JobStatus
@@ -72,7 +73,35 @@ def interruptible() -> Iterator[threading.Event]:
     heard = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, interrupt) for number in heard}
     try:
-        yield came
+        with _not_for_workers() if signal.SIGINT in heard else nullcontext():
+            yield came
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def _not_for_workers() -> Iterator[None]:
+    """Ctrl-C reaches every process of the terminal, and a worker that imports would print
+    tracebacks. Workers inherit that it is blocked; here a thread waits for it."""
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # its start lifts the block
+    ended = threading.Event()
+
+    def wait() -> None:
+        signal.sigwait({signal.SIGINT})
+        if not ended.is_set():
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    waiting = threading.Thread(target=wait, daemon=True)
+    waiting.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        if waiting.is_alive():
+            signal.pthread_kill(waiting.ident or 0, signal.SIGINT)
+        waiting.join()
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

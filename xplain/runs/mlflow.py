@@ -19,7 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from xplain.runs.folder import SWEEP, SweepFolder
+from xplain.report.summary import SWEEP
+from xplain.runs.folder import SweepFolder
 from xplain.runs.mlflow_run import Store, send_run
 from xplain.runs.mlflow_sweep import SweepRuns
 from xplain.runs.mlflow_views import describe_experiment

@@ -22,18 +22,18 @@ RESULT_TAG = "xplain.result"
 
 PARENT_TAG = "mlflow.parentRunId"
 
-FIGURES = (
-    "regret",
-    "cost",
-    "oracle_cost",
-    "messages",
-    "inexplicable_labels",
-    "steps_until_sure",
-    "decision_ms",
-)
-"""Of a result's figures, those that are compared; ``results.json`` among the files has all."""
+FIGURES = {
+    "regret": "regret",
+    "regret_to_clairvoyant": "above_floor",
+    "cost": "cost",
+    "messages": "messages",
+    "inexplicable_labels": "inexplicable_labels",
+    "steps_until_sure": "steps_until_sure",
+}
+"""Of a result's figures, those that are compared, by their names in MLflow; ``results.json`` among
+the files has all."""
 
-LEARNED = ("types_found", "adjusted_rand_index", "labeler_accuracy")
+LEARNED = ("adjusted_rand_index", "labeler_accuracy")
 MOST_PARAMETERS = 25
 
 
@@ -100,6 +100,7 @@ def send_job(
     sweep: SweepFolder,
     job: Job,
     step: int,
+    number: int,
     results: Results | None = None,
 ) -> None:
     """Sends what a job of a sweep left; nothing where it has not ended.
@@ -110,14 +111,16 @@ def send_job(
         parent: the sweep's own run.
         sweep, job: which job.
         step: where its figures stand in charts of the sweep.
+        number: of the job, from 1: names of runs begin with it, for pages cut them.
         results: of the job, where they were read already.
     """
     folder, state, client = sweep.of(job), sweep.state(job), store.client
+    name = f"{number} · {job.label}"
     tags = {RESULT_TAG: sweep.result_id(job), PARENT_TAG: parent, **source_tags(git_state())}
     if state == "finished":
         results = results or load_results(folder)
         started = int(1000 * results.started)
-        run_id, new = store.once(known, job.label, "FINISHED", started, tags)
+        run_id, new = store.once(known, name, "FINISHED", started, tags)
         if new:
             fill(client, run_id, folder, results, job.values, step)
     elif state == "failed":
@@ -126,7 +129,7 @@ def send_job(
         tags["mlflow.note.content"] = f"```\n{failure['traceback'][-6000:]}```"
         files = [folder / name for name in (STARTED, FAILURE) if (folder / name).exists()]
         times = sorted(int(1000 * path.stat().st_mtime) for path in files)
-        run_id, new = store.once(known, job.label, "FAILED", times[0], tags)
+        run_id, new = store.once(known, name, "FAILED", times[0], tags)
         if new:
             client.log_artifacts(run_id, str(folder))
             client.set_terminated(run_id, "FAILED", times[-1])
@@ -195,12 +198,11 @@ def ended(results: Results) -> int:
 
 def scalars(results: Results) -> dict[str, float]:
     """Figures that make one number each: at most 13, two curves besides."""
-    flat = {name: results.metrics[name].mean for name in FIGURES if name in results.metrics}
-    if "regret" in results.metrics:
-        regret = results.metrics["regret"]
-        for end, value in (("low", regret.low), ("high", regret.high)):
-            if value is not None:
-                flat[f"regret.{end}"] = value
+    known = {FIGURES[key]: own for key, own in results.metrics.items() if key in FIGURES}
+    flat = {name: own.mean for name, own in known.items()}
+    for name in {"regret", "above_floor"} & known.keys():
+        ends = {f"{name}.low": known[name].low, f"{name}.high": known[name].high}
+        flat |= {end: value for end, value in ends.items() if value is not None}
     flat |= {name: results.learning[name] for name in LEARNED if name in results.learning}
     return flat | {"seconds": sum(results.seconds.values())}
 

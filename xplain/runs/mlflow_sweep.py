@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from xplain.experiment.fingerprint import git_state
 from xplain.experiment.results import Results
 from xplain.report.combinations import heading
-from xplain.report.regret_table import markdown
+from xplain.report.comparison import answer, main_table
 from xplain.report.summary import Summary
 from xplain.runs.folder import SweepFolder
 from xplain.runs.mlflow_run import (
@@ -24,8 +24,9 @@ from xplain.runs.mlflow_run import (
     source_tags,
 )
 from xplain.runs.mlflow_views import (
+    ANSWER_TAG,
     SWEEP_TAG,
-    best_regret,
+    bests,
     chart_view,
     curves,
     describe_experiment,
@@ -55,6 +56,7 @@ class SweepRuns:
         self._store, self._folder = store, folder
         self._jobs, about = folder.jobs(), folder.load()
         self._main = main_key(self._jobs)
+        self._numbers = {job.name: i for i, job in enumerate(self._jobs, 1)}
         self._view = folder.identity.rpartition("-")[2]
         self._started = int(1000 * about["started"])
         swept = swept_values(self._jobs)
@@ -83,8 +85,8 @@ class SweepRuns:
     def send(self, job: Job, results: Results | None = None) -> None:
         """Sends a job that has ended, and does nothing for another; its results may be known."""
         known = self._children.get(self._folder.result_id(job), [])
-        step = self._main.step(job.values)
-        send_job(self._store, known, self._parent, self._folder, job, step, results)
+        step, number = self._main.step(job.values), self._numbers[job.name]
+        send_job(self._store, known, self._parent, self._folder, job, step, number, results)
 
     def finish(self) -> list[str]:
         """Brings all runs and views to the state on disk; returns lines that tell where."""
@@ -106,7 +108,7 @@ class SweepRuns:
             pages, experiment = self._store.pages, self._store.experiment
             return [f"MLflow: {pages}/experiments/{experiment}/runs/{self._parent}"]
         table, *charts = self._addresses(self._store.pages)
-        words = f"  regret against {heading(self._main.key)}: "
+        words = f"  {summary.measure.title} against {heading(self._main.key)}: "
         return [f"MLflow: {table}", *(words + chart for chart in charts)]
 
     def _show(self, summary: Summary, end: int) -> None:
@@ -118,12 +120,11 @@ class SweepRuns:
             Metric(name, value, self._started, step)
             for name, step, value in curves(summary, self._main)
         ]
-        best = best_regret(summary)
-        if best is not None:
-            metrics.append(Metric("best_regret", round(best, 4), end, 0))
+        metrics += [Metric(name, round(best, 4), end, 0) for name, best in bests(summary).items()]
         for first in range(0, len(metrics), 900):
             client.log_batch(self._parent, metrics[first : first + 900])
         client.set_tag(self._parent, "mlflow.note.content", self._note(summary))
+        client.set_tag(self._parent, ANSWER_TAG, answer(summary) or "nothing competes")
         save_view(client, experiment, self._view, sweep_view(self._parent, summary, self._main))
         if self._main.key:
             chart = chart_view(self._parent, summary, self._main)
@@ -132,7 +133,7 @@ class SweepRuns:
         describe_experiment(client, experiment, newest)
 
     def _addresses(self, pages: str) -> list[str]:
-        """Of the views: the jobs with what was swept and their regrets; the chart, if any."""
+        """Of the views: the jobs with what was swept and their figures; the chart, if any."""
         experiment = self._store.experiment
         found = [view_address(pages, experiment, self._view)]
         if self._main.key:
@@ -142,10 +143,11 @@ class SweepRuns:
     def _note(self, summary: Summary) -> str:
         """The parent's description."""
         table, *charts = self._addresses("#")
-        words = f"[regret against {heading(self._main.key)}]"
-        links = [f"[its jobs by regret]({table})", *(f"{words}({chart})" for chart in charts)]
+        words = f"[{summary.measure.title} against {heading(self._main.key)}]"
+        links = [f"[its jobs]({table})", *(f"{words}({chart})" for chart in charts)]
+        swept = ", ".join(summary.keys) or "nothing"
         return (
-            f"{len(self._jobs)} jobs over {', '.join(summary.keys) or 'nothing'}: "
+            f"{answer(summary)}\n\n{len(self._jobs)} jobs over {swept}: "
             f"{', '.join(links)}; the report is among the artifacts (`report/index.html`). "
-            f"`{self._folder.load()['command']}`\n\n{markdown(summary)}"
+            f"`{self._folder.load()['command']}`\n\n{main_table(summary).markdown()}"
         )

@@ -13,13 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from xplain.report.combinations import (
-    combinations,
-    grouped,
-    heading,
-    value_label,
-)
+from xplain.report.combinations import grouped, heading, value_label
+from xplain.report.comparison import verdicts
 from xplain.report.layout import plot_layout
+from xplain.report.measure import is_problem
 from xplain.report.summary import Summary, Value, is_number
 from xplain.runs.plan import Job
 
@@ -30,11 +27,13 @@ SWEEP_TAG = "xplain.sweep"
 """Tag of a sweep's parent: identity of the sweep."""
 
 VIEW_TAG = "mlflow.sharedViewState."
+ANSWER_TAG = "xplain.answer"
+"""Tag of a sweep's parent: what won, by how much, whether that is decided."""
 SWEEPS_VIEW = "sweeps"
 """Key of the view over all sweeps."""
 
-FIGURES = ("regret", "regret.low", "regret.high", "cost", "messages", "inexplicable_labels")
-"""Columns of a sweep's view beside what was swept."""
+BESIDE = ("messages", "inexplicable_labels")
+"""Columns of a sweep's view after its measure, the cost and what was swept."""
 
 MOST_CURVES = 12
 
@@ -57,8 +56,8 @@ class MainKey:
 
     @property
     def title(self) -> str:
-        """What a step is."""
-        return f"{'' if self.scale == 1 else f'{self.scale} × '}{heading(self.key)}"
+        """What a step is: ``10 λ``."""
+        return f"{'' if self.scale == 1 else f'{self.scale} '}{heading(self.key)}"
 
 
 def swept_values(jobs: Sequence[Job]) -> dict[str, list[str]]:
@@ -86,25 +85,29 @@ def main_key(jobs: Sequence[Job]) -> MainKey:
     return MainKey(key, scale)
 
 
-def best_regret(summary: Summary) -> float | None:
-    """The least mean of all swept combinations; None where no regret is known."""
-    known = [one.estimates.get("regret") for one in combinations(summary, summary.keys)]
-    return min((one.mean for one in known if one is not None), default=None)
+def bests(summary: Summary) -> dict[str, float]:
+    """``{metric: mean}`` of the way that costs least, one a problem: ``best_regret`` where one was
+    swept, else ``best_regret/λ 0.5`` and so on."""
+    found = verdicts(summary)[:MOST_CURVES]
+    name = f"best_{summary.measure.name}"
+    return {_metric(name, one.problem): one.order[0].estimate.mean for one in found}
 
 
 def curves(summary: Summary, main: MainKey) -> list[tuple[str, int, float]]:
-    """(metric, step, regret) for the parent's charts: a metric a line of the report's plot.
-    Combinations of which a job is missing are left out: their mean would change later."""
-    layout = plot_layout(summary)
+    """(metric, step, value) for the parent's charts: a metric a line of the report's plot, which
+    says what its steps are. Combinations of which a job is missing are left out: their mean would
+    change later."""
+    layout, measure = plot_layout(summary), summary.measure.name
     if not main.key or layout.x != main.key:
         return []
     found = []
     for values, frame in grouped(summary, (*layout.panels, *layout.lines))[:MOST_CURVES]:
         for value in summary.values(main.key):
-            own = frame[frame[main.key] == value].dropna(subset=["regret"])
+            own = frame[frame[main.key] == value].dropna(subset=[measure])
             if len(own) and summary.complete({**values, main.key: value}):
                 step = round(main.scale * float(value or 0))
-                found.append((_metric("regret", values), step, summary.mean(own, "regret").mean))
+                name = _metric(f"{measure} against {main.title}", values)
+                found.append((name, step, summary.mean(own, measure).mean))
     return found
 
 
@@ -118,84 +121,92 @@ def _metric(name: str, values: Mapping[str, Value]) -> str:
 
 
 def sweep_view(parent: str, summary: Summary, main: MainKey) -> dict[str, Any]:
-    """Flat rows of a sweep's jobs: what was swept and their figures, the least regret first; its
-    chart has a point a job."""
-    swept = ["solver", "lambda", *(k for k in summary.keys if k not in ("solver", "lambda"))]
-    if summary.seeds > 1:
-        swept.append("seed")
-    columns = [*(f"params.`{key}`" for key in swept), *(f"metrics.`{name}`" for name in FIGURES)]
+    """The jobs of a sweep: the measure first, in sight whatever was swept; of several seeds their
+    means, in groups that open. The best come first, where it is one problem that is solved, else
+    the jobs in the order of the problems."""
+    measure = summary.measure.name
+    swept = [key for key in summary.keys if len(summary.values(key)) > 1]
+    figures = dict.fromkeys((measure, "cost"))
+    columns = [
+        *(f"metrics.`{name}`" for name in figures),
+        *(f"params.`{key}`" for key in (*swept, *(["seed"] if summary.seeds > 1 else []))),
+        *(f"metrics.`{name}`" for name in (f"{measure}.low", f"{measure}.high", *BESIDE)),
+    ]
     chart = {
         "type": "SCATTER",
         "xaxis": {"key": main.key, "type": "PARAM"},
-        "yaxis": {"key": "regret", "type": "METRIC"},
-        "displayName": f"regret against {heading(main.key)}, a point a job",
+        "yaxis": {"key": measure, "type": "METRIC"},
+        "displayName": f"{summary.measure.title} against {heading(main.key)}, a point a job",
     }
+    posed = sorted((key for key in swept if is_problem(key)), key=lambda key: key != main.key)
+    problem = f"params.`{posed[0]}`" if posed else None
     return {
-        **_view(parent),
+        **_view(parent, problem or f"metrics.`{measure}`"),
         "selectedColumns": columns,
         "columnOrder": columns,
         "columnWidths": {column: _width(column) for column in columns},
+        **(_means(swept) if summary.seeds > 1 and swept else {}),
         **(_charts(chart) if main.key else {}),
     }
 
 
+def _means(keys: Sequence[str]) -> dict[str, Any]:
+    """A row a combination of these keys, with the mean over its jobs."""
+    by = [{"mode": "param", "groupByData": key} for key in keys]
+    return {"groupBy": {"aggregateFunction": "average", "groupByKeys": by}}
+
+
 def chart_view(parent: str, summary: Summary, main: MainKey) -> dict[str, Any]:
-    """The jobs by solver or other choice, and one chart of regret against the main key with a
+    """The jobs by solver or other choice, and one chart of the measure against the main key with a
     line for each: means over seeds, the band from least to greatest."""
-    layout = plot_layout(summary)
+    layout, measure = plot_layout(summary), summary.measure
     keys = (*layout.lines, *layout.panels) or ("solver",)
     chart = {
         "type": "LINE",
-        "metricKey": "regret",
-        "selectedMetricKeys": ["regret"],
+        "metricKey": measure.name,
+        "selectedMetricKeys": [measure.name],
         "xAxisKey": "step",
         "xAxisScaleType": "linear",
         "scaleType": "linear",
         "lineSmoothness": 0,
         "displayPoints": True,
-        "displayName": f"regret against {main.title}",
+        "displayName": f"{measure.title} against {main.title}",
     }
     return {
         **sweep_view(parent, summary, main),
-        "groupBy": {
-            "aggregateFunction": "average",
-            "groupByKeys": [{"mode": "param", "groupByData": key} for key in keys],
-        },
+        **_means(keys),
         "useGroupedValuesInCharts": True,
         **_charts(chart),
     }
 
 
 def sweeps_view() -> dict[str, Any]:
-    """One row a sweep, with its best regret, the least first."""
-    columns = [
-        "metrics.`best_regret`",
-        "params.`jobs`",
-        "params.`solver`",
-        "params.`lambda`",
-        "attributes.`Description`",
-    ]
+    """One row a sweep with what it answered, the newest first: figures of unlike sweeps have no
+    order."""
+    params = ("jobs", "domain", "solver", "lambda")
+    columns = [f"tags.`{ANSWER_TAG}`", *(f"params.`{name}`" for name in params)]
     return {
-        "searchFilter": f"tags.`{SWEEP_TAG}` LIKE '%'",
-        "orderByKey": columns[0],
-        "orderByAsc": True,
         **_EVERYTHING,
+        "searchFilter": f"tags.`{SWEEP_TAG}` LIKE '%'",
+        "orderByKey": "attributes.start_time",
+        "orderByAsc": False,
         "selectedColumns": columns,
         "columnOrder": columns,
+        "columnWidths": {columns[0]: 700},
     }
 
 
-def _view(parent: str) -> dict[str, Any]:
+def _view(parent: str, order: str) -> dict[str, Any]:
     return {
-        "searchFilter": f"tags.`mlflow.parentRunId` = '{parent}'",
-        "orderByKey": "metrics.`regret`",
-        "orderByAsc": True,
         **_EVERYTHING,
+        "searchFilter": f"tags.`mlflow.parentRunId` = '{parent}'",
+        "orderByKey": order,
+        "orderByAsc": True,
     }
 
 
 def _width(column: str) -> int:
-    """Pixels: as narrow as its heading allows, so that the regret is seen without scrolling."""
+    """Pixels: as narrow as its heading allows, so that figures are seen without scrolling."""
     name = column.partition("`")[2].rstrip("`")
     return max(80, 8 * len(name) + 24)
 
@@ -270,7 +281,7 @@ def describe_experiment(client: MlflowClient, experiment: str, newest: str = "")
     text = SEPARATOR.join(
         [
             *([newest] if newest else []),
-            f"[All sweeps with their best regret]({view_address('#', experiment, SWEEPS_VIEW)})",
+            f"[All sweeps]({view_address('#', experiment, SWEEPS_VIEW)})",
             ABOUT,
         ]
     )

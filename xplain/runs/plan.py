@@ -6,17 +6,21 @@ import hashlib
 import itertools
 import json
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import ConfigCompositionException
 
-from xplain.config import GROUPS, named
+from xplain.config import GROUPS, missing_key, named
 from xplain.errors import InputError
 
 Compose = Callable[[list[str]], dict[str, Any]]
 """From overrides to the resolved configuration of a job."""
+
+_Lacking = tuple[ConfigCompositionException, list[str]]
+"""Hydra's error about a key, and the choices that lack it."""
 
 _LAST = ("solver", "lambda", "seed")
 """Keys that end a job's name, so that names sort by setting."""
@@ -46,10 +50,12 @@ class Job:
 
 @dataclass(frozen=True)
 class Plan:
-    """A sweep: its jobs in the order of their names' keys, and an identity made of them."""
+    """A sweep: its jobs in the order of their names' keys, and an identity made of them; notes on
+    keys that only some of its choices have."""
 
     name: str
     jobs: tuple[Job, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def identity(self) -> str:
@@ -76,6 +82,8 @@ def make_plan(
         compose: makes a job's configuration.
         fingerprints: from a configuration to those of its numbers, and of its source.
 
+    A key of a swept group that only some of its choices have varies where it is; the plan notes it.
+
     Raises:
         InputError: a kind of sweep without a finite list of values, or no job is left.
     """
@@ -88,8 +96,7 @@ def make_plan(
         for combination in itertools.product(*merged.values()):
             values = dict(zip(merged, combination, strict=True))
             if all(values.get(key) in given[key] for key in apart):
-                texts = [f"{key}={value}" for key, value in values.items()]
-                chosen[tuple(named(texts))] = values
+                chosen[_overrides(values)] = values
     if not chosen:
         has = "; ".join(
             " ".join(f"{key}={_text(setting[key])}" for key in apart if key in setting) or "none"
@@ -100,8 +107,11 @@ def make_plan(
     swept = _swept(list(chosen.values()))
     jobs: dict[str, Job] = {}
     names: set[str] = set()
-    for overrides, values in chosen.items():
-        fingerprint, source = fingerprints(compose(list(overrides)))
+    lacking: dict[str, _Lacking] = {}
+    for values in chosen.values():
+        resolved = _composed(values, swept, compose, lacking)
+        overrides = _overrides(values)
+        fingerprint, source = fingerprints(resolved)
         if fingerprint in jobs:
             continue
         varied = {key: values[key] for key in swept if key in values}
@@ -110,7 +120,32 @@ def make_plan(
             folder = f"{folder[:100]},{fingerprint[:8]}"
         names.add(folder)
         jobs[fingerprint] = Job(folder, _label(varied), overrides, varied, fingerprint, source)
-    return Plan(name, tuple(jobs.values()))
+    for key, (error, _) in lacking.items():
+        if not any(key in values for values in chosen.values()):
+            raise error  # no choice has it
+    notes = (f"{key}: no key of {', '.join(dict.fromkeys(c))}" for key, (_, c) in lacking.items())
+    return Plan(name, tuple(jobs.values()), tuple(notes))
+
+
+def _overrides(values: Mapping[str, str]) -> tuple[str, ...]:
+    return tuple(named([f"{key}={value}" for key, value in values.items()]))
+
+
+def _composed(
+    values: dict[str, str], swept: Sequence[str], compose: Compose, lacking: dict[str, _Lacking]
+) -> dict[str, Any]:
+    """The configuration of one combination. Its values lose the keys that its choice of a swept
+    group lacks, such as ``solver.simulations`` where another solver searches."""
+    while True:
+        try:
+            return compose(list(_overrides(values)))
+        except ConfigCompositionException as error:
+            key = missing_key(error) or ""
+            group, _, inside = key.partition(".")
+            if not inside or key not in values or group not in swept:
+                raise
+            del values[key]
+            lacking.setdefault(key, (error, []))[1].append(values[group])
 
 
 def in_launch_order(jobs: Iterable[Job]) -> list[Job]:

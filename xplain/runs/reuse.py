@@ -10,7 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from xplain.experiment.results import RESULTS, load_results, save_results
-from xplain.runs.folder import FAILURE, STARTED, SWEEP, SweepFolder
+from xplain.report.summary import SWEEP
+from xplain.runs.folder import FAILURE, STARTED, SweepFolder
 from xplain.runs.plan import Job
 
 _NO_RESULTS = {"artifacts", "cache", "report"}

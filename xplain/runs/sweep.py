@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-import sys
+import shlex
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -39,8 +39,9 @@ def run_sweep(
     settings: list[dict[str, Any]],
     arguments: list[str],
     shown: Mapping[str, Any],
-) -> None:
-    """Plans the sweep, runs the jobs that are missing, reports.
+) -> Path | None:
+    """Plans the sweep, runs the jobs that are missing, reports; returns the sweep's folder, or None
+    where nothing was to run.
 
     Args:
         context, task, config: of Hydra.
@@ -50,7 +51,6 @@ def run_sweep(
 
     Raises:
         XplainError: the configuration of some job is wrong; nothing was run.
-        SystemExit: 1 when jobs failed.
     """
     began = time.time()
     configurations: dict[str, dict[str, Any]] = {}
@@ -66,6 +66,8 @@ def run_sweep(
     name = config.hydra.runtime.choices.get("sweeps") or "multirun"
     compose = Composer(load, config.hydra.runtime.choices)
     plan = make_plan(name, settings, arguments, compose, fingerprints)
+    for note in plan.notes:
+        log.info(note)
     outputs = Path(config.outputs).absolute()
     folder = SweepFolder(outputs / "sweeps" / plan.identity)
     missing = [job for job in plan.jobs if folder.state(job) != "finished"]
@@ -73,13 +75,13 @@ def run_sweep(
     if config.dry_run:
         todo = _todo(plan, folder, outputs, config.resume)
         print_dry_run(plan, todo, outputs, config, configurations)
-        return
+        return None
     with folder.alone(f"{plan.identity}: another process runs this sweep; waiting for it"):
         folder.save(
             plan,
             {
                 "started": began,
-                "command": " ".join(["python -m xplain", *sys.argv[1:]]),
+                "command": _command(config),
                 "code": code_version(),
                 "git": git_state(),
                 **shown,
@@ -92,6 +94,15 @@ def run_sweep(
             launch(jobs, folder, context, task, config)
 
         carry_out(todo, plan, folder, tracking, outputs, start)
+    return folder.path
+
+
+def _command(config: DictConfig) -> str:
+    """What starts the same sweep, from Python as well."""
+    given = [*config.hydra.overrides.hydra, *config.hydra.overrides.task]
+    words = [word for word in given if not word.startswith("hydra.mode=")]
+    prepared = any(word.startswith("sweeps=") for word in words)
+    return shlex.join(["python", "-m", "xplain", *([] if prepared else ["-m"]), *words])
 
 
 def _todo(plan: Plan, folder: SweepFolder, outputs: Path, resume: str) -> Todo:
@@ -121,7 +132,6 @@ def carry_out(
 
     Raises:
         KeyboardInterrupt: it was interrupted; what had ended is in MLflow.
-        SystemExit: 1 when jobs failed.
     """
     jobs = {job.fingerprint: job for job in plan.jobs}
     copied = {key for key, source in todo.copied.items() if copy_results(source, folder, jobs[key])}
@@ -155,8 +165,6 @@ def carry_out(
     log.info("report: %s (regret.csv beside it)", os.path.relpath(report / "index.html"))
     for line in lines:
         log.info(line)
-    if any(folder.state(job) == "failed" for job in plan.jobs):
-        raise SystemExit(1)
 
 
 def _announce(plan: Plan, folder: SweepFolder, run: list[Job], finished: int, copied: int) -> None:

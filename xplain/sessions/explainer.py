@@ -39,6 +39,26 @@ class GivenTypes:
     names: tuple[str, ...]
     prior: ArrayLike = ()
 
+    def __post_init__(self) -> None:
+        """Raises InputError for a table of other widths, or one of zeros."""
+        if not callable(self.table) and not self._fitting(self.table).p.any():
+            raise InputError("table", 0, "probabilities that a label is 1; all of these are 0")
+
+    def _fitting(self, table: ArrayLike | LabelTable) -> LabelTable:
+        """A table of these types and messages.
+
+        Raises:
+            InputError: it has other numbers of them.
+        """
+        types, n = len(self.names), len(self.messages)
+        made = table if isinstance(table, LabelTable) else LabelTable.dense(table)
+        if made.n_types != types:
+            raise InputError("table", made.n_types, f"{types} types, as there are names")
+        if not isinstance(table, LabelTable) and made.relevant.shape[1] != n:
+            wanted = f"2**{n} = {1 << n} sets of {n} messages, as there are names"
+            raise InputError("table", 1 << made.relevant.shape[1], wanted)
+        return made
+
     def label_table(self, transitions: Sequence[Any]) -> LabelTable:
         """See :class:`~xplain.sessions.planner.Types`.
 
@@ -46,17 +66,13 @@ class GivenTypes:
             InputError: an index outside the table.
         """
         if callable(self.table):
-            return _as_label_table(self.table(transitions))
-        table = _as_label_table(self.table)
+            return self._fitting(self.table(transitions))
+        table = self._fitting(self.table)
         last = len(table.p) - 1
         for index in transitions:
             if not isinstance(index, (int, np.integer)) or not 0 <= index <= last:
                 raise InputError("trace", index, f"indices 0 … {last} of the table")
         return table.of_steps(transitions)
-
-
-def _as_label_table(table: ArrayLike | LabelTable) -> LabelTable:
-    return table if isinstance(table, LabelTable) else LabelTable.dense(table)
 
 
 @dataclass(frozen=True)

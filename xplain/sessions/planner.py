@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.errors import InputError
+from xplain.errors import InputError, number, whole_number
 from xplain.explanation.belief import BeliefUpdate, Independent
 from xplain.explanation.label_table import MAX_MESSAGES, LabelTable
 from xplain.explanation.problem import DiscountPer, Problem
@@ -78,9 +78,17 @@ class Planner:
     def __post_init__(self) -> None:
         """Raises InputError: a value that no session could plan with."""
         for key in ("messages", "names"):
-            names = getattr(self.types, key)
+            names = getattr(self.types, key, "")
             if isinstance(names, str) or len(set(names)) < len(names):
                 raise InputError(f"types.{key}", names, "names, each once")
+        wanted = {"solver": ("plan", "QMDP()"), "belief_update": ("evidence", "Independent()")}
+        for key, (method, example) in wanted.items():
+            given = getattr(self, key)
+            if isinstance(given, type) or not hasattr(given, method):
+                raise InputError(key, given, f"an object, such as {example}")
+        for key in ("trade_off", "inexplicability_cost", "discount"):
+            number(key, getattr(self, key))
+        whole_number("seed", self.seed, 0)
         if len(self.types.messages) > MAX_MESSAGES:
             raise InputError("types.messages", len(self.types.messages), f"at most {MAX_MESSAGES}")
         if self.solver.knows in ("type", "labels"):
@@ -98,11 +106,11 @@ class Planner:
         """What the solver plans for, given the table of a trace."""
         return Problem(
             table,
-            message_cost=np.asarray(self.message_cost, dtype=np.float64),
+            message_cost=np.asarray(self.message_cost),
             inexplicability_cost=self.inexplicability_cost,
             trade_off=self.trade_off,
             discount=self.discount,
-            prior=np.asarray(self.types.prior, dtype=np.float64),
+            prior=np.asarray(self.types.prior),
             discount_per=self.discount_per,
             message_names=tuple(self.types.messages),
             type_names=tuple(self.types.names),

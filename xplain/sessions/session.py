@@ -162,7 +162,8 @@ class Session:
             raise InputError("labels", labels, "messages() comes first")
         given = np.asarray(labels)
         if given.shape != (self.shown,) or not np.isin(given, (0, 1)).all():
-            raise InputError("labels", given.tolist(), f"{self.shown} of 0 and 1")
+            wanted = f"{self.shown} labels, 0 or 1 for each transition shown so far"
+            raise InputError("labels", given.tolist(), wanted)
         answer = given.astype(np.uint8)
         self._talk.hear(answer)
         self._answers.append(answer)

@@ -1,0 +1,140 @@
+"""From Python: the same runs, folders and errors as on the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hydra.core.global_hydra import GlobalHydra
+
+import xplain
+from tests.conftest import ROOT
+from tests.runs import sweeps
+from xplain.domains.base import Item
+from xplain.errors import InputError, XplainError
+from xplain.runs.api import _words
+from xplain.solvers.qhr import QHR
+from xplain.solvers.qmdp import QMDP
+
+SMALL = (
+    "domain=four_rooms",
+    "users.count=2",
+    "traces=2",
+    "max_steps=5",
+    "points=20",
+    "labeler=tree",
+    "clusterer=perfect",
+    "certify.traces=0",
+    "tracking=none",
+)
+SERIAL = "hydra/launcher=basic"
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_run_is_that_of_the_command_line(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = xplain.run("solver=qhr", *SMALL, trade_off=1.5)
+    assert capsys.readouterr().out == ""
+    code, output = sweeps.run(here / "other", "solver=qhr", *SMALL, "lambda=1.5", SERIAL)
+    assert code == 0, output
+    (folder,) = (here / "other" / "outputs" / "runs").iterdir()
+    shown = xplain.load(folder)
+    assert isinstance(shown, xplain.Run)
+    assert shown.results.stamp == run.results.stamp
+    assert shown.results.episodes == run.results.episodes
+    frame = run.frame()
+    own = frame[frame["solver"] == "solver"]
+    assert own["cost"].mean() == pytest.approx(run.results.metrics["cost"].mean)
+    assert run.results.trade_off == 1.5
+    assert len(run.plot()) >= 2
+    assert "cost" in run._repr_html_()
+    # What is finished is taken into a sweep.
+    one = xplain.sweep("solver=qhr", *SMALL, SERIAL, trade_off=[1.5])
+    assert one.runs[0].results.started == run.results.started
+
+
+def test_a_sweep_takes_lists_and_objects_and_gives_frames_and_axes(here: Path) -> None:
+    sweep = xplain.sweep(*SMALL, SERIAL, solver=[QMDP(), "qhr", QHR()], trade_off=[0.5, 2])
+    frame = sweep.frame()
+    assert frame["lambda"].tolist() == [0.5, 2] * 3
+    costs = frame.pivot_table("cost", "lambda", "solver", sort=False)
+    named, objects = costs["qhr"], costs[next(c for c in costs if c.startswith("QHR_"))]
+    np.testing.assert_allclose(named, objects)  # the same solver, by name and as an object
+    episodes = sweep.frame("episodes")
+    assert len(episodes) == 6 * 2 * 2
+    assert sweep.answer.startswith("Least cost: ")
+    axes = sweep.plot()
+    assert {line.get_label() for line in axes[0].containers} > {"QHR"}
+    assert sweep.plot("messages")[0].get_ylabel() == "messages"
+    assert "±" in sweep._repr_html_()
+    again = xplain.load(sweep.folder)
+    assert isinstance(again, xplain.Sweep)
+    assert again.frame().equals(frame)
+    command = json.loads((sweep.folder / "sweep.json").read_text())["command"]
+    assert command.startswith("python -m xplain -m ")
+    assert "domain=four_rooms" in command
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"lamda": 3}, "lamda: no such key; did you mean lambda?"),
+        ({"solver": "nonsense"}, "solver=nonsense: unknown choice"),
+        ({"trade_off": -1}, "lambda=-1.0: a number ≥ 0"),
+        ({"solver": object()}, "an object of a dataclass in a module"),
+        ({"config_dir": "absent"}, "a folder with choices of your own"),
+    ],
+)
+def test_what_is_wrong_is_one_line(keys: dict[str, Any], said: str) -> None:
+    for start in (xplain.run, xplain.sweep):
+        with pytest.raises(XplainError) as error:
+            start(*SMALL, **keys)
+        assert said in str(error.value)
+        assert "\n" not in str(error.value)
+
+
+def test_folders_and_rows_that_are_none_are_told(here: Path) -> None:
+    with pytest.raises(InputError, match="of a run or a sweep"):
+        xplain.load(here)
+    with pytest.raises(InputError, match="false: nothing ran"):
+        xplain.run(*SMALL, dry_run=True)
+
+
+def test_values_are_written_as_the_command_line_has_them() -> None:
+    item = Item("goal", "G", ((0, 2),))
+    for value in (item, [item]):
+        (word,) = _words({"domain": value})
+        assert word.startswith("domain=Item_")
+    assert _words({"trade_off": [0.5, 1], "dry_run": True, "prior": None}) == [
+        "lambda=0.5,1",
+        "dry_run=true",
+        "prior=null",
+    ]
+    assert _words({"domain.map": "S.'\n", "message_cost": {"fire": 2}}) == [
+        "domain.map='S.\\'\n'",
+        "message_cost={fire: 2}",
+    ]
+
+
+def test_a_program_that_uses_hydra_itself_keeps_its_own() -> None:
+    kept = GlobalHydra.instance().hydra
+    xplain.run(*SMALL)
+    assert GlobalHydra.instance().hydra is kept
+
+
+def test_the_cells_of_the_notebook_run(here: Path) -> None:
+    notebook = json.loads((ROOT / "examples" / "experiments.ipynb").read_text("utf-8"))
+    cells = ["".join(c["source"]) for c in notebook["cells"] if c["cell_type"] == "code"]
+    assert len(cells) >= 8
+    assert not any(c.get("outputs") for c in notebook["cells"])  # none are kept
+    names: dict[str, Any] = {}
+    for cell in cells:
+        exec(compile(cell, "experiments.ipynb", "exec"), names)
+    assert names["sweep"].answer

@@ -1,0 +1,188 @@
+"""A playground in the browser: ``python -m xplain demo --serve``.
+
+A person is the user of two policies at once: what they hold wrong answers for them, or they answer
+by themselves, and what both policies say and believe stands side by side. One process, one person:
+games are in memory, and nothing is kept.
+"""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from flask import Flask, Response, jsonify, request
+from hydra.utils import instantiate
+
+from xplain.config import composed
+from xplain.demo.play import Stage, stage
+from xplain.errors import InputError, XplainError
+from xplain.evaluation.episode import SimulatedUser
+from xplain.message_sets import mask_of
+from xplain.sessions.session import Session
+from xplain.storage import encode
+from xplain.users.setting import Setting, UserType
+
+SOLVERS = ("qmdp", "qhr", "pomcp", "conformant", "silent", "say_all")
+"""Policies that need not know the user's type, and plan while somebody waits."""
+HOST = "127.0.0.1"
+MOST = 100
+"""Games that are kept; the oldest go."""
+
+
+class Game:
+    """One trace, explained by two policies to the same person.
+
+    Args:
+        scene: the task, the types that were learned, and the trace.
+        overrides: that the scene was made of.
+        solvers: names of two policies.
+        wrong: what the person holds wrong, by names of messages.
+
+    Raises:
+        InputError: a policy or a message that there is not.
+    """
+
+    def __init__(
+        self, scene: Stage, overrides: Sequence[str], solvers: Sequence[str], wrong: Sequence[str]
+    ) -> None:
+        if len(solvers) != 2 or not set(solvers) <= set(SOLVERS):
+            raise InputError("solvers", list(solvers), f"two of {', '.join(SOLVERS)}")
+        domain = instantiate(composed("config", overrides).domain)
+        values = {fact.name: fact.inaccurate for fact in domain.parameters}
+        unknown = [name for name in wrong if name not in values]
+        if unknown:
+            raise InputError("wrong", unknown[0], f"facts of the task: {', '.join(values)}")
+        own = Setting.build(domain, (UserType("you", {name: values[name] for name in wrong}),))
+        self._scene, self._solvers = scene, tuple(solvers)
+        self._user = SimulatedUser(own.true_labels(scene.case.transitions))
+        trace = range(len(scene.case.transitions))
+        self._sessions = []
+        for name in solvers:
+            solver = instantiate(composed("config", [*overrides, f"solver={name}"]).solver)
+            self._sessions.append(replace(scene.explainer, solver=solver).session(trace))
+
+    def answer(self, labels: Sequence[Sequence[int]]) -> None:
+        """The person's labels of what each policy has shown.
+
+        Raises:
+            InputError: not as many as were shown.
+        """
+        if len(labels) != len(self._sessions):
+            raise InputError("labels", labels, "a list a policy")
+        for session, own in zip(self._sessions, labels, strict=True):
+            session.observe(own)
+
+    def state(self) -> dict[str, Any]:
+        """What the page shows, in plain JSON."""
+        scene, case = self._scene, self._scene.case
+        policies = [self._policy(*one) for one in zip(self._solvers, self._sessions, strict=True)]
+        shown = self._sessions[0].shown
+        return {
+            "finished": self._sessions[0].finished,
+            "shown": shown,
+            "steps": len(case.transitions),
+            "phrases": case.phrases[:shown],
+            "positions": case.positions[: shown + 1],
+            "scene": encode(scene.prepared.scene),
+            "policies": policies,
+        }
+
+    def _policy(self, name: str, session: Session) -> dict[str, Any]:
+        prepared = self._scene.prepared
+        said = () if session.finished else session.messages()
+        given = mask_of(session.said, prepared.messages)
+        sentences = dict(zip(prepared.messages, prepared.sentences, strict=True))
+        return {
+            "name": name,
+            "said": [sentences[message] for message in said],
+            "suggested": self._user.labels(session.shown, given).tolist(),
+            "belief": {self._scene.title(t): p for t, p in session.belief.items()},
+            "cost": session.cost,
+        }
+
+
+def create_app(overrides: Sequence[str], host: str = HOST) -> Flask:
+    """The playground as a web application; the types of a task are learned when it is chosen.
+
+    Args:
+        overrides: of the experiment's configuration, for every task; ``domain=`` is offered first.
+        host: where it listens. On this machine's own address no other page may talk to it.
+    """
+    app, numbers = Flask(__name__, static_folder=None), itertools.count()
+    games: dict[int, Game] = {}
+    named = [word.partition("=")[2] for word in overrides if word.startswith("domain=")]
+    tasks = list(dict.fromkeys([*named[-1:], "rescue", "four_rooms"]))
+    rest = [word for word in overrides if not word.startswith("domain=")]
+
+    def words(task: str) -> list[str]:
+        if task not in tasks:
+            raise InputError("task", task, f"one of {', '.join(tasks)}")
+        return [f"domain={task}", *rest]
+
+    scene_of = cache(lambda task: stage(words(task)))
+
+    @app.errorhandler(XplainError)
+    def refused(error: XplainError) -> tuple[Response, int]:
+        return jsonify(error=str(error)), 400
+
+    @app.before_request
+    def of_this_page() -> tuple[str, int] | None:
+        """Pages from elsewhere send forms, or come under a name of their own."""
+        name = request.host.partition(":")[0]
+        foreign = host == HOST and name not in (HOST, "localhost")
+        return ("", 403) if foreign or (request.method == "POST" and not request.is_json) else None
+
+    @app.get("/")
+    def page() -> str:
+        return files("xplain.demo").joinpath("playground.html").read_text(encoding="utf-8")
+
+    @app.get("/tasks")
+    def offered() -> Response:
+        return jsonify(tasks=tasks, solvers=SOLVERS)
+
+    @app.post("/facts")
+    def facts() -> Response:
+        task = request.get_json()["task"]
+        domain = instantiate(composed("config", words(task)).domain)
+        scene_of(task)
+        return jsonify([{"name": p.name, "belief": p.belief or p.name} for p in domain.parameters])
+
+    @app.post("/begin")
+    def begin() -> Response:
+        asked, number = request.get_json(), next(numbers)
+        task = asked["task"]
+        games[number] = Game(scene_of(task), words(task), asked["solvers"], asked["wrong"])
+        games.pop(number - MOST, None)
+        return jsonify(game=number, **games[number].state())
+
+    @app.post("/answer")
+    def answer() -> Response:
+        asked = request.get_json()
+        if asked["game"] not in games:
+            raise InputError("game", asked["game"], "one that was begun; begin again")
+        games[asked["game"]].answer(asked["labels"])
+        return jsonify(game=asked["game"], **games[asked["game"]].state())
+
+    return app
+
+
+def serve(overrides: Sequence[str] = (), host: str = HOST, port: int = 5050) -> None:
+    """Serves the playground until it is stopped.
+
+    Args:
+        overrides, host: as of :func:`create_app`.
+        port: of the address.
+
+    Raises:
+        OSError: the port is taken.
+    """
+    from werkzeug.serving import make_server
+
+    server = make_server(host, port, create_app(overrides, host))  # one request after the other
+    print(f"playground: http://{host}:{port}/  (Ctrl-C ends it)", file=sys.stderr)
+    server.serve_forever()

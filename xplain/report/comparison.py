@@ -1,0 +1,250 @@
+"""What was swept, compared: the table of a sweep, and in a sentence who costs least."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from xplain.evaluation.statistics import Estimate
+from xplain.report import paper_table
+from xplain.report.combinations import (
+    apart,
+    grouped,
+    heading,
+    label,
+    value_label,
+    value_title,
+)
+from xplain.report.layout import shown_keys, table_layout
+from xplain.report.measure import NEGATIVE, TITLES, is_choice
+from xplain.report.summary import Summary, Value
+from xplain.report.table import BEST, TIE, Cell, Table, number
+
+Way = tuple[Value, ...]
+
+FEW = 5
+"""Fewer replicates than this are said to be few: their intervals are wide, and rightly so."""
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One way to solve a problem among others.
+
+    Attributes:
+        way: its values.
+        estimate: of the sweep's measure.
+        behind: its cost less the best one's on the same traces and users; None for the best, or
+            where they share none.
+    """
+
+    way: Way
+    estimate: Estimate
+    behind: Estimate | None
+
+    @property
+    def decided(self) -> bool:
+        """Whether it can be told from the best: the interval leaves out 0."""
+        return self.behind is not None and (self.behind.low > 0 or self.behind.high < 0)
+
+
+def ranked(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[Ranked]:
+    """Ways to solve the problem of these episodes, the one that costs least first; an order where
+    the sweep's measure is fair."""
+    measure = summary.measure.name
+    groups: Any = frame.dropna(subset=[measure]).groupby(list(by), sort=False)
+    means = {way: summary.mean(own, measure) for way, own in groups}
+    order = sorted(means, key=lambda way: round(means[way].mean, 9))
+    return [
+        Ranked(way, means[way], apart(summary, frame, by, way, order[0]) if i else None)
+        for i, way in enumerate(order)
+    ]
+
+
+def main_table(summary: Summary) -> Table:
+    """The sweep's table; Table 1 with the paper's values where its file asks for it."""
+    if summary.report == "table1":
+        return paper_table.table(summary, measure=summary.measure.name)
+    return table(summary)
+
+
+def table(summary: Summary) -> Table:
+    """Every combination of swept values, but for the keys that the sweep pools: problems go down,
+    ways to solve them across, the measure with the cost below it in each cell; where only problems
+    or only ways were swept, a row each with its figures."""
+    layout, measure = table_layout(summary), summary.measure
+    if not layout.down or not layout.across:
+        return _list(summary, layout.down or layout.across, bool(layout.across))
+    columns = [tuple(values.values()) for values, _ in grouped(summary, layout.across)]
+    known = measure.reference
+    rows = []
+    for values, frame in grouped(summary, layout.down):
+        own = _marked(summary, frame, layout.across)
+        cells = [own.get(way, Cell()) for way in columns]
+        if known:
+            told = summary.reference(frame, known)
+            cells.insert(0, Cell(estimate=summary.estimate(told, known)))
+        rows.append((*_headings(values), *cells))
+    heads = [*map(heading, layout.down), *([TITLES[known]] if known else [])]
+    heads += [label(dict(zip(layout.across, way, strict=True))) for way in columns]
+    return _table(summary, heads, rows, len(layout.down), marked=True)
+
+
+def _list(summary: Summary, keys: tuple[str, ...], compete: bool) -> Table:
+    """A row a combination with its measures; those that compete are marked, the best first."""
+    measure = summary.measure
+    names = dict.fromkeys((measure.name, "cost", measure.reference or "cost"))
+    shown = [*names, "messages", "inexplicable labels"]
+    frames = {tuple(values.values()): frame for values, frame in grouped(summary, keys)}
+    marks = _marked(summary, summary.episodes, keys) if compete else {}
+    rows = []
+    for way in [*marks, *(way for way in frames if way not in marks)]:
+        cells = [Cell(estimate=summary.estimate(frames[way], name)) for name in shown]
+        if way in marks:
+            cells[0] = Cell(estimate=marks[way].estimate, mark=marks[way].mark)
+        rows.append((*_headings(dict(zip(keys, way, strict=True))), *cells))
+    heads = [*map(heading, keys), *(TITLES[name] for name in shown)]
+    return _table(summary, heads, rows, len(keys), compete)
+
+
+def _headings(values: dict[str, Value]) -> list[Cell]:
+    return [Cell(value_title(key, value) or "–") for key, value in values.items()]
+
+
+def _marked(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> dict[Way, Cell]:
+    """One row's ways in their order, the best marked, and those that cannot be told from it."""
+    cells: dict[Way, Cell] = {}
+    order, fair = ranked(summary, frame, by), summary.measure.fair
+    for one in order:
+        mark = "" if one.decided or not fair else TIE
+        if fair and round(one.estimate.mean - order[0].estimate.mean, 9) == 0:
+            mark = BEST
+        own = frame[(frame[list(by)] == list(one.way)).all(axis=1)]
+        note = "" if summary.measure.name == "cost" else f"cost {number(own['cost'].mean())}"
+        cells[one.way] = Cell(estimate=one.estimate, mark=mark, note=note)
+    return cells
+
+
+def _table(
+    summary: Summary, heads: list[str], rows: list[tuple[Cell, ...]], left: int, marked: bool
+) -> Table:
+    title = summary.measure.title
+    about = f"{title[0].upper()}{title[1:]}: {_common(summary)}" if marked else _common(summary)
+    caption = _caption(summary, [cell for row in rows for cell in row], marked)
+    return Table(tuple(heads), tuple(rows), left, caption, about, halves=True)
+
+
+def _common(summary: Summary) -> str:
+    """What was not swept, as far as a reader wants to know it."""
+    keys = shown_keys(summary)
+    parts = []
+    for key in ("domain", "solver", "lambda"):
+        values = summary.values(key)
+        if key not in keys and len(values) == 1:
+            parts.append(value_label(key, values[0]))
+    traces = summary.episodes.groupby("seed")["trace"].nunique().max()
+    return ", ".join([*parts, count(int(traces), "trace"), count(summary.seeds, "seed")])
+
+
+def count(number: int, what: str) -> str:
+    """``1 seed``, ``3 seeds``."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _caption(summary: Summary, cells: Sequence[Cell], marked: bool) -> str:
+    """How to read the table."""
+    text = [summary.measure.why]
+    marked = marked and summary.measure.fair
+    if any(cell.ends for cell in cells):
+        text.append(f"± half-width of the 95 % interval over {summary.unit}.")
+        if marked:
+            text.append(
+                f"{BEST} costs least in its row; {TIE} not told apart from it: the interval of the "
+                "difference on the same traces and users holds 0."
+            )
+    else:
+        text.append("One trace and one seed: no intervals.")
+        if marked:
+            text.append(f"{BEST} costs least in its row.")
+    if summary.measure.name == "regret" and summary.episodes["regret"].mean() < 0:
+        text.append(NEGATIVE)
+    if summary.pool:
+        text.append(f"Means over {', '.join(summary.pool)}, as the sweep's file asks.")
+    return " ".join(filter(None, text)) + summary.told_missing
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Who costs least on one problem.
+
+    Attributes:
+        problem: values of the keys that pose it; empty where one problem was swept.
+        order: of the ways, the best first.
+    """
+
+    problem: dict[str, Value]
+    order: tuple[Ranked, ...]
+
+    @property
+    def decided(self) -> bool:
+        """Whether the best can be told from the next."""
+        return len(self.order) > 1 and self.order[1].decided
+
+
+def verdicts(summary: Summary) -> list[Verdict]:
+    """Who costs least, problem by problem; none where nothing that was swept competes, or the
+    measure that was asked for is not fair."""
+    by = [key for key in shown_keys(summary) if is_choice(key)]
+    if not by or not summary.measure.fair:
+        return []
+    posed = [key for key in shown_keys(summary) if not is_choice(key)]
+    found = [
+        Verdict(values, tuple(ranked(summary, frame, by)))
+        for values, frame in grouped(summary, posed)
+    ]
+    return [one for one in found if len(one.order) > 1]
+
+
+def answer(summary: Summary) -> str:
+    """What won, by how much, and whether that is decided, in a sentence or two; "" where nothing
+    competes."""
+    found = verdicts(summary)
+    if not found:
+        return ""
+    by = [key for key in shown_keys(summary) if is_choice(key)]
+    names = {tuple(way.values()): label(way) for way, _ in grouped(summary, by)}
+    if len(found) == 1:
+        best, second = found[0].order[:2]
+        text = f"{names[best.way]} costs least"
+        if best.estimate.mean == second.estimate.mean:
+            return f"{text}, as does {names[second.way]}."
+        gap = second.behind
+        less = "" if gap is None else f", {number(gap.mean)} less than {names[second.way]}"
+        return f"{text}{less}. {_how_sure(summary, second)}"
+    first: dict[Way, list[Verdict]] = {}
+    for one in found:
+        first.setdefault(one.order[0].way, []).append(one)
+    parts = [
+        f"{names[way]} in {len(won)} of {len(found)} problems "
+        f"({sum(one.decided for one in won)} decided)"
+        for way, won in sorted(first.items(), key=lambda item: -len(item[1]))
+    ]
+    return f"Least cost: {'; '.join(parts)}.{_few(summary)}"
+
+
+def _how_sure(summary: Summary, second: Ranked) -> str:
+    gap = second.behind
+    if gap is None or gap.low != gap.low:
+        return "Not decided: one trace and one seed tell nothing of others."
+    ends = f"95 % interval of the difference {number(gap.low)} … {number(gap.high)}"
+    word = "Decided" if second.decided else "Not decided"
+    return f"{word}: {ends}.{_few(summary)}"
+
+
+def _few(summary: Summary) -> str:
+    replicates = int(summary.clusters(summary.episodes).nunique())
+    unit = summary.unit if replicates > 1 else summary.unit[:-1]
+    few = f" Only {replicates} {unit}: too few to decide all but large differences."
+    return few if replicates < FEW else ""
