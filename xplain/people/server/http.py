@@ -13,6 +13,8 @@ from xplain.errors import InputError
 from xplain.people.server.security import Keys, RateLimit
 from xplain.people.server.store import LETTERS, Participant, Store
 
+ENDINGS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out", "full")
+"""What a code of its own can be set for, beside the end that all who finish come to."""
 PARTICIPANT = "participant"
 """The cookie of somebody who was let in."""
 
@@ -42,7 +44,7 @@ class Server:
     keep_prolific_ids: bool = False
     completion_url: str = ""
     completion_code: str = ""
-    codes: Mapping[str, str] = field(default_factory=dict)
+    codes: Mapping[str, str] = field(default_factory=lambda: dict.fromkeys(ENDINGS, ""))
     address: str = ""
     blinded: bool = True
     https: bool = False
