@@ -18,13 +18,15 @@ OF_FILES = ("hydra.searchpath", "types", "key")
 
 def settings() -> list[tuple[str, str]]:
     """Every ``key=value`` that the text of a page names; what is to be filled in is."""
-    found = []
+    found: list[tuple[str, str]] = []
     for kind in ("study", "collect"):
         text = (DOCS / f"{kind}.md").read_text(encoding="utf-8")
         spans = SETTING.findall(re.sub(r"```.*?```", "", text, flags=re.DOTALL))
-        for span in dict.fromkeys(spans):
-            if span.split("=")[0] not in OF_FILES and not span.startswith(f"{kind} "):
-                found.append((kind, span.replace("…", "XYZ")))
+        found += [
+            (kind, span.replace("…", "XYZ"))
+            for span in dict.fromkeys(spans)
+            if span.split("=")[0] not in OF_FILES and not span.startswith(f"{kind} ")
+        ]
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from tests.people.kinds import KINDS, filled, site_of
 from xplain.cli.main import main
 from xplain.people.analysis.stored import opened
+from xplain.people.server.database import Database
 
 LAST = "(SELECT max(number) FROM event WHERE kind = 'labels')"
 EVERYWHERE = {
@@ -30,6 +32,13 @@ EVERYWHERE = {
         "999, kind, wall, monotonic, boot, browser, payload, content, digest FROM event "
         "WHERE kind = 'shown' LIMIT 1"
     ),
+}
+EVERYWHERE |= {
+    "that somebody was erased": "UPDATE participant SET erased = 1 WHERE number = 2",
+    "when somebody came": "UPDATE event SET wall = wall + 1 WHERE kind = 'enter'",
+    "whom a platform sent": """UPDATE participant SET kept = '{"PROLIFIC_PID": "x"}'""",
+    "a step of nobody": "INSERT INTO step SELECT 'nobody', k, belief_before, given, messages, "
+    "action_values, labels, belief_after FROM step WHERE k = 1 LIMIT 1",
 }
 OF_A_STUDY = {
     "a decision": "UPDATE step SET messages = messages + 1 WHERE k = 1",
@@ -138,6 +147,56 @@ def test_a_participant_who_is_gone_from_every_table_is_missed(
 ) -> None:
     changed(snapshot, *gone(kind, answered[1][place]))
     assert differences(kind, snapshot)
+
+
+def test_whoever_was_erased_cannot_be_brought_back(
+    kind: str, snapshot: Path, answered: tuple[bytes, list[str]]
+) -> None:
+    who = answered[1][0]
+    with closing(Database(snapshot)) as database:
+        database.erase(who)
+    assert differences(kind, snapshot) == []
+    changed(snapshot, f"UPDATE participant SET erased = 0 WHERE id = '{who}'")
+    assert differences(kind, snapshot)
+
+
+def test_of_whoever_was_erased_others_are_replayed(
+    kind: str, snapshot: Path, answered: tuple[bytes, list[str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also of those whose questions followed from the answers that are gone."""
+    main([kind, "erase", str(snapshot), answered[1][0]])
+    capsys.readouterr()
+    main([kind, "replay", str(snapshot)])
+    said = capsys.readouterr().out
+    assert said.startswith("2 participants, ")
+    assert "1 erased: all equal" in said
+    if kind == "collect":
+        with opened(snapshot) as connection:
+            others = "SELECT json_extract(payload, '$.after') FROM event WHERE kind = 'consent'"
+            assert any("1" in (row[0] or "") for row in connection.execute(others))
+
+
+def test_an_export_has_nothing_that_the_log_does_not_cover(
+    kind: str, snapshot: Path, tmp_path: Path
+) -> None:
+    """Every column of the participant table is changed; whatever a table says then, a replay of it
+    notices."""
+    table = "participants" if kind == "study" else "observers"
+    with opened(snapshot) as connection:
+        columns = [row["name"] for row in connection.execute("PRAGMA table_info(participant)")]
+    main([kind, "export", str(snapshot), str(tmp_path / "before")])
+    kept = (tmp_path / "before" / f"{table}.csv").read_text()
+    whole = snapshot.read_bytes()
+    for column in columns:
+        snapshot.write_bytes(whole)
+        other = "2 - 1" if column in ("over", "erased") else f"'{{}}' || {column} || ' '"
+        try:
+            changed(snapshot, f"UPDATE participant SET {column} = {other} WHERE number = 2")
+            main([kind, "export", str(snapshot), str(tmp_path / "after")])
+        except (sqlite3.Error, SystemExit, ValueError, LookupError):
+            continue  # the database or the export refuses it
+        if (tmp_path / "after" / f"{table}.csv").read_text() != kept:
+            assert differences(kind, snapshot), column
 
 
 def test_an_end_that_was_cut_off_is_noticed_by_who_kept_the_head(

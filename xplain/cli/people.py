@@ -205,6 +205,21 @@ def export(name: str, arguments: list[str]) -> None:
     print(f"tables and codebook in {given.folder}\nhead of the log: {head}")
 
 
+def erase(name: str, arguments: list[str]) -> None:
+    """Erases what one participant did or said, for ever."""
+    given = parsed(f"xplain {name} erase", arguments, "database", "reference")
+    if not given.database.is_file():
+        raise InputError("database", str(given.database), site(name).PLAN.OF + "'s database")
+    from xplain.people.server.database import Database
+
+    database = Database(given.database)
+    try:
+        database.erase(given.reference)
+    finally:
+        database.close()
+    print(f"erased {given.reference}; delete exports and backups that were made before, too")
+
+
 def replay(name: str, arguments: list[str]) -> None:
     """Compares, says what was compared and what differs; exit code 1 where anything does."""
     given = parsed(f"xplain {name} replay", arguments, "database", head="")

@@ -148,9 +148,6 @@ def parts(
         InputError: a text is missing, or of something that there is not.
     """
     in_words = phrases_of(wording["phrases"], scene is not None)
-    for key in ("icons", "hide"):
-        if wording[key] and scene is None:
-            raise InputError(f"wording.{key}", [*wording[key]], "none: this task has no map")
     return {
         "seed": config["seed"],
         "config": config,

@@ -84,6 +84,7 @@ def in_the_language(english: dict[str, Any]) -> dict[str, Any]:
 def foreign_study() -> StudySite:
     texts = in_the_language(CONFIG["wording"])
     texts["rewards"] = translated(texts["rewards"])
+    del texts["questions"]  # a study's are beside its texts
     plan = street_plan(wording=texts, before=QUESTIONS[1:2], questions=QUESTIONS)
     return StudySite(study_of(plan))
 

@@ -235,6 +235,9 @@ def assemble(
         XplainError: a part contradicts another.
     """
     known, wording = source.hypotheses, config["wording"]
+    for key in ("icons", "hide"):
+        if wording[key] and source.domain is None:
+            raise InputError(f"wording.{key}", [*wording[key]], "none: these steps have no map")
     own, in_words = parts("collect", config, wording, source.scene)
     known = replace(known, phrases=tuple(map(in_words, known.phrases)))
     facts = worded(source.facts, wording["facts"], in_words)

@@ -158,8 +158,11 @@ class CollectSite(site.Site[Collection]):
     def unequal(
         self, connection: sqlite3.Connection, people: list[Participant[State]]
     ) -> Iterator[str]:
-        """The prior must be that of people of the same stream who had answered every clip."""
+        """The prior must be that of people of the same stream who had answered every clip. Where
+        one of them was erased it stands as the log has it: their part of it is all that stays."""
         numbered, clips = {one.row["number"]: one for one in people}, len(schedule(self.plan, 0))
+        query = "SELECT number FROM participant WHERE erased"
+        erased = {number for (number,) in connection.execute(query)}
         for one in people:
             consent = one.first("consent")
             if not consent.get("agree"):
@@ -167,9 +170,11 @@ class CollectSite(site.Site[Collection]):
             who = one.row["id"]
             if consent["number"] != one.row["number"]:
                 yield f"{who}: admitted as {consent['number']}"
-            before = [numbered.get(number) for number in consent["after"]]
+            before = [numbered.get(number) for number in consent["after"] if number not in erased]
             known = [p for p in before if p and p.row["stream"] == one.row["stream"]]
             if len(known) < len(before) or any(len(p.state.answered) < clips for p in known):
                 yield f"{who}: the prior is of people who had not finished"
+            elif erased.intersection(consent["after"]):
+                continue
             elif shared([p.state.belief for p in known]) != consent["others"]:
                 yield f"{who}: the prior differs from what others answered"

@@ -150,8 +150,8 @@ class Database:
                 (event_log.ERASED, who),
             )
             do(
-                "UPDATE participant SET external = NULL, session = NULL, kept = '{}', entered = 0, "
-                "seen = 0, over = 1, state = '{\"stage\": \"erased\"}', code = '', salt = '', "
+                "UPDATE participant SET external = NULL, session = NULL, kept = '{}', over = 1, "
+                "state = '{\"stage\": \"erased\"}', code = '', salt = '', "
                 "erased = 1 WHERE id = ?",
                 (who,),
             )
