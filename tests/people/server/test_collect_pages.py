@@ -14,7 +14,9 @@ from typing import Any
 import pytest
 
 from tests.people.collect.stand_in import FAULTLESS, street_collection, street_plan, telling
+from tests.people.study.stand_in import PLACES
 from tests.people.visitors import GENEROUS, Visitor, enter, field
+from xplain.cli.discover import sentences_of
 from xplain.people.collect.asking import State, belief
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
@@ -94,7 +96,7 @@ def test_of_the_erased_nothing_stays_in_memory(
         }
 
     assert remembered() == {"state", "questionnaire", "types"}
-    store.erase(gone["id"])
+    store.erase(store.reference(gone["id"]))
     assert remembered() == set()
     assert store.site.state(kept["state"]).text == kept["state"]
 
@@ -159,6 +161,9 @@ def test_the_researcher_sees_labels_types_and_what_more_people_bring(
     reply = researcher.client.post("/researcher/export", data={"token": field(html, "token")})
     with zipfile.ZipFile(io.BytesIO(reply.data)) as archive:
         assert {"study/labels.csv", "study/observers.csv"} <= set(archive.namelist())
+        assert {"study/clips.parquet", "study/events.csv"} <= set(archive.namelist())
+        said = sentences_of(archive.extract("study/sentences.yaml", store.path.parent), PLACES)
+    assert said == {fact.name: fact.message for fact in store.site.plan.facts}
     _, html = researcher.post(
         "/researcher/invitations",
         [("token", field(html, "token")), ("count", "3"), ("stream", "pilot")],

@@ -127,7 +127,7 @@ def test_the_researcher_erases_who_asks_for_it(store: Store, client: FlaskClient
     token = logged_in(client, store)
     data = {"token": token, "reference": "0000-0000-0000-0000"}
     assert client.post("/researcher/erase", data=data).status_code == 404
-    data["reference"] = "-".join(re.findall("....", who)).upper()
+    data["reference"] = "-".join(re.findall("....", store.reference(who))).upper()
     assert client.post("/researcher/erase", data=data).status_code == 303
     with pytest.raises(Unknown):
         store.participant(who)

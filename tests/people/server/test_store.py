@@ -432,7 +432,9 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     store.from_tab(gone, "a" * 16, [(0, "visible", 1.0, {"what": "whatnobodyelsesaid"})])
     (place,) = store.query("SELECT position FROM slot WHERE holder = ?", (gone,))
     before = records(store, [kept])
-    store.erase(gone)
+    with pytest.raises(InputError, match="reference"):
+        store.erase(gone)  # an id is in published data; it erases nothing
+    store.erase(store.reference(gone))
     assert said not in states_in_memory()
     assert records(store, [kept]) == before
     when = "SELECT DISTINCT wall, monotonic, boot, browser FROM event WHERE participant = ?"
@@ -445,7 +447,7 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     found = StudySite(study).replay(store._connection)
     assert (found.differences, found.participants) == ([], 1)
     with pytest.raises(InputError, match="reference"):
-        store.erase(gone)
+        store.erase(store.reference(gone))
     store.close()
     content = b"".join(file.read_bytes() for file in tmp_path.glob("s.sqlite*"))
     assert b"whatnobodyelsesaid" not in content
@@ -467,7 +469,7 @@ def test_each_is_erased_alone_and_afterwards_nothing_can_be_changed(
     store = Store(tmp_path / "s.sqlite", StudySite(study))
     people = [store.enter_invited(token) for token in store.invite(3, "person")]
     for who in people[:2]:
-        store.erase(who)
+        store.erase(store.reference(who))
         with pytest.raises(sqlite3.IntegrityError), store.transaction() as do:
             do("UPDATE event SET kind = 'other' WHERE participant = ?", (who,))
     erased = store.query("SELECT id FROM participant WHERE erased ORDER BY number")

@@ -150,7 +150,7 @@ def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(foreign: Sto
         enter(visitor, token)
         html = visitor.get("/study")[1]
         assert all(paragraph in html for paragraph in texts.debriefing), ending
-        reference = "-".join(re.findall("....", who))
+        reference = "-".join(re.findall("....", foreign.reference(who)))
         assert reference in html, ending
         (code,) = re.findall(r'id="code">([A-Z]{8})<', html)
         codes.add(code)

@@ -23,7 +23,7 @@ Codebook = Mapping[str, Mapping[str, str]]
 """What every column of every table means."""
 OTHERS = "…"
 """Ends an entry of a codebook that stands for every column beginning with what is before it."""
-_FORMULAS = ("=", "+", "-", "@", "\t", "\r")
+_FORMULAS = ("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠")
 
 
 @dataclass(frozen=True)

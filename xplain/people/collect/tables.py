@@ -39,6 +39,8 @@ def export(database: Path, folder: Path) -> str:
             name = "labels.csv" if stream == "person" else f"labels_{stream}.csv"
             write_table(dataset_of(plan, kept), folder / name)
     (plan.whole or plan.hypotheses).save(folder / "hypotheses.npz")
+    said = json.dumps({one.name: one.message for one in plan.facts}, ensure_ascii=False, indent=1)
+    (folder / "sentences.yaml").write_text(f"{said}\n", encoding="utf-8")  # JSON is YAML
     return head
 
 

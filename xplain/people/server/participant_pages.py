@@ -111,7 +111,7 @@ def _page(found: Participant, problem: str = "", status: int = 200) -> Response:
             token=own.keys.form(found.id),
             kind=flow.waits_for(found.state),
             problem=own.say(problem),
-            reference="-".join(re.findall(".{4}", found.id)),
+            reference="-".join(re.findall(".{4}", own.store.reference(found.id))),
             code=code,
             back=own.back(found, code),
             stages=flow.stages,

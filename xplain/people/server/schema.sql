@@ -12,7 +12,7 @@ CREATE TABLE control (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 
 CREATE TABLE participant (
     number INTEGER PRIMARY KEY,
-    id TEXT NOT NULL UNIQUE,            -- random; also the reference that participants are given
+    id TEXT NOT NULL UNIQUE,            -- random; in every table of an export
     stream TEXT NOT NULL CHECK (stream IN ('person', 'pilot', 'bot')),
     entry TEXT NOT NULL,                -- invitation, platform, open or preview
     external TEXT UNIQUE,               -- keyed hash of the outside id, against second entries
