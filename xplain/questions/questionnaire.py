@@ -148,16 +148,19 @@ class Questionnaire:
         """The question that tells most, as (transition, message set); with ``clip`` > 1 (a list
         of transitions, message set). The same until it is answered."""
         if self._pending is None:
-            seen = [transition for one in self.asked for transition in one.transitions]
-            rng = stream(self.seed, "questionnaire", len(self.asked))
-            posterior, starts = self._posterior, STARTS if self.clip > 1 else 1
-            singles = posterior.best_questions(self._questions, starts, seen, rng)
+            singles = self.alternatives(STARTS if self.clip > 1 else 1)
             if self.clip == 1:
                 self._pending = singles[0]
             else:
                 rng = stream(self.seed, "questionnaire", "clip", len(self.asked))
-                self._pending = posterior.best_clip(singles, self.clip, rng)
+                self._pending = self._posterior.best_clip(singles, self.clip, rng)
         return self._pending
+
+    def alternatives(self, count: int) -> list[tuple[int, int]]:
+        """The questions about one transition that tell most, the best first."""
+        seen = [transition for one in self.asked for transition in one.transitions]
+        rng = stream(self.seed, "questionnaire", len(self.asked))
+        return self._posterior.best_questions(self._questions, count, seen, rng)
 
     def answer(self, label: ArrayLike, question: Question | None = None) -> None:
         """Takes the answer to the last question, or to a question of one's own.

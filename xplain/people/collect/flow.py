@@ -88,7 +88,7 @@ class Clips(Stage["Collection", State]):
         tasks = asking.schedule(flow.plan, state.person)
         if step == len(tasks):
             return replace(flow.after(state), answer=answer)
-        clip = asking.clip(flow.plan, state, tasks[step], known)
+        clip = asking.clip(flow.plan, state, tasks, known)
         question = clip.purpose == QUESTION
         why = {
             "purpose": clip.purpose,
