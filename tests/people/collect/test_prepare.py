@@ -21,11 +21,11 @@ from xplain.people.collect.prepare import assemble, domain_source, own_source, r
 from xplain.questions.designs import Adaptive, Battery
 from xplain.users.types import Explicit
 
-TABLE = """text,image,inexplicable_if,floor,place
-Drives over the cable,cable.png,cable,0,hall
-Takes the lift,,lift;queue,1,hall
-Waits at the door,,queue,0,door
-Goes around the cable,,,0,hall
+TABLE = """text,image,alt,inexplicable_if,floor,place
+Drives over the cable,cable.png,A red cable,cable,0,hall
+Takes the lift,,,lift;queue,1,hall
+Waits at the door,,,queue,0,door
+Goes around the cable,,,,0,hall
 """
 FACTS = """fact,message,belief
 cable,The robot may drive over cables.,Cables stop the robot.
@@ -52,6 +52,7 @@ def test_own_transitions_become_a_task(folder: Path) -> None:
     assert [picture is not None for picture in source.pictures] == [True, False, False, False]
     assert source.roles
     assert all(held in known.essential for held in source.roles.values())
+    assert [picture.alt for picture in source.pictures if picture] == ["A red cable"]
     # Who holds one of its facts wrong finds a step inexplicable.
     assert known.labels[known.row(np.array(0b010)), 1] == 0
     assert known.labels[known.row(np.array(0b001)), 1] == 1

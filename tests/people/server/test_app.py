@@ -98,6 +98,14 @@ def test_wrong_keys_of_researchers_hold_nobody_back(tmp_path: Path, study: Study
     store.close()
 
 
+def test_an_error_leads_on_to_no_page_that_is_an_error(client: FlaskClient, store: Store) -> None:
+    """Without a cookie there is nothing to go on with."""
+    for path in ("/study", "/nowhere"):
+        assert 'href="/study"' not in client.get(path).text
+    client.set_cookie("participant", Keys(store.secret).cookie(store.enter_open()))
+    assert 'href="/study"' in client.get("/nowhere").text
+
+
 def test_nonsense_on_every_route_gets_a_page(client: FlaskClient, store: Store) -> None:
     rng = np.random.default_rng(0)
     before = store.query("SELECT count(*) AS n FROM event")

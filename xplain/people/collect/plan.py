@@ -70,10 +70,12 @@ class Role:
 
 @dataclass(frozen=True)
 class Picture:
-    """An image of a transition: its media type, and its bytes in base 64."""
+    """An image of a transition: its media type, its bytes in base 64, and what it shows, in words
+    for those who do not see it."""
 
     media: str
     content: str
+    alt: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

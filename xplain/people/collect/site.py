@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xplain.errors import Refused
 from xplain.people.analysis.export import Participant
 from xplain.people.collect.asking import FINISHED, State, schedule, shared
 from xplain.people.collect.flow import Collection
@@ -104,6 +105,11 @@ class CollectSite(site.Site[Collection]):
         fewest = [role for role, count in enumerate(counts) if count == min(counts)]
         return int(stream(self.plan.seed, "roles", person["number"]).choice(fewest))
 
+    def pin(self, do: Do, who: str, cell: int) -> None:
+        """Everybody is asked by their own answers: there is one way to see it."""
+        if cell:
+            raise Refused("not_understood")
+
     def forget(self) -> None:
         """Questionnaires and types found too: they are made again."""
         super().forget()
@@ -148,6 +154,7 @@ class CollectSite(site.Site[Collection]):
             "found": self._found[key],
             "facts": {fact.name: fact.message for fact in self.plan.facts},
             "expectation": self.plan.expectation,
+            "cells": ["a participant"],
             "data": "Labels for xplain discover, observers and every answer as CSV tables",
         }
 

@@ -172,7 +172,10 @@ def genuine(who: str) -> bool:
 def error_page(status: int, text: str) -> Response:
     """A page that says what is wrong, by the key of its words or in words."""
     return make_response(
-        render_template("error.html", text=context().say(text), status=status), status
+        render_template(
+            "error.html", text=context().say(text), status=status, known=owner() is not None
+        ),
+        status,
     )
 
 

@@ -12,11 +12,13 @@ import zipfile
 from pathlib import Path
 
 from flask import Blueprint, Response, make_response, redirect, render_template, request, url_for
+from markupsafe import Markup
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError, Refused
 from xplain.people.analysis.stored import STREAMS
 from xplain.people.flow import small
+from xplain.people.server import charts
 from xplain.people.server.http import (
     PARTICIPANT,
     RESEARCHER,
@@ -58,6 +60,10 @@ def overview() -> AnyResponse:
         "SELECT stream, json_extract(state, '$.stage') AS stage, count(*) AS number "
         "FROM participant GROUP BY 1, 2"
     )
+    given = own.store.query(
+        "SELECT event.wall FROM event JOIN participant ON participant.id = event.participant "
+        "WHERE kind = 'labels' AND source = 'protocol' AND stream = 'person' ORDER BY 1"
+    )
     address = own.server.address.rstrip("/") or request.host_url.rstrip("/")
     return make_response(
         render_template(
@@ -69,6 +75,7 @@ def overview() -> AnyResponse:
             now=own.store.clock.wall(),
             stages=(*site.flow.stages, *site.flow.STATE.ENDS),
             flow={(row["stream"], row["stage"]): row["number"] for row in flow},
+            chart=Markup(charts.over_time([row["wall"] for row in given])),
             streams=[name for name in STREAMS if any(row["stream"] == name for row in flow)],
             entrance=address + url_for("participant.entrance"),
             invitations=own.invitations.get(request.args.get("made", ""), []),
