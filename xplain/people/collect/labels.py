@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from xplain.data.dataset import Dataset
 from xplain.message_sets import names_of
-from xplain.people.collect.asking import FINISHED, State
+from xplain.people.collect.asking import FINISHED, STATED, State
 from xplain.people.collect.plan import CollectPlan
 from xplain.questions.fact_sets import partition
 from xplain.questions.known_transitions import Answers, KnownTransitions
@@ -131,6 +131,46 @@ def found_types(plan: CollectPlan, people: Sequence[State]) -> Found | None:
         new_types=new_types,
         next_new=next_new,
     )
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What people said of a fact at the end, beside what their answers say of them.
+
+    Attributes:
+        said, inferred: people who hold it wrong, of those who had an opinion.
+        agree, of: of whom both are the same, and how many they are.
+    """
+
+    said: int
+    inferred: int
+    agree: int
+    of: int
+
+
+def compared(plan: CollectPlan, people: Sequence[State]) -> dict[str, Compared]:
+    """By fact, of those who had an opinion."""
+    rows: dict[str, list[tuple[bool, bool]]] = {fact.name: [] for fact in plan.facts}
+    for state in people:
+        known = {f: p for f, p in state.belief.items() if f != "none"}
+        if not known:
+            continue
+        best = int(max(known, key=lambda f: known[f]))
+        for j, stated in enumerate(state.stated):
+            if STATED[stated] != "unsure":
+                rows[plan.facts[j].name].append(
+                    (STATED[stated] == "inaccurate", bool(best >> j & 1))
+                )
+    return {
+        name: Compared(
+            sum(said for said, _ in pairs),
+            sum(inferred for _, inferred in pairs),
+            sum(said == inferred for said, inferred in pairs),
+            len(pairs),
+        )
+        for name, pairs in rows.items()
+        if pairs
+    }
 
 
 def expected_new(types: int, people: int, more: int) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from xplain.errors import Refused
 from xplain.people.analysis.export import Participant
 from xplain.people.collect.asking import FINISHED, State, schedule, shared
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.labels import Found, found_types, why_left_out
+from xplain.people.collect.labels import Found, compared, found_types, why_left_out
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.collect.tables import export
 from xplain.people.flow import small
@@ -152,6 +152,7 @@ class CollectSite(site.Site[Collection]):
             "finished": len(kept),
             "left_out": {why: left_out.count(why) for why in sorted({*left_out} - {""})},
             "found": self._found[key],
+            "compared": compared(self.plan, list(kept.values())),
             "facts": {fact.name: fact.message for fact in self.plan.facts},
             "expectation": self.plan.expectation,
             "cells": ["a participant"],
