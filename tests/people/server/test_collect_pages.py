@@ -180,7 +180,7 @@ def test_the_researcher_s_page_shows_what_there_is_and_how_it_grew(
     html = researcher.post("/researcher/login", [("key", Keys(store.secret).researcher)])[1]
     assert "Nobody yet" in html
     assert "Who is where" not in html  # no table without rows
-    assert "Labels over time" not in html
+    assert "Answers over time" not in html
     fields = [("token", field(html, "token"))]
     assert researcher.post("/researcher/preview", [*fields, ("cell", "1")])[0] == 400
     status, page = researcher.post("/researcher/preview", [*fields, ("cell", "0")])
@@ -188,7 +188,7 @@ def test_the_researcher_s_page_shows_what_there_is_and_how_it_grew(
     list(walk(browser(), store))
     clips = len(schedule(store.site.plan, 2))
     html = researcher.get("/researcher")[1]
-    assert f'aria-label="{clips} labels from' in html
+    assert f'aria-label="{clips} answers from' in html
     assert re.search(r"<meter [^>]*value=\"1\"[^>]*></meter> 1</td>", html)
 
 

@@ -183,8 +183,9 @@ def clip(plan: CollectPlan, state: State, tasks: Sequence[Task], asking: Questio
         listed = [plan.questions[which] for which in order.tolist()]
         for one in questions:
             listed.remove((one.transitions[0], one.told))
+        last = {t for one in state.answered[-1:] for t in one.transitions}
         many = Counter(transition for transition, _ in listed)  # or one alone would be left
-        about, told = max(listed, key=lambda one: (one[0] not in near, many[one[0]]))
+        about, told = max(listed, key=lambda q: (q[0] not in last, q[0] not in near, many[q[0]]))
         return Clip(QUESTION, (about,), told)
     if asking.clip == 1:
         about, told = _varied(plan, questions, near, asking)

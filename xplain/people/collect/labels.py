@@ -133,44 +133,23 @@ def found_types(plan: CollectPlan, people: Sequence[State]) -> Found | None:
     )
 
 
-@dataclass(frozen=True)
-class Compared:
-    """What people said of a fact at the end, beside what their answers say of them.
-
-    Attributes:
-        said, inferred: people who hold it wrong, of those who had an opinion.
-        agree, of: of whom both are the same, and how many they are.
-    """
-
-    said: int
-    inferred: int
-    agree: int
-    of: int
-
-
-def compared(plan: CollectPlan, people: Sequence[State]) -> dict[str, Compared]:
-    """By fact, of those who had an opinion."""
-    rows: dict[str, list[tuple[bool, bool]]] = {fact.name: [] for fact in plan.facts}
-    for state in people:
-        known = {f: p for f, p in state.belief.items() if f != "none"}
-        if not known:
-            continue
-        best = int(max(known, key=lambda f: known[f]))
-        for j, stated in enumerate(state.stated):
-            if STATED[stated] != "unsure":
-                rows[plan.facts[j].name].append(
-                    (STATED[stated] == "inaccurate", bool(best >> j & 1))
-                )
-    return {
-        name: Compared(
-            sum(said for said, _ in pairs),
-            sum(inferred for _, inferred in pairs),
-            sum(said == inferred for said, inferred in pairs),
-            len(pairs),
-        )
-        for name, pairs in rows.items()
-        if pairs
+def compared(plan: CollectPlan, people: Sequence[State]) -> dict[str, dict[str, int]]:
+    """By fact, of the people ("of") who had an opinion at the end: how many said that they hold it
+    wrong ("said"), of how many their answers say so ("inferred"), and of how many both are the same
+    ("agree")."""
+    found = {
+        fact.name: dict.fromkeys(("said", "inferred", "agree", "of"), 0) for fact in plan.facts
     }
+    for state in people:
+        known = {facts: share for facts, share in state.belief.items() if facts != "none"}
+        best = int(max(known, key=lambda facts: known[facts], default=0))
+        for j, (stated, row) in enumerate(zip(state.stated, found.values(), strict=False)):
+            if known and STATED[stated] != "unsure":
+                said, inferred = STATED[stated] == "inaccurate", bool(best >> j & 1)
+                for key, one in (("said", said), ("inferred", inferred), ("of", True)):
+                    row[key] += one
+                row["agree"] += said == inferred
+    return {name: row for name, row in found.items() if row["of"]}
 
 
 def expected_new(types: int, people: int, more: int) -> tuple[float, float]:
