@@ -98,7 +98,7 @@ def test_every_page_is_accessible_and_is_photographed(
         driver.find_element(By.ID, "count").send_keys("7")
         main(["collect", "bots", "--url", server.url, "--key", server.key, "--count", "2"])
         # It keeps itself up to date, and what is typed stays.
-        wait(lambda: "<strong>6</strong>" in driver.page_source)
+        wait(lambda: "</meter> 6</td>" in driver.page_source)
         assert driver.find_element(By.ID, "count").get_attribute("value") == "7"
 
 
