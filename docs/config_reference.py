@@ -82,6 +82,7 @@ def page() -> str:
         parts.append(f"## The command `{command}` (`conf/{command}.yaml`)\n")
         parts.append(section(CONF / f"{command}.yaml", ""))
     parts += ["## The user study (`conf/study.yaml`)\n", section(CONF / "study.yaml", "")]
+    parts += ["## The pages of both (`conf/pages.yaml`)\n", section(CONF / "pages.yaml", "")]
     return "\n".join(parts)
 
 

@@ -246,6 +246,36 @@ def scrolled(driver: Driver, person: Person) -> float:
     return total
 
 
+def out_of_sight(driver: Driver) -> list[float]:
+    """How far the button that goes on is below the window, on a phone and on a small laptop."""
+    found = []
+    for width, height in ((390, 844), (1280, 800)):
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        bottom = driver.execute_script(
+            "window.scrollTo(0, 0);"
+            "return document.querySelector('main form button').getBoundingClientRect().bottom"
+        )
+        found.append(bottom - height)
+    driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    return found
+
+
+def test_the_new_step_and_its_button_are_in_sight(
+    driver: Driver, rescue: Study, tmp_path: Path
+) -> None:
+    with serving(tmp_path / "s.sqlite", rescue) as server:
+        for cell in range(len(rescue.plan.conditions)):
+            preview(driver, server, cell)
+
+            def look(page: Page) -> None:
+                if page.stage == "evaluation":
+                    assert max(out_of_sight(driver)) <= 0, page
+
+            person = Person(rescue.plan, FAULTLESS, np.random.default_rng(0))
+            assert take_part(driver, person, look=look) == "done"
+
+
 def test_scrolling_hangs_on_no_condition(driver: Driver, rescue: Study, tmp_path: Path) -> None:
     """At three window sizes: over a whole study the conditions differ by less than a tenth."""
     plan, measured = rescue.plan, {}

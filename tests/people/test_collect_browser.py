@@ -94,6 +94,12 @@ def test_every_page_is_accessible_and_is_photographed(
         driver.find_element(By.CSS_SELECTOR, "form.inline button").click()
         wait(lambda: "New invitations" in driver.page_source)
         look_at(driver, axe, "researcher")
+        driver.find_element(By.ID, "count").clear()
+        driver.find_element(By.ID, "count").send_keys("7")
+        main(["collect", "bots", "--url", server.url, "--key", server.key, "--count", "2"])
+        # It keeps itself up to date, and what is typed stays.
+        wait(lambda: "</meter> 6</td>" in driver.page_source)
+        assert driver.find_element(By.ID, "count").get_attribute("value") == "7"
 
 
 def test_bots_in_a_browser_answer_as_those_without(

@@ -44,7 +44,18 @@ def test_a_column_of_some_rows_alone_is_refused() -> None:
 
 
 def test_no_cell_is_a_formula() -> None:
-    for text in ("=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1"):
+    for text in (
+        "=1+1",
+        "+1",
+        "-1",
+        "@SUM(A1)",
+        "\t=1",
+        "\r=1",
+        "\uff1d1+1",
+        "\uff0b1",
+        "\uff0d1",
+        "\uff20A1",
+    ):
         assert defused(text) == f"'{text}"
     for harmless in ("1 + 1", "a=b", "", -1, -1.5, None, "[1, 0]"):
         assert defused(harmless) == harmless

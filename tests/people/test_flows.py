@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from werkzeug.datastructures import MultiDict
 
 from tests.people.kinds import KINDS, bot_of, site_of
 from xplain.errors import Refused
@@ -139,6 +140,14 @@ def test_questions_take_what_lies_within_their_bounds(
     else:
         with pytest.raises(Refused):
             flow.advance(state, "answers", answers)
+
+
+@kinds
+def test_a_comment_has_no_characters_that_programs_end_at(kind: str) -> None:
+    flow, state = site_of(kind).flow, at(kind, "answers")
+    sent = MultiDict({"comment": " a\x00b\x1b[c\nd👩‍🔬 ", "age": "4\x000"})
+    read = flow.read(state, "answers", sent)
+    assert (read["comment"], read["age"]) == ("ab[c\nd👩‍🔬", "40")
 
 
 @kinds

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from tests.people.kinds import KINDS, filled, site_of
+from tests.people.visitors import GENEROUS, Visitor, enter
 from xplain.cli.main import main
+from xplain.config import composed
 from xplain.people.analysis.stored import opened
+from xplain.people.server.app import create_app
+from xplain.people.server.database import Database
+from xplain.people.server.participant_pages import TAB_KINDS
+from xplain.people.server.store import Store
+from xplain.people.simulation.browser import Page
 
 LAST = "(SELECT max(number) FROM event WHERE kind = 'labels')"
 EVERYWHERE = {
@@ -30,6 +39,13 @@ EVERYWHERE = {
         "999, kind, wall, monotonic, boot, browser, payload, content, digest FROM event "
         "WHERE kind = 'shown' LIMIT 1"
     ),
+}
+EVERYWHERE |= {
+    "that somebody was erased": "UPDATE participant SET erased = 1 WHERE number = 2",
+    "when somebody came": "UPDATE event SET wall = wall + 1 WHERE kind = 'enter'",
+    "whom a platform sent": """UPDATE participant SET kept = '{"PROLIFIC_PID": "x"}'""",
+    "a step of nobody": "INSERT INTO step SELECT 'nobody', k, belief_before, given, messages, "
+    "action_values, labels, belief_after FROM step WHERE k = 1 LIMIT 1",
 }
 OF_A_STUDY = {
     "a decision": "UPDATE step SET messages = messages + 1 WHERE k = 1",
@@ -138,6 +154,92 @@ def test_a_participant_who_is_gone_from_every_table_is_missed(
 ) -> None:
     changed(snapshot, *gone(kind, answered[1][place]))
     assert differences(kind, snapshot)
+
+
+def test_whoever_was_erased_cannot_be_brought_back(
+    kind: str, snapshot: Path, answered: tuple[bytes, list[str]]
+) -> None:
+    who = answered[1][0]
+    with closing(Database(snapshot)) as database:
+        database.erase(database.reference(who))
+    assert differences(kind, snapshot) == []
+    changed(snapshot, f"UPDATE participant SET erased = 0 WHERE id = '{who}'")
+    assert differences(kind, snapshot)
+
+
+def test_of_whoever_was_erased_others_are_replayed(
+    kind: str, snapshot: Path, answered: tuple[bytes, list[str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also of those whose questions followed from the answers that are gone."""
+    with closing(Database(snapshot)) as database:
+        reference = database.reference(answered[1][0])
+    main([kind, "erase", str(snapshot), reference])
+    capsys.readouterr()
+    main([kind, "replay", str(snapshot)])
+    said = capsys.readouterr().out
+    assert said.startswith("2 participants, ")
+    assert "1 erased: all equal" in said
+    if kind == "collect":
+        with opened(snapshot) as connection:
+            others = "SELECT json_extract(payload, '$.after') FROM event WHERE kind = 'consent'"
+            assert any("1" in (row[0] or "") for row in connection.execute(others))
+
+
+def test_an_export_has_nothing_that_the_log_does_not_cover(
+    kind: str, snapshot: Path, tmp_path: Path
+) -> None:
+    """Every column of the participant table is changed; whatever a table says then, a replay of it
+    notices."""
+    table = "participants" if kind == "study" else "observers"
+    with opened(snapshot) as connection:
+        columns = [row["name"] for row in connection.execute("PRAGMA table_info(participant)")]
+    main([kind, "export", str(snapshot), str(tmp_path / "before")])
+    kept = (tmp_path / "before" / f"{table}.csv").read_text()
+    whole = snapshot.read_bytes()
+    for column in columns:
+        snapshot.write_bytes(whole)
+        other = "2 - 1" if column in ("over", "erased") else f"'{{}}' || {column} || ' '"
+        try:
+            changed(snapshot, f"UPDATE participant SET {column} = {other} WHERE number = 2")
+            main([kind, "export", str(snapshot), str(tmp_path / "after")])
+        except (sqlite3.Error, SystemExit, ValueError, LookupError):
+            continue  # the database or the export refuses it
+        if (tmp_path / "after" / f"{table}.csv").read_text() != kept:
+            assert differences(kind, snapshot), column
+
+
+def test_what_a_page_reports_is_told_in_the_consent_and_exported(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "s.sqlite"
+    with closing(Store(path, site_of(kind))) as store:
+        client = create_app(store, GENEROUS).test_client()
+        (token,) = store.invite(1, "person")
+        page = Page.of_html(enter(Visitor(client), token))
+        kinds = [*get_args(TAB_KINDS)]
+        items = [
+            {"n": n, "kind": one, "ms": 1.0, "at": 1.0, "what": f"seen {one}"}
+            for n, one in enumerate(kinds)
+        ]
+        report = {"token": page.hidden["token"], "tab": "a" * 16, "items": items}
+        assert client.post("/events", json=report).status_code == 200
+    main([kind, "export", str(path), str(tmp_path / "out")])
+    exported = (tmp_path / "out" / "events.csv").read_text()
+    assert [one for one in kinds if f"seen {one}" not in exported] == []
+    shipped = " ".join(composed(kind, []).wording.consent)
+    for stored in ("click", "hidden", "look up", "recruiting platform", "reference", "erase"):
+        assert stored in shipped, stored
+
+
+def test_a_note_at_the_end_says_which_sentences_were_not_true(kind: str) -> None:
+    """Of those that the participant was told, at every end that nothing follows."""
+    flow, facts = site_of(kind).flow, site_of(kind).plan.facts
+    for stage in ("done", "withdrawn", "timed_out"):
+        state = flow.STATE(stage=stage, **({"user_type": 1} if kind == "study" else {}))
+        told = flow.view(state).get("untrue")
+        if kind == "collect" or stage == "timed_out":
+            assert told is None
+        else:
+            wrong = flow.plan.roles[1].wrong
+            assert told == [(facts[j].belief, facts[j].message) for j in wrong]
 
 
 def test_an_end_that_was_cut_off_is_noticed_by_who_kept_the_head(

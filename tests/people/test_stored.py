@@ -52,5 +52,5 @@ def test_a_database_without_a_plan_is_a_start_for_the_server_and_no_data(tmp_pat
     connection.close()
     assert read_plan(path, StudyPlan) is None
     assert read_plan(tmp_path / "none.sqlite", StudyPlan) is None
-    with pytest.raises(InputError, match="its plan"), reading(path) as opened:
+    with pytest.raises(InputError, match=r"study\.sqlite"), reading(path) as opened:
         plan_of(opened, StudyPlan)

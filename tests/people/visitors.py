@@ -15,7 +15,7 @@ from xplain.people.simulation.browser import Browser, Page
 from xplain.people.study.bot import Person
 
 GENEROUS = Server(
-    ("invitation", "prolific", "open"), ("s",), burst=1e9, visitor_burst=1e9, blinded=False
+    ("invitation", "platform", "open"), studies=("s",), burst=1e9, visitor_burst=1e9, blinded=False
 )
 
 

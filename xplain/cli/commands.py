@@ -32,6 +32,7 @@ COMMANDS = {
     "collect": Command("collect.serve", "collect labels from people", "collect"),
     "collect bots": Command("collect.bots", "let simulated people give labels"),
     "collect export": Command("collect.export", "the labels as tables"),
+    "collect erase": Command("collect.erase", "forget a participant"),
     "collect replay": Command("collect.replay", "compute it again from its log"),
     "study": Command("study.serve", "serve the user study", "study"),
     "study bots": Command("study.bots", "let simulated participants take part"),

@@ -37,13 +37,32 @@ def serve(name: str, arguments: list[str]) -> None:
     Raises:
         XplainError: the configuration or the database cannot be used.
     """
-    cfg = composed(name, arguments)
+    cfg = configured(name, arguments)
     # Before the work of a plan: a key that cannot be is refused at once.
     server, path = server_of(cfg), database_of(cfg)
     kind = site(name)
     made = kind.of(running(name, cfg, path, kind))
     print(made.announcement(), end="", file=sys.stderr)
     run_server(made, name, server, path, cfg)
+
+
+def configured(name: str, arguments: list[str]) -> DictConfig:
+    """The configuration. With a table of one's own transitions no domain's texts are in it;
+    ``domain=null`` may say so.
+
+    Raises:
+        InputError: both a domain and a table, or none.
+    """
+    given = [one for one in arguments if one != "domain=null"]
+    cfg = composed(name, given)
+    if cfg.get("transitions") is None:
+        if given != arguments:
+            raise InputError("domain", None, "a domain; null only with transitions=TABLE")
+        return cfg
+    for one in given:
+        if one.startswith("domain="):
+            raise InputError("domain", one.removeprefix("domain="), "null with transitions=TABLE")
+    return composed(name, [*given, f"{name}@wording=neutral"])
 
 
 def database_of(cfg: DictConfig) -> Path:
@@ -184,6 +203,21 @@ def export(name: str, arguments: list[str]) -> None:
     given = parsed(f"xplain {name} export", arguments, "database", "folder")
     head = site(name).export(given.database, given.folder)
     print(f"tables and codebook in {given.folder}\nhead of the log: {head}")
+
+
+def erase(name: str, arguments: list[str]) -> None:
+    """Erases what one participant did or said, for ever."""
+    given = parsed(f"xplain {name} erase", arguments, "database", "reference")
+    if not given.database.is_file():
+        raise InputError("database", str(given.database), site(name).PLAN.OF + "'s database")
+    from xplain.people.server.database import Database
+
+    database = Database(given.database)
+    try:
+        database.erase(given.reference)
+    finally:
+        database.close()
+    print(f"erased {given.reference}; delete exports and backups that were made before, too")
 
 
 def replay(name: str, arguments: list[str]) -> None:

@@ -312,7 +312,8 @@ class Questions(Stage[F, S]):
 
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
         """The answers by name."""
-        return {one.name: form.get(one.name, "").strip() for one in getattr(flow.plan, self.of)}
+        asked = getattr(flow.plan, self.of)
+        return {one.name: form.get(one.name, "").translate(NO_TEXT).strip() for one in asked}
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
         """Each answer has to be one that its question allows."""
@@ -325,6 +326,9 @@ class Questions(Stage[F, S]):
             return state.to(stage=self.missed)
         return flow.after(state)
 
+
+NO_TEXT = dict.fromkeys({*range(32)} - {*map(ord, "\t\n\r")})
+"""Characters that no text has and some programs end at, such as NUL; left out."""
 
 # Answers ----------------------------------------------------------------------------------------
 

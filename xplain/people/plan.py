@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any, ClassVar, Self
 
 from xplain.domains.base import Parameter, Scene
-from xplain.errors import InputError
+from xplain.errors import InputError, number
 from xplain.storage import decode, encode
 
 Told = tuple[tuple[str, ...], ...]
@@ -112,6 +112,29 @@ class Asked:
     def needed(self) -> bool:
         """Whether it has to be answered."""
         return self.required or bool(self.right)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Patience:
+    """How long somebody may be silent.
+
+    Attributes:
+        timeout_minutes: without a sign of life after which a participant's part ends.
+        first_minutes: the same after the consent; each answer adds as much, up to the other.
+    """
+
+    timeout_minutes: float
+    first_minutes: float = 5.0
+
+    def __post_init__(self) -> None:
+        """Raises InputError: no time at all."""
+        for key in ("timeout_minutes", "first_minutes"):
+            if not number(f"rules.{key}", getattr(self, key)) > 0:
+                raise InputError(f"rules.{key}", getattr(self, key), "a number above 0")
+
+    def patience(self, answers: int) -> float:
+        """Minutes of silence after so many answers, the consent among them."""
+        return min(self.timeout_minutes, self.first_minutes * answers)
 
 
 @dataclass(frozen=True)

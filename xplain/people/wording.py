@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
@@ -21,26 +21,31 @@ NOT_OF_THE_PLAN = ("database", "host", "port", "threads", "server", "outputs")
 """Keys that may change between two starts."""
 
 
-def texts_of(wording: Mapping[str, Any], english: Path, in_words: InWords = str) -> Texts:
+def texts_of(kind: str, wording: Mapping[str, Any], in_words: InWords = str) -> Texts:
     """What the pages say.
 
     Args:
+        kind: study or collect, whose shipped texts name everything that can be said.
         wording: of the configuration.
-        english: file of the protocol's own texts, which names every word that is needed; so does
-            conf/words/en.yaml for the pages that protocols share.
         in_words: turns a domain's phrases into what people read.
 
     Raises:
-        InputError: the words of a page are missing.
+        InputError: the words of a page are missing, or there is no place where a text would stand.
     """
-    shared, own = (
-        yaml.safe_load(file.read_text(encoding="utf-8"))
-        for file in (CONF / "words" / "en.yaml", english)
+    shared, neutral, own = (
+        yaml.safe_load((CONF / file).read_text(encoding="utf-8"))
+        for file in ("words/en.yaml", f"{kind}/neutral.yaml", f"{kind}/texts/en.yaml")
     )
-    words = wording["words"]
-    for key in (*shared, *own["words"]):
+    words, known = wording["words"], {**shared, **own["words"]}
+    for key in known:
         if not str(words.get(key) or "").strip():
             raise InputError(f"wording.words.{key}", words.get(key), "what the page says here")
+    for of, given, allowed in (("", wording, {**neutral, **own}), ("words.", words, known)):
+        for key in given:
+            if key not in allowed:
+                near = difflib.get_close_matches(key, allowed, 3)
+                said = f"a text that a page shows, such as {', '.join(near or allowed)}"
+                raise InputError(f"wording.{of}{key}", given[key], said)
     paragraphs = ("consent", "introduction", "task", "debriefing")
     return Texts(
         title=wording["title"],
@@ -146,7 +151,7 @@ def parts(
     return {
         "seed": config["seed"],
         "config": config,
-        "texts": texts_of(wording, CONF / kind / "texts" / "en.yaml", in_words),
+        "texts": texts_of(kind, wording, in_words),
         "scene": scene and named(scene, wording["hide"], in_words),
         "icons": {in_words(name): path for name, path in wording["icons"].items()},
     }, in_words

@@ -15,7 +15,7 @@ from xplain.message_sets import mask_of
 from xplain.questions.hypotheses import Hypotheses
 from xplain.users.setting import MAX_MODELS
 
-TEXT, IMAGE, WHEN = "text", "image", "inexplicable_if"
+TEXT, IMAGE, ALT, WHEN = "text", "image", "alt", "inexplicable_if"
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class OwnTransitions:
         feature_names: F names.
         facts: of each transition, the facts of which each makes it inexplicable to who holds it
             wrong; None where nobody wrote them down.
+        alts: of each image, what it shows, in words; "" where nobody wrote it.
     """
 
     path: str
@@ -38,6 +39,7 @@ class OwnTransitions:
     features: NDArray[np.float64] | None
     feature_names: tuple[str, ...]
     facts: tuple[tuple[str, ...], ...] | None
+    alts: tuple[str, ...] = ()
 
     @cached_property
     def hypotheses(self) -> Hypotheses:
@@ -89,10 +91,10 @@ def with_features(known: Hypotheses) -> Hypotheses:
 
 def read_transitions(path: str | Path) -> OwnTransitions:
     """Reads a CSV table, one row a transition: ``text``, what the robot does; optionally
-    ``image``; ``inexplicable_if``, the facts joined by ``;`` of which each makes the transition
-    inexplicable to who holds it wrong (not needed where one asks without hypotheses). All other
-    columns are features: numbers, or text, which becomes one column a value, as in tables of
-    labels.
+    ``image``, and ``alt``, what it shows in words; ``inexplicable_if``, the facts joined by ``;``
+    of which each makes the transition inexplicable to who holds it wrong (not needed where one
+    asks without hypotheses). All other columns are features: numbers, or text, which becomes one
+    column a value, as in tables of labels.
 
     Raises:
         InputError: no such table, a row without text, or a feature missing.
@@ -115,11 +117,12 @@ def read_transitions(path: str | Path) -> OwnTransitions:
         tuple(one.strip() for one in (row.get(WHEN) or "").split(";") if one.strip())
         for row in rows
     ]
-    features, names = _features(rows, [c for c in columns if c not in (TEXT, IMAGE, WHEN)])
+    features, names = _features(rows, [c for c in columns if c not in (TEXT, IMAGE, ALT, WHEN)])
     return OwnTransitions(
         path=str(path),
         texts=texts,
         images=tuple((row.get(IMAGE) or "").strip() for row in rows),
+        alts=tuple((row.get(ALT) or "").strip() for row in rows),
         features=features,
         feature_names=names,
         facts=tuple(facts) if WHEN in columns else None,

@@ -164,26 +164,35 @@ class Questionnaire:
         """The question that tells most, as (transition, message set); with ``clip`` > 1 (a list
         of transitions, message set). The same until it is answered."""
         if self._pending is None:
-            seen = [transition for one in self.asked for transition in one.transitions]
-            rng = stream(self.seed, "questionnaire", len(self.asked))
-            posterior = self._posterior
             if not self.told:
-                times = np.bincount(seen, minlength=self.hypotheses.n_transitions)
-                left = np.flatnonzero(times < self.repeats)
-                if not len(left):
-                    raise InputError("repeats", self.repeats, "more: every question was asked")
-                self._pending = posterior.best_of([(t, 0) for t in left.tolist()], rng)
+                self._pending = self._posterior.best_of(self._left(), self._rng())
             elif self.rates is not None:
-                self._pending = posterior.best_near_even(self._questions, NEAR, rng)
+                self._pending = self._posterior.best_near_even(self._questions, NEAR, self._rng())
+            elif self.clip == 1:
+                self._pending = self.alternatives(1)[0]
             else:
-                starts = STARTS if self.clip > 1 else 1
-                singles = posterior.best_questions(self._questions, starts, seen, rng)
-                if self.clip == 1:
-                    self._pending = singles[0]
-                else:
-                    rng = stream(self.seed, "questionnaire", "clip", len(self.asked))
-                    self._pending = posterior.best_clip(singles, self.clip, rng)
+                rng = stream(self.seed, "questionnaire", "clip", len(self.asked))
+                self._pending = self._posterior.best_clip(self.alternatives(STARTS), self.clip, rng)
         return self._pending
+
+    def alternatives(self, count: int) -> list[tuple[int, int]]:
+        """The questions about one transition that tell most, the best first."""
+        return self._posterior.best_questions(self._questions, count, self._seen, self._rng())
+
+    def _left(self) -> list[tuple[int, int]]:
+        """The questions with nothing told that may be asked still."""
+        times = np.bincount(self._seen, minlength=self.hypotheses.n_transitions)
+        left = np.flatnonzero(times < self.repeats)
+        if not len(left):
+            raise InputError("repeats", self.repeats, "more: every question was asked")
+        return [(t, 0) for t in left.tolist()]
+
+    @property
+    def _seen(self) -> list[int]:
+        return [transition for one in self.asked for transition in one.transitions]
+
+    def _rng(self) -> np.random.Generator:
+        return stream(self.seed, "questionnaire", len(self.asked))
 
     def answer(self, label: ArrayLike, question: Question | None = None) -> None:
         """Takes the answer to the last question, or to a question of one's own.

@@ -32,7 +32,9 @@ EXPECTED = {
 
 def wording(**changes: Any) -> dict[str, Any]:
     """The texts that every task has."""
-    texts: Any = OmegaConf.to_container(OmegaConf.load(CONF / "collect" / "texts" / "en.yaml"))
+    files = ("neutral.yaml", "texts/en.yaml")
+    shipped = OmegaConf.merge(*(OmegaConf.load(CONF / "collect" / file) for file in files))
+    texts: Any = OmegaConf.to_container(shipped)
     texts["words"] |= OmegaConf.to_container(OmegaConf.load(CONF / "words" / "en.yaml"))
     questions = [
         {"name": "age", "label": "Your age", "kind": "number", "low": 18, "high": 110},

@@ -18,6 +18,7 @@ from xplain.people.collect.asking import ATTENTION, State, shared
 from xplain.people.collect.bot import Habits, bot, take_part
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.labels import (
+    compared,
     dataset_of,
     expected_new,
     fact_sets,
@@ -47,6 +48,20 @@ def inattentive(state: State) -> State:
         replace(clip, labels=(1,)) if clip.purpose == ATTENTION else clip for clip in state.answered
     )
     return replace(state, answered=answered)
+
+
+def test_what_people_say_is_compared_with_what_their_answers_say() -> None:
+    plan = COLLECTION.plan
+    people = [
+        replace(State(), belief={str(held): 0.9, "none": 0.1}, stated=stated)
+        for held, stated in ((3, (1, 1, 0, 0)), (3, (0, 1, 2, 0)), (0, (1, 0, 0, 0)))
+    ]
+    found = compared(plan, [*people, State()])
+    bridge, market, school, tunnel = (found[fact.name] for fact in plan.facts)
+    assert bridge == {"said": 2, "inferred": 2, "agree": 1, "of": 3}
+    assert market == {"said": 2, "inferred": 2, "agree": 3, "of": 3}
+    assert school == {"said": 0, "inferred": 0, "agree": 2, "of": 2}
+    assert tunnel["agree"] == tunnel["of"] == 3
 
 
 def test_only_who_finished_and_looked_is_learned_from() -> None:

@@ -11,6 +11,8 @@ import pytest
 from tests.people.collect.stand_in import RULES, STREET, street_plan, wording
 from tests.people.study.stand_in import TYPES
 from xplain.cli.main import main
+from xplain.cli.people import configured
+from xplain.config import CONF
 from xplain.errors import InputError
 from xplain.people.collect.bot import Habits
 from xplain.people.collect.expectation import crowd, expect, rand_index, truth_of
@@ -19,11 +21,11 @@ from xplain.people.collect.prepare import assemble, domain_source, own_source, r
 from xplain.questions.designs import Adaptive, Battery
 from xplain.users.types import Explicit
 
-TABLE = """text,image,inexplicable_if,floor,place
-Drives over the cable,cable.png,cable,0,hall
-Takes the lift,,lift;queue,1,hall
-Waits at the door,,queue,0,door
-Goes around the cable,,,0,hall
+TABLE = """text,image,alt,inexplicable_if,floor,place
+Drives over the cable,cable.png,A red cable,cable,0,hall
+Takes the lift,,,lift;queue,1,hall
+Waits at the door,,,queue,0,door
+Goes around the cable,,,,0,hall
 """
 FACTS = """fact,message,belief
 cable,The robot may drive over cables.,Cables stop the robot.
@@ -50,6 +52,7 @@ def test_own_transitions_become_a_task(folder: Path) -> None:
     assert [picture is not None for picture in source.pictures] == [True, False, False, False]
     assert source.roles
     assert all(held in known.essential for held in source.roles.values())
+    assert [picture.alt for picture in source.pictures if picture] == ["A red cable"]
     # Who holds one of its facts wrong finds a step inexplicable.
     assert known.labels[known.row(np.array(0b010)), 1] == 0
     assert known.labels[known.row(np.array(0b001)), 1] == 1
@@ -139,6 +142,54 @@ def test_symbols_to_hide_are_on_the_map() -> None:
         assemble(domain_source(STREET, users, 0), Adaptive(), Rules(points=12, **RULES), config)
 
 
+OWN_TEXTS = """introduction: [A delivery robot drives through our house.]
+attention: The robot waits for an hour before a wall.
+"""
+
+
+@pytest.mark.parametrize("more", [[], ["domain=null"]])
+def test_of_ones_own_table_no_domain_s_words_are_told(folder: Path, more: list[str]) -> None:
+    table = [f"transitions={folder / 'own.csv'}", f"facts={folder / 'facts.csv'}", *more]
+    task = configured("collect", ["domain=rescue"]).wording.introduction
+    own = configured("collect", table).wording
+    assert own.introduction != task
+    assert "rescue" not in str(own)
+    assert not own.icons
+    (folder / "collect" / "texts").mkdir(parents=True)
+    english = (CONF / "collect" / "texts" / "en.yaml").read_text(encoding="utf-8")
+    (folder / "collect" / "texts" / "ours.yaml").write_text(english + OWN_TEXTS)
+    ours = [f"hydra.searchpath=[{folder}]", "collect/texts@wording=ours"]
+    for arguments in ([*table, *ours], ["domain=rescue", *ours]):
+        said = configured("collect", arguments).wording
+        assert said.introduction == ["A delivery robot drives through our house."]
+        assert said.attention == "The robot waits for an hour before a wall."
+
+
+@pytest.mark.parametrize(
+    "arguments", [["domain=null"], ["domain=rescue", "transitions=own.csv", "facts=facts.csv"]]
+)
+def test_a_task_is_either_a_domain_or_a_table(arguments: list[str]) -> None:
+    with pytest.raises(InputError, match="domain="):
+        configured("collect", arguments)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"introductoin": ["A"]}, "wording.introductoin"),
+        ({"words": wording()["words"] | {"bye": "Bye"}}, "wording.words.bye"),
+        ({"icons": {"cable": "M0 0"}}, "wording.icons"),
+    ],
+)
+def test_a_text_that_no_page_would_show_is_refused(
+    folder: Path, changes: dict[str, Any], said: str
+) -> None:
+    source = own_source(folder / "own.csv", str(folder / "facts.csv"), 0)
+    config = {"seed": 0, "briefing": "none", "wording": wording(**changes), "points": 12}
+    with pytest.raises(InputError, match=said):
+        assemble(source, Adaptive(), Rules(points=12, **RULES), config)
+
+
 def test_the_expectation_is_of_the_plan_and_its_people() -> None:
     plan = street_plan(points=16)
     users = Explicit({one.name: list(one.inaccurate) for one in TYPES})
@@ -166,7 +217,7 @@ def test_24_people_and_20_questions_find_the_types(domain: str, types: int) -> N
 
     from xplain.config import composed
     from xplain.people.collect.prepare import source_of
-    from xplain.people.settings import fixed
+    from xplain.people.wording import fixed
 
     cfg = composed("collect", [f"domain={domain}"])
     config: dict[str, Any] = fixed(cfg)

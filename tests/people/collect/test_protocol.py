@@ -31,6 +31,7 @@ from xplain.people.simulation.bots import answer
 from xplain.questions.designs import Battery
 
 COLLECTION = street_collection()
+LISTED = street_collection(Battery(redundancy=2), points=12)
 KINDS = {one.name: one.kind for one in COLLECTION.STAGES}
 numbers = st.integers(0, 10_000)
 
@@ -131,6 +132,58 @@ def test_a_list_is_the_same_for_everybody_in_an_order_of_their_own() -> None:
     assert len(asked[0]) == 10
     assert all(sorted(one) == sorted(asked[0]) for one in asked)
     assert any(one != asked[0] for one in asked)
+
+
+@settings(max_examples=30, deadline=None)
+@given(numbers, st.integers(0, 15), st.booleans())
+def test_between_two_looks_at_a_step_there_are_others(number: int, held: int, listed: bool) -> None:
+    collection = LISTED if listed else COLLECTION
+    person = Observer(collection.plan, held, Habits(0.2), np.random.default_rng(number))
+    clips = take_part(collection, person, number, {}).answered
+    phrases = collection.plan.hypotheses.phrases
+    steps = [[phrases[t] for t in clip.transitions] for clip in clips]
+    asked = [clip.purpose == QUESTION for clip in clips]
+    for place in range(1, len(steps)):
+        if steps[place] != steps[place - 1] or not any(asked[place - 1 : place + 1]):
+            continue
+        # A list is to be asked whole: at its end one step alone may be left.
+        left = [
+            step for step, question in zip(steps[place:], asked[place:], strict=True) if question
+        ]
+        assert listed
+        assert not asked[place] or all(step == steps[place] for step in left)
+
+
+@settings(max_examples=12, deadline=None)
+@given(numbers, st.integers(0, 15))
+def test_of_questions_that_tell_about_as_much_new_ones_come_first(number: int, held: int) -> None:
+    person = Observer(COLLECTION.plan, held, FAULTLESS, np.random.default_rng(number))
+    phrases = COLLECTION.plan.hypotheses.phrases
+    state = take_part(COLLECTION, person, number, {})
+    for place, clip in enumerate(state.answered):
+        if clip.purpose != QUESTION:
+            continue
+        known = COLLECTION.questionnaire(replace(state, answered=state.answered[:place]))
+        before = [t for one in state.answered[:place] for t in one.transitions]
+        near = {
+            phrases[t] for one in state.answered[place - 1 : place + 2] for t in one.transitions
+        }
+        seen = {phrases[t] for t in before}
+        best = known.information(known.next())
+        own = known.information((list(clip.transitions), clip.told))
+        missed = [
+            (t, told)
+            for t, phrase in enumerate(phrases)
+            for told in range(16)
+            if phrase not in seen | near and known.information((t, told)) > 0.901 * best
+        ]
+        (phrase,) = {phrases[t] for t in clip.transitions}
+        assert phrase not in seen or not missed
+        assert (
+            phrase in seen
+            or own >= 0.899 * best
+            or phrases[np.atleast_1d(known.next()[0])[0]] in near
+        )
 
 
 def test_what_is_kept_of_earlier_answers_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ from flask.testing import FlaskClient
 
 from tests.people.visitors import Visitor, enter, field
 from xplain.people.server.app import create_app
-from xplain.people.server.http import Server
+from xplain.people.server.http import GUESSES, Server
 from xplain.people.server.security import Keys
 from xplain.people.server.store import Store
 from xplain.people.study.flow import Study
@@ -78,6 +78,32 @@ def test_requests_are_limited_by_participant_and_by_address(tmp_path: Path, stud
     assert other.get("/study").status_code == 200  # not held back by the crowd
     assert {other.get("/study").status_code for _ in range(25)} == {200, 429}
     store.close()
+
+
+def test_wrong_keys_of_researchers_hold_nobody_back(tmp_path: Path, study: Study) -> None:
+    store = Store(tmp_path / "s.sqlite", StudySite(study))
+    app = create_app(store, Server())
+    guesser, researcher, newcomer = (app.test_client() for _ in range(3))
+    guesses = [guesser.post("/researcher/login", data={"key": f"{n}"}) for n in range(600)]
+    assert [reply.status_code for reply in guesses[:GUESSES]] == [403] * GUESSES
+    assert guesses[-1].status_code == 429
+    assert newcomer.get("/").status_code == 200
+    key = Keys(store.secret).researcher
+    reply = researcher.post("/researcher/login", data={"key": key}, follow_redirects=True)
+    assert (reply.status_code, "at a glance" in reply.text) == (200, True)
+    # A crowd at the address does not hold back who is logged in, either.
+    while newcomer.get("/").status_code == 200:
+        pass
+    assert researcher.get("/researcher").status_code == 200
+    store.close()
+
+
+def test_an_error_leads_on_to_no_page_that_is_an_error(client: FlaskClient, store: Store) -> None:
+    """Without a cookie there is nothing to go on with."""
+    for path in ("/study", "/nowhere"):
+        assert 'href="/study"' not in client.get(path).text
+    client.set_cookie("participant", Keys(store.secret).cookie(store.enter_open()))
+    assert 'href="/study"' in client.get("/nowhere").text
 
 
 def test_nonsense_on_every_route_gets_a_page(client: FlaskClient, store: Store) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import gc
 import io
+import re
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -14,14 +15,17 @@ from typing import Any
 import pytest
 
 from tests.people.collect.stand_in import FAULTLESS, street_collection, street_plan, telling
+from tests.people.study.stand_in import PLACES
 from tests.people.visitors import GENEROUS, Visitor, enter, field
-from xplain.people.collect.asking import State, belief
+from xplain.cli.discover import sentences_of
+from xplain.people.collect.asking import State, belief, schedule
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.labels import Found
 from xplain.people.collect.plan import Picture
 from xplain.people.collect.site import CollectSite
 from xplain.people.server.app import create_app
+from xplain.people.server.charts import WIDTH, over_time
 from xplain.people.server.security import Keys
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Page
@@ -94,7 +98,7 @@ def test_of_the_erased_nothing_stays_in_memory(
         }
 
     assert remembered() == {"state", "questionnaire", "types"}
-    store.erase(gone["id"])
+    store.erase(store.reference(gone["id"]))
     assert remembered() == set()
     assert store.site.state(kept["state"]).text == kept["state"]
 
@@ -127,7 +131,7 @@ def test_practice_is_repeated_until_it_is_understood(
     page = next(page for _, page in pages if page.stage == "practice")
     status, html = visitor.post("/study", [*page.hidden.items(), ("label", "1")])
     assert status == 200
-    assert "Not quite" in html
+    assert "Please look again" in html
     assert Page.of_html(html).messages == page.messages
 
 
@@ -159,11 +163,45 @@ def test_the_researcher_sees_labels_types_and_what_more_people_bring(
     reply = researcher.client.post("/researcher/export", data={"token": field(html, "token")})
     with zipfile.ZipFile(io.BytesIO(reply.data)) as archive:
         assert {"study/labels.csv", "study/observers.csv"} <= set(archive.namelist())
+        assert {"study/clips.parquet", "study/events.csv"} <= set(archive.namelist())
+        said = sentences_of(archive.extract("study/sentences.yaml", store.path.parent), PLACES)
+    assert said == {fact.name: fact.message for fact in store.site.plan.facts}
     _, html = researcher.post(
         "/researcher/invitations",
         [("token", field(html, "token")), ("count", "3"), ("stream", "pilot")],
     )
     assert html.count("?invitation=") == 3
+
+
+def test_the_researcher_s_page_shows_what_there_is_and_how_it_grew(
+    store: Store, browser: Callable[[], Visitor]
+) -> None:
+    researcher = browser()
+    html = researcher.post("/researcher/login", [("key", Keys(store.secret).researcher)])[1]
+    assert "Nobody yet" in html
+    assert "Who is where" not in html  # no table without rows
+    assert "Answers over time" not in html
+    fields = [("token", field(html, "token"))]
+    assert researcher.post("/researcher/preview", [*fields, ("cell", "1")])[0] == 400
+    status, page = researcher.post("/researcher/preview", [*fields, ("cell", "0")])
+    assert (status, Page.of_html(page).stage, "Pilot" in page) == (200, "consent", True)
+    list(walk(browser(), store))
+    clips = len(schedule(store.site.plan, 2))
+    html = researcher.get("/researcher")[1]
+    assert f'aria-label="{clips} answers from' in html
+    assert re.search(r"<meter [^>]*value=\"1\"[^>]*></meter> 1</td>", html)
+
+
+def test_a_line_of_labels_rises_to_all_of_them() -> None:
+    assert over_time([]) == over_time([5.0]) == ""
+    svg = over_time([0.0, 60.0, 3600.0])
+    (line,) = re.findall(r'points="([^"]*)"', svg)
+    corners = [tuple(map(float, corner.split(","))) for corner in line.split()]
+    assert corners[0][0] == 0
+    assert corners[-1] == (WIDTH, 0)
+    assert [y for _, y in corners] == sorted((y for _, y in corners), reverse=True)
+    assert "01 Jan 00:00" in svg
+    assert "01 Jan 01:00" in svg
 
 
 def test_assigned_briefings_are_balanced_and_shown_again(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def test_forged_answers_are_turned_away_and_leave_no_trace(
     assert client.post("/study", data=good).status_code == 403  # no cookie
     assert before == (
         store.query("SELECT * FROM event"),
-        [row | {"seen": before[1][0]["seen"]} for row in store.query("SELECT * FROM participant")],
+        store.query("SELECT * FROM participant"),
     )
 
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import re
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tests.people.study.stand_in import street_plan
-from xplain.people.server.map_svg import legend, picture
+from xplain.people.server.map_svg import COLOURS, legend, picture
 from xplain.people.study.flow import Study
 
 
@@ -28,3 +32,34 @@ def test_the_map_says_what_happened_and_a_domain_without_one_does_without(study:
     assert ">B<" in picture(plan, plan.path, 1)  # a letter where there is no icon
     assert plan.icons["market"] in picture(plan, plan.path, 1)
     assert picture(street_plan(map_shown=False), None, 1) == ""
+
+
+def test_the_map_is_told_in_words_to_those_who_do_not_see_it(study: Study) -> None:
+    """Where everything is, the robot's way, and where it is now; not what was taken."""
+    plan = study.plan
+    for k in range(plan.n_steps + 1):
+        svg = picture(plan, plan.path, k, ("market",) if k > 1 else ())
+        assert re.search(r'<svg [^>]*aria-describedby="map-in-words"', svg)
+        (said,) = re.findall(r'<p class="unseen" id="map-in-words">([^<]*)</p>', svg)
+        things = {"bridge": "A1", "market": "B1", "school": "C1", "tunnel": "D1"}
+        if k > 1:
+            del things["market"]
+            assert "market" not in said
+        for name, cell in things.items():
+            assert f"{name}: {cell}." in said
+        assert f"The robot is in {'ABCDE'[k]}1." in said
+        way = ", ".join(f"{letter}1" for letter in "ABCDE"[: k + 1])
+        assert (f"Its way so far: {way}." in said) == (k > 0)
+
+
+def test_no_two_kinds_of_things_look_alike() -> None:
+    def lab(colour: str) -> NDArray[np.float64]:
+        """CIE L*a*b* of sRGB."""
+        share = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+        linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+        to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+        x, y, z = np.cbrt(np.array(to_xyz) @ linear / [0.9505, 1, 1.089])
+        return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+    for one, other in combinations(COLOURS, 2):
+        assert np.linalg.norm(lab(one) - lab(other)) > 20, (one, other)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from tests.people.study.stand_in import FAULTLESS, street_plan
-from tests.people.visitors import GENEROUS, Visitor, field, pages
+from tests.people.visitors import GENEROUS, Visitor, consent, enter, field, pages
 from xplain.errors import InputError
 from xplain.people.server.app import create_app
-from xplain.people.server.http import Server
+from xplain.people.server.http import Context, Server
 from xplain.people.server.map_svg import CELL, picture
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Page, visit
@@ -91,7 +91,7 @@ def test_sentences_of_the_domain_are_escaped(
 
 
 def test_entry_is_as_configured(store: Store) -> None:
-    closed = create_app(store, Server(entry=("prolific",), prolific_studies=("s",))).test_client()
+    closed = create_app(store, Server(entry=("platform",), studies=("s",))).test_client()
     html = closed.get("/").text
     visitor = field(html, "token")
     assert 'name="invitation"' not in html
@@ -153,14 +153,70 @@ def test_without_a_map_the_page_lists_what_each_step_changed(
 def test_nobody_is_a_person_by_making_up_ids(store: Store) -> None:
     """By default invitations alone let people in; a platform's, only of the configured study."""
     ids = {"PROLIFIC_PID": "p", "STUDY_ID": "made up", "SESSION_ID": "x"}
-    for server in (Server(), Server(entry=("prolific",), prolific_studies=("ours",))):
+    for server in (Server(), Server(entry=("platform",), studies=("ours",))):
         client = create_app(store, server).test_client()
         token = field(client.get("/").text, "token")
         assert client.post("/enter", data=ids | {"token": token}).status_code == 403
     ours = ids | {"STUDY_ID": "ours", "token": token}
     assert client.post("/enter", data=ours).status_code == 303
-    with pytest.raises(InputError, match=r"server\.prolific_studies"):
-        Server(entry=("prolific",))
+    with pytest.raises(InputError, match=r"server\.studies"):
+        Server(entry=("platform",))
+
+
+def test_a_list_of_ids_lets_nobody_else_in(store: Store, tmp_path: Path) -> None:
+    """Any platform that tells an id in its address; the file is read when somebody comes."""
+    file = tmp_path / "ids.txt"
+    file.write_text("ann\nbert\n")
+    server = Server(entry=("platform",), id_names=("survey_code",), ids=str(file))
+    client = create_app(store, server).test_client()
+    page = client.get("/?survey_code=ann").text
+    assert field(page, "survey_code") == "ann"
+    token = field(page, "token")
+
+    def comes(who: str) -> int:
+        data = {"survey_code": who, "token": token}
+        return client.post("/enter", data=data).status_code
+
+    assert [comes(who) for who in ("ann", "made up", "", "ann", "carl")] == [
+        303,
+        403,
+        403,
+        303,
+        403,
+    ]
+    file.write_text("ann\nbert\ncarl\n")
+    assert comes("carl") == 303
+    assert len(store.query("SELECT * FROM participant")) == 2
+    with pytest.raises(InputError, match=r"server\.ids"):
+        replace(server, ids=str(tmp_path / "nowhere"))
+    with pytest.raises(InputError, match=r"server\.studies"):
+        replace(server, studies=("s",))
+    with pytest.raises(InputError, match=r"server\.id_names"):
+        replace(server, id_names=())
+
+
+def test_the_platform_gets_its_id_back(store: Store) -> None:
+    back = "https://example.org/credit?who={id}&code={code}"
+    with pytest.raises(InputError, match=r"server\.completion_url"):
+        Server(completion_url=back)
+    server = replace(GENEROUS, keep_ids=True, completion_url=back, completion_code="C0DE")
+    own = Context(store, server)
+    ids = {"PROLIFIC_PID": "a&b", "STUDY_ID": "s", "SESSION_ID": "x"}
+    found = store.participant(store.enter_from_platform(ids, keep=True))
+    assert own.back(found, "C0DE") == "https://example.org/credit?who=a%26b&code=C0DE"
+
+
+def test_who_finds_no_place_gets_the_code_for_it(store: Store) -> None:
+    places = len(store.site.plan.cells) * store.site.plan.rules.per_cell
+    for token in store.invite(places, "person"):
+        consent(store, store.enter_invited(token))
+    for codes, code in (({}, ""), ({"full": "FULL1"}, "FULL1")):
+        visitor = Visitor(create_app(store, replace(GENEROUS, codes=codes)).test_client())
+        page = Page.of_html(enter(visitor, store.invite(1, "person")[0]))
+        status, html = visitor.post("/study", [*page.hidden.items(), ("agree", "1")])
+        assert status == 503
+        assert "All places are taken" in html
+        assert ("FULL1" in html) == bool(code)
 
 
 def test_taken_things_leave_the_map_and_places_have_names() -> None:

@@ -17,7 +17,7 @@ from filelock import FileLock
 
 from tests.people.server.test_fuzz import records
 from tests.people.study.stand_in import FAULTLESS, street_plan, street_study
-from tests.people.visitors import GENEROUS, Visitor, consent
+from tests.people.visitors import GENEROUS, Visitor, consent, field, pages
 from xplain.errors import InputError, Refused, XplainError
 from xplain.people.analysis.stored import read_plan
 from xplain.people.server.app import create_app
@@ -66,6 +66,10 @@ def whole(store: Store) -> str:
     return "\n".join(store._connection.iterdump())
 
 
+def ids_of(person: str, study: str, session: str) -> dict[str, str]:
+    return {"PROLIFIC_PID": person, "STUDY_ID": study, "SESSION_ID": session}
+
+
 def wrong_page(store: Store, who: str) -> None:
     store.submit(who, 0, "labels", {"labels": [1]})
 
@@ -92,7 +96,7 @@ def no_such_invitation(store: Store, who: str) -> None:
 
 
 def second_session(store: Store, who: str) -> None:
-    store.enter_prolific("P", "S", "another session", keep=True)
+    store.enter_from_platform(ids_of("P", "S", "another session"), keep=True)
 
 
 def too_many_events(store: Store, who: str) -> None:
@@ -125,7 +129,7 @@ def test_a_refusal_leaves_the_database_as_it_was(
     store = Store(path, StudySite(study), time.clock())
     silent, who = (store.enter_invited(token) for token in store.invite(2, "person"))
     consent(store, silent)
-    store.enter_prolific("P", "S", "X", keep=True)
+    store.enter_from_platform(ids_of("P", "S", "X"), keep=True)
     time.now += 31 * 60
     before = whole(store)
     with pytest.raises((Refused, Unknown, TypeError)):
@@ -218,8 +222,8 @@ def test_only_completion_uses_a_place_up(tmp_path: Path, study: Study) -> None:
     consent(store, everybody[places])
     now = store.query("SELECT position FROM slot WHERE holder = ?", (everybody[places],))
     assert now == taken  # the very place that came back
-    # Silence frees a place too, when somebody asks for one: half an hour of it.
-    time.now += 29 * 60
+    # Silence frees a place too, when somebody asks for one: a short one right after the consent.
+    time.now += 4 * 60
     assert store.time_out_stale() == 0
     time.now += 2 * 60
     for who in everybody[:2]:
@@ -227,6 +231,55 @@ def test_only_completion_uses_a_place_up(tmp_path: Path, study: Study) -> None:
     consent(store, everybody[places + 1])
     assert store.participant(everybody[5]).state.stage == "timed_out"
     assert store.participant(everybody[0]).state.stage == "briefing"
+    store.close()
+
+
+def test_a_place_is_held_for_longer_the_further_somebody_is(tmp_path: Path, study: Study) -> None:
+    """Ids that somebody makes up consent and no more: their places are soon free again."""
+    time, rules = Time(), study.plan.rules
+    store = Store(tmp_path / "s.sqlite", StudySite(study), time.clock())
+    app = create_app(store, GENEROUS)
+    person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
+    stages = []
+    for html, page in pages(Visitor(app.test_client()), person, store.invite(1, "person")[0]):
+        accepted = int(page.hidden.get("sequence", 0)) if page.stage != "consent" else 0
+        if not accepted:
+            continue
+        held = min(rules.timeout_minutes, 5 * accepted)
+        now = time.now
+        time.now = now + 60 * held - 1
+        assert store.time_out_stale() == 0, page.stage
+        time.now = now
+        stages.append((page.stage, held, field(html, "sequence")))
+    assert [held for _, held, _ in stages][:7] == [5, 10, 15, 20, 25, 30, 30]
+    made_up = [store.enter_from_platform(ids_of(str(n), "S", "X"), False) for n in range(9)]
+    for who in made_up:
+        consent(store, who)
+    time.now += 60 * 5 + 1
+    assert store.time_out_stale() == len(made_up)
+    store.close()
+
+
+def test_who_sets_the_clock_times_nobody_out(tmp_path: Path, study: Study) -> None:
+    """Within a boot of the machine the monotonic clock counts, and the wall clock after one."""
+    wall, monotonic, path = [1e9], [50.0], tmp_path / "s.sqlite"
+    clock = Clock(lambda: wall[0], lambda: monotonic[0], "boot")
+    store = Store(path, StudySite(study), clock)
+    who = store.enter_invited(store.invite(1, "person")[0])
+    consent(store, who)
+    for jump in (1e6, -2e6):
+        wall[0] += jump
+        assert store.time_out_stale() == 0
+    monotonic[0] += 301
+    assert store.time_out_stale() == 1
+    store.submit(who, 2, "return", {})
+    store.close()
+    monotonic[0] = 2.0
+    store = Store(path, StudySite(study), replace(clock, boot="another"))
+    wall[0] += 599
+    assert store.time_out_stale() == 0
+    wall[0] += 600
+    assert store.time_out_stale() == 1
     store.close()
 
 
@@ -379,7 +432,9 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     store.from_tab(gone, "a" * 16, [(0, "visible", 1.0, {"what": "whatnobodyelsesaid"})])
     (place,) = store.query("SELECT position FROM slot WHERE holder = ?", (gone,))
     before = records(store, [kept])
-    store.erase(gone)
+    with pytest.raises(InputError, match="reference"):
+        store.erase(gone)  # an id is in published data; it erases nothing
+    store.erase(store.reference(gone))
     assert said not in states_in_memory()
     assert records(store, [kept]) == before
     when = "SELECT DISTINCT wall, monotonic, boot, browser FROM event WHERE participant = ?"
@@ -392,7 +447,7 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     found = StudySite(study).replay(store._connection)
     assert (found.differences, found.participants) == ([], 1)
     with pytest.raises(InputError, match="reference"):
-        store.erase(gone)
+        store.erase(store.reference(gone))
     store.close()
     content = b"".join(file.read_bytes() for file in tmp_path.glob("s.sqlite*"))
     assert b"whatnobodyelsesaid" not in content
@@ -414,7 +469,7 @@ def test_each_is_erased_alone_and_afterwards_nothing_can_be_changed(
     store = Store(tmp_path / "s.sqlite", StudySite(study))
     people = [store.enter_invited(token) for token in store.invite(3, "person")]
     for who in people[:2]:
-        store.erase(who)
+        store.erase(store.reference(who))
         with pytest.raises(sqlite3.IntegrityError), store.transaction() as do:
             do("UPDATE event SET kind = 'other' WHERE participant = ?", (who,))
     erased = store.query("SELECT id FROM participant WHERE erased ORDER BY number")
@@ -469,14 +524,14 @@ def test_invitations_and_outside_ids_lead_back_to_the_same_participant(store: St
     assert store.enter_invited(token) == store.enter_invited(token)
     with pytest.raises(Unknown):
         store.enter_invited(token + "x")
-    first = store.enter_prolific("P", "S", "X", keep=False)
-    assert store.enter_prolific("P", "S", "X", keep=False) == first
+    first = store.enter_from_platform(ids_of("P", "S", "X"), keep=False)
+    assert store.enter_from_platform(ids_of("P", "S", "X"), keep=False) == first
     with pytest.raises(Unknown):  # the same person in another session
-        store.enter_prolific("P", "S", "Y", keep=False)
+        store.enter_from_platform(ids_of("P", "S", "Y"), keep=False)
     # Another study of the platform's has other people, though it calls them alike.
-    assert store.enter_prolific("P", "T", "X", keep=False) != first
+    assert store.enter_from_platform(ids_of("P", "T", "X"), keep=False) != first
     assert store.keyed("ab", "c") != store.keyed("a", "bc")
-    store.enter_prolific("Q", "S", "Z", keep=True)
+    store.enter_from_platform(ids_of("Q", "S", "Z"), keep=True)
     dump = "\n".join(store._connection.iterdump())
     assert token not in dump
     assert "'P'" not in dump

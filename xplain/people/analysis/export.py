@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic
 
+from xplain.people.analysis.codebook import CODEBOOK, explained
 from xplain.people.analysis.log import head_of
+from xplain.people.analysis.stored import Plan, plan_of, reading
 from xplain.people.flow import S
 
 if TYPE_CHECKING:
@@ -21,8 +23,7 @@ Codebook = Mapping[str, Mapping[str, str]]
 """What every column of every table means."""
 OTHERS = "…"
 """Ends an entry of a codebook that stands for every column beginning with what is before it."""
-_FORMULAS = ("=", "+", "-", "@", "\t", "\r")
-_KEPT = "participant WHERE NOT erased"
+_FORMULAS = ("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠")
 
 
 @dataclass(frozen=True)
@@ -50,20 +51,13 @@ class Participant(Generic[S]):
 
 def everybody(connection: sqlite3.Connection) -> list[tuple[Row, tuple[Row, ...]]]:
     """Rows and events of everybody who was not erased, in the order in which they came."""
-    rows = connection.execute(f"SELECT * FROM {_KEPT} ORDER BY number").fetchall()
-    of: dict[str, list[Row]] = {row["id"]: [] for row in rows}
-    for event in events(connection):
-        of[event["participant"]].append(event | {"payload": json.loads(event["payload"])})
-    return [(dict(row), tuple(of[row["id"]])) for row in rows]
-
-
-def events(connection: sqlite3.Connection) -> list[Row]:
-    """All their events as they are stored, by participant and in order."""
-    rows = connection.execute(
-        f"SELECT * FROM event WHERE participant IN (SELECT id FROM {_KEPT}) "
-        "ORDER BY participant, sequence"
-    )
-    return [dict(row) for row in rows]
+    rows = connection.execute("SELECT * FROM participant WHERE NOT erased ORDER BY number")
+    of: dict[str, tuple[Row, list[Row]]] = {row["id"]: (dict(row), []) for row in rows}
+    for event in connection.execute("SELECT * FROM event ORDER BY participant, sequence"):
+        if event["participant"] in of:
+            read = dict(event) | {"payload": json.loads(event["payload"])}
+            of[event["participant"]][1].append(read)
+    return [(row, tuple(events)) for row, events in of.values()]
 
 
 def participants(connection: sqlite3.Connection, kind: type[S]) -> list[Participant[S]]:
@@ -99,22 +93,63 @@ def defused(cell: Any) -> Any:
     return f"'{cell}" if isinstance(cell, str) and cell[:1] in _FORMULAS else cell
 
 
+def seconds(first: Row, last: Row) -> tuple[float | None, str]:
+    """From an event to a later one, and by which of the server's clocks: the monotonic one, or the
+    wall clock where the machine was restarted in between. None where it cannot be, because the
+    wall clock was set back."""
+    clock = "monotonic" if first["boot"] == last["boot"] else "wall"
+    took = last[clock] - first[clock]
+    return (took, clock) if took >= 0 else (None, "impossible")
+
+
 def write(
-    connection: sqlite3.Connection, tables: Mapping[str, pd.DataFrame], folder: Path, parquet: bool
-) -> str:
-    """Writes tables into a folder, the plan, and the head of the log: with it a replay can tell
-    whether anything before was changed since.
+    database: Path,
+    folder: Path,
+    plan: type[Plan],
+    state: type[S],
+    tables: Callable[[Plan, list[Participant[S]], list[Row]], Mapping[str, Iterable[Row]]],
+    codebook: Codebook,
+) -> tuple[str, Plan, list[Participant[S]]]:
+    """Writes the tables of a database (better: of a snapshot) into a folder, with the events of
+    everybody who is in them, the codebook and the plan; and the head of the log, by which a replay
+    can tell whether anything before was changed since.
+
+    Args:
+        database: of a flow.
+        folder: to write into.
+        plan, state: classes of its plan and of its states.
+        tables: rows of every table by name, of the plan, the participants and the steps.
+            codebook: of these tables.
 
     Returns:
-        The head.
+        The head, the plan, and the participants.
+
+    Raises:
+        InputError: it is no such flow's database.
     """
+    book = {**codebook, **CODEBOOK}
+    with reading(database) as connection:
+        own, people = plan_of(connection, plan), participants(connection, state)
+        steps = connection.execute("SELECT * FROM step ORDER BY participant, k")
+        rows = dict(tables(own, people, [dict(step) for step in steps]))
+        (stored,) = connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()
+        head = head_of(connection)
+    rows["codebook"] = explained(book)
     folder.mkdir(parents=True, exist_ok=True)
-    for name, table in tables.items():
+    for name in rows:
+        table = described(name, rows[name], book[name])
         table.map(defused).to_csv(folder / f"{name}.csv", index=False)
-        if parquet:
-            table.to_parquet(folder / f"{name}.parquet", index=False)
-    (plan,) = connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()
-    text, head = json.dumps(json.loads(plan), indent=1, ensure_ascii=False), head_of(connection)
+        table.to_parquet(folder / f"{name}.parquet", index=False)
+    text = json.dumps(json.loads(stored), indent=1, ensure_ascii=False)
     (folder / "plan.json").write_text(f"{text}\n", encoding="utf-8")
     (folder / "head.txt").write_text(f"{head}\n", encoding="ascii")
-    return head
+    return head, own, people
+
+
+def events_of(people: Iterable[Participant[Any]]) -> list[Row]:
+    """Rows of the table of events."""
+    return [
+        event | {"payload": json.dumps(event["payload"], sort_keys=True)}
+        for one in people
+        for event in one.events
+    ]

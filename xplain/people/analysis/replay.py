@@ -43,11 +43,16 @@ def replayed(
         step: what the flow calls a step.
     """
     found, people = Findings(differences=log.differences(connection, head)), []
-    (found.erased,) = connection.execute("SELECT count(*) FROM participant WHERE erased").fetchone()
+    gone, said = (
+        {row[0] for row in connection.execute(f"SELECT {of}")}
+        for of in ("id FROM participant WHERE erased", "participant FROM event WHERE kind='erase'")
+    )
+    found.erased = len(gone)
+    found.differences += [f"{who}: erased, says the log or the table alone" for who in gone ^ said]
     for row, events in everybody(connection):
         one, differences = Participant(row, flow.STATE(), events), list[str]()
-        about = {key: row[key] for key in ("entry", "stream", "code")}
-        if [e["payload"] for e in events if e["kind"] == "enter"] != [about]:
+        about = [e["payload"].items() for e in events if e["kind"] == "enter"]
+        if len(about) != 1 or any(row[key] != value for key, value in about[0]):
             differences.append("who they are is not what the log says")
         own = [event for event in events if event["source"] == "protocol"]
         found.participants, found.events = found.participants + 1, found.events + len(own)
@@ -64,6 +69,9 @@ def replayed(
             found.steps += len(kept.keys() & steps.keys())
             differences += _unequal(kept, steps, step)
         found.differences += [f"{one.id}: {difference}" for difference in differences]
+    (steps_stored,) = connection.execute("SELECT count(*) FROM step").fetchone()
+    if not found.differences and steps_stored != found.steps:
+        found.differences.append(f"{steps_stored} {step}s are stored, not {found.steps}")
     return found, people
 
 

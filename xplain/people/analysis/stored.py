@@ -82,9 +82,13 @@ def plan_of(connection: sqlite3.Connection, kind: type[Plan]) -> Plan:
         InputError: there is none yet, or it is one of another kind or version.
     """
     row = connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()
+    (_, _, path) = connection.execute("PRAGMA database_list").fetchone()
     if row is None:
-        raise InputError("database", "its plan", f"a database in which {kind.OF} was started")
-    return kind.from_text(row[0])
+        raise InputError("database", path, f"a database in which {kind.OF} was started")
+    try:
+        return kind.from_text(row[0])
+    except InputError as error:
+        raise InputError("database", path, error.allowed) from None
 
 
 def read_plan(path: Path, kind: type[Plan]) -> Plan | None:

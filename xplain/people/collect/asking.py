@@ -6,9 +6,9 @@ everybody. Among them are an obvious step, and some of the first questions a sec
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +26,8 @@ STATED = ("accurate", "inaccurate", "unsure")
 """What somebody may say of a fact, by the number in the payload."""
 KEPT = 1e-6
 """Fact sets with a smaller posterior are left out of what is written down."""
+ALTERNATIVES, AS_MUCH = 200, 0.9
+"""Questions that are weighed; those that tell so much of what the best one tells are as good."""
 SHARED = 1e-3
 """… and of what the next participant's prior takes from others."""
 
@@ -164,23 +166,43 @@ def questions_of(plan: CollectPlan) -> int:
     return -(-plan.rules.points // plan.design.clip)
 
 
-def clip(plan: CollectPlan, state: State, task: Task, asking: Questionnaire) -> Clip:
-    """The clip for a task, after all that was answered."""
-    questions = state.questions()
+def clip(plan: CollectPlan, state: State, tasks: Sequence[Task], asking: Questionnaire) -> Clip:
+    """The clip for the next of the tasks, after all that was answered. Two clips of the same step
+    never follow each other while there are others."""
+    step, questions = len(state.answered), state.questions()
+    task, following = tasks[step], tasks[step + 1 : step + 2]
     if task.purpose == REPEAT:
         return replace(questions[task.again], purpose=REPEAT, labels=())
     if task.purpose == ATTENTION:
         return Clip(ATTENTION, (), 0)
+    beside = [*state.answered[-1:], *(questions[n.again] for n in following if n.again >= 0)]
+    near = {t for one in beside for t in one.transitions}
     left = plan.rules.points - sum(one.size for one in questions)
     if plan.questions:
-        order = _order(plan.seed, state.person, len(plan.questions))
-        transition, told = plan.questions[order[len(questions)]]
-        return Clip(QUESTION, (transition,), told)
+        order = stream(plan.seed, "order", state.person).permutation(len(plan.questions))
+        listed = [plan.questions[which] for which in order.tolist()]
+        for one in questions:
+            listed.remove((one.transitions[0], one.told))
+        last = {t for one in state.answered[-1:] for t in one.transitions}
+        many = Counter(transition for transition, _ in listed)  # or one alone would be left
+        about, told = max(listed, key=lambda q: (q[0] not in last, q[0] not in near, many[q[0]]))
+        return Clip(QUESTION, (about,), told)
+    if asking.clip == 1:
+        about, told = _varied(plan, questions, near, asking)
+        return Clip(QUESTION, (about,), told)
     about, told = asking.next()
     return Clip(QUESTION, tuple(np.atleast_1d(about)[:left].tolist()), told)
 
 
-@cache
-def _order(seed: int, number: int, count: int) -> tuple[int, ...]:
-    """In which order one participant is asked the list."""
-    return tuple(stream(seed, "order", number).permutation(count).tolist())
+def _varied(
+    plan: CollectPlan, before: Sequence[Clip], near: set[int], asking: Questionnaire
+) -> tuple[int, int]:
+    """The best question about a step unlike all before, if it tells about as much as the best one;
+    else the best about a step unlike those next to it."""
+    phrases, found = plan.hypotheses.phrases, asking.alternatives(ALTERNATIVES)
+    seen = {phrases[t] for one in before for t in one.transitions}
+    apart = [one for one in found if phrases[one[0]] not in {phrases[t] for t in near}]
+    for one in [one for one in apart if phrases[one[0]] not in seen][:1]:
+        if asking.information(one) >= AS_MUCH * asking.information(found[0]):
+            return one
+    return (apart or found)[0]

@@ -22,9 +22,13 @@ CODEBOOK = {
         "unlike": "probability that none of the hypotheses fits them, 0 … 1",
         "role": "whose briefing they got; empty for people as they are",
         "clips_s": "seconds from the first clip's page to the last clip's answer, server's clock",
+        "clock": "by which that is: monotonic, or wall where the machine was restarted in between; "
+        "impossible where the wall clock was set back, and the time is left out",
         "label_s": "median seconds a label, page shown to answer, server's clock",
         "practice_errors": "answers of the practice that were not as expected",
         "entered": "server's wall clock, seconds since 1970-01-01 UTC",
+        "entry": "invitation, platform, open or preview",
+        "outside_ids": "ids of the recruiting platform (JSON), only if the config keeps them",
         "consent_hash": "SHA-256 of the consent text agreed to (or declined)",
         "completion_code": "of those who finished",
         "stated_…": "of each fact what they say they thought: accurate, inaccurate or unsure",
@@ -42,10 +46,5 @@ CODEBOOK = {
         "seconds": "page shown to answer, server's clock",
         "browser_ms": "milliseconds since the page began to load, browser's clock; empty without "
         "JavaScript",
-    },
-    "codebook": {
-        "table": "name of the file",
-        "column": "name of the column; stated_… and answer_… are all that begin so",
-        "meaning": "this text",
     },
 }

@@ -88,7 +88,7 @@ class Clips(Stage["Collection", State]):
         tasks = asking.schedule(flow.plan, state.person)
         if step == len(tasks):
             return replace(flow.after(state), answer=answer)
-        clip = asking.clip(flow.plan, state, tasks[step], known)
+        clip = asking.clip(flow.plan, state, tasks, known)
         question = clip.purpose == QUESTION
         why = {
             "purpose": clip.purpose,
@@ -199,5 +199,7 @@ def _clip(plan: CollectPlan, clip: Clip) -> dict[str, Any]:
         "steps": [f"{plan.subject} {plan.hypotheses.phrases[t]}".strip() for t in steps],
         "transitions": steps,
         "situation": plan.situations[steps[0]] if plan.situations else (),
-        "pictures": [t for t in steps if plan.pictures and plan.pictures[t] is not None],
+        "pictures": {
+            t: picture.alt for t in steps if plan.pictures and (picture := plan.pictures[t])
+        },
     }

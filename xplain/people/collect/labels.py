@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from xplain.data.dataset import Dataset
 from xplain.message_sets import names_of
-from xplain.people.collect.asking import FINISHED, State
+from xplain.people.collect.asking import FINISHED, STATED, State
 from xplain.people.collect.plan import CollectPlan
 from xplain.questions.fact_sets import partition
 from xplain.questions.known_transitions import Answers, KnownTransitions
@@ -131,6 +131,25 @@ def found_types(plan: CollectPlan, people: Sequence[State]) -> Found | None:
         new_types=new_types,
         next_new=next_new,
     )
+
+
+def compared(plan: CollectPlan, people: Sequence[State]) -> dict[str, dict[str, int]]:
+    """By fact, of the people ("of") who had an opinion at the end: how many said that they hold it
+    wrong ("said"), of how many their answers say so ("inferred"), and of how many both are the same
+    ("agree")."""
+    found = {
+        fact.name: dict.fromkeys(("said", "inferred", "agree", "of"), 0) for fact in plan.facts
+    }
+    for state in people:
+        known = {facts: share for facts, share in state.belief.items() if facts != "none"}
+        best = int(max(known, key=lambda facts: known[facts], default=0))
+        for j, (stated, row) in enumerate(zip(state.stated, found.values(), strict=False)):
+            if known and STATED[stated] != "unsure":
+                said, inferred = STATED[stated] == "inaccurate", bool(best >> j & 1)
+                for key, one in (("said", said), ("inferred", inferred), ("of", True)):
+                    row[key] += one
+                row["agree"] += said == inferred
+    return {name: row for name, row in found.items() if row["of"]}
 
 
 def expected_new(types: int, people: int, more: int) -> tuple[float, float]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from xplain.errors import InputError, number, whole_number
-from xplain.people.plan import StoredPlan, Told, Way
+from xplain.errors import InputError, whole_number
+from xplain.people.plan import Patience, StoredPlan, Told, Way
 from xplain.questions.designs import Adaptive
 from xplain.questions.hypotheses import Hypotheses
 
@@ -26,33 +26,30 @@ class Example:
     speaks_for: str
 
 
-@dataclass(frozen=True)
-class Rules:
-    """Numbers of the protocol.
+@dataclass(frozen=True, kw_only=True)
+class Rules(Patience):
+    """Numbers of the protocol; how long somebody may be silent is in the base class.
 
     Attributes:
         people: wanted; the page stays open when more come.
         points: labels a person, those for consistency and attention not counted.
         repeats: questions asked a second time, for consistency.
         attention: whether an obvious step is among them.
-        timeout_minutes: without a sign of life after which a participant's part ends.
     """
 
     people: int
     points: int
     repeats: int
     attention: bool
-    timeout_minutes: float
 
     def __post_init__(self) -> None:
         """Raises InputError: a number out of its range."""
+        super().__post_init__()
         whole_number("rules.people", self.people, 2)
         whole_number("points", self.points, 1)
         most = self.points // 4
         if whole_number("rules.repeats", self.repeats, 0) > most:
             raise InputError("rules.repeats", self.repeats, f"at most a quarter of points: {most}")
-        if not number("rules.timeout_minutes", self.timeout_minutes) > 0:
-            raise InputError("rules.timeout_minutes", self.timeout_minutes, "a number above 0")
 
 
 @dataclass(frozen=True)
@@ -73,10 +70,12 @@ class Role:
 
 @dataclass(frozen=True)
 class Picture:
-    """An image of a transition: its media type, and its bytes in base 64."""
+    """An image of a transition: its media type, its bytes in base 64, and what it shows, in words
+    for those who do not see it."""
 
     media: str
     content: str
+    alt: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

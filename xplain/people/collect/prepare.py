@@ -169,7 +169,8 @@ def own_source(table: Path, facts: str | None, seed: int) -> Source:
     """
     own = read_transitions(table)
     known = with_features(own.hypotheses)
-    pictures = tuple(_picture(table.parent, image) for image in own.images)
+    shown = zip(own.images, own.alts, strict=True)
+    pictures = tuple(_picture(table.parent, image, alt) for image, alt in shown)
     return Source(
         name=table.stem,
         hypotheses=known,
@@ -211,7 +212,7 @@ def drawn_roles(known: Hypotheses, seed: int) -> dict[str, int]:
     return {"+".join(names_of(held, known.messages)): held for held in chosen}
 
 
-def _picture(folder: Path, image: str) -> Picture | None:
+def _picture(folder: Path, image: str, alt: str) -> Picture | None:
     if not image:
         return None
     path = folder / image
@@ -223,7 +224,7 @@ def _picture(folder: Path, image: str) -> Picture | None:
         raise InputError("transitions.image", image, f"a file in {folder} ({error})") from None
     if len(content) > MAX_IMAGE:
         raise InputError("transitions.image", image, f"at most {MAX_IMAGE >> 20} MB")
-    return Picture(MEDIA[path.suffix.lower()], base64.b64encode(content).decode())
+    return Picture(MEDIA[path.suffix.lower()], base64.b64encode(content).decode(), alt)
 
 
 def assemble(
@@ -235,6 +236,9 @@ def assemble(
         XplainError: a part contradicts another.
     """
     known, wording = source.hypotheses, config["wording"]
+    for key in ("icons", "hide"):
+        if wording[key] and source.domain is None:
+            raise InputError(f"wording.{key}", [*wording[key]], "none: these steps have no map")
     own, in_words = parts("collect", config, wording, source.scene)
     known = replace(known, phrases=tuple(map(in_words, known.phrases)))
     facts = worded(source.facts, wording["facts"], in_words)

@@ -8,10 +8,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xplain.errors import Refused
 from xplain.people.analysis.export import Participant
 from xplain.people.collect.asking import FINISHED, State, schedule, shared
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.labels import Found, found_types, why_left_out
+from xplain.people.collect.labels import Found, compared, found_types, why_left_out
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.collect.tables import export
 from xplain.people.flow import small
@@ -104,6 +105,11 @@ class CollectSite(site.Site[Collection]):
         fewest = [role for role, count in enumerate(counts) if count == min(counts)]
         return int(stream(self.plan.seed, "roles", person["number"]).choice(fewest))
 
+    def pin(self, do: Do, who: str, cell: int) -> None:
+        """Everybody is asked by their own answers: there is one way to see it."""
+        if cell:
+            raise Refused("not_understood")
+
     def forget(self) -> None:
         """Questionnaires and types found too: they are made again."""
         super().forget()
@@ -146,8 +152,10 @@ class CollectSite(site.Site[Collection]):
             "finished": len(kept),
             "left_out": {why: left_out.count(why) for why in sorted({*left_out} - {""})},
             "found": self._found[key],
+            "compared": compared(self.plan, list(kept.values())),
             "facts": {fact.name: fact.message for fact in self.plan.facts},
             "expectation": self.plan.expectation,
+            "cells": ["a participant"],
             "data": "Labels for xplain discover, observers and every answer as CSV tables",
         }
 
@@ -158,8 +166,11 @@ class CollectSite(site.Site[Collection]):
     def unequal(
         self, connection: sqlite3.Connection, people: list[Participant[State]]
     ) -> Iterator[str]:
-        """The prior must be that of people of the same stream who had answered every clip."""
+        """The prior must be that of people of the same stream who had answered every clip. Where
+        one of them was erased it stands as the log has it: their part of it is all that stays."""
         numbered, clips = {one.row["number"]: one for one in people}, len(schedule(self.plan, 0))
+        query = "SELECT number FROM participant WHERE erased"
+        erased = {number for (number,) in connection.execute(query)}
         for one in people:
             consent = one.first("consent")
             if not consent.get("agree"):
@@ -167,9 +178,11 @@ class CollectSite(site.Site[Collection]):
             who = one.row["id"]
             if consent["number"] != one.row["number"]:
                 yield f"{who}: admitted as {consent['number']}"
-            before = [numbered.get(number) for number in consent["after"]]
+            before = [numbered.get(number) for number in consent["after"] if number not in erased]
             known = [p for p in before if p and p.row["stream"] == one.row["stream"]]
             if len(known) < len(before) or any(len(p.state.answered) < clips for p in known):
                 yield f"{who}: the prior is of people who had not finished"
+            elif erased.intersection(consent["after"]):
+                continue
             elif shared([p.state.belief for p in known]) != consent["others"]:
                 yield f"{who}: the prior differs from what others answered"

@@ -8,77 +8,59 @@ and bots never share a table of labels.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from xplain.data.label_file import write_table
 from xplain.message_sets import names_of
 from xplain.people.analysis import export as exported
-from xplain.people.analysis.export import Row, described, participants, write
-from xplain.people.analysis.stored import STREAMS, plan_of, reading
+from xplain.people.analysis.export import Row, events_of, seconds, write
+from xplain.people.analysis.stored import STREAMS
 from xplain.people.collect.asking import STATED, State
 from xplain.people.collect.codebook import CODEBOOK
 from xplain.people.collect.labels import dataset_of, why_left_out
 from xplain.people.collect.plan import CollectPlan
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 Participant = exported.Participant[State]
 
 
 def export(database: Path, folder: Path) -> str:
-    """Writes all tables of a database (better: of a snapshot) into a folder.
-
-    Returns:
-        The head of the log.
+    """Writes all tables of a database (better: of a snapshot) into a folder; the head of the log.
 
     Raises:
         InputError: it is no collection's database.
     """
-    with reading(database) as connection:
-        plan, people = plan_of(connection, CollectPlan), participants(connection, State)
-        steps = [dict(row) for row in connection.execute("SELECT * FROM step")]
-        head = write(connection, tables(plan, people, steps), folder, parquet=False)
+    head, plan, people = write(database, folder, CollectPlan, State, tables, CODEBOOK)
     for stream in STREAMS:
         own = [one for one in people if one.row["stream"] == stream]
         if kept := {one.id: one.state for one in own if not why_left_out(one.state)}:
             name = "labels.csv" if stream == "person" else f"labels_{stream}.csv"
             write_table(dataset_of(plan, kept), folder / name)
     (plan.whole or plan.hypotheses).save(folder / "hypotheses.npz")
+    said = json.dumps({one.name: one.message for one in plan.facts}, ensure_ascii=False, indent=1)
+    (folder / "sentences.yaml").write_text(f"{said}\n", encoding="utf-8")  # JSON is YAML
     return head
 
 
 def tables(
     plan: CollectPlan, people: list[Participant], steps: list[Row]
-) -> dict[str, pd.DataFrame]:
-    """Every table but the labels, by name. Of who withdrew no answer is in them."""
+) -> dict[str, Iterable[Row]]:
+    """Rows of every table but the labels, by name. Of who withdrew no answer is in them."""
     chosen = {(step["participant"], step["k"]): json.loads(step["action_values"]) for step in steps}
-    rows = {
+    stayed = [one for one in people if one.state.stage != "withdrawn"]
+    return {
         "observers": [_observer(plan, one) for one in people],
-        "clips": [
-            row
-            for one in people
-            if one.state.stage != "withdrawn"
-            for row in _clips(plan, one, chosen)
-        ],
-        "codebook": [
-            {"table": table, "column": column, "meaning": meaning}
-            for table, columns in CODEBOOK.items()
-            for column, meaning in columns.items()
-        ],
+        "clips": [row for one in stayed for row in _clips(plan, one, chosen)],
+        "events": events_of(stayed),
     }
-    return {name: described(name, rows[name], CODEBOOK[name]) for name in rows}
 
 
-def _timed(one: Participant) -> list[tuple[Row, float | None]]:
-    """Each answer to a clip, with the seconds since its page was first shown."""
-    shown = {e["source_sequence"]: e["wall"] for e in one.events if e["source"] == "shown"}
-    clips = [(e, shown.get(e["source_sequence"])) for e in one.answers("labels")]
-    return [(event, None if since is None else event["wall"] - since) for event, since in clips]
+def _timed(one: Participant) -> list[tuple[Row, Row | None]]:
+    """Each answer to a clip, and when its page was first shown."""
+    shown = {e["source_sequence"]: e for e in one.events if e["source"] == "shown"}
+    return [(answer, shown.get(answer["source_sequence"])) for answer in one.answers("labels")]
 
 
 def _observer(plan: CollectPlan, one: Participant) -> Row:
@@ -87,8 +69,13 @@ def _observer(plan: CollectPlan, one: Participant) -> Row:
     facts = {f: p for f, p in state.belief.items() if f != "none" and not withdrawn}
     best = max(facts, key=lambda f: facts[f], default=None)
     timed = _timed(one)
-    each = [took / len(event["payload"]["labels"]) for event, took in timed if took is not None]
-    begun = bool(timed) and timed[0][1] is not None
+    each = [
+        took / len(answer["payload"]["labels"])
+        for answer, shown in timed
+        if shown and (took := seconds(shown, answer)[0]) is not None
+    ]
+    begun = timed[0][1] if timed else None
+    took, clock = seconds(begun, timed[-1][0]) if begun else (None, None)
     stated = {} if withdrawn else dict(enumerate(state.stated))
     given = [] if withdrawn else [event["payload"] for event in one.answers("answers")]
     return {
@@ -104,10 +91,13 @@ def _observer(plan: CollectPlan, one: Participant) -> Row:
         "posterior": None if best is None else facts[best],
         "unlike": None if withdrawn else state.belief.get("none"),
         "role": None if state.role is None else plan.roles[state.role].name,
-        "clips_s": timed[-1][0]["wall"] - timed[0][0]["wall"] + timed[0][1] if begun else None,
+        "clips_s": took,
+        "clock": clock,
         "label_s": float(np.median(each)) if each else None,
         "practice_errors": max(len(one.answers("example")) - 2, 0),
-        "entered": one.row["entered"],
+        "entered": one.events[0]["wall"],
+        "entry": one.row["entry"],
+        "outside_ids": one.row["kept"] if one.row["kept"] != "{}" else None,
         "consent_hash": one.first("consent").get("text"),
         "completion_code": one.row["code"] if state.stage == "done" else None,
         **{
@@ -122,7 +112,7 @@ def _clips(
     plan: CollectPlan, one: Participant, chosen: Mapping[tuple[str, int], Row]
 ) -> Iterator[Row]:
     known = plan.hypotheses
-    for number, (clip, (event, took)) in enumerate(
+    for number, (clip, (answer, shown)) in enumerate(
         zip(one.state.answered, _timed(one), strict=True)
     ):
         steps = [known.phrases[t] for t in clip.transitions] or [plan.attention]
@@ -134,6 +124,6 @@ def _clips(
             "messages": ";".join(names_of(clip.told, known.messages)),
             "labels": ";".join(map(str, clip.labels)),
             "bits": chosen[one.id, number]["bits"],
-            "seconds": took,
-            "browser_ms": event["browser"],
+            "seconds": seconds(shown, answer)[0] if shown else None,
+            "browser_ms": answer["browser"],
         }

@@ -11,12 +11,14 @@ from werkzeug.middleware.proxy_fix import ProxyFix
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.people.server import security
-from xplain.people.server.http import Context, Server, context, error_page, owner
+from xplain.people.server.http import Context, Server, context, error_page, owner, session
 from xplain.people.server.participant_pages import pages as participant_pages
 from xplain.people.server.researcher_pages import pages as researcher_pages
 from xplain.people.server.store import Store
 
 log = logging.getLogger(__name__)
+FREE = ("static", "alive", "researcher.login")
+"""Routes that take nothing from anybody's limit; the login has one of its own, of wrong keys."""
 
 
 def create_app(store: Store, server: Server) -> Flask:
@@ -48,9 +50,9 @@ def create_app(store: Store, server: Server) -> Flask:
 
 
 def _limit() -> AnyResponse | None:
-    if request.endpoint in ("static", "alive"):
+    if request.endpoint in FREE:
         return None
-    who, own = owner(), context()
+    who, own = owner() or session(), context()
     limit = own.participant_limit if who else own.visitor_limit
     if limit.allows(who or request.remote_addr or "?"):
         return None

@@ -136,9 +136,10 @@ class Database:
         Raises:
             InputError: no such participant, or erased before.
         """
-        who = "".join(re.findall(r"[0-9a-f]", reference.lower()))
-        found = self.query("SELECT 1 FROM participant WHERE id = ? AND NOT erased", (who,))
-        if not found:
+        given = "".join(re.findall(r"[0-9a-f]", reference.lower()))
+        ids = [row["id"] for row in self.query("SELECT id FROM participant WHERE NOT erased")]
+        who = next((one for one in ids if self.reference(one) == given), None)
+        if who is None:
             raise InputError("reference", reference, "the reference of a participant")
         with self.transaction() as do:
             do("INSERT INTO meta VALUES ('erasing', ?)", (who,))
@@ -150,8 +151,8 @@ class Database:
                 (event_log.ERASED, who),
             )
             do(
-                "UPDATE participant SET external = NULL, session = NULL, kept = '{}', entered = 0, "
-                "seen = 0, over = 1, state = '{\"stage\": \"erased\"}', code = '', salt = '', "
+                "UPDATE participant SET external = NULL, session = NULL, kept = '{}', over = 1, "
+                "state = '{\"stage\": \"erased\"}', code = '', salt = '', "
                 "erased = 1 WHERE id = ?",
                 (who,),
             )
@@ -163,6 +164,11 @@ class Database:
         with self._lock:
             self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             self._connection.execute("VACUUM")
+
+    def reference(self, who: str) -> str:
+        """What a participant is given to have their data erased: nobody can make it from the id,
+        which published data have."""
+        return self.keyed("reference", who)[:16]
 
     def keyed(self, *parts: str) -> str:
         """A hash of texts that are only ever looked up (invitations, outside ids): nobody without

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import quote
 
 from flask import Response, current_app, make_response, render_template, request
 from werkzeug.wrappers import Response as AnyResponse
@@ -13,8 +15,14 @@ from xplain.errors import InputError
 from xplain.people.server.security import Keys, RateLimit
 from xplain.people.server.store import LETTERS, Participant, Store
 
+ENDINGS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out", "full")
+"""What a code of its own can be set for, beside the end that all who finish come to."""
+GUESSES = 10
+"""Wrong keys of researchers, a minute and an address, that are answered."""
 PARTICIPANT = "participant"
 """The cookie of somebody who was let in."""
+RESEARCHER = "researcher"
+"""The cookie of a researcher who is logged in."""
 
 
 @dataclass(frozen=True)
@@ -22,11 +30,15 @@ class Server:
     """How the pages are served; no part of the study's plan.
 
     Attributes:
-        entry: who may come in: "invitation", "prolific", "open" (as pilots).
-        prolific_studies: STUDY_IDs of the platform whose people may come in.
-        keep_prolific_ids: whether a platform's ids are stored in clear; else only keyed hashes.
+        entry: who may come in: "invitation", "platform", "open" (as pilots).
+        id_names: of the parameters by which a platform's address tells a person's id, and, if it
+            does, the study's and the session's.
+        studies: of the platform, whose people may come in; none for any.
+        ids: a file of persons' ids, one a line, read whenever somebody comes; nobody else may come
+            in. "" for anybody of the studies.
+        keep_ids: whether a platform's ids are stored in clear; else only keyed hashes.
         completion_url: where finished participants may go, "" for nowhere. ``{code}`` in it is
-            replaced by the completion code.
+            replaced by the completion code, ``{id}`` by the person's id.
         completion_code: one for all who finish (platforms want that), "" for one a participant.
         codes: ``{how a part ended: code}``, as ``completion_code``, for the other endings.
         address: as the outside world types it, for links; "" takes it from the server's own.
@@ -38,11 +50,13 @@ class Server:
     """
 
     entry: tuple[str, ...] = ("invitation",)
-    prolific_studies: tuple[str, ...] = ()
-    keep_prolific_ids: bool = False
+    id_names: tuple[str, ...] = ("PROLIFIC_PID", "STUDY_ID", "SESSION_ID")
+    studies: tuple[str, ...] = ()
+    ids: str = ""
+    keep_ids: bool = False
     completion_url: str = ""
     completion_code: str = ""
-    codes: Mapping[str, str] = field(default_factory=dict)
+    codes: Mapping[str, str] = field(default_factory=lambda: dict.fromkeys(ENDINGS, ""))
     address: str = ""
     blinded: bool = True
     https: bool = False
@@ -53,18 +67,42 @@ class Server:
     visitor_burst: float = 300.0
 
     def __post_init__(self) -> None:
-        """Raises InputError: an unknown way to come in, or a platform without its studies."""
-        object.__setattr__(self, "entry", tuple(self.entry))
-        object.__setattr__(self, "prolific_studies", tuple(self.prolific_studies))
-        if "prolific" in self.entry and not self.prolific_studies:
-            raise InputError(
-                "server.prolific_studies",
-                [],
-                "the STUDY_IDs whose people may come in, since server.entry has prolific",
-            )
+        """Raises InputError: an unknown way to come in, or a platform of which anybody may."""
+        for name in ("entry", "id_names", "studies"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         for kind in self.entry:
-            if kind not in ("invitation", "prolific", "open"):
-                raise InputError("server.entry", kind, "invitation, prolific or open")
+            if kind not in ("invitation", "platform", "open"):
+                raise InputError("server.entry", kind, "invitation, platform or open")
+        if not 1 <= len(self.id_names) <= 3:
+            wanted = "the names of a person's id, and if there are any of a study's and a session's"
+            raise InputError("server.id_names", list(self.id_names), wanted)
+        if self.studies and not self.id_names[1:]:
+            raise InputError("server.studies", list(self.studies), "none: id_names has none")
+        if "platform" in self.entry and not (self.studies or self.ids):
+            wanted = "ids of the studies whose people may come in, or server.ids=FILE with theirs"
+            raise InputError("server.studies", [], wanted)
+        if "{id}" in self.completion_url and not self.keep_ids:
+            wanted = "an address without {id}, or server.keep_ids=true"
+            raise InputError("server.completion_url", self.completion_url, wanted)
+        if self.ids:
+            self.listed()
+
+    def listed(self) -> set[str]:
+        """The ids of people who may come in, of the file ``ids``.
+
+        Raises:
+            InputError: it cannot be read.
+        """
+        try:
+            return set(Path(self.ids).read_text(encoding="utf-8").split())
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError("server.ids", self.ids, f"a file of ids ({error})") from None
+
+    def lets_in(self, ids: Sequence[str]) -> bool:
+        """Whether somebody whom a platform sends with these values of ``id_names`` may come in."""
+        whole = "platform" in self.entry and all(0 < len(one) <= 100 for one in ids)
+        of_study = not self.studies or ids[1] in self.studies
+        return whole and of_study and (not self.ids or ids[0] in self.listed())
 
 
 class Context:
@@ -81,6 +119,7 @@ class Context:
         self.keys = Keys(store.secret)
         self.participant_limit = RateLimit(server.requests_per_second, server.burst)
         self.visitor_limit = RateLimit(server.visitors_per_second, server.visitor_burst)
+        self.guess_limit = RateLimit(GUESSES / 60, GUESSES)
         self.sessions: set[str] = set()
         self.invitations: dict[str, list[str]] = {}
 
@@ -98,6 +137,15 @@ class Context:
         digest = hashlib.sha256(f"{found.code} {stage}".encode()).digest()
         return configured or "".join(LETTERS[byte % len(LETTERS)] for byte in digest[:8])
 
+    def back(self, found: Participant, code: str) -> str:
+        """Where a participant may go at the end; "" for nowhere."""
+        person = found.kept.get(self.server.id_names[0], "")
+        filled = {"{code}": code, "{id}": quote(person, safe="")}
+        address = self.server.completion_url
+        for name, value in filled.items():
+            address = address.replace(name, value)
+        return address
+
 
 def context() -> Context:
     """The context of the running application."""
@@ -110,6 +158,12 @@ def owner() -> str | None:
     return context().keys.owner(request.cookies.get(PARTICIPANT, ""))
 
 
+def session() -> str | None:
+    """Of the researcher who is logged in."""
+    found = context().keys.session(request.cookies.get(RESEARCHER, ""))
+    return found if found in context().sessions else None
+
+
 def genuine(who: str) -> bool:
     """Whether the form that was sent carries the token of this participant or visitor."""
     return bool(who) and context().keys.owns_form(who, request.form.get("token", ""))
@@ -118,7 +172,10 @@ def genuine(who: str) -> bool:
 def error_page(status: int, text: str) -> Response:
     """A page that says what is wrong, by the key of its words or in words."""
     return make_response(
-        render_template("error.html", text=context().say(text), status=status), status
+        render_template(
+            "error.html", text=context().say(text), status=status, known=owner() is not None
+        ),
+        status,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -13,7 +13,7 @@ CELL, RULER = 64, 26
 BADGE_LETTERS = 7
 # Okabe and Ito's colours, which people with any colour vision can tell apart; every item also has
 # a shape or a letter, and is named in the legend.
-COLOURS = ("#0072B2", "#D55E00", "#00795A", "#A0447E", "#8A6500", "#2F7EA8", "#5B5B5B", "#704214")
+COLOURS = ("#0072B2", "#D55E00", "#00795A", "#A0447E", "#8A6500", "#5B21B6", "#5B5B5B", "#704214")
 FLOOR, WALL, WAY, INK = "#FBFAF7", "#3B4252", "#1B5FA7", "#1F2933"
 
 
@@ -44,7 +44,7 @@ def picture(plan: Any, path: Path | None, steps: int, gone: Sequence[str] = ()) 
     ]
     parts = [
         f'<svg class="map" viewBox="{-RULER} {-RULER} {width + RULER} {height + RULER}" role="img" '
-        f'aria-label="{escape(where)}; {escape(words["map_words"])}">',
+        f'aria-label="{escape(where)}" aria-describedby="map-in-words">',
         f'<rect width="{width}" height="{height}" rx="6" fill="{FLOOR}"/>',
         *_rulers(scene),
         *_grid(scene),
@@ -59,7 +59,27 @@ def picture(plan: Any, path: Path | None, steps: int, gone: Sequence[str] = ()) 
     parts.append(_robot(here, aside=here in [cell for cell, _ in items]))
     if steps:
         parts += _badges(path[:steps])
-    return "".join([*parts, "</svg>"])
+    said = " ".join(_in_words(plan, path, steps, gone))
+    return "".join([*parts, f'</svg><p class="unseen" id="map-in-words">{escape(said)}</p>'])
+
+
+def _in_words(plan: Any, path: Path, steps: int, gone: Sequence[str]) -> Iterator[str]:
+    """What :func:`picture` shows, in sentences."""
+    scene, words = plan.scene, plan.texts.words
+    yield words["map_size"].format(rows=scene.rows, columns=scene.columns)
+    things = [(one.name, one.cells) for one in scene.items if one.name not in gone]
+    for name, cells in [*things, (words["wall"], scene.walls)]:
+        if cells:
+            yield words["map_item"].format(name=name, cells=_listed(cells))
+    if steps:
+        way = [path[0][0], *(after for _, after in path[:steps])]
+        yield words["map_way"].format(cells=_listed(way))
+    here = path[steps - 1][1] if steps else path[0][0]
+    yield words["map_robot"].format(cell=cell_name(*here))
+
+
+def _listed(cells: Iterable[tuple[int, int]]) -> str:
+    return ", ".join(cell_name(*cell) for cell in cells)
 
 
 def legend(plan: Any, way: bool) -> list[tuple[str, str]]:

@@ -29,7 +29,6 @@ VISITOR = "visitor"
 """The cookie of somebody who has not entered yet; forms are bound to it."""
 TAB_KINDS = Literal["visible", "hidden", "label", "recall", "retry"]
 MAX_ITEMS = 50
-_PROLIFIC = ("PROLIFIC_PID", "STUDY_ID", "SESSION_ID")
 
 # Entry -----------------------------------------------------------------------------------------
 
@@ -41,13 +40,13 @@ def entrance() -> AnyResponse:
     if not (len(visitor) == 32 and visitor.isascii() and visitor.isalnum()):
         visitor = secrets.token_hex(16)
     own = context()
-    prolific = [request.args.get(key, "")[:100] for key in _PROLIFIC]
+    ids = {key: request.args.get(key, "")[:101] for key in own.server.id_names}
     response = make_response(
         render_template(
             "entrance.html",
             token=own.keys.form(visitor),
             invitation=request.args.get("invitation", "")[:100],
-            prolific=dict(zip(_PROLIFIC, prolific, strict=True)) if all(prolific) else {},
+            ids=ids if "platform" in own.server.entry and all(ids.values()) else {},
             entry=own.server.entry,
         )
     )
@@ -61,16 +60,11 @@ def enter() -> AnyResponse:
     own = context()
     if not genuine(request.cookies.get(VISITOR, "")):
         return error_page(403, "old_form")
-    ids = [request.form.get(key, "") for key in _PROLIFIC]
-    theirs = "prolific" in own.server.entry and ids[1] in own.server.prolific_studies
+    ids = {key: request.form.get(key, "") for key in own.server.id_names}
     invitation = request.form.get("invitation", "").strip()
     try:
-        if all(ids) and theirs:
-            if max(map(len, ids)) > 100:
-                raise Unknown
-            who = own.store.enter_prolific(
-                ids[0], ids[1], ids[2], keep=own.server.keep_prolific_ids
-            )
+        if own.server.lets_in([*ids.values()]):
+            who = own.store.enter_from_platform(ids, own.server.keep_ids)
         elif invitation and "invitation" in own.server.entry:
             who = own.store.enter_invited(invitation)
         elif "open" in own.server.entry and not invitation:
@@ -117,9 +111,9 @@ def _page(found: Participant, problem: str = "", status: int = 200) -> Response:
             token=own.keys.form(found.id),
             kind=flow.waits_for(found.state),
             problem=own.say(problem),
-            reference="-".join(re.findall(".{4}", found.id)),
+            reference="-".join(re.findall(".{4}", own.store.reference(found.id))),
             code=code,
-            back=own.server.completion_url.replace("{code}", code),
+            back=own.back(found, code),
             stages=flow.stages,
             stream=found.stream,
         ),
@@ -148,7 +142,9 @@ def answer() -> AnyResponse:
             milliseconds(form.get("ms")),
         )
     except Full as error:
-        return _page(found, str(error), 503)
+        code = own.server.codes.get("full", "")
+        said = f"{own.say(str(error))} {own.say('code')}: {code}" if code else str(error)
+        return _page(found, said, 503)
     except Refused as error:
         return _page(own.store.participant(found.id), str(error), 400)
     return redirect(url_for("participant.show"), 303)

@@ -12,37 +12,34 @@ import zipfile
 from pathlib import Path
 
 from flask import Blueprint, Response, make_response, redirect, render_template, request, url_for
+from markupsafe import Markup
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError, Refused
 from xplain.people.analysis.stored import STREAMS
 from xplain.people.flow import small
+from xplain.people.server import charts
 from xplain.people.server.http import (
     PARTICIPANT,
+    RESEARCHER,
     context,
     error_page,
     genuine,
+    session,
     set_cookie,
 )
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
-COOKIE = "researcher"
 MOST_INVITATIONS = 500
 MOST_BATCHES = 20
 """Batches of invitations that can be looked at again."""
-
-
-def _session() -> str | None:
-    """Of the researcher who is logged in."""
-    session = context().keys.session(request.cookies.get(COOKIE, ""))
-    return session if session in context().sessions else None
 
 
 @pages.before_request
 def _only_known() -> AnyResponse | None:
     """Nothing is done without a login and the form's token."""
     free = request.endpoint == "researcher.login" or request.method not in ("POST", "PUT")
-    if free or genuine(_session() or ""):
+    if free or genuine(session() or ""):
         return None
     return error_page(403, "Please log in first.")
 
@@ -50,30 +47,35 @@ def _only_known() -> AnyResponse | None:
 @pages.get("")
 def overview() -> AnyResponse:
     """Everything at a glance, or the way in."""
-    own, session = context(), _session()
-    if session is None:
+    own, here = context(), session()
+    if here is None:
         return make_response(render_template("login.html"))
     own.store.time_out_stale()
     site, blinded = own.site, own.server.blinded
     people = own.store.query(
-        "SELECT id, stream, state, entered, seen FROM participant WHERE NOT erased "
-        "ORDER BY over, seen DESC LIMIT 500"
+        "SELECT id, stream, state, entered, wall FROM seen WHERE NOT erased "
+        "ORDER BY over, wall DESC LIMIT 500"
     )
     flow = own.store.query(
         "SELECT stream, json_extract(state, '$.stage') AS stage, count(*) AS number "
         "FROM participant GROUP BY 1, 2"
+    )
+    given = own.store.query(
+        "SELECT event.wall FROM event JOIN participant ON participant.id = event.participant "
+        "WHERE kind = 'labels' AND source = 'protocol' AND stream = 'person' ORDER BY 1"
     )
     address = own.server.address.rstrip("/") or request.host_url.rstrip("/")
     return make_response(
         render_template(
             site.OVERVIEW,
             **site.glance(own.store.query),
-            token=own.keys.form(session),
+            token=own.keys.form(here),
             columns=site.about(site.state(), blinded),
             people=[p | {"about": site.about(site.state(p["state"]), blinded)} for p in people],
             now=own.store.clock.wall(),
             stages=(*site.flow.stages, *site.flow.STATE.ENDS),
             flow={(row["stream"], row["stage"]): row["number"] for row in flow},
+            chart=Markup(charts.over_time([row["wall"] for row in given])),
             streams=[name for name in STREAMS if any(row["stream"] == name for row in flow)],
             entrance=address + url_for("participant.entrance"),
             invitations=own.invitations.get(request.args.get("made", ""), []),
@@ -90,20 +92,22 @@ def login() -> AnyResponse:
     """Trades the key for a session of one's own."""
     own = context()
     if not own.keys.is_researcher(request.form.get("key", "")):
+        if not own.guess_limit.allows(request.remote_addr or "?"):
+            return error_page(429, "too_fast")
         return error_page(403, "This is not the researcher's key. The server prints it at start.")
-    session = secrets.token_hex(16)
-    own.sessions.add(session)
+    new = secrets.token_hex(16)
+    own.sessions.add(new)
     response = _back()
-    set_cookie(response, COOKIE, own.keys.session_cookie(session), "Strict")
+    set_cookie(response, RESEARCHER, own.keys.session_cookie(new), "Strict")
     return response
 
 
 @pages.post("/logout")
 def logout() -> AnyResponse:
     """Ends this browser's session, here and in the browser."""
-    context().sessions.discard(_session() or "")
+    context().sessions.discard(session() or "")
     response = _back()
-    response.delete_cookie(COOKIE)
+    response.delete_cookie(RESEARCHER)
     return response
 
 

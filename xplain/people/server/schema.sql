@@ -12,23 +12,21 @@ CREATE TABLE control (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 
 CREATE TABLE participant (
     number INTEGER PRIMARY KEY,
-    id TEXT NOT NULL UNIQUE,            -- random; also the reference that participants are given
+    id TEXT NOT NULL UNIQUE,            -- random; in every table of an export
     stream TEXT NOT NULL CHECK (stream IN ('person', 'pilot', 'bot')),
-    entry TEXT NOT NULL,                -- invitation, prolific, open or preview
+    entry TEXT NOT NULL,                -- invitation, platform, open or preview
     external TEXT UNIQUE,               -- keyed hash of the outside id, against second entries
     session TEXT,                       -- keyed hash of the outside session
     kept TEXT NOT NULL,                 -- outside ids in clear, where the config keeps them (JSON)
-    entered REAL NOT NULL,              -- server wall clock, seconds
-    seen REAL NOT NULL,                 -- last sign of life, server wall clock, seconds
     over INTEGER NOT NULL DEFAULT 0,
     state TEXT NOT NULL,                -- of the protocol (JSON)
     code TEXT NOT NULL,                 -- completion code
     salt TEXT NOT NULL,                 -- of the hashes of their events; gone once erased
     erased INTEGER NOT NULL DEFAULT 0
 ) STRICT;
-CREATE INDEX participant_open ON participant (over, seen);
+CREATE INDEX participant_open ON participant (over);
 CREATE TRIGGER once_a_bot
-BEFORE UPDATE OF number, id, stream, entry, external, session, kept, entered, code, salt, erased
+BEFORE UPDATE OF number, id, stream, entry, external, session, kept, code, salt, erased
 ON participant WHEN NOT EXISTS (SELECT 1 FROM meta WHERE key = 'erasing' AND value = OLD.id)
 BEGIN SELECT RAISE(ABORT, 'who a participant is never changes'); END;
 CREATE TRIGGER participant_kept BEFORE DELETE ON participant
@@ -69,6 +67,13 @@ WHEN (NEW.number, NEW.participant, NEW.sequence, NEW.content, NEW.digest)
 BEGIN SELECT RAISE(ABORT, 'events are never changed'); END;
 CREATE TRIGGER event_kept BEFORE DELETE ON event
 BEGIN SELECT RAISE(ABORT, 'events are never deleted'); END;
+
+-- When somebody came, and their last sign of life.
+CREATE VIEW seen AS
+SELECT participant.*, first.wall AS entered, last.wall, last.monotonic, last.boot FROM participant
+JOIN event AS first ON first.participant = id AND first.sequence = 0
+JOIN event AS last ON last.participant = id AND last.sequence =
+    (SELECT max(sequence) FROM event WHERE event.participant = participant.id);
 
 CREATE TABLE step (
     participant TEXT NOT NULL REFERENCES participant (id),

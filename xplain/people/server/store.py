@@ -45,6 +45,7 @@ class Participant:
     stream: str
     state: State
     code: str
+    kept: Mapping[str, str]
 
 
 class Store(Database):
@@ -110,19 +111,22 @@ class Store(Database):
             do("UPDATE invitation SET participant = ? WHERE token = ?", (who, hashed))
             return who
 
-    def enter_prolific(self, person: str, study: str, session: str, keep: bool) -> str:
+    def enter_from_platform(self, ids: Mapping[str, str], keep: bool) -> str:
         """The participant of a recruiting platform's ids, made at their first use.
+
+        Args:
+            ids: of a person, of a study and of a session, by their names; the last two may lack.
+            keep: whether they are stored in clear.
 
         Raises:
             Unknown: this person came before, in another session.
         """
-        external, hashed = self.keyed("prolific", person, study), self.keyed("session", session)
+        person, study, session = (*ids.values(), "", "")[:3]
+        external, hashed = self.keyed("platform", person, study), self.keyed("session", session)
         with self.transaction() as do:
             row = do("SELECT * FROM participant WHERE external = ?", (external,)).fetchone()
             if row is None:
-                ids = {"PROLIFIC_PID": person, "STUDY_ID": study, "SESSION_ID": session}
-                kept = json.dumps(ids if keep else {})
-                return self._enter(do, "person", "prolific", external, hashed, kept)
+                return self._enter(do, "person", "platform", external, hashed, ids if keep else {})
             if row["session"] != hashed:
                 raise Unknown
             return self._resume(do, row["id"])
@@ -150,27 +154,18 @@ class Store(Database):
         entry: str,
         external: str | None = None,
         session: str | None = None,
-        kept: str = "{}",
+        kept: Mapping[str, str] | None = None,
     ) -> str:
-        who, now = secrets.token_hex(8), self.clock.wall()
+        who, ids = secrets.token_hex(8), json.dumps(kept or {})
         code = "".join(secrets.choice(LETTERS) for _ in range(8))
         do(
-            "INSERT INTO participant VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, 0, ?, ?, ?, 0)",
+            "INSERT INTO participant VALUES (NULL, ?, ?, ?, ?, ?, ?, 0, ?, ?, ?, 0)",
             (
-                who,
-                stream_name,
-                entry,
-                external,
-                session,
-                kept,
-                now,
-                now,
-                self.site.state().text,
-                code,
-                secrets.token_hex(16),
+                *(who, stream_name, entry, external, session, ids),
+                *(self.site.state().text, code, secrets.token_hex(16)),
             ),
         )
-        about = {"entry": entry, "stream": stream_name, "code": code}
+        about = {"entry": entry, "stream": stream_name, "code": code, "kept": ids}
         self._record(do, who, "server", None, "enter", about)
         return who
 
@@ -198,7 +193,8 @@ class Store(Database):
             Unknown: there is none.
         """
         for row in self.query("SELECT * FROM participant WHERE id = ? AND NOT erased", (who,)):
-            return Participant(who, row["stream"], self.site.state(row["state"]), row["code"])
+            state, kept = self.site.state(row["state"]), json.loads(row["kept"])
+            return Participant(who, row["stream"], state, row["code"], kept)
         raise Unknown
 
     def submit(
@@ -315,37 +311,31 @@ class Store(Database):
         (sequence,) = do(
             "SELECT coalesce(max(sequence) + 1, 0) FROM event WHERE participant = ?", (who,)
         ).fetchone()
-        now = self.clock.wall()
-        append(
-            do,
-            (
-                who,
-                sequence,
-                source,
-                sequence if source_sequence is None else source_sequence,
-                kind,
-                now,
-                self.clock.monotonic(),
-                self.clock.boot,
-                browser,
-                json.dumps(payload, sort_keys=True),
-            ),
-        )
-        do("UPDATE participant SET seen = ? WHERE id = ?", (now, who))
+        number = sequence if source_sequence is None else source_sequence
+        now = self.clock.wall(), self.clock.monotonic(), self.clock.boot
+        text = json.dumps(payload, sort_keys=True)
+        append(do, (who, sequence, source, number, kind, *now, browser, text))
 
     def time_out_stale(self) -> int:
         """Gives the places of everybody silent for too long to others; returns how many. They may
-        come back while places are free. Nobody's time runs before they have agreed to take part."""
+        come back while places are free. Nobody's time runs before they have agreed to take part;
+        how long it is hangs on how far they are."""
         with self.transaction() as do:
             return self._time_out_stale(do)
 
     def _time_out_stale(self, do: Do) -> int:
-        limit = self.clock.wall() - 60 * self.site.plan.rules.timeout_minutes
-        stale = do(
-            "SELECT id, state FROM participant WHERE over = 0 AND seen < ? "
-            "AND json_extract(state, '$.stage') != 'consent'",
-            (limit,),
-        ).fetchall()
-        for row in stale:
-            self._accept(do, row["id"], self.site.state(row["state"]), "time_out", {}, None)
-        return len(stale)
+        here = "SELECT * FROM seen WHERE over = 0 AND json_extract(state, '$.stage') != 'consent'"
+        count = 0
+        for row in do(here).fetchall():
+            state: State = self.site.state(row["state"])
+            # Who sets the wall clock times nobody out: it is asked across restarts alone.
+            same = row["boot"] == self.clock.boot
+            silent = (
+                self.clock.monotonic() - row["monotonic"]
+                if same
+                else self.clock.wall() - row["wall"]
+            )
+            if silent > 60 * self.site.plan.rules.patience(state.accepted):
+                self._accept(do, row["id"], state, "time_out", {}, None)
+                count += 1
+        return count

@@ -4,7 +4,7 @@ CODEBOOK = {
     "participants": {
         "participant": "random id; the key of every table",
         "stream": "person, pilot or bot; decided by the invitation, never changed",
-        "entry": "invitation, prolific or open",
+        "entry": "invitation, platform, open or preview",
         "stage": "where they are or how it ended: done, declined, ineligible, withdrawn, timed_out",
         "type": "user type whose knowledge they were given",
         "condition": "explanation technique",
@@ -15,10 +15,10 @@ CODEBOOK = {
         "inexplicable_transitions": "labels 'makes no sense' at the last step, 0 … m; paper: "
         "measure 2",
         "quiz_score": "statements judged correctly, 0 … 4; paper: measure 3",
-        "interaction_time_s": "seconds, server's wall clock, first rendering of step 1 to the "
-        "last accepted label; paper: measure 1",
-        "interaction_time_monotonic_s": "the same by the server's monotonic clock; empty if the "
-        "machine was restarted in between",
+        "interaction_time_s": "seconds, server's clock, first rendering of step 1 to the last "
+        "accepted label; paper: measure 1",
+        "clock": "by which that is: monotonic, or wall where the machine was restarted in between; "
+        "impossible where the wall clock was set back, and the time is left out",
         "hidden_s": "seconds of it in which no page of the study was visible (browser's clock); "
         "empty without JavaScript",
         "visible_time_s": "interaction_time_s less hidden_s",
@@ -77,58 +77,28 @@ CODEBOOK = {
         "ticked": "1 if the participant ticked it",
         "correct": "1 if ticked = true",
     },
+    "table2": {
+        "measure": "of participants.csv",
+        "n_…": "participants, by condition",
+        "mean_…": "by condition",
+        "sd_…": "standard deviation, by condition",
+        "student_…": "t, df, p of Student's test; p_holm corrected for the three measures",
+        "welch_…": "t, df, p of Welch's test",
+        "hedges_g": "standardized difference, conformant less personalized",
+        "g_low": "lower end of its 95 % interval",
+        "g_high": "upper end",
+        "permutation_p": "of a permutation test within types",
+        "paper_…": "what the paper has there",
+    },
+    "flow": {
+        "stage": "reached, or how it ended; then reasons of leaving somebody out",
+        "all": "participants",
+        "conformant": "of that condition",
+        "personalized": "of that condition",
+    },
     "answers": {
         "participant": "key",
         "question": "name in the configuration",
         "answer": "as given; empty if left out",
     },
-    "events": {
-        "participant": "key",
-        "sequence": "order of arrival at the server, 0, 1, …",
-        "source": "protocol (answers), server, shown (first renderings), tab:… (a page's reports)",
-        "source_sequence": "order at the source",
-        "kind": "of the event",
-        "wall": "server's wall clock, seconds since 1970-01-01 UTC",
-        "monotonic": "server's monotonic clock, seconds; comparable where boot is the same",
-        "boot": "id of the machine's boot",
-        "browser": "the page's performance.now, milliseconds since the page began to load",
-        "number": "order of arrival of all participants' events",
-        "content": "hash of the event (xplain/people/analysis/log.py)",
-        "digest": "hash of the event and all before it",
-        "payload": "JSON; of a tab: at = browser's wall clock in ms, what = detail",
-    },
-    "codebook": {
-        "table": "name of the file",
-        "column": "name of the column",
-        "type": "text, whole number, number or JSON",
-        "unit": "s, ms or px; empty where there is none",
-        "meaning": "this text",
-    },
 }
-
-_WHOLE = {
-    *("eligibility_attempts", "eligible", "steps_labelled", "messages_given", "attempt", "true"),
-    *("inexplicable_transitions", "quiz_score", "timed_out", "window_width", "attention_missed"),
-    *("k", "i", "label", "step", "sequence", "source_sequence", "number", "correct", "ticked"),
-}
-_JSON = {"belief_before", "belief_after", "action_values", "labels", "payload", "outside_ids"}
-_UNITS = {
-    "s": {"entered", "last_seen", "shown", "seconds", "wall", "monotonic"},
-    "ms": {"browser", "browser_ms"},
-    "px": {"window_width"},
-}
-
-
-def unit_of(column: str) -> str:
-    """The unit of a column's numbers; "" where they have none."""
-    own = [unit for unit, columns in _UNITS.items() if column in columns]
-    return own[0] if own else "s" if column.endswith("_s") else ""
-
-
-def kind_of(column: str) -> str:
-    """What a column holds."""
-    if column in _WHOLE:
-        return "whole number"
-    if column in _JSON:
-        return "JSON"
-    return "number" if unit_of(column) else "text"

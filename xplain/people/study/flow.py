@@ -263,6 +263,15 @@ class Study(Flow[StudyPlan, State]):
     policies: Mapping[str, Policy]
     belief: BeliefUpdate
 
+    def view(self, state: State) -> dict[str, Any]:
+        """At an end for good also which of the sentences that they were told are not true."""
+        view = super().view(state)
+        if not state.over or state.stage == "timed_out" or state.user_type is None:
+            return view
+        role, facts = self.role(state), self.plan.facts
+        untrue = role.wrong if role.briefing else ()
+        return view | {"untrue": [(role.briefing[j], facts[j].message) for j in untrue]}
+
     def role(self, state: State) -> Role:
         """What the participant is told and asked, in the stages after consent."""
         return self.plan.roles[state.slot_type]

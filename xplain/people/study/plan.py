@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
-from xplain.people.plan import Asked, StoredPlan, Told, Way
+from xplain.people.plan import Asked, Patience, StoredPlan, Told, Way
 
 
 @dataclass(frozen=True)
@@ -72,27 +72,26 @@ class Training:
     message: str
 
 
-@dataclass(frozen=True)
-class Rules:
-    """Numbers of the protocol.
+@dataclass(frozen=True, kw_only=True)
+class Rules(Patience):
+    """Numbers of the protocol; how long somebody may be silent is in the base class.
 
     Attributes:
         per_cell: completed participants wanted for each type under each condition.
         max_attempts: how often the eligibility test may be taken.
-        timeout_minutes: without a sign of life after which a participant's slot is freed.
         recall: whether the briefing can be opened again during the evaluation.
         min_width: of the window, in CSS pixels, to take part; 0 lets phones in.
     """
 
     per_cell: int
     max_attempts: int
-    timeout_minutes: float
     recall: bool
     min_width: int = 0
 
     def __post_init__(self) -> None:
         """Raises InputError: a number that is not positive."""
-        for key in ("per_cell", "max_attempts", "timeout_minutes"):
+        super().__post_init__()
+        for key in ("per_cell", "max_attempts"):
             if not getattr(self, key) > 0:
                 raise InputError(f"rules.{key}", getattr(self, key), "a number above 0")
 

@@ -191,8 +191,8 @@ def draw_sensitivity(rows: list[dict[str, Any]], path: Path) -> None:
     saved(figure, path, columns=3)
 
 
-def write(study: Study, folder: Path, people: int, studies: int, n: int) -> None:
-    """Power curves and what they hang on, as tables and plots.
+def write(study: Study, folder: Path, people: int, studies: int, n: int) -> list[dict[str, Any]]:
+    """Power curves and what they hang on, as tables and plots; the rows of the curves.
 
     Args:
         study: its plan and policies.
@@ -209,3 +209,4 @@ def write(study: Study, folder: Path, people: int, studies: int, n: int) -> None
     pd.DataFrame(swept).to_csv(folder / "sensitivity.csv", index=False)
     draw_curves(rows, folder / "power.png")
     draw_sensitivity(swept, folder / "sensitivity.png")
+    return rows

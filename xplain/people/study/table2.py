@@ -142,11 +142,14 @@ def analyse(
         if m in found
     ]
     counted = {reason: reasons.count(reason) for reason in dict.fromkeys(reasons)}
+    if untimed := int(kept["interaction_time_s"].isna().sum()):
+        counted["of the time alone: the clock was set back"] = untimed
     return Analysis(stream, tuple(rows), _flow(own), counted, kept)
 
 
 def _compare(data: pd.DataFrame, measure: str, seed: int) -> Comparison:
     """Conformant against personalized, as the paper's columns."""
+    data = data.dropna(subset=[measure])  # a time that cannot be is left out
     a, b = (data[data["condition"] == condition] for condition in CONDITIONS)
     return compare(
         a[measure].to_numpy(),

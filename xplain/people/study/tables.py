@@ -8,53 +8,43 @@ request on.
 from __future__ import annotations
 
 import json
-import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from xplain.message_sets import names_of
 from xplain.people.analysis import export as exported
-from xplain.people.analysis.export import Row, described, events, participants, write
-from xplain.people.analysis.stored import plan_of, reading
-from xplain.people.study.codebook import CODEBOOK, kind_of, unit_of
+from xplain.people.analysis.export import Row, events_of, seconds, write
+from xplain.people.study.codebook import CODEBOOK
 from xplain.people.study.flow import State
 from xplain.people.study.plan import StudyPlan
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Participant = exported.Participant[State]
 
 
 def export(database: Path, folder: Path) -> str:
-    """Writes all tables of a database (better: of a snapshot) into a folder.
-
-    Returns:
-        The head of the log.
+    """Writes all tables of a database (better: of a snapshot) into a folder; the head of the log.
 
     Raises:
         InputError: it is no study's database.
     """
-    with reading(database) as connection:
-        return write(connection, tables(connection), folder, parquet=True)
+    return write(database, folder, StudyPlan, State, tables, CODEBOOK)[0]
 
 
-def tables(connection: sqlite3.Connection) -> dict[str, pd.DataFrame]:
-    """Every table by name; columns as in the codebook, which is a table too."""
-    plan, people = plan_of(connection, StudyPlan), participants(connection, State)
-    steps = [dict(r) for r in connection.execute("SELECT * FROM step ORDER BY participant, k")]
+def tables(
+    plan: StudyPlan, people: list[Participant], steps: list[Row]
+) -> dict[str, Iterable[Row]]:
+    """Rows of every table by name."""
     shown = [page for one in people for page in pages(one.events)]
-    seconds = {
+    took = {
         (page["participant"], page["step"]): page["seconds"]
         for page in shown
         if page["stage"] == "evaluation"
     }
-    rows = {
+    return {
         "participants": [_participant(plan, one) for one in people],
         "steps": [
-            _step(plan, step) | {"seconds": seconds.get((step["participant"], step["k"]))}
+            _step(plan, step) | {"seconds": took.get((step["participant"], step["k"]))}
             for step in steps
         ],
         "pages": shown,
@@ -68,20 +58,8 @@ def tables(connection: sqlite3.Connection) -> dict[str, pd.DataFrame]:
             for event in one.answers(kind)
             for name, value in event["payload"].items()
         ],
-        "events": events(connection),
-        "codebook": [
-            {
-                "table": table,
-                "column": column,
-                "type": kind_of(column),
-                "unit": unit_of(column),
-                "meaning": meaning,
-            }
-            for table, columns in CODEBOOK.items()
-            for column, meaning in columns.items()
-        ],
+        "events": events_of(people),
     }
-    return {name: described(name, rows[name], CODEBOOK[name]) for name in CODEBOOK}
 
 
 def _participant(plan: StudyPlan, one: Participant) -> Row:
@@ -103,12 +81,12 @@ def _participant(plan: StudyPlan, one: Participant) -> Row:
         "messages_given": state.given.bit_count(),
         "inexplicable_transitions": state.labels.count(0) if finished else None,
         "quiz_score": state.score,
-        "interaction_time_s": took.wall if finished else None,
-        "interaction_time_monotonic_s": took.monotonic if finished else None,
+        "interaction_time_s": took.seconds if finished else None,
+        "clock": took.clock if finished else None,
         "hidden_s": took.hidden if finished else None,
         "visible_time_s": took.visible if finished else None,
-        "entered": person["entered"],
-        "last_seen": person["seen"],
+        "entered": one.events[0]["wall"],
+        "last_seen": one.events[-1]["wall"],
         "consent_hash": consent.get("text"),
         "timed_out": sum(event["kind"] == "time_out" for event in one.events),
         "window_width": consent.get("width"),
@@ -175,26 +153,25 @@ def _quiz(plan: StudyPlan, one: Participant) -> Iterator[Row]:
 
 @dataclass(frozen=True)
 class Interaction:
-    """Seconds of an evaluation; None where they are not known.
+    """How long an evaluation took.
 
     Attributes:
-        wall: by the server's wall clock, from the first rendering of the first step to the last
-            accepted label.
-        monotonic: the same by its monotonic clock, where both ends lie in one boot of the machine:
-            the two differ only if somebody set the clock.
+        seconds: by the server's clock, from the first rendering of the first step to the last
+            accepted label; None where that is not known, or cannot be.
+        clock: by which; see :func:`xplain.people.analysis.export.seconds`.
         hidden: of it, in which no page of the study was visible, by the browser's clock.
     """
 
-    wall: float | None = None
-    monotonic: float | None = None
+    seconds: float | None = None
+    clock: str | None = None
     hidden: float | None = None
 
     @property
     def visible(self) -> float | None:
         """The secondary measure; None without the browser's events (no scripts)."""
-        if self.wall is None or self.hidden is None:
+        if self.seconds is None or self.hidden is None:
             return None
-        return max(0.0, self.wall - self.hidden)
+        return max(0.0, self.seconds - self.hidden)
 
 
 def interaction(events: Sequence[Row]) -> Interaction:
@@ -209,10 +186,7 @@ def interaction(events: Sequence[Row]) -> Interaction:
     labels = [e for e in events if e["kind"] == "labels" and e["source"] == "protocol"]
     if not evaluated or not labels:
         return Interaction()
-    first, last = evaluated[0], labels[-1]
-    same = first["boot"] == last["boot"]
-    monotonic = last["monotonic"] - first["monotonic"] if same else None
-    return Interaction(last["wall"] - first["wall"], monotonic, hidden(events))
+    return Interaction(*seconds(evaluated[0], labels[-1]), hidden(events))
 
 
 def pages(events: Sequence[Row]) -> list[Row]:
@@ -234,7 +208,7 @@ def pages(events: Sequence[Row]) -> list[Row]:
                 "stage": stage,
                 "step": step if stage == "evaluation" else None,
                 "shown": event["wall"],
-                "seconds": answer["wall"] - event["wall"] if answer else None,
+                "seconds": seconds(event, answer)[0] if answer else None,
                 "browser_ms": answer["browser"] if answer else None,
             }
         )

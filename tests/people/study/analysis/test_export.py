@@ -21,7 +21,8 @@ def test_tables_say_what_their_codebook_says(
     snapshot: Path, collected: tuple[bytes, str], study: Study, tmp_path: Path
 ) -> None:
     main(["study", "export", str(snapshot), str(tmp_path / "out")])
-    for name, columns in CODEBOOK.items():
+    exported = {name: CODEBOOK[name] for name in CODEBOOK if name not in ("table2", "flow")}
+    for name, columns in exported.items():
         csv = pd.read_csv(tmp_path / "out" / f"{name}.csv")
         parquet = pd.read_parquet(tmp_path / "out" / f"{name}.parquet")
         assert list(csv.columns) == list(parquet.columns) == list(columns)
@@ -58,7 +59,7 @@ def test_tables_say_what_their_codebook_says(
             lambda wall: wall.max() - wall.min()
         )
     codebook = pd.read_csv(out / "codebook.csv").set_index(["table", "column"])
-    for name in CODEBOOK:
+    for name in exported:
         table = pd.read_csv(out / f"{name}.csv")
         for column in table:
             numeric = pd.api.types.is_numeric_dtype(table[column]) and table[column].notna().any()

@@ -17,6 +17,8 @@ from scipy import stats
 from tests.people.study.analysis.completed import completed
 from xplain.cli.main import main
 from xplain.errors import InputError
+from xplain.people.analysis.export import described
+from xplain.people.study.codebook import CODEBOOK
 from xplain.people.study.report import draw, exclusions, save, show
 from xplain.people.study.table2 import CONDITIONS, Analysis, Row, analyse, paper_table
 from xplain.people.study.tables import export
@@ -93,6 +95,9 @@ def test_the_file_has_each_measure_with_its_figures(analysis: Analysis, tmp_path
     save(analysis, tmp_path / "new" / "folder")
     table = pd.read_csv(tmp_path / "new" / "folder" / "table2.csv", index_col="measure")
     assert list(table.index) == [row.measure for row in analysis.rows]
+    for name in ("table2", "flow"):
+        written = pd.read_csv(tmp_path / "new" / "folder" / f"{name}.csv")
+        described(name, written.to_dict("records"), CODEBOOK[name])  # refuses others
     for row in analysis.rows:
         of, (a, b) = table.loc[row.measure], _both(analysis, row)
         assert (of["n_conformant"], of["n_personalized"]) == (len(a), len(b))

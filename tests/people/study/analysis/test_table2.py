@@ -48,6 +48,17 @@ def test_small_studies_are_analysed_or_refused(n: int, tmp_path: Path) -> None:
         assert found.rows[0].ours.permutation_p == 1
 
 
+def test_who_has_no_possible_time_counts_in_every_other_measure() -> None:
+    data = completed(6)
+    whose = data.index[(data["condition"] == "conformant") & (data["stream"] == "person")][0]
+    data.loc[whose, "interaction_time_s"] = np.nan
+    found = analysis_of(data, "person", {})
+    time, inexplicable = found.rows[0].ours, found.rows[1].ours
+    assert (time.a.n, inexplicable.a.n) == (5, 6)
+    assert not np.isnan(time.student.p)
+    assert list(found.excluded.values()) == [1]
+
+
 def test_files_that_are_no_export_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"participants\.csv"):
         read(tmp_path)

@@ -43,10 +43,28 @@ LABELS = [
 
 def test_time_runs_from_the_first_rendering_to_the_last_label() -> None:
     found = interaction(LABELS)
-    assert (found.wall, found.monotonic, found.hidden, found.visible) == (100, 100, None, None)
+    assert (found.seconds, found.clock, found.hidden, found.visible) == (
+        100,
+        "monotonic",
+        None,
+        None,
+    )
     restarted = [*LABELS[:3], LABELS[3] | {"boot": "two", "monotonic": 0.5}]
-    assert (interaction(restarted).wall, interaction(restarted).monotonic) == (100, None)
-    assert interaction(LABELS[:1]).wall is None
+    assert (interaction(restarted).seconds, interaction(restarted).clock) == (100, "wall")
+    assert interaction(LABELS[:1]).seconds is None
+
+
+def test_a_clock_that_was_set_back_gives_no_time_that_cannot_be() -> None:
+    back = [*LABELS[:3], LABELS[3] | {"wall": 1e9 - 259_198.0}]
+    assert (interaction(back).seconds, interaction(back).clock) == (100, "monotonic")
+    restarted = [*back[:3], back[3] | {"boot": "two"}]
+    found = interaction(restarted)
+    assert (found.seconds, found.clock, found.visible) == (None, "impossible", None)
+    of_pages = [
+        one | {"participant": "ann", "source_sequence": n // 2, "browser": None}
+        for n, one in enumerate(back[:4])
+    ]
+    assert [page["seconds"] for page in pages(of_pages)] == [40, 59]
 
 
 @pytest.mark.parametrize(

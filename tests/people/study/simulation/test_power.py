@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from tests.people.study.stand_in import street_study
+from tests.people.study.stand_in import street_plan, street_study
+from xplain.cli.main import main
 from xplain.errors import InputError
 from xplain.people.study.bot import Habits
 from xplain.people.study.power import SWEEPS, Pool, draw_sensitivity, power, simulate
@@ -87,3 +89,16 @@ def test_pictures_show_every_figure_at_its_place(
             assert (list(line.get_xdata()), list(line.get_ydata())) == (list(values), effects)
             assert line.get_label() == title
         assert list(nothing.get_ydata()) == [0, 0]
+
+
+def test_the_command_prints_the_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("xplain.people.study.prepare.study_plan", lambda cfg: street_plan())
+    out = tmp_path / "power"
+    main(["study", "power", "--out", str(out), "--people", "4", "--studies", "20", "--n", "4"])
+    said = capsys.readouterr().out
+    curves = pd.read_csv(out / "power.csv")
+    for row in curves[curves["n_per_condition"] == 50].itertuples():
+        assert row.measure in said
+        assert f"{row.paper_effect_holm:.2f}".rstrip("0") in said

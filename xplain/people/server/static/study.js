@@ -4,6 +4,15 @@
 // Without JavaScript the forms work all the same.
 (() => {
   const body = document.body;
+  // The researcher's page keeps itself up to date; what is being typed above stays.
+  const glance = document.getElementById("glance");
+  if (glance) setInterval(async () => {
+    try {
+      const reply = await fetch(location.href, { credentials: "same-origin" });
+      const page = new DOMParser().parseFromString(await reply.text(), "text/html");
+      if (reply.ok && page.getElementById("glance")) glance.replaceChildren(...page.getElementById("glance").childNodes);
+    } catch { /* the server is away; next time */ }
+  }, 10000);
   if (!("sequence" in body.dataset)) return;
   const { token, sequence, events: address } = body.dataset;
   const connection = document.getElementById("connection");

@@ -1,0 +1,43 @@
+"""What the pages on a study and a collection name is what the commands take."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from xplain.cli.people import configured, server_of
+from xplain.people.study.flow import ENDS
+
+DOCS = Path(__file__).parents[2] / "docs"
+SETTING = re.compile(r"`([a-z][\w.]*=[^`]+)`")
+OF_FILES = ("hydra.searchpath", "types", "key")
+"""Settings that need a file, or are no key."""
+
+
+def settings() -> list[tuple[str, str]]:
+    """Every ``key=value`` that the text of a page names; what is to be filled in is."""
+    found: list[tuple[str, str]] = []
+    for kind in ("study", "collect"):
+        text = (DOCS / f"{kind}.md").read_text(encoding="utf-8")
+        spans = SETTING.findall(re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+        found += [
+            (kind, span.replace("…", "XYZ"))
+            for span in dict.fromkeys(spans)
+            if span.split("=")[0] not in OF_FILES and not span.startswith(f"{kind} ")
+        ]
+    return found
+
+
+@pytest.mark.parametrize(("kind", "setting"), settings())
+def test_a_setting_that_a_page_names_is_taken(kind: str, setting: str) -> None:
+    configured(kind, re.split(r" (?=[\w.@/]+=)", setting))
+
+
+@pytest.mark.parametrize("kind", ["study", "collect"])
+def test_every_ending_can_have_a_code_of_its_own(kind: str) -> None:
+    for ending in (*ENDS, "full"):
+        codes = server_of(configured(kind, [f"server.codes={{{ending}: ABC}}"])).codes
+        assert codes[ending] == "ABC"
+        assert codes == dict.fromkeys((*ENDS, "full"), "") | {ending: "ABC"}
