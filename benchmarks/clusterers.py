@@ -26,7 +26,6 @@ from sklearn.metrics import adjusted_rand_score
 from xplain.config import composed
 from xplain.experiment.pipeline import observe
 from xplain.learning.labelers import LabelerTrainer
-from xplain.randomness import derived_seed
 
 SETTINGS = {
     "rescue, 5 types": ("domain=rescue",),
@@ -48,9 +47,7 @@ def found(
     parts = (instantiate(cfg[name]) for name in ("domain", "users", "observers", "queries"))
     observed = observe(*parts, seed=seed)
     clusterer = instantiate(composed("discover", [f"clusterer={method}"]).clusterer)
-    clustering = clusterer.cluster(
-        observed.dataset, LabelerTrainer(), derived_seed(seed, "clusterer"), None
-    )
+    clustering = clusterer.cluster(observed.dataset, LabelerTrainer(), seed, None)
     true = observed.behaviour
     assert true is not None  # of simulated observers it is known
     return {

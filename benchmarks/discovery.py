@@ -51,7 +51,7 @@ from xplain.learning.clustering import Clustering, Perfect
 from xplain.learning.labelers import LabelerTrainer, split
 from xplain.learning.prediction import log_likelihoods
 from xplain.learning.user_types import UserTypes, label_table, learn_types
-from xplain.randomness import derived_seed, stream
+from xplain.randomness import stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
 from xplain.solvers.qmdp import QMDP
 from xplain.users.setting import Setting
@@ -109,7 +109,7 @@ def find(
     dataset, truth = observed.dataset, observed.truth
     trainer = LabelerTrainer()
     began = time.process_time()
-    found = clusterer(method).cluster(dataset, trainer, derived_seed(seed, "clusterer"), None)
+    found = clusterer(method).cluster(dataset, trainer, seed, None)
     seconds = time.process_time() - began
     test = split(dataset, 0.25, seed)
     train, held = dataset.take(np.flatnonzero(~test)), dataset.take(np.flatnonzero(test))

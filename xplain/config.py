@@ -26,7 +26,8 @@ from omegaconf import (
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 from yaml import MarkedYAMLError, YAMLError
 
-from xplain.errors import InputError, XplainError, whole_number
+from xplain.errors import InputError, XplainError
+from xplain.randomness import run_seed
 
 _PACKAGE = Path(__file__).parent
 
@@ -129,9 +130,9 @@ def require_seed(cfg: DictConfig) -> int:
     """The seed of a command.
 
     Raises:
-        InputError: no whole number ≥ 0.
+        InputError: no whole number from 0 to 2^32 − 1.
     """
-    return whole_number("seed", cfg.seed, 0)
+    return run_seed(cfg.seed)
 
 
 def require_usable(cfg: DictConfig) -> None:

@@ -10,6 +10,11 @@ import zlib
 
 import numpy as np
 
+from xplain.errors import InputError, whole_number
+
+MOST = (1 << 32) - 1
+"""The largest seed of a run."""
+
 
 def sequence(seed: int, *names: str | int) -> np.random.SeedSequence:
     """The seed sequence of the component called ``names`` (a path, such as ``"observers", 3``)."""
@@ -20,6 +25,18 @@ def sequence(seed: int, *names: str | int) -> np.random.SeedSequence:
 def stream(seed: int, *names: str | int) -> np.random.Generator:
     """A generator at the start of the named stream."""
     return np.random.default_rng(sequence(seed, *names))
+
+
+def run_seed(value: object) -> int:
+    """The seed of a run, from which all streams come; scikit-learn's ``random_state`` takes it.
+
+    Raises:
+        InputError: no whole number from 0 to 2^32 − 1.
+    """
+    seed = whole_number("seed", value, 0)
+    if seed > MOST:
+        raise InputError("seed", seed, f"a whole number ≤ {MOST}")
+    return seed
 
 
 def derived_seed(seed: int, *names: str | int) -> int:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from sklearn.utils import check_random_state
 
 from tests.domains.configs import domain_of
 from tests.handmade import a_prepared, with_cases
@@ -397,6 +398,23 @@ def source(**changes) -> Components:
 @pytest.fixture(scope="module")
 def prepared() -> Prepared:
     return prepare(source())
+
+
+def test_seeds_of_plug_ins_fit_scikit_learn_s_random_state() -> None:
+    trainer, seeds = Rates(), []
+
+    class Asked(Given):
+        def cluster(self, dataset, trainer, seed, truth) -> Clustering:
+            seeds.append(seed)
+            return super().cluster(dataset, trainer, seed, truth)
+
+    most = (1 << 32) - 1
+    prepare(source(clusterer=Asked(), labeler=trainer, seed=most, traces=1))
+    assert seeds == [most]
+    for seed in (*seeds, *trainer.seeds):
+        assert check_random_state(seed).random_sample() < 1
+    with pytest.raises(InputError, match="seed=4294967296"):
+        source(seed=most + 1)
 
 
 def test_each_labeler_learns_from_the_observers_it_is_for(prepared):

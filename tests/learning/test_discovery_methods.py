@@ -21,6 +21,7 @@ from xplain.learning.fact_model.split_merge import MANY_OBSERVERS
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.prediction import held_out
 from xplain.learning.user_types import base_rate, label_table, learn_types
+from xplain.randomness import derived_seed
 
 TYPES = [[0, 1], [2], [1, 3]]
 
@@ -89,7 +90,7 @@ def test_a_trainer_with_hypotheses_finds_the_types_where_they_know_the_data(know
             return theirs if knows else None
 
     found = DirichletMixture(concentration=0.3).cluster(dataset, Knowing(), 7, truth)
-    assert asked == [(dataset, 0.3, 7)]
+    assert asked == [(dataset, 0.3, derived_seed(7, "clusterer"))]
     if knows:
         assert found is theirs
     else:

@@ -13,6 +13,7 @@ from tests.learning.conftest import made
 from xplain.data.dataset import Dataset, inputs, query_index
 from xplain.errors import InputError, TooLargeError
 from xplain.learning.labelers import Labeler, LabelerTrainer, split
+from xplain.randomness import derived_seed
 
 
 @given(seed=st.integers(0, 10_000), size=st.integers(2, 60), holdout=st.floats(0.05, 0.95))
@@ -50,7 +51,7 @@ def test_confidence_is_the_smoothed_share_of_held_out_questions_got_right(
     once, _ = made(rng, [[0, 1]], noise=0.15)
     dataset = once.take(np.repeat(np.arange(len(once)), repeats))
     labeler = LabelerTrainer(refit=False).fit(dataset, 7)
-    test = dataset.take(np.flatnonzero(split(dataset, 0.25, 7)))
+    test = dataset.take(np.flatnonzero(split(dataset, 0.25, derived_seed(7, "labelers"))))
     said = labeler.predict(test.features[test.transition], test.message_set)
     votes: dict[tuple[int, int], list[bool]] = {}
     for tau, told, hit in zip(test.transition, test.message_set, said == test.label, strict=True):
@@ -152,7 +153,7 @@ def test_only_a_refitted_labeler_has_seen_all_labels(rng: np.random.Generator, r
     labeler = LabelerTrainer(refit=refit).fit(dataset, 3)
     shown = dataset.features[dataset.transition]
     right = labeler.predict(shown, dataset.message_set) == dataset.label
-    held = split(dataset, 0.25, 3)
+    held = split(dataset, 0.25, derived_seed(3, "labelers"))
     assert right[~held].all()
     assert right[held].mean() == pytest.approx(1 if refit else labeler.accuracy)
 

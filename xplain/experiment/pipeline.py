@@ -30,7 +30,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.learning.clustering import Clusterer
 from xplain.learning.known_types import Tables, find_types
 from xplain.learning.labelers import LabelerTrainer
-from xplain.randomness import stream
+from xplain.randomness import run_seed, stream
 from xplain.users.setting import Setting
 from xplain.users.types import TypeSource
 
@@ -69,7 +69,7 @@ class Components:
         """Raises InputError for a number out of its range."""
         for key in ("traces", "max_steps"):
             whole_number(key, getattr(self, key), 1)
-        whole_number("seed", self.seed, 0)
+        run_seed(self.seed)
 
 
 @dataclass(frozen=True)

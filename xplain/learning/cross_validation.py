@@ -6,7 +6,7 @@ import numpy as np
 
 from xplain.data.dataset import Dataset, query_index
 from xplain.learning.labelers import LabelerTrainer, by_question
-from xplain.randomness import stream
+from xplain.randomness import derived_seed, stream
 
 
 def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> float:
@@ -21,7 +21,7 @@ def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> floa
     if len(told) < 2:
         return float("nan")
     count = min(max(round(1 / trainer.holdout), 2), len(told))
-    fold = (stream(seed, "fresh").permutation(len(told)) % count)[group]
+    fold = (stream(derived_seed(seed, "labelers"), "fresh").permutation(len(told)) % count)[group]
     # What is only asked for its predictions needs no confidence; other trainers may have none else.
     fit = trainer.fit_untested if type(trainer) is LabelerTrainer else trainer.fit
     right = np.zeros(len(dataset), dtype=bool)

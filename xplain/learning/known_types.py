@@ -21,7 +21,6 @@ from xplain.learning.clustering import Clusterer, Perfect
 from xplain.learning.cross_validation import fresh_accuracy
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.user_types import AskedOnce, UserTypes, learn_types
-from xplain.randomness import derived_seed
 
 
 class Tables(NamedTuple):
@@ -184,14 +183,12 @@ def learn(
         none_of_these, known: see :func:`xplain.learning.user_types.learn_types`.
     """
     trainer, dataset = _given(trainer, observed), observed.dataset
-    clustering = clusterer.cluster(
-        dataset, trainer, derived_seed(seed, "clusterer"), observed.behaviour
-    )
+    clustering = clusterer.cluster(dataset, trainer, seed, observed.behaviour)
     return learn_types(
         dataset,
         clustering,
         trainer,
-        labeler_seed(seed),
+        seed,
         none_of_these=none_of_these,
         known=known,
     )
@@ -205,19 +202,13 @@ def learn_references(observed: Observed, trainer: LabelerTrainer, seed: int) -> 
     """
     dataset, behaviour = observed.dataset, observed.behaviour
     trainer = _given(trainer, observed)
-    everyone = trainer.fit(dataset, labeler_seed(seed))
+    everyone = trainer.fit(dataset, seed)
     _require_tested([everyone])
     if behaviour is None:
         return References(everyone)
     best = Perfect().cluster(dataset, trainer, 0, behaviour)
-    perfect = learn_types(dataset, best, trainer, labeler_seed(seed))
+    perfect = learn_types(dataset, best, trainer, seed)
     return References(everyone, perfect, _of_each_type(perfect, observed))
-
-
-def labeler_seed(seed: int) -> int:
-    """The seed of every labeler of a run: the same labels give the same labeler, so that types
-    found right have the labelers of the true ones."""
-    return derived_seed(seed, "labelers")
 
 
 def _of_each_type(perfect: UserTypes, observed: Observed) -> tuple[Labeler, ...] | None:
@@ -256,7 +247,7 @@ def _figures(
     """
     clustering, trainer = types.clustering, _given(trainer, observed)
     fresh = [
-        fresh_accuracy(observed.dataset.of(clustering.members(t)), trainer, labeler_seed(seed))
+        fresh_accuracy(observed.dataset.of(clustering.members(t)), trainer, seed)
         for t in range(clustering.n_types)
     ]
     figures = {

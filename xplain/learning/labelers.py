@@ -181,6 +181,7 @@ class LabelerTrainer:
         Raises:
             InputError: no labels.
         """
+        seed = derived_seed(seed, "labelers")
         dataset, x, test = self._laid_out(dataset, seed)
         y, query = dataset.label, query_index(dataset)
         trained = self.fitted(x[~test], y[~test], seed)
@@ -207,6 +208,7 @@ class LabelerTrainer:
         Raises:
             InputError: no labels.
         """
+        seed = derived_seed(seed, "labelers")
         dataset, x, test = self._laid_out(dataset, seed)
         used = np.full(len(x), True) if self.refit else ~test
         return Labeler(

@@ -65,12 +65,13 @@ class Elbow:
         Raises:
             TooLargeError: as :func:`~xplain.learning.message_vectors.minimal_message_set`.
         """
+        seed = derived_seed(seed, "clusterer")
         masks = minimal_message_sets(dataset, trainer, seed)
         bits = bits_of(masks, dataset.n_messages)
         longest = min(len(masks), self.max_types or len(masks))
         distinct = min(len(np.unique(masks)), longest)
         found = [
-            self.partition.partition(bits, k, derived_seed(seed, "partition", k))
+            self.partition.partition(bits, k, derived_seed(seed, "partition", k) & 0xFFFFFFFF)
             for k in range(1, distinct + 1)
         ]
         # More groups than distinct vectors cannot be told apart: the last partition stays.
@@ -100,7 +101,7 @@ class KMeans:
         distinct, where, weight = np.unique(
             vectors, axis=0, return_inverse=True, return_counts=True
         )
-        model = Lloyd(min(k, len(distinct)), n_init=self.starts, random_state=seed & 0xFFFFFFFF)
+        model = Lloyd(min(k, len(distinct)), n_init=self.starts, random_state=seed)
         with threadpool_limits(1):  # a few points: threads would cost more than the work
             groups = model.fit_predict(distinct.astype(np.float64), sample_weight=weight)
         return np.asarray(groups[where.ravel()], dtype=np.int64)

@@ -112,7 +112,8 @@ def test_whoever_never_errs_is_found_consistent_and_attentive(design: Battery | 
         assert state.consistency == 1.0
         likeliest = max((f for f in state.belief if f != "none"), key=lambda f: state.belief[f])
         assert int(likeliest) == known.essential[row]
-        assert state.belief[likeliest] > 0.9
+        # Who holds more wrong, but one fact on the other side, may answer all questions alike.
+        assert state.belief[likeliest] > 0.85
 
 
 def test_whoever_tosses_coins_is_neither() -> None:

@@ -21,7 +21,7 @@ from xplain.learning.fact_model.gibbs import Chain, sample
 from xplain.learning.fact_model.model import Answers, Prior, facts_that_matter
 from xplain.learning.fact_model.resample_transitions import WIDE
 from xplain.learning.labelers import LabelerTrainer
-from xplain.randomness import stream
+from xplain.randomness import derived_seed, stream
 
 log = logging.getLogger(__name__)
 
@@ -84,6 +84,7 @@ class DirichletMixture:
         Raises:
             TooLargeError: ``depth`` is too large for so many messages.
         """
+        seed = derived_seed(seed, "clusterer")
         if isinstance(trainer, KnowsFactSets):
             known = trainer.find_types(dataset, self.concentration, seed)
             if known is not None:
