@@ -56,8 +56,13 @@ OURS = (
 )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("page", SHOWING, ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=page.name, marks=() if page == PAGES[0] else pytest.mark.slow)
+        for page in SHOWING
+    ],
+)
 def test_every_command_and_program_does_what_is_shown(page, tmp_path):
     run.ran(page.read_text(encoding="utf-8"), tmp_path, compare=True)
 
