@@ -1,7 +1,6 @@
 """Simulated people who are not as the hypotheses assume, for benchmarks/questions.py.
 
-    python benchmarks/people.py             how many of their labels differ, by kind
-    python benchmarks/people.py --quick     a little of it
+``python benchmarks/questions.py labels`` tells how many of their labels differ, by kind.
 
 What is special of a kind is what its user types believe (their own wrong values), what the
 hypotheses leave out, or how people answer; never what a method makes of it. Types are drawn as for
@@ -10,7 +9,6 @@ people who are as assumed, so that kinds of one seed hold the same facts wrong.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -181,29 +179,3 @@ def differing(domain: Domain, people: str, seed: int) -> tuple[float, float]:
         shares.append((said != table.T).mean(axis=(1, 2)))
     assumed = [share[0] for share in shares]
     return float(np.mean(assumed)), float(np.mean([share.min() for share in shares]))
-
-
-def main() -> None:
-    """The command."""
-    from questions import FIRST_SEED, MAPS, domain_of  # a script beside this one
-
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a little of it")
-    parser.add_argument("--seeds", type=int, default=5)
-    given = parser.parse_args()
-    maps, seeds = (MAPS[2:3], 1) if given.quick else (MAPS, given.seeds)
-    print(
-        "| labels that differ from | " + " | ".join(maps) + " |\n" + "|---" * (len(maps) + 1) + "|"
-    )
-    for people in (*BY_A_VARIANT, *OTHER_VALUES):
-        cells = []
-        for name in maps:
-            every = range(FIRST_SEED, FIRST_SEED + seeds)
-            found = [differing(domain_of(name, seed), people, seed) for seed in every]
-            assumed, nearest = np.mean(found, axis=0)
-            cells.append(f"{assumed:.1%} / {nearest:.1%}")
-        print(f"| {people}: as assumed / nearest variant | " + " | ".join(cells) + " |")
-
-
-if __name__ == "__main__":
-    main()

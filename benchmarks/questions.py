@@ -3,6 +3,7 @@
     python benchmarks/questions.py identify      questions until it is known what one holds wrong
     python benchmarks/questions.py grid          labels × design × labeler × errors → types, costs
     python benchmarks/questions.py people        people who are not as assumed (people.py)
+    python benchmarks/questions.py labels        how many of their labels differ, by kind
     python benchmarks/questions.py plot          the pictures, from the rows
     python benchmarks/questions.py speed         how long a choice of a question takes
     python benchmarks/questions.py --quick       a little of each, nothing written
@@ -23,6 +24,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from collections.abc import Sequence
 from datetime import date
 from functools import cache
 from itertools import product
@@ -38,11 +40,14 @@ from matplotlib.lines import Line2D
 from omegaconf import OmegaConf
 from people import (
     AS_ASSUMED,
+    BY_A_VARIANT,
     CLIP,
     IN_WORDS,
     KINDS,
     MISREAD,
+    OTHER_VALUES,
     Altered,
+    differing,
     misreading,
     setting_of,
     tired,
@@ -90,6 +95,7 @@ COMPARED = {"adaptive, hypotheses": (20, 40), "random questions, trees": (40,)}
 """Of ``people``: labels a person, by way. The second knows no hypotheses."""
 POINTS = (5, 10, 20, 40, 80, 320)
 IDENTIFIED = ("map", "seed", "error", "questions", "right")
+PARTS = ("identify", "grid", "people", "labels", "plot", "speed")
 KEY = ["map", "way", "points", "error", "people", "seed"]
 
 
@@ -474,10 +480,24 @@ def written(table: pd.DataFrame, name: str, by: list[str], quick: bool) -> None:
         (RESULTS / f"{name}.md").write_text(text, encoding="utf-8")
 
 
+def labels_that_differ(maps: Sequence[str], seeds: int) -> None:
+    """Prints the share of labels that differ from the hypotheses, and from the nearest variant."""
+    print("| labels that differ from | " + " | ".join(maps) + " |")
+    print("|---" * (len(maps) + 1) + "|")
+    for people in (*BY_A_VARIANT, *OTHER_VALUES):
+        cells = []
+        for name in maps:
+            every = range(FIRST_SEED, FIRST_SEED + seeds)
+            found = [differing(domain_of(name, seed), people, seed) for seed in every]
+            assumed, nearest = np.mean(found, axis=0)
+            cells.append(f"{assumed:.1%} / {nearest:.1%}")
+        print(f"| {people}: as assumed / nearest variant | " + " | ".join(cells) + " |")
+
+
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", nargs="?", choices=["identify", "grid", "people", "plot", "speed"])
+    parser.add_argument("part", nargs="?", choices=PARTS)
     parser.add_argument("--quick", action="store_true", help="a little of each, nothing written")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--traces", type=int, default=10)
@@ -521,6 +541,8 @@ def main() -> None:
         written(summary(rows, by), "questions_people", by, given.quick)
         if given.quick:
             picture_of_people(rows)
+    if given.part in ("labels", None):
+        labels_that_differ(*((MAPS[2:3], 1) if given.quick else (given.maps, given.seeds)))
     if given.part in ("speed", None):
         written(speed(), "questions_speed", ["facts", "transitions"], given.quick)
     if given.part in ("plot", "grid", "people") and not given.quick:
