@@ -101,7 +101,7 @@ class Table:
         before: tuple[Cell, ...] = ()
         for row in self.rows:
             same = 0
-            while same < self.left - 1 and before[: same + 1] == row[: same + 1]:
+            while same < self.left - 1 and before and before[same].words == row[same].words:
                 same += 1
             yield (*[Cell()] * same, *row[same:])
             before = row
