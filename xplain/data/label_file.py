@@ -105,9 +105,9 @@ def read_questions(
     message_set, _ = _message_sets(table["messages"], like.messages)
     described = table.drop(columns=list(COLUMNS)).reset_index(drop=True)
     group = described.groupby(list(described.columns), sort=False, dropna=False)
-    first = described.iloc[group.head(1).index] if len(described) else described
+    first = described.drop_duplicates()  # in the order of the groups
     rows: list[dict[str, Any]] = [
-        dict(zip(described.columns, row, strict=True)) for row in first.itertuples(index=False)
+        dict(zip(first.columns, row, strict=True)) for row in first.itertuples(index=False)
     ]
     try:
         distinct = np.array([encoded(row, like.feature_names) for row in rows])

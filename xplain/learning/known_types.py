@@ -134,6 +134,7 @@ def find_types(
     assert observed.setting is not None
     domain = observed.setting.domain
     _require_same_features(observed.dataset, domain)
+    trainer = _given(trainer, observed)  # once: what it works out of its task is kept with it
     references = learn_references(observed, trainer, seed)
     perfect = references.perfect.by_observers if references.perfect else None
     types = learn(observed, trainer, clusterer, seed, known=perfect)
@@ -245,7 +246,7 @@ def _figures(
     what fresh questions would show (:func:`~xplain.learning.cross_validation.fresh_accuracy`).
     Both are means over types.
     """
-    clustering, trainer = types.clustering, _given(trainer, observed)
+    clustering = types.clustering
     fresh = [
         fresh_accuracy(observed.dataset.of(clustering.members(t)), trainer, seed)
         for t in range(clustering.n_types)

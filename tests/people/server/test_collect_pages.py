@@ -44,12 +44,6 @@ def store(tmp_path: Path, collection: Collection) -> Iterator[Store]:
     opened.close()
 
 
-@pytest.fixture
-def browser(store: Store) -> Callable[[], Visitor]:
-    app = create_app(store, GENEROUS)
-    return lambda: Visitor(app.test_client())
-
-
 def walk(
     visitor: Visitor, store: Store, number: int = 0, **habits: Any
 ) -> Iterator[tuple[str, Page]]:
