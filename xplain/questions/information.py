@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -90,7 +91,11 @@ class Posterior:
     def information(self, transitions: ArrayLike, told: int) -> float:
         """Bits that the answer to one question tells of (the layer, the candidate)."""
         if self.rates is not None:
-            return float(self.gains(np.atleast_1d(np.asarray(transitions)), told)[0])
+            clip = np.atleast_1d(np.asarray(transitions)).tolist()
+            every = product((0, 1), repeat=len(clip))
+            each = np.stack([self.likelihood(clip, told, answers) for answers in every])
+            mean = (self.weight * each).sum(axis=(1, 2))
+            return float(_entropy(mean) - (self.weight * _entropy(each)).sum())
         labels = self.labels(transitions, told)
         count = labels.shape[2]
         pattern = labels @ (1 << np.arange(count))
