@@ -15,7 +15,6 @@ from xplain import Explainer, GivenTypes
 from xplain.errors import InputError
 from xplain.evaluation.episode import explain
 from xplain.evaluation.explainees import SimulatedUser
-from xplain.explanation.answer_errors import error_rates
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import DENSE, LabelTable, joined
 from xplain.message_sets import mask_of
@@ -71,7 +70,7 @@ def play(session, answers, steps=None):
 @settings(max_examples=60, deadline=None)
 def test_a_session_is_an_episode_of_the_experiments(situation):
     problem, answers, explainer, _ = situation
-    problem = problem.with_errors(error_rates(explainer.belief_update.error))
+    problem = problem.with_habits(explainer.belief_update.habits())
     policy = explainer.solver.plan(problem)
     episode = explain(problem, policy, SimulatedUser.of(answers), explainer.belief_update)
     session = explainer.session(range(problem.n_steps))

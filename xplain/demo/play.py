@@ -212,7 +212,7 @@ def _explainer(
         prepared.messages,
         ("everyone",) if alone else prepared.learned_types,
         prepared.type_shares if costs.prior == "observers" and not alone else (),
-        prepared.errors,
+        prepared.habits,
     )
     return Explainer(
         types,

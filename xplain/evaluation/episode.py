@@ -24,7 +24,7 @@ class Episode:
     """What happened while one trace of m transitions was explained.
 
     Attributes:
-        messages: [m] int64, the new messages (bitmask) before each *explain*.
+        messages: [m] int64, the messages (bitmask) said before each *explain*.
         labels: [m, m] int8, row k the answers given at step k; −1 right of the diagonal.
         thoughts: [m, m] int8, row k the labels that the user truly holds; costs are by these.
         beliefs: [m + 1, M] over user types, before the first step and after each.
@@ -45,8 +45,13 @@ class Episode:
 
     @property
     def n_messages(self) -> int:
-        """Number of messages given over all steps."""
+        """Number of messages said over all steps, again or for the first time."""
         return sum(int(mask).bit_count() for mask in self.messages)
+
+    @property
+    def n_again(self) -> int:
+        """How many of them had been said before."""
+        return self.n_messages - int(np.bitwise_or.reduce(self.messages)).bit_count()
 
     @property
     def n_inexplicable(self) -> int:
@@ -76,12 +81,15 @@ def explain(problem: Problem, policy: Policy, user: Person, belief_update: Belie
     seconds = np.empty(m)
     for k in range(m):
         messages[k] = talk.say()
+        user.hear(int(messages[k]))
         seconds[k] = asked.seconds
-        thought, answer = user.react(talk.given, int(messages[k]), k + 1)
+        thought, answer = user.react(talk.given, k + 1)
         thoughts[k, : k + 1], labels[k, : k + 1] = thought, answer
         talk.hear(answer)
         beliefs[k + 1] = problem.type_belief(talk.belief)
-    communication = float(sum(problem.message_cost[j] for j in indices(talk.given)))
+    communication = float(
+        sum(problem.message_cost[j] for said in messages.tolist() for j in indices(said))
+    )
     inexplicability = problem.inexplicability_cost * int((thoughts == 0).sum())
     cost = problem.trade_off * communication + inexplicability
     return Episode(

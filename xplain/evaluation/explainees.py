@@ -8,8 +8,9 @@ and step, so that every solver meets the same person.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,14 +36,13 @@ class Reaction(NamedTuple):
 class Person(Protocol):
     """Whoever a trace is explained to, once."""
 
-    def react(self, given: int, new: int, count: int) -> Reaction:
-        """To messages and then the first ``count`` transitions. Asked once a step, in order.
+    def hear(self, new: int) -> None:
+        """Messages (a bitmask) are said, for the first time or again."""
+        ...
 
-        Args:
-            given: bitmask of all messages given so far, the new ones among them.
-            new: of those given at this step.
-            count: k + 1.
-        """
+    def react(self, given: int, count: int) -> Reaction:
+        """To the first ``count`` transitions, with the messages ``given`` so far. Asked once a
+        step, in order."""
         ...
 
 
@@ -82,7 +82,10 @@ class SimulatedUser:
         labels: NDArray[np.uint8] = truth.astype(np.uint8)
         return labels
 
-    def react(self, given: int, new: int, count: int) -> Reaction:
+    def hear(self, new: int) -> None:
+        """Nothing more than what ``given`` says."""
+
+    def react(self, given: int, count: int) -> Reaction:
         """As :class:`Person` has it."""
         labels = self.labels(count, given)
         return Reaction(labels, labels)
@@ -126,7 +129,10 @@ class _Slipping:
     same: NDArray[np.int64]
     seed: int
 
-    def react(self, given: int, new: int, count: int) -> Reaction:
+    def hear(self, new: int) -> None:
+        """Nothing more than what ``given`` says."""
+
+    def react(self, given: int, count: int) -> Reaction:
         thoughts = self.user.labels(count, given)
         when = () if self.how.repeats else (count,)
         drawn = stream(self.seed, "slips", given, *when).random(len(self.same))
@@ -156,26 +162,41 @@ class Heedless:
         return _Heedless(SimulatedUser(labels), self, seed)
 
 
+@runtime_checkable
+class Knower(Protocol):
+    """A person of whom it is known what they have right now."""
+
+    @property
+    def knows(self) -> int:
+        """Bitmask of the facts set right."""
+        ...
+
+
 @dataclass
 class _Heedless:
-    """``knows`` is the bitmask of the facts set right that the person has right now."""
+    """``told`` counts how often each message was said."""
 
     user: SimulatedUser
     how: Heedless
     seed: int
     knows: int = 0
+    told: Counter[int] = field(default_factory=Counter)
 
-    def react(self, given: int, new: int, count: int) -> Reaction:
-        self.knows &= ~self._some("forget", self.knows, count, self.how.forget)
-        self.knows |= self._some("accept", new, count, self.how.accept)
-        return self.user.react(self.knows, new, count)
+    def hear(self, new: int) -> None:
+        for j in indices(new):
+            self.told[j] += 1
+            if self._by_chance("accept", j, self.told[j], self.how.accept):
+                self.knows |= 1 << j
 
-    def _some(self, what: str, messages: int, count: int, chance: float) -> int:
-        """Those of the messages that chance picks at this step."""
-        picked = (
-            1 << j for j in indices(messages) if stream(self.seed, what, count, j).random() < chance
-        )
-        return sum(picked)
+    def react(self, given: int, count: int) -> Reaction:
+        reaction = self.user.react(self.knows, count)
+        for j in indices(self.knows):
+            if self._by_chance("forget", j, count, self.how.forget):
+                self.knows &= ~(1 << j)
+        return reaction
+
+    def _by_chance(self, what: str, message: int, time: int, chance: float) -> bool:
+        return bool(stream(self.seed, what, message, time).random() < chance)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from xplain.evaluation.episode import explain
 from xplain.evaluation.explainees import Explainee
 from xplain.evaluation.metrics import Record
 from xplain.experiment.pipeline import Case, Prepared, Track, untracked
-from xplain.explanation.answer_errors import Error, error_rates
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import DiscountPer, Problem
@@ -101,19 +100,26 @@ def _cost(key: str, value: object) -> float:
     return cost
 
 
-def problem_of_types(prepared: Prepared, case: Case, costs: Costs, error: Error) -> Problem:
+def problem_of_types(
+    prepared: Prepared, case: Case, costs: Costs, belief_update: BeliefUpdate
+) -> Problem:
     """What the learned types say of a trace: the problem of a solver that must find the type of a
-    user who errs so often."""
+    user who listens and answers as the belief update assumes."""
     names, shares = prepared.learned_types, prepared.type_shares
     problem = costs.problem(case.learned, prepared.messages, names, shares)
-    return problem.with_errors(error_rates(error, prepared.errors))
+    return problem.with_habits(belief_update.habits(prepared.habits))
 
 
 def problem_for(
-    prepared: Prepared, case: Case, costs: Costs, solver: Solver, error: Error, user: int
+    prepared: Prepared,
+    case: Case,
+    costs: Costs,
+    solver: Solver,
+    belief_update: BeliefUpdate,
+    user: int,
 ) -> Problem:
     """What a solver may plan with when a user of the true type ``user`` is in front of it, who is
-    taken to err so often.
+    taken to listen and answer as the belief update assumes.
 
     Raises:
         InputError: the solver needs the observers' true types, and they are unknown.
@@ -121,7 +127,7 @@ def problem_for(
     name = prepared.types[user]
     alone = np.ones(1)
     if solver.knows == "types":
-        return problem_of_types(prepared, case, costs, error)
+        return problem_of_types(prepared, case, costs, belief_update)
     if solver.knows == "everyone":
         if case.everyone is None:
             raise InputError(
@@ -171,10 +177,10 @@ def evaluate(
             for user in range(len(prepared.types)):
                 # A user's type changes the plan only of a solver that knows it.
                 if policy is None or problem is None or not shared:
-                    problem = problem_for(prepared, case, costs, solver, belief_update.error, user)
+                    problem = problem_for(prepared, case, costs, solver, belief_update, user)
                     planned = solver.plan(problem, trace_seed(seed, index))
                     if index == 0:  # kernels load at the first question: no decision's time
-                        planned.messages(0, 0, problem.prior)
+                        planned.messages(0, 0, problem.start)
                     policy = CachedPolicy(planned)
                 person = explainee.meet(
                     case.labels.of_types([user]),

@@ -96,7 +96,7 @@ class Session:
     def cost(self) -> float:
         """Definition 2 of the paper for what happened so far, undiscounted."""
         problem = self._talk.problem
-        said = sum(float(problem.message_cost[j]) for j in indices(self._talk.given))
+        said = sum(float(problem.message_cost[j]) for new in self._said for j in indices(new))
         zeros = sum(int((labels == 0).sum()) for labels in self._answers)
         return problem.trade_off * said + problem.inexplicability_cost * zeros
 
@@ -140,12 +140,13 @@ class Session:
         """Says these messages at this step, whatever the plan.
 
         Raises:
-            InputError: :meth:`messages` was called already, or a message is unknown or was given.
+            InputError: :meth:`messages` was called already, or a message is unknown, or was given
+                and cannot have been missed.
         """
         if len(self._said) > len(self._answers) or self.finished:
             raise InputError("session", tuple(names), "told once a step, before messages()")
         new = mask_of(names, self._talk.problem.message_names, "session")
-        if new & self._talk.given:
+        if new & self._talk.given and not self._talk.problem.tracks_knowledge:
             raise InputError("session", tuple(names), f"not given before, as {self.said} were")
         self._decide()
         self._talk.give(new)
