@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.evaluation.explainees import Person
+from xplain.evaluation.explainees import Knower, Person
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
 from xplain.message_sets import indices
@@ -59,7 +59,13 @@ class Episode:
         return int((self.thoughts == 0).sum())
 
 
-def explain(problem: Problem, policy: Policy, user: Person, belief_update: BeliefUpdate) -> Episode:
+def explain(
+    problem: Problem,
+    policy: Policy,
+    user: Person,
+    belief_update: BeliefUpdate,
+    sees_knowledge: bool = False,
+) -> Episode:
     """Explains the whole trace of ``problem`` to ``user``.
 
     Args:
@@ -67,6 +73,7 @@ def explain(problem: Problem, policy: Policy, user: Person, belief_update: Belie
         policy: planned for that problem; a cached one shares its decisions between users.
         user: who reacts; new to the trace.
         belief_update: which labels change the belief.
+        sees_knowledge: whether the agent sees what a user of known type has right now.
 
     Raises:
         ValueError: the policy gives a message again, or one that does not exist.
@@ -80,6 +87,8 @@ def explain(problem: Problem, policy: Policy, user: Person, belief_update: Belie
     beliefs[0] = problem.type_belief(talk.belief)
     seconds = np.empty(m)
     for k in range(m):
+        if sees_knowledge and isinstance(user, Knower):
+            talk.belief = problem.sure(0, user.knows)
         messages[k] = talk.say()
         user.hear(int(messages[k]))
         seconds[k] = asked.seconds

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, number
+from xplain.explanation.habits import Habits, check_rate, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.message_sets import indices
 from xplain.randomness import stream
@@ -43,6 +44,26 @@ class Person(Protocol):
     def react(self, given: int, count: int) -> Reaction:
         """To the first ``count`` transitions, with the messages ``given`` so far. Asked once a
         step, in order."""
+        ...
+
+
+@runtime_checkable
+class Knower(Protocol):
+    """A person who may not know all that was said."""
+
+    @property
+    def knows(self) -> int:
+        """Bitmask of the facts set right that they have right now."""
+        ...
+
+
+@runtime_checkable
+class Habitual(Protocol):
+    """An explainee whose people are :class:`Knower`, and whose habits can be told."""
+
+    @property
+    def habits(self) -> Habits:
+        """Theirs."""
         ...
 
 
@@ -115,7 +136,8 @@ class Slips:
 
     def __post_init__(self) -> None:
         """Raises InputError for a rate out of its range."""
-        _check_probability("rate", self.rate)
+        if not 0 <= number("explainee.rate", self.rate) <= 1:
+            raise InputError("explainee.rate", self.rate, "a probability in [0, 1]")
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
         """As :class:`Explainee` has it."""
@@ -145,8 +167,8 @@ class Heedless:
     """Users who do not take every message in, or do not keep it.
 
     Args:
-        accept: probability that a message is taken in when it is given.
-        forget: probability that a fact set right is lost, at each step, after its labels.
+        accept: probability that a message is taken in when it is given, > 0.
+        forget: probability, < 1, that a fact set right is lost, at each step, after its labels.
     """
 
     accept: float = 0.8
@@ -155,21 +177,16 @@ class Heedless:
     def __post_init__(self) -> None:
         """Raises InputError for a probability out of its range."""
         for key in ("accept", "forget"):
-            _check_probability(key, getattr(self, key))
+            check_rate(f"explainee.{key}", getattr(self, key))
+
+    @property
+    def habits(self) -> Habits:
+        """As :class:`Habitual` has it."""
+        return habits_of(0.0, self.accept, self.forget)
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
         """As :class:`Explainee` has it."""
         return _Heedless(SimulatedUser(labels), self, seed)
-
-
-@runtime_checkable
-class Knower(Protocol):
-    """A person of whom it is known what they have right now."""
-
-    @property
-    def knows(self) -> int:
-        """Bitmask of the facts set right."""
-        ...
 
 
 @dataclass
@@ -208,8 +225,3 @@ class Stranger:
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
         """As :class:`Explainee` has it."""
         return SimulatedUser(labels)
-
-
-def _check_probability(key: str, value: float) -> None:
-    if not 0 <= number(f"explainee.{key}", value) <= 1:
-        raise InputError(f"explainee.{key}", value, "a probability in [0, 1]")

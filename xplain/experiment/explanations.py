@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from xplain.errors import InputError, number
 from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import Explainee
+from xplain.evaluation.explainees import Explainee, Habitual
 from xplain.evaluation.metrics import Record
 from xplain.experiment.pipeline import Case, Prepared, Track, untracked
 from xplain.explanation.belief import BeliefUpdate
+from xplain.explanation.habits import PAPER
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import DiscountPer, Problem
 from xplain.randomness import derived_seed
@@ -170,14 +171,18 @@ def evaluate(
         what: is done, in its words.
     """
     records = []
+    seen = explainee.habits if isinstance(explainee, Habitual) else PAPER
     for index, case in track(enumerate(prepared.cases), what, len(prepared.cases)):
         for name, solver in solvers.items():
             shared = solver.knows in ("types", "everyone")
+            # The clairvoyant sees what was taken in and lost, too.
+            habits = seen if solver.knows == "labels" else PAPER
             policy = problem = None
             for user in range(len(prepared.types)):
                 # A user's type changes the plan only of a solver that knows it.
                 if policy is None or problem is None or not shared:
                     problem = problem_for(prepared, case, costs, solver, belief_update, user)
+                    problem = problem.with_habits(habits)
                     planned = solver.plan(problem, trace_seed(seed, index))
                     if index == 0:  # kernels load at the first question: no decision's time
                         planned.messages(0, 0, problem.start)
@@ -187,7 +192,7 @@ def evaluate(
                     copies(case.transitions),
                     derived_seed(seed, "explainee", index, user),
                 )
-                episode = explain(problem, policy, person, belief_update)
+                episode = explain(problem, policy, person, belief_update, solver.knows == "labels")
                 right = np.ones(problem.n_user_types, dtype=bool)
                 if solver.knows == "types":
                     right = prepared.matched_true_type == prepared.distinct[user]

@@ -196,6 +196,12 @@ class Problem:
         belief[0] = self.prior
         return belief.ravel()
 
+    def sure(self, hidden_type: int, known: int) -> NDArray[np.float64]:
+        """The belief of who sees a user's hidden type and, as a bitmask, the facts they have."""
+        belief = np.zeros((self.table.p.shape[1], self.n_types))
+        belief[self.table.subset(known)[hidden_type], hidden_type] = 1
+        return belief.ravel() if self.tracks_knowledge else belief.sum(axis=0)
+
     def with_habits(self, habits: Habits) -> Problem:
         """The problem where users have one of these habits, independent of their types.
 
