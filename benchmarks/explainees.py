@@ -124,7 +124,7 @@ def errors(seeds: Iterable[int], traces: int) -> None:
     )
     print(" log score: floor | told | learned |\n|---|---|---|---|---|---|---|---|---|---|")
     for domain in DOMAINS:
-        print(f"| **{domain}** |")
+        print(f"| **{domain.replace('_', ' ')}** |" + " |" * 9)
         found: dict[tuple[str, str, str], list[tuple[float, float]]] = defaultdict(list)
         for world in worlds(domain, seeds, traces):
             for name, (explainee, habits) in people.items():
@@ -158,7 +158,7 @@ def messages(seeds: Iterable[int], traces: int) -> None:
     )
     print(" learned / told | said again |\n|---|---|---|---|---|---|---|---|")
     for domain in DOMAINS:
-        print(f"| **{domain}** |")
+        print(f"| **{domain.replace('_', ' ')}** |" + " |" * 7)
         found: dict[tuple[float, float, str], list[float]] = defaultdict(list)
         for world in worlds(domain, seeds, traces):
             for accept, forget in TABLE:

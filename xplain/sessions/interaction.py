@@ -33,12 +33,16 @@ class Interaction:
     policy: Policy
     belief_update: BeliefUpdate
     belief: NDArray[np.float64] = field(init=False)
-    step: int = field(default=0, init=False)
-    given: int = field(default=0, init=False)
-    _answered: int | None = field(default=None, init=False)
+    step: int = field(init=False)
+    given: int = field(init=False)
+    _answered: int | None = field(init=False)
 
     def __post_init__(self) -> None:
-        self.belief = self.problem.start
+        self.begin()
+
+    def begin(self) -> None:
+        """Nothing was said or shown yet."""
+        self.belief, self.step, self.given, self._answered = self.problem.start, 0, 0, None
 
     def say(self) -> int:
         """Decides which messages come before the next *explain*: a bitmask, given from now on.

@@ -88,6 +88,13 @@ class Session:
         return self._names(self._talk.given)
 
     @property
+    def again(self) -> tuple[str, ...]:
+        """Names of the messages of this step that had been said before, as users may miss or
+        forget some."""
+        *earlier, now = self._said or [0]
+        return self._names(now & int(np.bitwise_or.reduce(np.array([0, *earlier]))))
+
+    @property
     def belief(self) -> dict[str, float]:
         """``{type: probability}``, given all labels so far; they sum to 1."""
         return self._by_name(self._talk.belief)
@@ -119,6 +126,12 @@ class Session:
         ahead = self._planner.unknown(max(self._expected_steps - known, 0))
         problem = self._planner.problem(joined([table, ahead]))
         self._talk.problem, self._talk.policy = problem, self._planner.plan(problem)
+        if problem.tracks_knowledge:  # more facts may matter now, and a belief is over these
+            self._talk.begin()
+            for k, said in enumerate(self._said):
+                self._talk.give(said)
+                if k < len(self._answers):
+                    self._talk.hear(self._answers[k])
         self._table = table
         self._trace += new
 
