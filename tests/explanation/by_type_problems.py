@@ -9,6 +9,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.strategies import composite
 
+from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 
@@ -43,7 +44,11 @@ def pair_of_problems(rng: np.random.Generator, types: int, steps: int, n: int) -
         "prior": rng.dirichlet(np.ones(types)),
         "discount_per": "action" if rng.random() < 0.7 else "step",
     }
-    return Problem(LabelTable.by_type(relevant, p), **rest), Problem(dense, **rest)
+    both = Problem(LabelTable.by_type(relevant, p), **rest), Problem(dense, **rest)
+    if rng.random() < 0.7:
+        return both
+    habits = Habits(np.array([0.05, 0.3]), np.ones(2), np.zeros(2), rng.dirichlet(np.ones(2)))
+    return tuple(problem.with_habits(habits) for problem in both)
 
 
 @composite

@@ -6,6 +6,8 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.strategies import composite
 
+from xplain.explanation.habits import Habits
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.testing.problems import random_problem as random_problem
 
@@ -18,3 +20,13 @@ def tiny_problems(
     seed = draw(st.integers(0, 2**32 - 1))
     rng = np.random.default_rng(seed)
     return random_problem(rng, max_types, max_steps, max_messages)
+
+
+def misleading_problem() -> Problem:
+    """Two user types who err at .05 or .4; what they think tells them apart at once, what they
+    answer does not: the optimum is .1 and more below that of labels taken for answers."""
+    p = np.array([[[1, 1, 1, 1], [0, 1, 0, 1]], [[0, 0, 0, 0], [0, 0, 1, 1]]], float)
+    costs = np.array([0.4, 0.4])
+    problem = Problem(LabelTable.dense(p), costs, inexplicability_cost=0.6, discount=1.0)
+    rates = np.array([0.05, 0.4])
+    return problem.with_habits(Habits(rates, np.ones(2), np.zeros(2), np.full(2, 0.5)))

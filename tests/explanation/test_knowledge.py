@@ -11,11 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xplain.explanation import knowledge
-from xplain.explanation.belief import Independent, told, update
+from xplain.explanation.belief import BeliefUpdate, Independent, Persistent, told, update
 from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import EXPLAIN, LiteralPOMDP, State, literal_optimal_value
 from xplain.explanation.problem import Problem
+from xplain.sessions.interaction import Interaction
 from xplain.solvers.qmdp import QMDP
 from xplain.solvers.reminding import Reminding
 from xplain.testing.problems import random_problem
@@ -202,6 +203,36 @@ def test_users_who_all_but_surely_listen_are_told_the_same(seed: int) -> None:
     wide[0] = belief
     for step in range(steps):
         assert knowing.messages(step, 0, wide.ravel()) == known.messages(step, 0, belief)
+
+
+def said_and_heard(update: BeliefUpdate, said: list[int], forget: float) -> np.ndarray:
+    """The belief of one who was told these and answered 1, 0 0, 1 1 1, …"""
+    rng = np.random.default_rng(3)
+    problem = Problem(rng.uniform(0.1, 0.9, (2, len(said), 2)), np.ones(1))
+    talk = Interaction(
+        problem.with_habits(habits_of(0.0, 0.7, forget)), QMDP().plan(problem), update
+    )
+    for k, new in enumerate(said):
+        talk.give(new)
+        talk.hear(np.full(k + 1, 1 - k % 2, dtype=np.uint8))
+    return talk.belief
+
+
+def test_what_may_have_been_forgotten_or_was_said_again_makes_old_questions_new() -> None:
+    """Who may know something else than before may answer something else: all labels are evidence.
+    Only where nothing can have changed does an answer given before count once."""
+    one, other = Independent(), Persistent()
+    again, silent = [1, 1, 1], [1, 0, 0]
+    assert np.array_equal(said_and_heard(one, again, 0.0), said_and_heard(other, again, 0.0))
+    assert np.array_equal(said_and_heard(one, silent, 0.2), said_and_heard(other, silent, 0.2))
+    assert not np.allclose(said_and_heard(one, silent, 0.0), said_and_heard(other, silent, 0.0))
+
+
+def test_a_message_that_changes_answers_alone_has_an_effect() -> None:
+    table = LabelTable.dense(np.full((1, 2, 4), 0.5), np.full((1, 2, 4), 0.5))
+    table.answers[:, 2:] = 0.7
+    assert table.effective() == [(1,)]
+    assert table.effective_of_any() == (1,)
 
 
 def test_the_paper_is_the_default() -> None:

@@ -9,9 +9,9 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 
-from tests.explanation.problems import tiny_problems
+from tests.explanation.problems import misleading_problem, tiny_problems
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation import pomdp_file as cassandra
 from xplain.explanation.literal_pomdp import reduced_optimal_value
@@ -48,6 +48,7 @@ def expectimax(flat: Flat, belief: dict[int, float], horizon: int) -> float:
 
 @settings(deadline=None, max_examples=40)
 @given(tiny_problems(max_types=2, max_steps=2))
+@example(misleading_problem())
 def test_the_file_has_the_optimum_of_the_problem(problem: Problem) -> None:
     if problem.discount_per == "step" and problem.discount < 1:
         with pytest.raises(InputError, match="discount_per"):

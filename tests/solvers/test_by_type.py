@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import xplain.solvers.restriction as restriction
 from tests.explanation.by_type_problems import pairs
 from xplain.errors import TooLargeError
+from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
@@ -29,6 +31,7 @@ from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.pomcp.tree import Tree
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
+from xplain.solvers.rows import rows_at
 
 Both = tuple[Problem, Problem]
 
@@ -197,3 +200,22 @@ def test_sixty_messages_are_planned_for() -> None:
         assert chosen & ~own == 0
     found = bounds(problem)
     assert found.lower <= found.upper <= found.known_type + 1e-12
+
+
+@settings(deadline=None, max_examples=30)
+@given(pairs(), st.integers(0, 2**32 - 1))
+def test_a_model_has_labels_and_answers_of_every_message_set(both: Both, seed: int) -> None:
+    """Also where rows count messages that may pay as a mere delay."""
+    rng, own = np.random.default_rng(seed), both[0]
+    habits = Habits(np.array([0.1, 0.3]), np.ones(2), np.zeros(2), np.full(2, 0.5))
+    idle = replace(own, trade_off=0.01, message_cost=np.ones(own.n_messages), discount=0.5)
+    for problem in (own, replace(idle, discount_per="action")):
+        erring = problem if problem.table.answers.size else problem.with_habits(habits)
+        model = model_of(erring)
+        for given in rng.integers(0, 1 << erring.n_messages, 8).tolist():
+            at = rows_at(model.rows, given), np.arange(erring.n_types)
+            for table, wanted in (
+                (model.p, erring.label_probabilities(erring.n_steps, given)),
+                (model.answered, erring.answer_probabilities(erring.n_steps, given)),
+            ):
+                assert np.array_equal(table[:, *at], wanted.T)

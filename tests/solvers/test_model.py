@@ -13,6 +13,7 @@ from hypothesis.strategies import composite
 from tests.explanation.problems import tiny_problems
 from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError, TooLargeError
+from xplain.explanation.habits import habits_of
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver
 from xplain.solvers.hsvi.solver import Certified
@@ -155,6 +156,15 @@ def test_conformant_pays_for_every_type_undivided() -> None:
     problem = Problem(p, np.array([2.0]), discount=1.0)
     assert Conformant().plan(problem).messages(0, 0, problem.prior) == 1
     assert QMDP().plan(problem).messages(0, 0, problem.prior) == 0
+
+
+def test_conformant_pays_once_for_a_type_whose_error_rate_is_unknown() -> None:
+    """Two rates make no second person: one type's zeros do not pay for the message."""
+    p = np.zeros((1, 1, 2))
+    p[:, :, 1] = 1
+    problem = Problem(p, np.array([1.5]), discount=1.0).with_habits(habits_of("learned", 1.0, 0.0))
+    assert problem.n_types == 5
+    assert Conformant().plan(problem).messages(0, 0, problem.prior) == 0
 
 
 def test_conformant_adds_up_the_zeros_of_types_that_differ() -> None:

@@ -18,6 +18,7 @@ import pytest
 import yaml
 from numba import njit
 
+from tests.explanation.problems import misleading_problem
 from tests.solvers.plain_values import plain_optimal_value
 from tests.solvers.pomcp.plain_pomcp import PlainPOMCP
 from xplain.errors import InputError, TooLargeError
@@ -104,6 +105,12 @@ def test_approaches_the_optimum() -> None:
         best = max(policy.values(0, 0, problem.prior).values())
         assert best == pytest.approx(optimum, abs=allowed)
         assert evaluate(problem, policy).value == pytest.approx(optimum, abs=allowed)
+
+
+def test_who_errs_is_searched_for_by_answers() -> None:
+    problem = misleading_problem()
+    found = max(first_values(POMCP(simulations=30_000, depth=None), problem).values())
+    assert found == pytest.approx(reduced_optimal_value(problem), abs=0.02)
 
 
 def test_the_mean_approaches_the_optimum_too() -> None:
