@@ -212,10 +212,10 @@ def test_a_model_has_labels_and_answers_of_every_message_set(both: Both, seed: i
     for problem in (own, replace(idle, discount_per="action")):
         erring = problem if problem.table.answers.size else problem.with_habits(habits)
         model = model_of(erring)
-        for given in rng.integers(0, 1 << erring.n_messages, 8).tolist():
-            at = rows_at(model.rows, given), np.arange(erring.n_types)
+        for told in rng.integers(0, 1 << erring.n_messages, 8).tolist():
+            at = rows_at(model.rows, told), np.arange(erring.n_types)
             for table, wanted in (
-                (model.p, erring.label_probabilities(erring.n_steps, given)),
-                (model.answered, erring.answer_probabilities(erring.n_steps, given)),
+                (model.p, erring.label_probabilities(erring.n_steps, told)),
+                (model.answered, erring.answer_probabilities(erring.n_steps, told)),
             ):
                 assert np.array_equal(table[:, *at], wanted.T)
