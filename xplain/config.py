@@ -26,7 +26,7 @@ from omegaconf import (
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 from yaml import MarkedYAMLError, YAMLError
 
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError, XplainError, one_of
 from xplain.randomness import run_seed
 
 _PACKAGE = Path(__file__).parent
@@ -141,8 +141,7 @@ def require_usable(cfg: DictConfig) -> None:
     Raises:
         XplainError: a ``resume`` that there is not, or a domain's file in the wrong package.
     """
-    if cfg.resume not in RESUME:
-        raise InputError("resume", cfg.resume, f"one of {', '.join(RESUME)}")
+    one_of("resume", cfg.resume, RESUME)
     if "_target_" not in cfg.domain and "domain" in cfg.domain:
         raise XplainError(NO_PACKAGE)
 

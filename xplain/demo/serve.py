@@ -20,7 +20,7 @@ from hydra.utils import instantiate
 
 from xplain.config import composed
 from xplain.demo.play import Stage, stage
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError, XplainError, one_of
 from xplain.evaluation.episode import SimulatedUser
 from xplain.message_sets import mask_of
 from xplain.sessions.session import Session
@@ -120,9 +120,7 @@ def create_app(overrides: Sequence[str], host: str = HOST) -> Flask:
     rest = [word for word in overrides if not word.startswith("domain=")]
 
     def words(task: str) -> list[str]:
-        if task not in tasks:
-            raise InputError("task", task, f"one of {', '.join(tasks)}")
-        return [f"domain={task}", *rest]
+        return [f"domain={one_of('task', task, tasks)}", *rest]
 
     scene_of = cache(lambda task: stage(words(task)))
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import Cell, parameters_of
 from xplain.domains.mdp import MDP
-from xplain.errors import InputError, XplainError, discount_factor, number
+from xplain.errors import Discount, InputError, XplainError, checks, number
 
 EFFECTS = ("add", "like", "to", "arguments")
 CHANGES = ("when", "actions", "next", *EFFECTS)
@@ -95,6 +95,7 @@ class Features:
         return known.index(value)
 
 
+@checks("domain")
 class Gymnasium:
     """A tabular Gymnasium environment. States are the numbers of the environment's states.
 
@@ -130,7 +131,7 @@ class Gymnasium:
         id: str,
         states: Mapping[str, int | Sequence[str]],
         actions: Sequence[str],
-        discount: float,
+        discount: Discount,
         parameters: Mapping[str, Mapping[str, Any]],
         starts: Mapping[str, Any] | None = None,
         arguments: Mapping[str, Any] | None = None,
@@ -139,7 +140,7 @@ class Gymnasium:
     ) -> None:
         """Makes the environment, reads its model and tries every change."""
         self.name, self._id, self._arguments = name, id, dict(arguments or {})
-        self.discount = discount_factor("domain.discount", discount)
+        self.discount = discount
         self._own = read_model(id, self._arguments)
         n_states, n_actions, _ = self._own.successor.shape
         self.actions = tuple(actions)

@@ -30,7 +30,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from xplain.config import one_line
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError, XplainError, one_of
 from xplain.runs.start import start
 
 if TYPE_CHECKING:
@@ -124,10 +124,8 @@ class Sweep:
         Raises:
             InputError: rows of another kind.
         """
-        if rows == "episodes":
+        if one_of("rows", rows, ("jobs", "episodes")) == "episodes":
             return self.summary.episodes.copy()
-        if rows != "jobs":
-            raise InputError("rows", rows, "jobs or episodes")
         import pandas as pd
 
         return pd.DataFrame(
@@ -152,9 +150,7 @@ class Sweep:
         from xplain.report.measure import TITLES
         from xplain.report.sweep_plots import against_main_key
 
-        name = measure or self.summary.measure.name
-        if name not in TITLES:
-            raise InputError("measure", name, f"one of {', '.join(TITLES)}")
+        name = one_of("measure", measure or self.summary.measure.name, TITLES)
         figure = against_main_key(self.summary, name, TITLES[name])
         if figure is None:
             raise InputError("measure", name, "one that is known, of a sweep of several jobs")

@@ -20,7 +20,7 @@ from xplain.domains.pddl.features import counts
 from xplain.domains.pddl.reading import read_task
 from xplain.domains.pddl.task import Action, pddl
 from xplain.domains.pddl.words import Words
-from xplain.errors import DomainError, InputError, number, whole_number
+from xplain.errors import Count, DomainError, InputError, Positive, checks
 
 log = logging.getLogger(__name__)
 
@@ -28,6 +28,7 @@ COMBINATIONS = 1024
 """Sets of facts held wrong that are tried before a fact is reported to have no effect."""
 
 
+@checks("domain")
 class PDDL:
     """A task in PDDL: STRIPS with types, equality, negative preconditions, conditional effects and
     action costs. States are those that the robot's task or a believed one reaches, from the states
@@ -73,16 +74,13 @@ class PDDL:
         words: Mapping[str, str] | None = None,
         features: Mapping[str, str | Sequence[str]] | None = None,
         starts: str | int = "initial",
-        dead_end_cost: float = 1000.0,
-        max_states: int = 100_000,
+        dead_end_cost: Positive = 1000.0,
+        max_states: Count = 100_000,
         name: str | None = None,
     ) -> None:
         """Reads the files, explores the states and tries every fact."""
         self.name = "pddl" if name is None else str(name)
-        self.dead_end_cost = number("domain.dead_end_cost", dead_end_cost)
-        if self.dead_end_cost <= 0:
-            raise InputError("domain.dead_end_cost", dead_end_cost, "a number > 0")
-        whole_number("domain.max_states", max_states, 1)
+        self.dead_end_cost = dead_end_cost
         self.task = read_task(file, problem, ("domain.file", "domain.problem"))
         self.words = Words(self.task, _mapping("words", words, "{predicate or action: its words}"))
         found, more = self._differences(file, problem, believed)
