@@ -213,7 +213,9 @@ def _solved(models: Sequence[MDP]) -> NDArray[np.float64]:
         done = (np.abs(swept - value).max(axis=1) <= allowed).all()
         value = swept
         if done:
-            return gain + np.einsum("bsak,bsak->bsa", probability, value.take(successor))
+            return np.asarray(
+                gain + np.einsum("bsak,bsak->bsa", probability, value.take(successor))
+            )
         own, chance, after = (array[b, s, greedy] for array in (gain, probability, successor))
         for _ in range(100):
             before = value
