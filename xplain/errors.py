@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, wraps
@@ -176,15 +176,51 @@ def check(key: str, value: object, hint: Any) -> None:
         inner[1].check(key, value, whole=inner[0] is int)
 
 
-def one_of(key: str, value: T, allowed: Iterable[T]) -> T:
-    """One of the values that are allowed.
+def one_of(key: str, value: T, allowed: Iterable[T], what: str = "") -> T:
+    """One of the values that are allowed; ``what`` names their kind, in the error.
 
     Raises:
         InputError: it is none of them.
     """
     known = [*allowed]
     if value not in known:
-        raise InputError(key, value, f"one of {', '.join(map(str, known))}")
+        words = ", ".join(map(str, known)) or "none"
+        raise InputError(
+            key, value, f"unknown {what}; known: {words}" if what else f"one of {words}"
+        )
+    return value
+
+
+def mapping(key: str, value: object, allowed: str) -> Mapping[str, Any]:
+    """A mapping.
+
+    Raises:
+        InputError: it is none.
+    """
+    if not isinstance(value, Mapping):
+        raise InputError(key, value, allowed)
+    return value
+
+
+def listed(key: str, value: object, allowed: str = "a list") -> Sequence[Any]:
+    """A list, and no text.
+
+    Raises:
+        InputError: it is none.
+    """
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise InputError(key, value, allowed)
+    return value
+
+
+def sentence(key: str, value: object, allowed: str = "a sentence") -> str:
+    """A text that is not blank.
+
+    Raises:
+        InputError: it is none.
+    """
+    if not isinstance(value, str) or not value.strip():
+        raise InputError(key, value, allowed)
     return value
 
 

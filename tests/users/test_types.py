@@ -170,7 +170,7 @@ def test_types_on_the_command_line() -> None:
         ([["fire"]], "at least one user type"),
         ({"A": []}, "some of the parameters"),
         ({"A": "fire"}, "some of the parameters"),
-        ({"A": ["wind"]}, "unknown parameter; rescue has first_aid"),
+        ({"A": ["wind"]}, "unknown parameter of rescue; known: first_aid"),
         ({"A": {"wind": 1.0}}, "unknown parameter"),
     ],
 )

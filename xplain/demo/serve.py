@@ -54,10 +54,8 @@ class Game:
             raise InputError("solvers", list(solvers), f"two of {', '.join(SOLVERS)}")
         domain = instantiate(composed("config", overrides).domain)
         values = {fact.name: fact.inaccurate for fact in domain.parameters}
-        unknown = [name for name in wrong if name not in values]
-        if unknown:
-            raise InputError("wrong", unknown[0], f"facts of the task: {', '.join(values)}")
-        own = Setting.build(domain, (UserType("you", {name: values[name] for name in wrong}),))
+        held = {one_of("wrong", name, values, "fact"): values[name] for name in wrong}
+        own = Setting.build(domain, (UserType("you", held),))
         self._scene, self._solvers = scene, tuple(solvers)
         self._user = SimulatedUser(own.true_labels(scene.case.transitions))
         trace = range(len(scene.case.transitions))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import MOVES, Cell, Grid, parameters_of
 from xplain.domains.mdp import MDP
-from xplain.errors import InputError, Range, Slip, checks, number
+from xplain.errors import InputError, Range, Slip, checks, listed, number
 
 PARAMETERS = ("goals", "discount", "step_cost", "penalty_cells", "penalty")
 DOORS = ((3, 6), (10, 6), (6, 2), (7, 9))
@@ -82,7 +82,7 @@ class FourRooms:
         )
         penalised = [
             self.grid.at(cell, "domain.parameters.penalty_cells")
-            for cell in _list("penalty_cells", values["penalty_cells"])
+            for cell in listed("domain.parameters.penalty_cells", values["penalty_cells"])
         ]
         entered = self._moves & np.isin(self._successor, penalised)
         reward[entered] -= number("domain.parameters.penalty", values["penalty"])
@@ -96,7 +96,7 @@ class FourRooms:
         """Rewards by cell number."""
         key = "domain.parameters.goals"
         goals = {}
-        for goal in _list("goals", value):
+        for goal in listed(key, value):
             if not isinstance(goal, Mapping) or set(goal) != {"cell", "reward"}:
                 raise InputError(key, goal, "{cell: [row, column], reward: a number}")
             goals[self.grid.at(goal["cell"], key)] = number(f"{key}.reward", goal["reward"])
@@ -127,12 +127,6 @@ class FourRooms:
         cells = tuple(_cell(cell) for cell in accurate["penalty_cells"])
         penalty = [Item("penalty", "x", cells)] if cells else []
         return self.grid.scene([*goals, *penalty])
-
-
-def _list(name: str, value: Any) -> Sequence[Any]:
-    if isinstance(value, str) or not isinstance(value, Sequence):
-        raise InputError(f"domain.parameters.{name}", value, "a list")
-    return value
 
 
 def _cell(value: Sequence[int]) -> Cell:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Parameter, Scene
-from xplain.errors import InputError
+from xplain.errors import InputError, mapping, one_of, sentence
 
 Cell = tuple[int, int]
 
@@ -51,8 +51,7 @@ class Grid:
         Raises:
             InputError: no text, rows of unequal length, an unknown symbol, or walls only.
         """
-        if not isinstance(text, str) or not text.strip():
-            raise InputError(key, text, "an ASCII map, one line for each row")
+        sentence(key, text, "an ASCII map, one line for each row")
         lines = [line.rstrip() for line in text.strip("\n").splitlines()]
         known = {WALL: "wall", FLOOR: "floor", START: "floor where traces start", **symbols}
         where: dict[str, list[Cell]] = {}
@@ -177,20 +176,15 @@ def parameters_of(
     parameters = []
     for name, fields in given.items():
         key = f"domain.parameters.{name}"
-        if name not in known:
-            raise InputError("domain.parameters", name, f"unknown; known: {', '.join(known)}")
-        if not isinstance(fields, Mapping):
-            raise InputError(key, fields, "the fields accurate, inaccurate, message, belief")
-        needed, optional = {"accurate", "inaccurate", "message"}, {"belief"}
+        one_of("domain.parameters", name, known, "parameter")
+        mapping(key, fields, "the fields accurate, inaccurate, message, belief")
+        needed = {"accurate", "inaccurate", "message"}
         if missing := needed - fields.keys():
             raise InputError(key, dict(fields), f"lacks {', '.join(sorted(missing))}")
-        if unknown := fields.keys() - needed - optional:
-            raise InputError(
-                key, min(unknown), f"unknown field; known: {', '.join(sorted(needed | optional))}"
-            )
+        for field in sorted(fields):
+            one_of(key, field, sorted(needed | {"belief"}), "field")
         parameter = Parameter(name=name, **fields)
-        if not isinstance(parameter.message, str) or not parameter.message.strip():
-            raise InputError(f"{key}.message", parameter.message, "a sentence")
+        sentence(f"{key}.message", parameter.message)
         if parameter.accurate == parameter.inaccurate:
             raise InputError(f"{key}.inaccurate", parameter.inaccurate, "differs from accurate")
         parameters.append(parameter)

@@ -17,7 +17,16 @@ from numpy.typing import NDArray
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import Cell, parameters_of
 from xplain.domains.mdp import MDP
-from xplain.errors import Discount, InputError, XplainError, checks, number
+from xplain.errors import (
+    Discount,
+    InputError,
+    XplainError,
+    checks,
+    listed,
+    mapping,
+    number,
+    one_of,
+)
 
 EFFECTS = ("add", "like", "to", "arguments")
 CHANGES = ("when", "actions", "next", *EFFECTS)
@@ -57,10 +66,9 @@ class Features:
 
     def where(self, key: str, condition: Any) -> NDArray[np.bool_]:
         """[S] the states that meet ``{feature: value, or a list of values}``."""
-        if not isinstance(condition, Mapping):
-            raise InputError(key, condition, "{feature: value, or a list of values}")
+        asked = mapping(key, condition, "{feature: value, or a list of values}")
         result = np.ones(len(self.codes), dtype=bool)
-        for feature, wanted in condition.items():
+        for feature, wanted in asked.items():
             one = isinstance(wanted, str) or not isinstance(wanted, Sequence)
             codes = [self._code(key, feature, value) for value in ([wanted] if one else wanted)]
             result &= np.isin(self.codes[:, self.names.index(feature)], codes)
@@ -68,10 +76,8 @@ class Features:
 
     def changed(self, key: str, target: Any) -> NDArray[np.int64]:
         """[S] the number of each state after the features in ``{feature: value}`` are set."""
-        if not isinstance(target, Mapping):
-            raise InputError(key, target, "{feature: value}")
         codes = self.codes.copy()
-        for feature, value in target.items():
+        for feature, value in mapping(key, target, "{feature: value}").items():
             code = self._code(key, feature, value)
             codes[:, self.names.index(feature)] = code
         return np.asarray(np.ravel_multi_index(tuple(codes.T), self.sizes), dtype=np.int64)
@@ -87,12 +93,8 @@ class Features:
         ]
 
     def _code(self, key: str, feature: str, value: Any) -> int:
-        if feature not in self.values:
-            raise InputError(key, feature, f"unknown feature; known: {', '.join(self.names)}")
-        known = self.values[feature]
-        if value not in known:
-            raise InputError(f"{key}.{feature}", value, f"one of {', '.join(map(str, known))}")
-        return known.index(value)
+        known = self.values[one_of(key, feature, self.names, "feature")]
+        return known.index(one_of(f"{key}.{feature}", value, known))
 
 
 @checks("domain")
@@ -155,12 +157,11 @@ class Gymnasium:
             self.starts = np.flatnonzero(here)
         if not len(self.starts):
             raise InputError("domain.starts", starts, "at least one state that is not terminal")
-        if not isinstance(parameters, Mapping):
-            raise InputError("domain.parameters", parameters, "{name: {inaccurate, message}}")
+        given = mapping("domain.parameters", parameters, "{name: {inaccurate, message}}")
         # The robot's value is the environment as it is: no change.
         unchanged = {
             key: {"accurate": [], **fields} if isinstance(fields, Mapping) else fields
-            for key, fields in parameters.items()
+            for key, fields in given.items()
         }
         self.parameters = parameters_of(unchanged, tuple(parameters))
         accurate: dict[str, Any] = {parameter.name: [] for parameter in self.parameters}
@@ -212,10 +213,7 @@ class Gymnasium:
 
     def _numbers(self, key: str, names: Any) -> list[int]:
         """The numbers of actions."""
-        for name in names:
-            if name not in self.actions:
-                raise InputError(key, name, f"unknown action; known: {', '.join(self.actions)}")
-        return [self.actions.index(name) for name in names]
+        return [self.actions.index(one_of(key, name, self.actions, "action")) for name in names]
 
     def position(self, state: int) -> Cell | None:
         """The robot's cell, if states have a row and a column."""
@@ -244,21 +242,16 @@ def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
     if isinstance(value, (str, Mapping)) or not isinstance(value, Sequence):
         raise InputError(key, value, "a list of changes")
     for change in value:
-        if not isinstance(change, Mapping):
-            raise InputError(key, change, f"a change with {', '.join(CHANGES)}")
-        if unknown := change.keys() - set(CHANGES):
-            raise InputError(key, min(unknown), f"unknown; known: {', '.join(CHANGES)}")
+        for field in sorted(mapping(key, change, f"a change with {', '.join(CHANGES)}")):
+            one_of(key, field, CHANGES, "field")
         if sum(effect in change for effect in EFFECTS) != 1:
             raise InputError(key, dict(change), f"one of {', '.join(EFFECTS)}")
         if "arguments" in change and len(change) > 1:
             raise InputError(key, dict(change), "a change with arguments has no other field")
         if "next" in change and "add" not in change:
             raise InputError(key, dict(change), "next needs add")
-        listed = change.get("actions", [])
-        if isinstance(listed, str) or not isinstance(listed, Sequence):
-            raise InputError(f"{key}.actions", listed, "a list of actions")
-        if not isinstance(change.get("arguments", {}), Mapping):
-            raise InputError(f"{key}.arguments", change["arguments"], "{argument: value}")
+        listed(f"{key}.actions", change.get("actions", []), "a list of actions")
+        mapping(f"{key}.arguments", change.get("arguments", {}), "{argument: value}")
     return list(value)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from xplain.domains import mdp
 from xplain.domains.base import Domain
-from xplain.errors import InputError, TooLargeError
+from xplain.errors import InputError, TooLargeError, one_of
 from xplain.explanation.label_table import MAX_RELEVANT, LabelTable
 
 MAX_MODELS = 1 << 14
@@ -66,12 +66,7 @@ class Setting:
             raise InputError("users", called, "user types need different names")
         for user_type in types:
             for name in user_type.inaccurate:
-                if name not in names:
-                    raise InputError(
-                        f"users.{user_type.name}",
-                        name,
-                        f"unknown parameter; {domain.name} has {', '.join(names)}",
-                    )
+                one_of(f"users.{user_type.name}", name, names, f"parameter of {domain.name}")
         if sum(1 << len(user_type.inaccurate) for user_type in types) > MAX_MODELS:
             raise TooLargeError(
                 f"users: the types' inaccurate parameters span more than {MAX_MODELS} task models; "

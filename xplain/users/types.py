@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from xplain.domains.base import Domain
-from xplain.errors import Count, InputError, checks, whole_number
+from xplain.errors import Count, InputError, checks, one_of, whole_number
 from xplain.users.setting import Setting, UserType
 
 
@@ -52,10 +52,7 @@ def user_type(domain: Domain, name: str, facts: Sequence[str] | Mapping[str, Any
         raise InputError(key, facts, f"some of the parameters {', '.join(default)}")
     own = facts if isinstance(facts, Mapping) else dict.fromkeys(facts)
     for fact in own:
-        if fact not in default:
-            raise InputError(
-                key, fact, f"unknown parameter; {domain.name} has {', '.join(default)}"
-            )
+        one_of(key, fact, default, f"parameter of {domain.name}")
     return UserType(name, {f: default[f] if own[f] is None else own[f] for f in own})
 
 

@@ -20,7 +20,16 @@ from xplain.domains.pddl.features import counts
 from xplain.domains.pddl.reading import read_task
 from xplain.domains.pddl.task import Action, pddl
 from xplain.domains.pddl.words import Words
-from xplain.errors import Count, DomainError, InputError, Positive, checks
+from xplain.errors import (
+    Count,
+    DomainError,
+    InputError,
+    Positive,
+    checks,
+    mapping,
+    one_of,
+    sentence,
+)
 
 log = logging.getLogger(__name__)
 
@@ -120,16 +129,12 @@ class PDDL:
         joined = {name for fields in given.values() for name in _joined(fields)}
         for fact in dict.fromkeys([*(name for name in found if name not in joined), *given]):
             key, fields = f"domain.facts.{fact}", given.get(fact, {})
-            if not isinstance(fields, Mapping):
-                raise InputError(key, fields, "the fields change, message, belief")
-            if unknown := fields.keys() - {"change", "join", "message", "belief"}:
-                raise InputError(key, min(unknown), "unknown; known: change, join, message, belief")
+            for name in sorted(mapping(key, fields, "the fields change, message, belief")):
+                one_of(key, name, ("change", "join", "message", "belief"), "field")
             own = found.get(fact)
             if "join" in fields:
-                if absent := [name for name in _joined(fields) if name not in found]:
-                    known = ", ".join(found) or "none"
-                    raise InputError(f"{key}.join", absent[0], f"differences found: {known}")
-                own = [change for name in _joined(fields) for change in found[name]]
+                names = [one_of(f"{key}.join", n, found, "difference") for n in _joined(fields)]
+                own = [change for name in names for change in found[name]]
             if "change" not in fields and own is None:
                 raise InputError(key, dict(fields), "lacks change")
             changes = checked(f"{key}.change", fields.get("change", own))
@@ -137,8 +142,7 @@ class PDDL:
             so, believed = told(self.task, changes, self.words)
             texts = fields.get("message", so), fields.get("belief", believed)
             for field, text in zip(("message", "belief"), texts, strict=True):
-                if not isinstance(text, str) or not text.strip():
-                    raise InputError(f"{key}.{field}", text, "a sentence")
+                sentence(f"{key}.{field}", text)
             # Plain values: models of a type are distinguished by them.
             plain = [dict(change) for change in changes]
             result.append(Parameter(str(fact), [], plain, *texts))
@@ -268,10 +272,7 @@ def _mapping(field: str, given: Any, allowed: str) -> Mapping[str, Any]:
     Raises:
         InputError: it is not a mapping.
     """
-    found = {} if given is None else given
-    if not isinstance(found, Mapping):
-        raise InputError(f"domain.{field}", given, allowed)
-    return found
+    return mapping(f"domain.{field}", {} if given is None else given, allowed)
 
 
 def _joined(fields: Any) -> list[str]:
