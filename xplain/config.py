@@ -27,7 +27,6 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from yaml import MarkedYAMLError, YAMLError
 
 from xplain.errors import InputError, XplainError, one_of
-from xplain.randomness import run_seed
 
 _PACKAGE = Path(__file__).parent
 
@@ -124,15 +123,6 @@ def named(overrides: Sequence[str]) -> list[str]:
         return f"{key}='{value}'" if key in GROUPS and value in ("true", "false") else override
 
     return [quoted(override) for override in overrides]
-
-
-def require_seed(cfg: DictConfig) -> int:
-    """The seed of a command.
-
-    Raises:
-        InputError: no whole number from 0 to 2^32 − 1.
-    """
-    return run_seed(cfg.seed)
 
 
 def require_usable(cfg: DictConfig) -> None:

@@ -23,8 +23,9 @@ from typing import TYPE_CHECKING, Any
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from xplain.config import composed, require_seed
+from xplain.config import composed
 from xplain.errors import InputError
+from xplain.randomness import run_seed
 
 if TYPE_CHECKING:
     from xplain.questions.committee import Pool
@@ -40,7 +41,7 @@ def questions(arguments: list[str]) -> Row:
     from xplain.questions.designs import WITHOUT, Battery
 
     cfg = composed("questions", arguments, with_hydra=True)
-    require_seed(cfg)
+    run_seed(cfg.seed)
     design = instantiate(cfg.queries)
     if isinstance(design, Battery):
         return _battery(cfg, design)
