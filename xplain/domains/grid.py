@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Parameter, Scene
+from xplain.domains.mdp import reached
 from xplain.errors import InputError, mapping, one_of, sentence
 
 Cell = tuple[int, int]
@@ -121,13 +122,7 @@ class Grid:
 
     def connected(self, cell: int) -> NDArray[np.bool_]:
         """[C] the cells that can be reached from this one (and from which it can be reached)."""
-        seen = np.zeros(len(self.cells), dtype=bool)
-        frontier = np.array([cell])
-        while len(frontier):
-            seen[frontier] = True
-            after = np.unique(self.neighbour[frontier])
-            frontier = after[~seen[after]]
-        return seen
+        return reached(np.array([cell]), len(self.cells), self.neighbour.__getitem__)
 
     def require_path(self, what: str, cell: int, goal_name: str, goal: int) -> None:
         """Checks that a cell has a path to the goal.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import Cell, parameters_of
-from xplain.domains.mdp import MDP
+from xplain.domains.mdp import MDP, reached
 from xplain.errors import (
     Discount,
     InputError,
@@ -294,13 +294,9 @@ def read_model(id: str, arguments: Mapping[str, Any]) -> Tables:
     terminal[successor[ended & (probability > 0)]] = True
     starts = np.flatnonzero(np.ones(states) if initial is None else np.asarray(initial) > 0)
     # Tables also hold states that no episode reaches, with outcomes that make no sense.
-    reached = np.zeros(states, dtype=bool)
-    frontier = starts[~terminal[starts]]
-    while len(frontier):
-        reached[frontier] = True
-        after = np.unique(successor[frontier][probability[frontier] > 0])
-        frontier = after[~reached[after] & ~terminal[after]]
-    goes_on = reached[:, None, None] & (probability > 0) & ~ended
+    possible = (probability > 0) & ~terminal[:, None, None]
+    met = reached(starts, states, lambda s: successor[s][possible[s]])
+    goes_on = met[:, None, None] & possible & ~ended
     if (goes_on & terminal[successor]).any():
         raise InputError("domain.id", id, "an environment whose end depends on the state alone")
     return Tables(successor, probability, reward, terminal, starts)

@@ -6,7 +6,7 @@ are solved in one batch, so accurately that "is this action optimal?" has a safe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -63,6 +63,25 @@ class Model(Protocol):
             DomainError: ties are ambiguous; ``names`` says in whose model.
         """
         ...
+
+
+def reached(
+    starts: NDArray[np.int64], states: int, after: Callable[[NDArray[np.int64]], NDArray[Any]]
+) -> NDArray[np.bool_]:
+    """[S] the states that can be reached from the starts, themselves included.
+
+    Args:
+        starts: some states.
+        states: S.
+        after: gives the states that follow some states, in any order, also repeatedly.
+    """
+    seen = np.zeros(states, dtype=bool)
+    frontier = starts
+    while len(frontier):
+        seen[frontier] = True
+        new = np.unique(after(frontier))
+        frontier = new[~seen[new]]
+    return seen
 
 
 class Solution(Protocol):

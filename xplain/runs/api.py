@@ -179,10 +179,7 @@ def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
     Raises:
         XplainError: a key or value that is not allowed, in one line.
     """
-    folder = _started([*overrides, *_words(keys)], False, config_dir)
-    if folder is None:
-        raise InputError("dry_run", True, "false: nothing ran")
-    return Run(folder)
+    return Run(_started([*overrides, *_words(keys)], False, config_dir))
 
 
 def sweep(
@@ -198,10 +195,7 @@ def sweep(
     Raises:
         XplainError: a key or value that is not allowed, in one line; nothing was run.
     """
-    folder = _started([*overrides, *_words(keys)], True, config_dir)
-    if folder is None:
-        raise InputError("dry_run", True, "false: nothing ran")
-    return Sweep(folder, measure)
+    return Sweep(_started([*overrides, *_words(keys)], True, config_dir), measure)
 
 
 def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
@@ -218,11 +212,14 @@ def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
     raise InputError("folder", str(folder), "of a run or a sweep, below outputs/")
 
 
-def _started(words: list[str], multirun: bool, config_dir: str | None) -> Path | None:
+def _started(words: list[str], multirun: bool, config_dir: str | None) -> Path:
     """The folder; tables, which the result shows itself, are not printed."""
     try:
         with _told(), redirect_stdout(io.StringIO()):
-            return start(words, multirun, config_dir, logs=False)
+            folder = start(words, multirun, config_dir, logs=False)
+        if folder is None:
+            raise InputError("dry_run", True, "false: nothing ran")
+        return folder
     except XplainError:
         raise
     except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
