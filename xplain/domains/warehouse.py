@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import Item, Parameter, Scene
+from xplain.domains.base import Item, Parameter, Scene, cell_name
 from xplain.domains.grid import MOVES, WALL, Cell, Grid
 from xplain.domains.mdp import MDP
 from xplain.errors import Discount, Positive, Range, Slip, Whole, checks
@@ -199,13 +199,9 @@ def _stretches(high: int, wide: int) -> Sequence[Stretch]:
         for way, dr, dc in (("right", 0, 1), ("down", 1, 0)):
             if r + dr < high and c + dc < wide:
                 cells = tuple((BLOCK * r + i * dr, BLOCK * c + i * dc) for i in range(1, BLOCK))
-                ends = f"{_letter(c)}{r + 1}", f"{_letter(c + dc)}{r + dr + 1}"
+                ends = cell_name(r, c), cell_name(r + dr, c + dc)
                 found.append(Stretch(cells, way, ends))
     return found
-
-
-def _letter(column: int) -> str:
-    return chr(ord("A") + column)
 
 
 def _parameter(name: str, kind: str, stretch: Stretch, worth: float) -> Parameter:
