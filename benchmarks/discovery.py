@@ -44,7 +44,8 @@ from xplain.data.dataset import Dataset
 from xplain.data.observers import SimulatedObservers
 from xplain.data.rollouts import sample_trace
 from xplain.domains.base import transition_features
-from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.evaluation.episode import explain
+from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.learning.clustering import Clustering, Perfect

@@ -63,7 +63,8 @@ from xplain.domains.base import Domain, transition_features
 from xplain.domains.four_rooms import FourRooms
 from xplain.domains.rescue import Rescue
 from xplain.errors import XplainError
-from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.evaluation.episode import explain
+from xplain.evaluation.explainees import SimulatedUser
 from xplain.experiment.pipeline import draw_trace
 from xplain.explanation.belief import Independent as IndependentLabels
 from xplain.explanation.problem import Problem

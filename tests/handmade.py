@@ -62,6 +62,7 @@ def an_episode(rng: np.random.Generator, steps: int, types: int = 2) -> Episode:
     return Episode(
         messages=rng.integers(0, 4, steps),
         labels=labels,
+        thoughts=labels,
         beliefs=beliefs,
         seconds=rng.uniform(0, 0.1, steps),
         communication=float(rng.uniform(0, 5)),

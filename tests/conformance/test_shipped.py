@@ -16,6 +16,7 @@ from xplain.testing import (
     Chosen,
     ClustererConformance,
     DomainConformance,
+    ExplaineeConformance,
     LabelerConformance,
     PartitionConformance,
     QueriesConformance,
@@ -110,3 +111,9 @@ class TestOpenLoop(SolverConformance):
     @pytest.fixture(params=["silent", "say_all"])
     def component(self, request: pytest.FixtureRequest) -> Any:
         return Chosen("solver", request.param).component
+
+
+class TestExplainees(ExplaineeConformance):
+    @pytest.fixture(params=shipped("explainee"))
+    def component(self, request: pytest.FixtureRequest) -> Any:
+        return request.param.component

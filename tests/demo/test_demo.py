@@ -16,7 +16,8 @@ from xplain.cli.main import main
 from xplain.demo.page import content, page
 from xplain.demo.play import Simulated, play, stage
 from xplain.demo.terminal import Terminal
-from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.evaluation.episode import explain
+from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.belief import Independent
 from xplain.message_sets import mask_of
 from xplain.people.simulation.chromium import missing

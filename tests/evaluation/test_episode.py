@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.evaluation.episode import explain
+from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem

@@ -33,7 +33,8 @@ def by_hand(
     m = trace + 1
     beliefs = np.array([[1 - b, b] for b in belief])
     seconds = np.full(m, 0.002)
-    episode = Episode(np.array(messages), padded(TRIANGLE[trace]), beliefs, seconds, 0.0, 0.0, cost)
+    labels = padded(TRIANGLE[trace])
+    episode = Episode(np.array(messages), labels, labels, beliefs, seconds, 0.0, 0.0, cost)
     return Record(solver, trace, user, np.array([False, True]), episode)
 
 

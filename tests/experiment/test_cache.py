@@ -94,6 +94,7 @@ NOT_OF_THE_SOURCE = {
     "prior": "of plans; the observers' shares are kept beside the cases",
     "solver": "explains what is there",
     "belief": "of the explanation",
+    "explainee": "who it is explained to",
     "certify": "judges the explanation",
     "points": "reaches the data through observers.points alone",
     "outputs": "where files are written",

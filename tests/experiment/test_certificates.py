@@ -54,7 +54,7 @@ KNOWN = [
 
 
 def found_for(solver, prepared: Prepared = PREPARED, seed: int = 4, **effort) -> dict[str, float]:
-    return Certify(**{**EFFORT, **effort}).certificates(prepared, COSTS, solver, seed)
+    return Certify(**{**EFFORT, **effort}).certificates(prepared, COSTS, solver, 0.0, seed)
 
 
 def test_bounds_enclose_the_optimum_and_are_as_close_as_asked():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.configurations import composed
+from xplain.evaluation.explainees import Exact
 from xplain.evaluation.metrics import Record
 from xplain.experiment.explanations import Costs, evaluate, with_true_labels
 from xplain.experiment.from_config import components_of, costs_of
@@ -33,7 +34,7 @@ def prepared(*overrides: str) -> tuple[Prepared, Costs]:
 
 
 def episodes(*overrides: str) -> list[Record]:
-    return evaluate(*prepared(*overrides), SOLVERS, Independent(), 0)
+    return evaluate(*prepared(*overrides), SOLVERS, Independent(), Exact(), 0)
 
 
 def same(one: Record, other: Record) -> bool:
@@ -86,8 +87,8 @@ def test_a_solver_that_knows_the_labels_costs_what_it_costs_without_a_labeler() 
     """The reference that a run logs is the run with ``labeler=true``."""
     learned, costs = prepared()
     solvers = {"qmdp": QMDP(), "pomcp": POMCP(simulations=100)}
-    reference = evaluate(with_true_labels(learned), costs, solvers, Independent(), 0)
-    true = evaluate(*prepared("labeler=true"), solvers, Independent(), 0)
+    reference = evaluate(with_true_labels(learned), costs, solvers, Independent(), Exact(), 0)
+    true = evaluate(*prepared("labeler=true"), solvers, Independent(), Exact(), 0)
     assert all(same(one, other) for one, other in zip(reference, true, strict=True))
-    own = evaluate(learned, costs, solvers, Independent(), 0)
+    own = evaluate(learned, costs, solvers, Independent(), Exact(), 0)
     assert not all(same(one, other) for one, other in zip(reference, own, strict=True))

@@ -16,6 +16,7 @@ from xplain.data.observers import Observed
 from xplain.data.queries import Queries, Shared
 from xplain.domains.base import transition_feature_names
 from xplain.errors import InputError, XplainError
+from xplain.evaluation.explainees import Exact
 from xplain.experiment.explanations import Costs, evaluate, problem_for, with_true_labels
 from xplain.experiment.pipeline import Components, Prepared, prepare
 from xplain.explanation.belief import Independent, Persistent
@@ -70,7 +71,9 @@ def test_a_message_has_the_cost_of_its_name():
     problem = costs.problem(table, ("a", "b"), ("F1", "F2"), np.array([0.7, 0.3]))
     assert problem.message_cost.tolist() == [0.25, 2]
     prepared = a_prepared(steps=(3,))
-    for record in evaluate(prepared, costs, {"solver": Spy("types", after=1)}, Independent(), 0):
+    for record in evaluate(
+        prepared, costs, {"solver": Spy("types", after=1)}, Independent(), Exact(), 0
+    ):
         table = prepared.cases[0].labels.array(2)[record.user_type]
         zeros = int(
             (table[:1, 0] == 0).sum() + (table[:2, 3] == 0).sum() + (table[:, 3] == 0).sum()
@@ -112,7 +115,7 @@ def test_a_solver_plans_with_what_it_may_know(user):
     names = {"types": ("F1", "F2"), "everyone": ("everyone",)}
     costs = replace(COSTS, prior="observers")
     for knows, table in tables.items():
-        problem = problem_for(prepared, case, costs, Spy(knows), user)
+        problem = problem_for(prepared, case, costs, Spy(knows), 0.0, user)
         assert np.array_equal(problem.p_explicable, table.array(2)), knows
         assert problem.type_names == names.get(knows, (prepared.types[user],))
         expected = [1 / 3, 2 / 3] if knows == "types" else [1]
@@ -122,7 +125,7 @@ def test_a_solver_plans_with_what_it_may_know(user):
 def test_no_oracle_where_true_types_are_unknown():
     prepared = a_prepared(perfect=False)
     with pytest.raises(InputError, match="true types are known"):
-        problem_for(prepared, prepared.cases[0], COSTS, Spy("type"), 0)
+        problem_for(prepared, prepared.cases[0], COSTS, Spy("type"), 0.0, 0)
 
 
 # --- Every solver, every trace, a user of every type ----------------------------------------------
@@ -155,7 +158,7 @@ class Spy:
 
 
 def recorded(prepared: Prepared, seed: int = 0, **solvers: Spy):
-    return evaluate(prepared, COSTS, solvers, Independent(), seed)
+    return evaluate(prepared, COSTS, solvers, Independent(), Exact(), seed)
 
 
 def test_each_solver_explains_each_trace_once_to_a_user_of_each_type():
@@ -251,7 +254,9 @@ def test_labels_that_are_no_news_leave_the_belief_under_the_persistent_update():
     likelihood = np.where(table == 1, p, 1 - p)  # [N, 2]
     updates = {"all": Independent(), "news": Persistent()}
     found = {
-        name: evaluate(prepared, COSTS, {"solver": Spy("types")}, update, 0)[0].episode.beliefs[2]
+        name: evaluate(prepared, COSTS, {"solver": Spy("types")}, update, Exact(), 0)[
+            0
+        ].episode.beliefs[2]
         for name, update in updates.items()
     }
     # Both transitions once; under the paper's update the first transition's label counts twice.
@@ -289,7 +294,8 @@ def test_tables_kept_by_type_are_explained_as_dense_ones():
         "clairvoyant": KnownType("labels"),
     }
     pairs = zip(
-        *(evaluate(p, costs, solvers, Persistent(), 0) for p in (dense, by_type)), strict=True
+        *(evaluate(p, costs, solvers, Persistent(), Exact(), 0) for p in (dense, by_type)),
+        strict=True,
     )
     said = 0
     for one, other in pairs:
@@ -301,7 +307,7 @@ def test_tables_kept_by_type_are_explained_as_dense_ones():
         said += one.episode.n_messages
     assert said > 0
     wise = [with_true_labels(p) for p in (dense, by_type)]
-    tables = [problem_for(p, p.cases[1], costs, QMDP(), 0).dense() for p in wise]
+    tables = [problem_for(p, p.cases[1], costs, QMDP(), 0.0, 0).dense() for p in wise]
     assert np.array_equal(tables[0].p_explicable, tables[1].p_explicable)
 
 

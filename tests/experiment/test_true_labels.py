@@ -11,6 +11,7 @@ import pytest
 from tests.configurations import composed
 from xplain.data.observers import FileObservers
 from xplain.errors import InputError
+from xplain.evaluation.explainees import Exact
 from xplain.evaluation.metrics import Record
 from xplain.experiment.explanations import (
     Costs,
@@ -56,7 +57,7 @@ def prepared(domain: str) -> tuple[Prepared, Costs]:
 def episodes(domain: str) -> dict[tuple[str, int, int], Record]:
     """Undiscounted plans, so that the costs reported are those that plans are made for."""
     known = {"oracle": KnownType("type"), "clairvoyant": KnownType("labels")}
-    records = evaluate(*prepared(domain), SOLVERS | known, Independent(), 0)
+    records = evaluate(*prepared(domain), SOLVERS | known, Independent(), Exact(), 0)
     return {(record.solver, record.trace, record.user_type): record for record in records}
 
 
@@ -78,7 +79,7 @@ def test_true_types_are_equally_likely_whatever_was_found() -> None:
     found, costs = prepared("rescue")
     two = replace(found, learned_types=found.types[:2], type_shares=np.array([0.9, 0.1]))
     known = with_true_labels(two)
-    problem = problem_of_types(known, known.cases[0], replace(costs, prior="observers"))
+    problem = problem_of_types(known, known.cases[0], replace(costs, prior="observers"), 0.0)
     assert problem.prior.tolist() == [1 / len(found.types)] * len(found.types)
 
 
@@ -95,7 +96,7 @@ def test_what_happens_is_what_the_model_expects(domain: str) -> None:
     known, costs = prepared(domain)
     users = range(len(known.types))
     for index, case in enumerate(known.cases):
-        problem = problem_of_types(known, case, costs)
+        problem = problem_of_types(known, case, costs, 0.0)
         optimum = -bounds(problem, Effort(gap=1e-6)).upper
         for name, solver in SOLVERS.items():
             if name == "baseline":  # it plans for the mixture, which is none of these users
@@ -146,7 +147,7 @@ def test_messages_that_differ_in_price_by_hand() -> None:
     facts = {"A": ("fire", "rubble"), "B": ("first_aid", "fence"), "C": ("fire", "puddle")}
     facts |= {"D": ("first_aid", "rubble"), "E": ("refuel", "puddle")}
     solvers = {"solver": SayAll(), "clairvoyant": KnownType("labels")}
-    for record in evaluate(known, costs_of(cfg), solvers, Independent(), 0):
+    for record in evaluate(known, costs_of(cfg), solvers, Independent(), Exact(), 0):
         if record.solver == "solver":
             assert record.episode.cost == pytest.approx(0.4 * 6.75)
         else:

@@ -26,7 +26,7 @@ def test_belief_update_is_bayes_by_enumeration(problem: Problem, data: st.DataOb
         labels = data.draw(st.sampled_from(list(product((0, 1), repeat=k + 1))))
         after = joint.copy()
         for i, label in enumerate(labels):
-            p = problem.p_explicable[:, i, shown]
+            p = problem.table.answered[i, shown]
             after *= p if label else 1 - p
         joint = after if after.sum() > 0 else joint
         belief = update(problem, belief, shown, np.array(labels, dtype=np.uint8))

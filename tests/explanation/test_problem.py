@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from xplain.errors import InputError
+from xplain.explanation.answer_errors import ErrorRates
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 
@@ -19,8 +20,8 @@ HALF = np.full((1, 1, 2), 0.5)
 def unusual() -> Problem:
     """No field has its default."""
     rng = np.random.default_rng(0)
-    return Problem(
-        table=rng.random((2, 3, 4)),
+    problem = Problem(
+        table=LabelTable.dense(*rng.random((2, 2, 3, 4))),
         message_cost=np.array([0.5, 3.0]),
         inexplicability_cost=2.5,
         trade_off=0.7,
@@ -30,12 +31,15 @@ def unusual() -> Problem:
         message_names=("fuel", "fire"),
         type_names=("novice", "expert"),
     )
+    return problem.with_errors(ErrorRates(np.array([0.1, 0.3]), np.array([0.4, 0.6])))
 
 
 def plain(problem: Problem) -> dict[str, Any]:
     """Every field, arrays as lists."""
     values = {field.name: getattr(problem, field.name) for field in fields(problem)}
-    values |= {"relevant": problem.table.relevant, "table": problem.table.p}
+    table, errors = problem.table, problem.errors
+    values |= {"relevant": table.relevant, "table": table.p, "answers": table.answers}
+    values |= {"errors": errors.rates, "error_prior": errors.prior}
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
 
 
@@ -96,10 +100,10 @@ def test_nobody_changes_a_problem_by_its_arrays() -> None:
     for array in (problem.p_explicable, problem.message_cost):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
-    cost, prior = np.ones(2), np.array([0.5, 0.5])
+    cost, prior = np.ones(2), np.full(4, 0.25)
     made = Problem(problem.p_explicable, cost, prior=prior)
     cost[0] = prior[0] = 9
-    assert (made.message_cost[0], made.prior[0]) == (1, 0.5)
+    assert (made.message_cost[0], made.prior[0]) == (1, 0.25)
 
 
 @pytest.mark.parametrize("types", [3, 7, 10, 49])
@@ -167,12 +171,13 @@ def test_other_types_keep_the_costs_and_are_equally_likely() -> None:
     problem = unusual()
     table = LabelTable.dense(np.full((4, 3, 4), 0.25))
     other = problem.with_types(table, ("a", "b", "c", "d"))
-    changed = {"table", "relevant", "prior", "type_names"}
+    changed = {"table", "relevant", "answers", "prior", "type_names", "errors", "error_prior"}
     assert {k: v for k, v in plain(other).items() if k not in changed} == {
         k: v for k, v in plain(problem).items() if k not in changed
     }
     assert other.prior.tolist() == [0.25] * 4
     assert other.type_names == ("a", "b", "c", "d")
+    assert other.errors.none  # of the table given, types are types
 
 
 def test_a_prior_is_a_distribution_to_the_last_bit_however_often_it_is_handed_on() -> None:

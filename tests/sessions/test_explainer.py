@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from tests.explanation.problems import random_problem
 from xplain import Explainer, GivenTypes
 from xplain.errors import InputError
-from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.evaluation.episode import explain
+from xplain.evaluation.explainees import SimulatedUser
+from xplain.explanation.answer_errors import error_rates
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import DENSE, LabelTable, joined
 from xplain.message_sets import mask_of
@@ -22,6 +24,7 @@ from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
 
 SOLVERS = [QMDP(), QHR(), Conformant()]
+ERRORS = [0.0, 0.0, 0.2, "learned"]
 
 
 def explainer_of(problem, solver, belief_update):
@@ -45,9 +48,11 @@ def situations(draw):
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     problem = random_problem(rng, max_steps=5, max_messages=3)
     assume(problem.p_explicable.any())  # a table of zeros is refused
+    assume(not problem.table.answers.size)  # these come from the belief update alone
     answers = rng.integers(0, 2, problem.p_explicable.shape[1:]).astype(np.uint8)
     solver = SOLVERS[rng.integers(len(SOLVERS))]
-    update = Independent() if rng.random() < 0.5 else Persistent()
+    error = ERRORS[rng.integers(len(ERRORS))]
+    update = Independent(error) if rng.random() < 0.5 else Persistent(error)
     return problem, answers, explainer_of(problem, solver, update), rng
 
 
@@ -66,6 +71,7 @@ def play(session, answers, steps=None):
 @settings(max_examples=60, deadline=None)
 def test_a_session_is_an_episode_of_the_experiments(situation):
     problem, answers, explainer, _ = situation
+    problem = problem.with_errors(error_rates(explainer.belief_update.error))
     policy = explainer.solver.plan(problem)
     episode = explain(problem, policy, SimulatedUser.of(answers), explainer.belief_update)
     session = explainer.session(range(problem.n_steps))

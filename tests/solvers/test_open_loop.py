@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 
 from tests.explanation.problems import tiny_problems
-from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.evaluation.episode import explain
+from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver

@@ -48,17 +48,19 @@ def worth_by_enumeration(
         cost += price
         factor *= per_message
     shown |= new
-    p = problem.p_explicable[:, : step + 1, shown]
+    thought = problem.label_probabilities(step + 1, shown)
+    zeros = problem.inexplicability_cost * float(belief @ (1 - thought).sum(axis=1))
+    value, cost = value - factor * zeros, cost + zeros
+    p = problem.answer_probabilities(step + 1, shown)
     for labels in product((0, 1), repeat=step + 1):
         answer = np.array(labels, dtype=np.uint8)
         likelihood = np.where(answer == 1, p, 1 - p).prod(axis=1)
         probability = float(belief @ likelihood)
         if probability > 0:
             after = update(problem, belief, shown, answer)
-            zeros = problem.inexplicability_cost * labels.count(0)
             later_value, later_cost = worth_by_enumeration(problem, policy, step + 1, shown, after)
-            value += factor * probability * (problem.discount * later_value - zeros)
-            cost += probability * (zeros + later_cost)
+            value += factor * probability * problem.discount * later_value
+            cost += probability * later_cost
     return value, cost
 
 

@@ -10,7 +10,7 @@ from hydra.utils import instantiate
 
 from xplain.config import composed
 from xplain.errors import InputError, one_of
-from xplain.evaluation.episode import SimulatedUser
+from xplain.evaluation.explainees import SimulatedUser
 from xplain.experiment.explanations import Costs
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Case, Prepared, prepare
@@ -208,6 +208,7 @@ def _explainer(
         prepared.messages,
         ("everyone",) if alone else prepared.learned_types,
         prepared.type_shares if costs.prior == "observers" and not alone else (),
+        prepared.errors,
     )
     return Explainer(
         types,

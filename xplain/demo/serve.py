@@ -21,7 +21,7 @@ from hydra.utils import instantiate
 from xplain.config import composed
 from xplain.demo.play import Stage, stage
 from xplain.errors import InputError, XplainError, one_of
-from xplain.evaluation.episode import SimulatedUser
+from xplain.evaluation.explainees import SimulatedUser
 from xplain.message_sets import mask_of
 from xplain.sessions.session import Session
 from xplain.storage import encode

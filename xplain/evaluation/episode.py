@@ -6,49 +6,17 @@ docs/method.md, sections 5 and 7.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from xplain.evaluation.explainees import Person
 from xplain.explanation.belief import BeliefUpdate
-from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.message_sets import indices
 from xplain.sessions.interaction import Interaction
 from xplain.solvers.base import Policy
 from xplain.solvers.cached_policy import CachedPolicy
-
-
-class User(Protocol):
-    """Whoever the trace is explained to."""
-
-    def labels(self, count: int, message_set: int) -> NDArray[np.uint8]:
-        """Labels [count] of the first ``count`` transitions, all of ``message_set`` known."""
-        ...
-
-
-@dataclass(frozen=True)
-class SimulatedUser:
-    """Answers by the true labels of one user type.
-
-    Attributes:
-        table: of this type alone.
-    """
-
-    table: LabelTable
-
-    @classmethod
-    def of(cls, labels: ArrayLike) -> SimulatedUser:
-        """Who labels as [m, 2^n] says."""
-        return cls(LabelTable.dense(np.asarray(labels)[None]))
-
-    def labels(self, count: int, message_set: int) -> NDArray[np.uint8]:
-        """The type's true labels of the prefix."""
-        labels: NDArray[np.uint8] = self.table.label_probabilities(count, message_set)[0].astype(
-            np.uint8
-        )
-        return labels
 
 
 @dataclass(frozen=True)
@@ -57,16 +25,18 @@ class Episode:
 
     Attributes:
         messages: [m] int64, the new messages (bitmask) before each *explain*.
-        labels: [m, m] int8, row k the labels given at step k; −1 right of the diagonal.
-        beliefs: [m + 1, N], before the first step and after each.
+        labels: [m, m] int8, row k the answers given at step k; −1 right of the diagonal.
+        thoughts: [m, m] int8, row k the labels that the user truly holds; costs are by these.
+        beliefs: [m + 1, M] over user types, before the first step and after each.
         seconds: [m], time the policy took to decide, when it was first asked that.
         communication: Σ C_e of all messages given (not multiplied by λ).
-        inexplicability: Σ C_inexp over every label 0 at every step.
+        inexplicability: Σ C_inexp over every transition found inexplicable at every step.
         cost: Definition 2, λ · communication + inexplicability, undiscounted.
     """
 
     messages: NDArray[np.int64]
     labels: NDArray[np.int8]
+    thoughts: NDArray[np.int8]
     beliefs: NDArray[np.float64]
     seconds: NDArray[np.float64]
     communication: float
@@ -80,17 +50,17 @@ class Episode:
 
     @property
     def n_inexplicable(self) -> int:
-        """Number of labels 0 over all steps."""
-        return int((self.labels == 0).sum())
+        """Number of transitions found inexplicable, over all steps."""
+        return int((self.thoughts == 0).sum())
 
 
-def explain(problem: Problem, policy: Policy, user: User, belief_update: BeliefUpdate) -> Episode:
+def explain(problem: Problem, policy: Policy, user: Person, belief_update: BeliefUpdate) -> Episode:
     """Explains the whole trace of ``problem`` to ``user``.
 
     Args:
         problem: what the agent believes of users; its costs are those that count.
         policy: planned for that problem; a cached one shares its decisions between users.
-        user: who answers.
+        user: who reacts; new to the trace.
         belief_update: which labels change the belief.
 
     Raises:
@@ -100,18 +70,20 @@ def explain(problem: Problem, policy: Policy, user: User, belief_update: BeliefU
     asked = policy if isinstance(policy, CachedPolicy) else CachedPolicy(policy)
     talk = Interaction(problem, asked, belief_update)
     messages = np.zeros(m, dtype=np.int64)
-    labels = np.full((m, m), -1, dtype=np.int8)
-    beliefs = np.empty((m + 1, problem.n_types))
-    beliefs[0] = talk.belief
+    labels, thoughts = np.full((2, m, m), -1, dtype=np.int8)
+    beliefs = np.empty((m + 1, problem.n_user_types))
+    beliefs[0] = problem.type_belief(talk.belief)
     seconds = np.empty(m)
     for k in range(m):
         messages[k] = talk.say()
         seconds[k] = asked.seconds
-        answer = user.labels(k + 1, talk.given)
-        labels[k, : k + 1] = answer
+        thought, answer = user.react(talk.given, int(messages[k]), k + 1)
+        thoughts[k, : k + 1], labels[k, : k + 1] = thought, answer
         talk.hear(answer)
-        beliefs[k + 1] = talk.belief
+        beliefs[k + 1] = problem.type_belief(talk.belief)
     communication = float(sum(problem.message_cost[j] for j in indices(talk.given)))
-    inexplicability = problem.inexplicability_cost * int((labels == 0).sum())
+    inexplicability = problem.inexplicability_cost * int((thoughts == 0).sum())
     cost = problem.trade_off * communication + inexplicability
-    return Episode(messages, labels, beliefs, seconds, communication, inexplicability, cost)
+    return Episode(
+        messages, labels, thoughts, beliefs, seconds, communication, inexplicability, cost
+    )

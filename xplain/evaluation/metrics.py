@@ -132,7 +132,7 @@ def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
         "messages_given": [
             np.array([int(mask).bit_count() for mask in record.episode.messages]) for record in own
         ],
-        "inexplicable_labels_shown": [(record.episode.labels == 0).sum(axis=1) for record in own],
+        "inexplicable_labels_shown": [(record.episode.thoughts == 0).sum(axis=1) for record in own],
     }
     lengths = np.array([len(record.episode.messages) for record in own])
     steps = np.arange(lengths.max() + 1)

@@ -14,6 +14,7 @@ from xplain.evaluation.statistics import half_width
 from xplain.experiment.explanations import Costs, problem_for, problem_of_types, trace_seed
 from xplain.experiment.pipeline import Prepared
 from xplain.experiment.progress import SILENT, Progress
+from xplain.explanation.answer_errors import Error
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
@@ -51,10 +52,12 @@ class Certify:
         prepared: Prepared,
         costs: Costs,
         solver: Solver,
+        error: Error,
         seed: int,
         progress: Progress = SILENT,
     ) -> dict[str, float]:
-        """Means over the traces, of expected discounted returns under the learned model.
+        """Means over the traces, of expected discounted returns under the learned model of users
+        who err so often.
 
         ``optimal_lower`` and ``optimal_upper`` enclose the optimum; ``policy_value`` (with its
         standard error ``policy_value_se``, and ``policy_value_exact``, the share of traces where
@@ -71,8 +74,8 @@ class Certify:
         cases = prepared.cases[: self.traces]
         tracked = progress.track(enumerate(cases), "certificates", len(cases))
         for index, case in tracked:
-            problem = problem_of_types(prepared, case, costs)
-            own = problem_for(prepared, case, costs, solver, 0)
+            problem = problem_of_types(prepared, case, costs, error)
+            own = problem_for(prepared, case, costs, solver, error, 0)
             key = _table_key(problem), _table_key(own)
             if key not in found:
                 found[key] = self._one(problem, own, solver, trace_seed(seed, index), progress)

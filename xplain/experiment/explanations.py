@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError, number
-from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.evaluation.episode import explain
+from xplain.evaluation.explainees import Explainee
 from xplain.evaluation.metrics import Record
 from xplain.experiment.pipeline import Case, Prepared, Track, untracked
+from xplain.explanation.answer_errors import Error, error_rates
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import DiscountPer, Problem
@@ -99,14 +101,19 @@ def _cost(key: str, value: object) -> float:
     return cost
 
 
-def problem_of_types(prepared: Prepared, case: Case, costs: Costs) -> Problem:
-    """What the learned types say of a trace: the problem of a solver that must find the type."""
+def problem_of_types(prepared: Prepared, case: Case, costs: Costs, error: Error) -> Problem:
+    """What the learned types say of a trace: the problem of a solver that must find the type of a
+    user who errs so often."""
     names, shares = prepared.learned_types, prepared.type_shares
-    return costs.problem(case.learned, prepared.messages, names, shares)
+    problem = costs.problem(case.learned, prepared.messages, names, shares)
+    return problem.with_errors(error_rates(error, prepared.errors))
 
 
-def problem_for(prepared: Prepared, case: Case, costs: Costs, solver: Solver, user: int) -> Problem:
-    """What a solver may plan with when a user of the true type ``user`` is in front of it.
+def problem_for(
+    prepared: Prepared, case: Case, costs: Costs, solver: Solver, error: Error, user: int
+) -> Problem:
+    """What a solver may plan with when a user of the true type ``user`` is in front of it, who is
+    taken to err so often.
 
     Raises:
         InputError: the solver needs the observers' true types, and they are unknown.
@@ -114,7 +121,7 @@ def problem_for(prepared: Prepared, case: Case, costs: Costs, solver: Solver, us
     name = prepared.types[user]
     alone = np.ones(1)
     if solver.knows == "types":
-        return problem_of_types(prepared, case, costs)
+        return problem_of_types(prepared, case, costs, error)
     if solver.knows == "everyone":
         if case.everyone is None:
             raise InputError(
@@ -138,6 +145,7 @@ def evaluate(
     costs: Costs,
     solvers: dict[str, Solver],
     belief_update: BeliefUpdate,
+    explainee: Explainee,
     seed: int,
     track: Track[Any] = untracked,
     what: str = "explaining",
@@ -149,7 +157,9 @@ def evaluate(
         costs: λ and the rest.
         solvers: by the name in the records.
         belief_update: which labels change the belief.
-        seed: the policies' streams come from it and the trace, not from the solver's name.
+        explainee: how the users hear, think and answer.
+        seed: the policies' streams come from it and the trace, not from the solver's name; the
+            users' from it, the trace and their type.
         track: shows progress.
         what: is done, in its words.
     """
@@ -161,15 +171,18 @@ def evaluate(
             for user in range(len(prepared.types)):
                 # A user's type changes the plan only of a solver that knows it.
                 if policy is None or problem is None or not shared:
-                    problem = problem_for(prepared, case, costs, solver, user)
+                    problem = problem_for(prepared, case, costs, solver, belief_update.error, user)
                     planned = solver.plan(problem, trace_seed(seed, index))
                     if index == 0:  # kernels load at the first question: no decision's time
                         planned.messages(0, 0, problem.prior)
                     policy = CachedPolicy(planned)
-                episode = explain(
-                    problem, policy, SimulatedUser(case.labels.of_types([user])), belief_update
+                person = explainee.meet(
+                    case.labels.of_types([user]),
+                    copies(case.transitions),
+                    derived_seed(seed, "explainee", index, user),
                 )
-                right = np.ones(problem.n_types, dtype=bool)
+                episode = explain(problem, policy, person, belief_update)
+                right = np.ones(problem.n_user_types, dtype=bool)
                 if solver.knows == "types":
                     right = prepared.matched_true_type == prepared.distinct[user]
                 records.append(Record(name, index, user, right, episode))
@@ -187,6 +200,13 @@ def with_true_labels(prepared: Prepared) -> Prepared:
         type_shares=np.full(count, 1 / count),
         cases=tuple(replace(case, learned=case.labels) for case in prepared.cases),
     )
+
+
+def copies(transitions: NDArray[np.int64]) -> NDArray[np.int64]:
+    """[m] the first of a trace's transitions [m, 3] that each is equal to."""
+    _, first, which = np.unique(transitions, axis=0, return_index=True, return_inverse=True)
+    same: NDArray[np.int64] = first[which]
+    return same
 
 
 def trace_seed(seed: int, index: int) -> int:

@@ -77,6 +77,7 @@ def check(configurations: Iterable[Mapping[str, Any]]) -> None:
             (SOURCE, components_of),
             (("solver",), lambda cfg: instantiate(cfg.solver)),
             (("belief",), lambda cfg: instantiate(cfg.belief)),
+            (("explainee",), lambda cfg: instantiate(cfg.explainee)),
             (("certify",), lambda cfg: Certify(**cfg.certify)),
             (("domain", *COSTS), costs_of),
             (("domain", "users"), _solve),

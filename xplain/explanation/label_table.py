@@ -1,5 +1,9 @@
 """P(label is 1 | transition, type, message set): all that a solver knows of the users.
 
+A label is what a user thinks; it is what costs are made of. What the user answers may differ, by
+slips, guesses and errors (:mod:`xplain.explanation.answer_errors`); it is what beliefs are made of.
+Where the two differ a table holds both.
+
 To a user only those messages matter that change this user's labels on the trace: about facts held
 wrong, or that the type's labeler looks at. So each type's probabilities stand over the messages
 relevant to it, and N types of r relevant messages need m · 2^r · N numbers, however many messages
@@ -9,7 +13,7 @@ there are. A dense table is the case where every message is relevant to every ty
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +30,7 @@ NONE = -1
 """In ``relevant``: no message. Pads stand last in a row."""
 
 Rows = Sequence[Sequence[int]]
+Change = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -36,20 +41,32 @@ class LabelTable:
         relevant: [N, r] int64, the messages relevant to a type, ascending, padded with NONE.
         p: [m, 2^r, N] float64, C-contiguous, P(label is 1); bit j of the middle axis is message
             ``relevant[t, j]``, and where that is a pad it changes nothing.
+        answers: [m, 2^r, N] P(answer is 1); empty where users answer what they think.
     """
 
     relevant: NDArray[np.int64]
     p: NDArray[np.float64]
+    answers: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 0, 0)))
 
     def __post_init__(self) -> None:
         """One layout, whatever the table was taken from: kernels are compiled for it alone."""
-        for name in ("relevant", "p"):
+        for name in ("relevant", "p", "answers"):
             array = np.require(getattr(self, name), requirements=["C", "W"])
             object.__setattr__(self, name, array)
 
+    @property
+    def answered(self) -> NDArray[np.float64]:
+        """[m, 2^r, N] P(answer is 1): the very array ``p`` where users answer what they think."""
+        return self.answers if self.answers.size else self.p
+
+    def _changed(self, relevant: NDArray[np.int64], change: Change) -> LabelTable:
+        """The table with another ``relevant``, after the same change of both of its arrays."""
+        answers = change(self.answers) if self.answers.size else self.answers
+        return LabelTable(relevant, change(self.p), answers)
+
     @classmethod
-    def dense(cls, table: ArrayLike) -> LabelTable:
-        """Of P(label is 1 | type, transition, message set), [N, m, 2^n].
+    def dense(cls, table: ArrayLike, answers: ArrayLike | None = None) -> LabelTable:
+        """Of P(label is 1 | type, transition, message set), [N, m, 2^n], and of answers.
 
         Raises:
             InputError: no such table, or one of more than MAX_RELEVANT messages.
@@ -65,15 +82,18 @@ class LabelTable:
             raise InputError("p_explicable", p.shape, "the last axis must be a power of two")
         _check_probabilities("p_explicable", p)
         relevant = np.tile(np.arange(n, dtype=np.int64), (len(p), 1))
-        return cls(relevant, p.transpose(1, 2, 0))
+        return cls(relevant, p.transpose(1, 2, 0), *_answers(answers, p))
 
     @classmethod
-    def by_type(cls, relevant: ArrayLike, tables: ArrayLike) -> LabelTable:
+    def by_type(
+        cls, relevant: ArrayLike, tables: ArrayLike, answers: ArrayLike | None = None
+    ) -> LabelTable:
         """Of tables that each type has over messages of its own.
 
         Args:
             relevant: [N, r] message indices in any order, −1 for none.
             tables: [N, m, 2^r]; bit j of the last axis is message ``relevant[t, j]``.
+            answers: of the same shape, P(answer is 1) where it differs.
 
         Raises:
             InputError: indices that are no messages or named twice, or a table of another width.
@@ -99,7 +119,7 @@ class LabelTable:
         for row in own:
             if len(set(row)) < len(row):
                 raise InputError("relevant", row, "each message once a type")
-        given = cls(indices.astype(np.int64), p.transpose(1, 2, 0))
+        given = cls(indices.astype(np.int64), p.transpose(1, 2, 0), *_answers(answers, p))
         table = given._read_over([sorted(row) for row in own])  # in whatever order, pads anywhere
         _check_probabilities("p_relevant", table.p)
         return table
@@ -132,16 +152,24 @@ class LabelTable:
 
     def effective(self) -> list[tuple[int, ...]]:
         """For each type the messages that do change some label, ascending."""
+        both = self._both
         return [
-            tuple(row[i] for i in _effective_bits(self.p[..., t : t + 1]) if i < len(row))
+            tuple(row[i] for i in _effective_bits(both[..., t : t + 1]) if i < len(row))
             for t, row in enumerate(self.rows)
         ]
 
     def effective_of_any(self) -> tuple[int, ...]:
         """The messages that change some label of some type, ascending."""
         if (self.relevant == self.relevant[0]).all():
-            return tuple(self.rows[0][i] for i in _effective_bits(self.p) if i < len(self.rows[0]))
+            return tuple(
+                self.rows[0][i] for i in _effective_bits(self._both) if i < len(self.rows[0])
+            )
         return tuple(sorted(set().union(*self.effective())))
+
+    @property
+    def _both(self) -> NDArray[np.float64]:
+        """[m or 2 m, 2^r, N] labels and, where they differ, answers."""
+        return np.concatenate([self.p, self.answers]) if self.answers.size else self.p
 
     def subset(self, given: int) -> NDArray[np.int64]:
         """[N] where each type's entry for H is."""
@@ -152,6 +180,11 @@ class LabelTable:
     def label_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
         """[N, count] P(label 1) of the first so many transitions, with message set H given."""
         own = self.p[:count, self.subset(given), np.arange(self.n_types)]
+        return np.ascontiguousarray(own.T)
+
+    def answer_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
+        """[N, count] P(answer 1) of the first so many transitions, with message set H given."""
+        own = self.answered[:count, self.subset(given), np.arange(self.n_types)]
         return np.ascontiguousarray(own.T)
 
     def over(self, rows: Rows) -> LabelTable:
@@ -179,11 +212,13 @@ class LabelTable:
             if key not in places:
                 places[key] = _places(row, old, width)
             where.append(places[key])
-        if len(places) == 1:
-            p = self.p[:, where[0]]
-        else:
-            p = np.stack([self.p[:, at, t] for t, at in enumerate(where)], axis=-1)
-        return LabelTable(_padded(rows, width), p)
+
+        def read(p: NDArray[np.float64]) -> NDArray[np.float64]:
+            if len(places) == 1:
+                return p[:, where[0]]
+            return np.stack([p[:, at, t] for t, at in enumerate(where)], axis=-1)
+
+        return self._changed(_padded(rows, width), read)
 
     def array(self, n: int) -> NDArray[np.float64]:
         """[N, m, 2^n] P(label is 1 | type, transition, message set) of n messages, all sets.
@@ -203,18 +238,25 @@ class LabelTable:
         number = {j: i for i, j in enumerate(kept)}
         some = self.over([[j for j in row if j in number] for row in self.rows])
         renamed = [[number[j] for j in row] for row in some.rows]
-        return LabelTable(_padded(renamed, some.relevant.shape[1]), some.p)
+        return replace(some, relevant=_padded(renamed, some.relevant.shape[1]))
 
     def of_types(self, types: Sequence[int]) -> LabelTable:
         """Some of the types."""
-        return LabelTable(self.relevant[list(types)], self.p[:, :, list(types)])
+        return self._changed(self.relevant[list(types)], lambda p: p[:, :, list(types)])
 
     def of_steps(self, steps: Sequence[int]) -> LabelTable:
         """Some of the transitions, in this order."""
-        return LabelTable(self.relevant, self.p[list(steps)])
+        return self._changed(self.relevant, lambda p: p[list(steps)])
+
+    def repeated(self, times: int) -> LabelTable:
+        """Each type so many times, one after the other."""
+        return self._changed(
+            self.relevant.repeat(times, axis=0), lambda p: p.repeat(times, axis=-1)
+        )
 
     def mixed(self, weights: NDArray[np.float64]) -> LabelTable:
-        """One type in the place of all, drawn by ``weights`` [N] anew for every label.
+        """One type in the place of all, drawn by ``weights`` [N] anew for every label. It answers
+        what it thinks: of one type answers teach nothing.
 
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.
@@ -230,7 +272,7 @@ class LabelTable:
         """
         return self._as_one(lambda p: p.min(axis=-1, keepdims=True))
 
-    def _as_one(self, merge: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> LabelTable:
+    def _as_one(self, merge: Change) -> LabelTable:
         union = self.effective_of_any()
         together = self.over([union] * self.n_types)
         return LabelTable(together.relevant[:1], merge(together.p))
@@ -245,7 +287,10 @@ def joined(parts: Sequence[LabelTable]) -> LabelTable:
     types = range(parts[0].n_types)
     union = [sorted({j for part in parts for j in part.rows[t]}) for t in types]
     whole = [part.over(union) for part in parts]
-    return LabelTable(whole[0].relevant, np.concatenate([part.p for part in whole]))
+    relevant, p = whole[0].relevant, np.concatenate([part.p for part in whole])
+    if not any(part.answers.size for part in whole):
+        return LabelTable(relevant, p)
+    return LabelTable(relevant, p, np.concatenate([part.answered for part in whole]))
 
 
 def stacked(parts: Sequence[LabelTable]) -> LabelTable:
@@ -277,6 +322,17 @@ def _array(key: str, value: ArrayLike) -> NDArray[np.float64]:
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(key, value, "numbers") from None
+
+
+def _answers(value: ArrayLike | None, p: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """The table's answers, if they are given."""
+    if value is None:
+        return []
+    answers = _array("p_answered", value)
+    if answers.shape != p.shape:
+        raise InputError("p_answered", answers.shape, f"a table {p.shape}, as labels have")
+    _check_probabilities("p_answered", answers)
+    return [answers.transpose(1, 2, 0)]
 
 
 def _check_probabilities(key: str, p: NDArray[np.float64]) -> None:

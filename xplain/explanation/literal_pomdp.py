@@ -2,8 +2,9 @@
 
 States ⟨k, L, E_given, E_next, t⟩ with three corrections (docs/choices.md, slips): messages already
 given or pending are no actions, label probabilities use E_given ∪ E_next and depend on τ_i, and the
-label that costs is 0. Nothing here knows of the reduction to (k, H, belief); optimal values come
-from the definition, by trying every action and every observation.
+label that costs is 0. Where users err, L are their answers and t is a hidden type. Nothing here
+knows of the reduction to (k, H, belief); optimal values come from the definition, by trying every
+action and every observation.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
+
+import numpy as np
 
 from xplain.explanation.problem import Problem
 
@@ -65,14 +68,19 @@ class LiteralPOMDP:
             return
         given = state.given | state.pending
         mask = sum(1 << j for j in given)
-        for labels in product((0, 1), repeat=state.step + 1):
+        count = state.step + 1
+        every = problem.answer_probabilities(count, mask)[state.user_type].tolist()
+        thought = problem.label_probabilities(count, mask)[state.user_type]
+        for labels in product((0, 1), repeat=count):
             probability = 1.0
-            every = problem.label_probabilities(len(labels), mask)[state.user_type].tolist()
             for p, label in zip(every, labels, strict=True):
                 probability *= p if label == 1 else 1 - p
             if probability > 0:
                 after = State(state.step + 1, labels, given, frozenset(), state.user_type)
-                yield probability, after, labels, -problem.inexplicability_cost * labels.count(0)
+                # Where users err, what they think costs, on average; not what they answer.
+                errs = problem.table.answers.size
+                zeros = float((1 - thought).sum()) if errs else labels.count(0)
+                yield probability, after, labels, -problem.inexplicability_cost * zeros
 
     def discount(self, action: int) -> float:
         """γ_E, or 1 for a message where only steps discount."""
@@ -121,8 +129,10 @@ def reduced_optimal_value(
         belief = tuple(float(p) for p in problem.prior)
     if step == problem.n_steps:
         return 0.0
-    expected_zeros, later = 0.0, 0.0
-    columns = problem.label_probabilities(step + 1, given).tolist()
+    thought = problem.label_probabilities(step + 1, given)
+    expected_zeros = float(np.dot(belief, (1 - thought).sum(axis=1)))
+    later = 0.0
+    columns = problem.answer_probabilities(step + 1, given).tolist()
     for labels in product((0, 1), repeat=step + 1):
         joint = []
         for weight, column in zip(belief, columns, strict=True):
@@ -131,7 +141,6 @@ def reduced_optimal_value(
             joint.append(weight)
         total = sum(joint)
         if total > 0:
-            expected_zeros += total * labels.count(0)
             posterior = tuple(weight / total for weight in joint)
             later += total * reduced_optimal_value(problem, step + 1, given, posterior)
     best = -problem.inexplicability_cost * expected_zeros + problem.discount * later

@@ -123,7 +123,7 @@ def _check_lines(expected: int) -> None:
 def _answers(problem: Problem, step: int, shown: int) -> list[list[float]]:
     """P(answer | type) for the distinguishable answers to *explain* at (k, H): transitions with
     equal columns answer by their number of 1s, those that all types label alike not at all."""
-    labels = problem.label_probabilities(step + 1, shown)
+    labels = problem.answer_probabilities(step + 1, shown)
     columns: dict[tuple[float, ...], int] = {}
     for i in range(step + 1):
         column = tuple(labels[:, i].tolist())

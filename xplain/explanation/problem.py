@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, number
+from xplain.explanation.answer_errors import NO_ERRORS, ErrorRates
 from xplain.explanation.label_table import MAX_MESSAGES, LabelTable
 
 DiscountPer = Literal["action", "step"]
@@ -24,7 +25,11 @@ DiscountPer = Literal["action", "step"]
 
 @dataclass(frozen=True)
 class Problem:
-    """One trace of m transitions, n messages, N user types.
+    """One trace of m transitions, n messages, N hidden types.
+
+    A hidden type is a user type or, where users err, a user type with an error rate
+    (:meth:`with_errors`): then M user types with E rates are N = M E hidden types, and beliefs are
+    over these.
 
     Attributes:
         table: P(label of transition i is 1 | type t, message set H); given as an array
@@ -36,7 +41,9 @@ class Problem:
         prior: [N] float64, sums to 1.
         discount_per: "action" (the paper: each message and each *explain* discounts) or "step"
             (only *explain* does).
-        message_names, type_names: for people; as long as n and N.
+        message_names, type_names: for people; n and M names.
+        errors: the E rates, side by side within a user type. The table's answers have them
+            already.
     """
 
     table: LabelTable
@@ -48,6 +55,7 @@ class Problem:
     discount_per: DiscountPer = "action"
     message_names: tuple[str, ...] = ()
     type_names: tuple[str, ...] = ()
+    errors: ErrorRates = NO_ERRORS
 
     def __post_init__(self) -> None:
         """Checks every field: one clear line each."""
@@ -79,6 +87,10 @@ class Problem:
         # made of another: decisions and replays must not hang on it.
         if abs(prior.sum() - 1) > 1e-12:
             prior = prior / prior.sum()
+        known, left = divmod(types, len(self.errors.rates))
+        if left:
+            wanted = f"a divisor of {types}, the columns of the table"
+            raise InputError("error rates", len(self.errors.rates), wanted)
         checked: dict[str, Any] = {
             "table": table,
             "message_cost": cost,
@@ -87,7 +99,7 @@ class Problem:
             "trade_off": _number("lambda", self.trade_off),
             "discount": _number("discount", self.discount),
             "message_names": tuple(self.message_names) or tuple(f"message_{j}" for j in range(n)),
-            "type_names": tuple(self.type_names) or tuple(f"type_{t}" for t in range(types)),
+            "type_names": tuple(self.type_names) or tuple(f"type_{t}" for t in range(known)),
         }
         if checked["inexplicability_cost"] < 0:
             raise InputError("inexplicability_cost", self.inexplicability_cost, "a number ≥ 0")
@@ -97,7 +109,7 @@ class Problem:
             raise InputError("discount", self.discount, "a number in (0, 1]")
         if self.discount_per not in ("action", "step"):
             raise InputError("discount_per", self.discount_per, "action or step")
-        for key, length in (("message_names", n), ("type_names", types)):
+        for key, length in (("message_names", n), ("type_names", known)):
             if len(checked[key]) != length:
                 raise InputError(key, checked[key], f"{length} names")
         cost.flags.writeable = False
@@ -118,8 +130,13 @@ class Problem:
 
     @property
     def n_types(self) -> int:
-        """N, the number of user types."""
+        """N, the number of hidden types."""
         return self.table.n_types
+
+    @property
+    def n_user_types(self) -> int:
+        """M, the number of user types."""
+        return len(self.type_names)
 
     @property
     def n_steps(self) -> int:
@@ -151,6 +168,29 @@ class Problem:
         """[N, count] P(label 1) of the first so many transitions, with message set H given."""
         return self.table.label_probabilities(count, given)
 
+    def answer_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
+        """[N, count] P(answer 1) of the first so many transitions, with message set H given."""
+        return self.table.answer_probabilities(count, given)
+
+    def type_belief(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
+        """[M] over user types, of a belief [N] over hidden types."""
+        if self.n_user_types == self.n_types:
+            return belief
+        user_types: NDArray[np.float64] = belief.reshape(self.n_user_types, -1).sum(axis=1)
+        return user_types
+
+    def with_errors(self, errors: ErrorRates) -> Problem:
+        """The problem where users err at one of these rates, independent of their types."""
+        if errors.none:
+            return self
+        table = self.table.repeated(len(errors.rates))
+        return replace(
+            self,
+            table=replace(table, answers=errors.answered(self.table.answered)),
+            prior=np.outer(self.prior, errors.prior).ravel(),
+            errors=errors,
+        )
+
     def dense(self) -> Problem:
         """The same problem with one dense table.
 
@@ -164,11 +204,12 @@ class Problem:
     def with_types(self, table: LabelTable, type_names: tuple[str, ...]) -> Problem:
         """The same trace and costs with other user types, equally likely a priori."""
         count = len(type_names)
-        return replace(self, table=table, type_names=type_names, prior=np.full(count, 1 / count))
+        prior = np.full(count, 1 / count)
+        return replace(self, table=table, type_names=type_names, prior=prior, errors=NO_ERRORS)
 
     def only_types(self, types: Sequence[int]) -> Problem:
-        """The same trace and costs with some of the user types, equally likely a priori."""
-        names = tuple(self.type_names[t] for t in types)
+        """The same trace and costs with some of the hidden types, equally likely a priori."""
+        names = tuple(self.type_names[t // len(self.errors.rates)] for t in types)
         return self.with_types(self.table.of_types(types), names)
 
     def mixture(self, weights: NDArray[np.float64], name: str = "everyone") -> Problem:
@@ -208,11 +249,15 @@ class Problem:
     def save(self, path: str | Path) -> None:
         """Writes an ``.npz`` file that :meth:`load` reads; arrays of numbers and text only. The
         table is ``p_explicable`` [N, m, 2^n] where messages are few, else ``relevant`` [N, r] and
-        ``p_relevant`` [N, m, 2^r]."""
+        ``p_relevant`` [N, m, 2^r]. Where users err there are ``p_answered``, of the same shape,
+        ``error_rates`` and ``error_prior``."""
         table = self.table.compact(self.n_messages)
         p = table.p.transpose(2, 0, 1)
         dense = table.is_dense(self.n_messages)
         tables = {"p_explicable": p} if dense else {"relevant": table.relevant, "p_relevant": p}
+        if table.answers.size:
+            tables["p_answered"] = table.answers.transpose(2, 0, 1)
+            tables |= {"error_rates": self.errors.rates, "error_prior": self.errors.prior}
         np.savez_compressed(
             path,
             **tables,
@@ -244,7 +289,8 @@ class Problem:
             reason = getattr(error, "strerror", None) or "it must hold named arrays of numbers"
             raise InputError("problem", str(path), f"not a readable .npz file ({reason})") from None
         by_type, dense = {"relevant", "p_relevant"}, {"p_explicable"}
-        fields = set(cls.__dataclass_fields__) - {"table"} | by_type | dense
+        erring = {"p_answered", "error_rates", "error_prior"}
+        fields = set(cls.__dataclass_fields__) - {"table", "errors"} | by_type | dense | erring
         tables = by_type if arrays.keys() & by_type else dense
         missing = ({"message_cost"} | tables) - arrays.keys()
         if missing:
@@ -264,8 +310,14 @@ class Problem:
         own = [values.pop(key) for key in ("relevant", "p_relevant") if key in values]
         if own and "p_explicable" in values:
             raise InputError("problem", "p_explicable", "not beside relevant and p_relevant")
-        table = LabelTable.by_type(*own) if own else values.pop("p_explicable")
-        return cls(table, **values)
+        errors = [values.pop(key) for key in ("error_rates", "error_prior") if key in values]
+        answers = values.pop("p_answered", None)
+        table: Any = None if own else values.pop("p_explicable")
+        if own:
+            table = LabelTable.by_type(own[0], own[1], answers)
+        elif answers is not None:
+            table = LabelTable.dense(table, answers)
+        return cls(table, errors=ErrorRates(*errors), **values)
 
 
 def _numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:

@@ -20,6 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__
 from xplain.config import GROUPS, one_line, require_usable
+from xplain.evaluation.explainees import Stranger
 from xplain.experiment.cache import prepared_once, source_fingerprint
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import evaluate, with_true_labels
@@ -36,6 +37,7 @@ from xplain.experiment.results import (
     results_of,
     save_results,
 )
+from xplain.experiment.strangers import with_strangers
 from xplain.numba_kernels import tell_when_compiling
 from xplain.report.run_summary import print_certificates, print_summary
 from xplain.report.stages import stages
@@ -141,6 +143,7 @@ def run_experiment(
     costs = costs_of(cfg)
     solver = instantiate(cfg.solver)
     belief = instantiate(cfg.belief)
+    explainee = instantiate(cfg.explainee)
     certify = Certify(**cfg.certify)
 
     clock = Clock()
@@ -154,12 +157,18 @@ def run_experiment(
     solvers: dict[str, Solver] = {"solver": solver, "clairvoyant": KnownType("labels")}
     if all(case.perfect is not None for case in prepared.cases):
         solvers["oracle"] = KnownType("type")
-    records = evaluate(prepared, costs, solvers, belief, cfg.seed, progress.track)
-    if solver.knows == "types":  # of others the learned types are not what they plan with
+    stranger = isinstance(explainee, Stranger)
+    if stranger:
+        prepared = with_strangers(prepared, components_of(cfg))
+        del solvers["oracle"]
+    records = evaluate(prepared, costs, solvers, belief, explainee, cfg.seed, progress.track)
+    # Of solvers that plan for others the learned types are not what they plan with, and of
+    # strangers no true type is known.
+    if solver.knows == "types" and not stranger:
         known = with_true_labels(prepared)
         what = "explaining, true labels known"
         again = {"true_labels": solver}
-        records += evaluate(known, costs, again, belief, cfg.seed, progress.track, what)
+        records += evaluate(known, costs, again, belief, explainee, cfg.seed, progress.track, what)
     clock.lap("explain")
 
     domain = domain_name(choices, config)
@@ -178,7 +187,7 @@ def run_experiment(
     results = results_of(prepared, records, {}, provenance)
     if tell is not None:
         tell(results)
-    bounds = certify.certificates(prepared, costs, solver, cfg.seed, progress)
+    bounds = certify.certificates(prepared, costs, solver, belief.error, cfg.seed, progress)
     clock.lap("bounds")
     return replace(results, bounds=bounds, seconds=dict(clock.laps)), prepared
 

@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, number, whole_number
+from xplain.explanation.answer_errors import ErrorRates, error_rates
 from xplain.explanation.belief import BeliefUpdate, Independent
 from xplain.explanation.label_table import MAX_MESSAGES, LabelTable
 from xplain.explanation.problem import DiscountPer, Problem
@@ -45,6 +46,16 @@ class Types(Protocol):
 
     def label_table(self, transitions: Sequence[Any]) -> LabelTable:
         """P(label is 1 | type, message set) of T ≥ 1 transitions."""
+        ...
+
+
+@runtime_checkable
+class KnowsErrors(Protocol):
+    """Types that were learned from answers, and with them how often people err."""
+
+    @property
+    def errors(self) -> ErrorRates | None:
+        """None where nothing was learned of it."""
         ...
 
 
@@ -104,7 +115,8 @@ class Planner:
 
     def problem(self, table: LabelTable) -> Problem:
         """What the solver plans for, given the table of a trace."""
-        return Problem(
+        errors = self.types.errors if isinstance(self.types, KnowsErrors) else None
+        problem = Problem(
             table,
             message_cost=np.asarray(self.message_cost),
             inexplicability_cost=self.inexplicability_cost,
@@ -115,6 +127,7 @@ class Planner:
             message_names=tuple(self.types.messages),
             type_names=tuple(self.types.names),
         )
+        return problem.with_errors(error_rates(self.belief_update.error, errors))
 
     def plan(self, problem: Problem) -> Policy:
         """A policy for the problem, planned when it is first asked."""

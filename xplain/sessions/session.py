@@ -90,8 +90,7 @@ class Session:
     @property
     def belief(self) -> dict[str, float]:
         """``{type: probability}``, given all labels so far; they sum to 1."""
-        names = self._talk.problem.type_names
-        return dict(zip(names, self._talk.belief.tolist(), strict=True))
+        return self._by_name(self._talk.belief)
 
     @property
     def cost(self) -> float:
@@ -182,7 +181,7 @@ class Session:
         return Why(
             step=step,
             given=self._names(given),
-            belief=dict(zip(self._talk.problem.type_names, belief.tolist(), strict=True)),
+            belief=self._by_name(belief),
             chosen=self._names(self._said[-1]),
             values={self._names(mask): value for mask, value in ranked},
         )
@@ -211,6 +210,10 @@ class Session:
         """Keeps what the decision rests on, for :meth:`why`."""
         talk = self._talk
         self._decision = (talk.policy, talk.step, talk.given, talk.belief)
+
+    def _by_name(self, belief: NDArray[np.float64]) -> dict[str, float]:
+        problem = self._talk.problem
+        return dict(zip(problem.type_names, problem.type_belief(belief).tolist(), strict=True))
 
     def _names(self, mask: int) -> tuple[str, ...]:
         return names_of(mask, self._talk.problem.message_names)

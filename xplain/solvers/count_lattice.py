@@ -32,7 +32,7 @@ class Answers(NamedTuple):
         weight: [capacity, N] joint probability of the past, each type, and the answer.
         evidence: [capacity, N] log-likelihoods after it, 0 for the likeliest type.
         tail: [N] the joint weight of all that was not listed.
-        column: [m, N] P(label 1) of the transitions shown.
+        column: [m, N] P(answer 1) of the transitions shown.
         groups: [4, m + 1] first transition, size, first row and count of a group.
         likelihood, news: [2 m, N] probability and evidence of a group's counts.
         weights, logs: [m + 1, N] joint probability and evidence of a prefix of counts.
@@ -94,7 +94,7 @@ def _group(model, step, given, weight, answers):  # type: ignore[no-untyped-def]
     for t in range(len(weight)):
         at = row(model.rows.part, given, t)
         for i in range(step + 1):
-            column[i, t] = model.p[i, at, t]
+            column[i, t] = model.answered[i, at, t]
     groups = 0
     for i in range(step + 1):
         if not _informative(column[i], weight):

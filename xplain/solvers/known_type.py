@@ -48,8 +48,8 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Conformant:
-    """Explain costs C_inexp Σ_t Σ_i (1 − P[t, i, H]): the sum over all types, neither weighed by a
-    belief nor divided by N (the paper's user study; docs/choices.md, slip 3).
+    """Explain costs C_inexp Σ_t Σ_i (1 − P[t, i, H]): the sum over all user types, neither weighed
+    by a belief nor divided by M (the paper's user study; docs/choices.md, slip 3).
 
     Args:
         memory_gib: most that the tables [steps, 2^messages] may take.
@@ -64,10 +64,10 @@ class Conformant:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
-        # N types' costs are N times the cost of the mean labeler.
+        # M types' costs are M times the cost of the mean labeler.
         summed = replace(
             problem.mixture(np.full(problem.n_types, 1 / problem.n_types)),
-            inexplicability_cost=problem.inexplicability_cost * problem.n_types,
+            inexplicability_cost=problem.inexplicability_cost * problem.n_user_types,
         )
         return BeliefBlind(greedy_policy(summed, "conformant", self.memory_gib, INSTEAD))
 

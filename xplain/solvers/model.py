@@ -36,8 +36,9 @@ class Model(NamedTuple):
     """N types, m steps, n messages. Making one takes little time and memory: tables are asked for.
 
     Attributes:
-        p: [m, rows, N] P(label 1), but for idle messages the problem's own. Read by the functions
-            of this module alone.
+        p: [m, rows, N] P(label 1), but for idle messages the problem's own. Costs are made of it,
+            in this module alone.
+        answered: [m, rows, N] P(answer 1), the evidence; ``p`` itself where users do not err.
         price: [n] λ C_e(j) of each message.
         inexplicability: C_inexp.
         discount: γ, of *explain*.
@@ -46,6 +47,7 @@ class Model(NamedTuple):
     """
 
     p: NDArray[np.float64]
+    answered: NDArray[np.float64]
     price: NDArray[np.float64]
     inexplicability: float
     discount: float
@@ -77,6 +79,7 @@ def model_of(problem: Problem) -> Model:
     table, price = problem.table, problem.trade_off * problem.message_cost
     model = Model(
         table.p,
+        table.answered,
         price,
         problem.inexplicability_cost,
         problem.discount,
@@ -91,7 +94,9 @@ def model_of(problem: Problem) -> Model:
         return model
     rows = make_rows(table, price, idle)
     times = rows.number // model.n_rows
-    return model._replace(p=np.tile(table.p, (1, times, 1)), rows=rows)
+    p = np.tile(table.p, (1, times, 1))
+    answered = np.tile(table.answers, (1, times, 1)) if table.answers.size else p
+    return model._replace(p=p, answered=answered, rows=rows)
 
 
 def table_bytes(problem: Problem) -> int:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from xplain.testing.chosen import Chosen
     from xplain.testing.clusterer import ClustererConformance, PartitionConformance
     from xplain.testing.domain import DomainConformance
+    from xplain.testing.explainee import ExplaineeConformance
     from xplain.testing.labeler import LabelerConformance
     from xplain.testing.queries import QueriesConformance
     from xplain.testing.solver import SolverConformance
@@ -32,6 +33,7 @@ __all__ = [
     "Chosen",
     "ClustererConformance",
     "DomainConformance",
+    "ExplaineeConformance",
     "LabelerConformance",
     "PartitionConformance",
     "QueriesConformance",
@@ -43,6 +45,7 @@ _WHERE = {
     "Chosen": "chosen",
     "ClustererConformance": "clusterer",
     "DomainConformance": "domain",
+    "ExplaineeConformance": "explainee",
     "LabelerConformance": "labeler",
     "PartitionConformance": "clusterer",
     "QueriesConformance": "queries",

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from xplain.explanation.answer_errors import ErrorRates
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 
@@ -13,7 +16,8 @@ def random_problem(
 ) -> Problem:
     """A problem with features that broke a solver before: unequal costs (some 0), any discount in
     (0, 1], certain and uncertain labels, prior entries of 0, repeated transitions, messages
-    without effect."""
+    without effect. Where there may be several types, one or two user types of some problems slip,
+    guess and err at one of two rates."""
     types = int(rng.integers(1, max_types + 1))
     steps = int(rng.integers(1, max_steps + 1))
     n = int(rng.integers(0, max_messages + 1))
@@ -36,7 +40,7 @@ def random_problem(
     if types > 1 and rng.random() < 0.3:
         prior[rng.integers(types)] = 0
         prior /= prior.sum()
-    return Problem(
+    problem = Problem(
         table=LabelTable.dense(p),
         message_cost=np.where(rng.random(n) < 0.15, 0, rng.random(n) * 2),
         inexplicability_cost=float(rng.choice([0.0, 0.5, 1.0, 2.0], p=[0.05, 0.25, 0.45, 0.25])),
@@ -45,3 +49,10 @@ def random_problem(
         prior=prior,
         discount_per="action" if rng.random() < 0.7 else "step",
     )
+    if max_types == 1 or types > 2 or rng.random() < 0.5:
+        return problem
+    slips, guesses = rng.random((2, steps, 1)) * rng.choice([0.0, 0.5])
+    answers = p * (1 - slips) + (1 - p) * guesses
+    rates = np.array([rng.choice([0.0, 0.1]), 0.3])
+    erring = replace(problem, table=LabelTable.dense(p, answers))
+    return erring.with_errors(ErrorRates(rates, rng.dirichlet(np.ones(2))))

@@ -9,7 +9,8 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.evaluation.episode import explain
+from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.belief import Independent
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
@@ -110,13 +111,13 @@ class SolverConformance(Conformance):
         rng = np.random.default_rng(4)
         for problem, _ in self._situations(component):
             m, sets = problem.p_explicable.shape[1:]
-            user = SimulatedUser.of(rng.integers(0, 2, (m, sets)).astype(np.uint8))
+            labels = rng.integers(0, 2, (m, sets)).astype(np.uint8)
             dear = replace(problem, trade_off=1.0, message_cost=np.full(problem.n_messages, 1e6))
             if component.knows in ("type", "labels"):
-                user = SimulatedUser.of(problem.p_explicable[0] > 0.5)
+                labels = (problem.p_explicable[0] > 0.5).astype(np.uint8)
             for one in (problem, dear):
                 policy = component.plan(one, 0)
-                episode = explain(one, policy, user, Independent())
+                episode = explain(one, policy, SimulatedUser.of(labels), Independent())
                 assert np.isfinite(episode.cost), "the episode has no cost"
                 if one is dear and self.weighs_costs:
                     assert episode.n_messages == 0, "it paid a million for at most some zeros"

@@ -14,7 +14,8 @@ from tests.people.visitors import GENEROUS, Visitor
 from xplain.config import composed
 from xplain.domains.base import cell_name
 from xplain.errors import InputError
-from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.evaluation.episode import explain
+from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.label_table import LabelTable
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store

@@ -17,6 +17,7 @@ from xplain.data.label_file import align
 from xplain.data.observers import Observed
 from xplain.data.queries import Queries
 from xplain.domains.base import Domain, transition_feature_names
+from xplain.evaluation.explainees import Exact
 from xplain.experiment.explanations import Costs, evaluate
 from xplain.experiment.pipeline import Components, prepare
 from xplain.explanation.belief import Independent
@@ -141,6 +142,7 @@ def explanation_costs(
         Costs(1.0, 1.0, 1.0, 0.95, "action", "uniform"),
         {"qmdp": QMDP(), "clairvoyant": KnownType("labels")},
         Independent(),
+        Exact(),
         derived_seed(seed, "expectation"),
     )
     cost = {

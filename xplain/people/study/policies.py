@@ -8,7 +8,8 @@ import numpy as np
 from hydra.utils import instantiate
 
 from xplain.errors import XplainError
-from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.evaluation.episode import explain
+from xplain.evaluation.explainees import SimulatedUser
 from xplain.people.analysis.stored import renamed
 from xplain.people.study.flow import State, Study
 from xplain.people.study.plan import StudyPlan

@@ -138,7 +138,7 @@ def _code_set(model, given, slot):  # type: ignore[no-untyped-def]
         code = GOLDEN
         column = model.p[slot, found]  # overwritten where this transition is no news
         for t in range(types):
-            column[t] = model.reduced.p[i, row(model.reduced.rows.part, given, t), t]
+            column[t] = model.reduced.answered[i, row(model.reduced.rows.part, given, t), t]
             differs |= column[t] != column[0]
             code = splitmix64((code + GOLDEN) ^ np.float64(column[t]).view(np.uint64))
         for t in range(types):

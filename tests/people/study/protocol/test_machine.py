@@ -7,7 +7,8 @@ import pytest
 
 from tests.people.study.stand_in import FAULTLESS, street_study
 from xplain.errors import Refused
-from xplain.evaluation.episode import SimulatedUser, explain
+from xplain.evaluation.episode import explain
+from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.belief import Independent, Persistent
 from xplain.people.study.bot import take_part
 from xplain.people.study.flow import State, Study

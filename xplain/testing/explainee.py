@@ -1,0 +1,58 @@
+"""Properties of every explainee (see :mod:`xplain.evaluation.explainees`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.evaluation.explainees import Reaction
+from xplain.explanation.label_table import LabelTable
+from xplain.testing.suite import Conformance
+
+STEPS, MESSAGES = 6, 3
+
+
+class ExplaineeConformance(Conformance):
+    """Tests an :class:`~xplain.evaluation.explainees.Explainee` for what episodes need: above all,
+    every solver must meet the same person."""
+
+    def test_reacts_with_zeros_and_ones_to_all_that_is_shown(self, component: Any) -> None:
+        """One thought and one answer a transition shown, at every step."""
+        for k, reaction in enumerate(_told(component, 0, [1, 0, 6, 0, 0, 0])):
+            for labels in reaction:
+                assert labels.shape == (k + 1,), f"step {k}: {labels.shape}, not {k + 1} labels"
+                assert np.isin(labels, (0, 1)).all(), f"labels {labels}: neither 0 nor 1"
+
+    def test_the_same_person_reacts_alike(self, component: Any) -> None:
+        """Two who are made with one seed, told the same, think and answer the same."""
+        for seed in range(5):
+            one, other = (_told(component, seed, [2, 1, 0, 0, 4, 0]) for _ in range(2))
+            assert _same(one, other), "what a person does depends on more than the seed"
+
+    def test_the_labels_stay_as_they_were(self, component: Any) -> None:
+        """They belong to the caller."""
+        labels = _labels(0)
+        before = labels.p.copy()
+        component.meet(labels, np.arange(STEPS), 0).react(1, 1, 1)
+        assert np.array_equal(before, labels.p), "the labels were changed"
+
+
+def _labels(seed: int) -> LabelTable:
+    rng = np.random.default_rng(seed)
+    return LabelTable.dense(rng.integers(0, 2, (1, STEPS, 1 << MESSAGES)))
+
+
+def _told(component: Any, seed: int, said: list[int]) -> list[Reaction]:
+    person = component.meet(_labels(seed), np.arange(STEPS), seed)
+    given: NDArray[np.int64] = np.bitwise_or.accumulate(np.array(said))
+    return [person.react(int(given[k]), new, k + 1) for k, new in enumerate(said)]
+
+
+def _same(one: list[Reaction], other: list[Reaction]) -> bool:
+    return all(
+        np.array_equal(a, b)
+        for x, y in zip(one, other, strict=True)
+        for a, b in zip(x, y, strict=True)
+    )
