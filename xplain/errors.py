@@ -132,8 +132,9 @@ def checks(prefix: str) -> Callable[[type[T]], type[T]]:
 
     ``Annotated[int, Range(1)]`` allows whole numbers ≥ 1, ``Annotated[float, Range(0, 1)]``
     numbers in [0, 1], ``Literal["a", "b"]`` one of two words; beside ``| None`` None is allowed
-    too. Other annotations are not looked at. The error's key is ``prefix.parameter``. It stands
-    above ``@dataclass``; a subclass with a constructor of its own needs it again.
+    too. Other annotations are not looked at, but their names have to be there at run time. The
+    error's key is ``prefix.parameter``. It stands above ``@dataclass``; a subclass with a
+    constructor of its own needs it again.
     """
 
     def of(kind: type[T]) -> type[T]:
