@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from xplain.cli import people
-from xplain.cli.parser import Parser, parsed
+from xplain.cli.parser import parsed
 from xplain.config import composed
 from xplain.errors import InputError, whole_number
 
@@ -121,14 +121,10 @@ def power(arguments: list[str]) -> None:
     ``--people``: simulated ones a cell; ``--studies``: planned studies a point; ``--n``:
     participants a condition, for the sensitivity. Keys are those of conf/study.yaml.
     """
-    parser = Parser("xplain study power")
-    parser.add_argument("overrides", nargs="*", metavar="key=value")
-    parser.add_argument("--out", type=Path, default=Path("outputs/study/power"))
-    parser.add_argument("--people", type=int, default=200)
-    parser.add_argument("--studies", type=int, default=2000)
-    parser.add_argument("--n", type=int, default=50)
-    given = parser.parse_intermixed_args(arguments)
-    for key in ("people", "studies", "n"):
+    numbers = {"people": 200, "studies": 2000, "n": 50}
+    out = Path("outputs/study/power")
+    given = parsed("xplain study power", arguments, "overrides", out=out, **numbers)
+    for key in numbers:
         whole_number(f"--{key}", getattr(given, key), 2)
     import pandas as pd
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from xplain.domains.mdp import CLEAR, TIE
@@ -167,15 +167,9 @@ class GoalTask:
 
     def _steps(self, starts: NDArray[np.int64], edges: NDArray[np.bool_]) -> NDArray[np.float64]:
         """[S] the number of these edges on the shortest path from any of the starts."""
-        source, after = self.space.source[edges], self.space.successor[edges]
-        result = np.full(self.n_states, np.inf)
-        result[starts] = 0
-        for step in range(1, self.n_states + 1):
-            new = after[(result[source] == step - 1) & np.isinf(result[after])]
-            if not len(new):
-                break
-            result[new] = step
-        return result
+        ends = self.space.source[edges], self.space.successor[edges]
+        ways = coo_array((np.ones(len(ends[0])), ends), shape=(self.n_states, self.n_states))
+        return np.asarray(dijkstra(ways, indices=starts, unweighted=True, min_only=True))
 
     @cached_property
     def optimal(self) -> NDArray[np.bool_]:

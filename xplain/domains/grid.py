@@ -176,7 +176,7 @@ def parameters_of(
         needed = {"accurate", "inaccurate", "message"}
         if missing := needed - fields.keys():
             raise InputError(key, dict(fields), f"lacks {', '.join(sorted(missing))}")
-        for field in sorted(fields):
+        for field in fields:
             one_of(key, field, sorted(needed | {"belief"}), "field")
         parameter = Parameter(name=name, **fields)
         sentence(f"{key}.message", parameter.message)

@@ -239,10 +239,8 @@ class Gymnasium:
 
 def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
     """A parameter's value, checked in form."""
-    if isinstance(value, (str, Mapping)) or not isinstance(value, Sequence):
-        raise InputError(key, value, "a list of changes")
-    for change in value:
-        for field in sorted(mapping(key, change, f"a change with {', '.join(CHANGES)}")):
+    for change in listed(key, value, "a list of changes"):
+        for field in mapping(key, change, f"a change with {', '.join(CHANGES)}"):
             one_of(key, field, CHANGES, "field")
         if sum(effect in change for effect in EFFECTS) != 1:
             raise InputError(key, dict(change), f"one of {', '.join(EFFECTS)}")

@@ -129,7 +129,7 @@ class PDDL:
         joined = {name for fields in given.values() for name in _joined(fields)}
         for fact in dict.fromkeys([*(name for name in found if name not in joined), *given]):
             key, fields = f"domain.facts.{fact}", given.get(fact, {})
-            for name in sorted(mapping(key, fields, "the fields change, message, belief")):
+            for name in mapping(key, fields, "the fields change, message, belief"):
                 one_of(key, name, ("change", "join", "message", "belief"), "field")
             own = found.get(fact)
             if "join" in fields:
