@@ -69,7 +69,12 @@ SIDEBAR = {
         "docs/pddl.md",
         "docs/gymnasium.md",
     ],
-    "Measured": ["docs/table1.md", "docs/ablation.md", "benchmarks/README.md"],
+    "Measured": [
+        "docs/table1.md",
+        "docs/people-who-err.md",
+        "docs/ablation.md",
+        "benchmarks/README.md",
+    ],
     "Project": ["CONTRIBUTING.md", "CHANGELOG.md"],
 }
 

@@ -23,7 +23,8 @@ GROUPS = {
     "labeler": "learns a labeling model from labels",
     "clusterer": "finds the user types",
     "solver": "plans the explanation",
-    "belief": "which labels are evidence",
+    "belief": "which labels are evidence, and how users are taken to be",
+    "explainee": "how simulated users listen and answer",
     "tracking": "where results go besides the disk",
 }
 COMMANDS = ("discover", "observe", "questions", "plan", "export", "collect")

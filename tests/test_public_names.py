@@ -18,8 +18,9 @@ print(*(name for name in package.__all__ if name in globals()))
 NAMES = {
     "xplain": "Explainer GivenTypes Hypotheses LearnedTypes Questionnaire Run Sweep "
     "__version__ load run sweep",
-    "xplain.testing": "Chosen ClustererConformance DomainConformance LabelerConformance "
-    "PartitionConformance QueriesConformance SolverConformance TypeSourceConformance",
+    "xplain.testing": "Chosen ClustererConformance DomainConformance ExplaineeConformance "
+    "LabelerConformance PartitionConformance QueriesConformance SolverConformance "
+    "TypeSourceConformance",
 }
 
 

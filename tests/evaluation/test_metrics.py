@@ -112,6 +112,12 @@ def ones(mask):
     return bin(int(mask)).count("1")
 
 
+def again(masks):
+    """How many messages had been said at an earlier step."""
+    heard = [j for mask in masks for j in range(8) if int(mask) >> j & 1]
+    return len(heard) - len(set(heard))
+
+
 def belief_in_true_type(record, k):
     return sum(b for b, true in zip(record.episode.beliefs[k], record.right, strict=True) if true)
 
@@ -139,6 +145,7 @@ def test_every_figure_is_the_mean_over_traces_and_users(data):
             figures = {
                 "cost": episode.cost,
                 "messages": sum(map(ones, episode.messages)),
+                "messages_again": again(episode.messages),
                 "inexplicable_labels": sum(zeros_of_triangle(episode, k) for k in range(m)),
                 "decision_ms": 1000 * sum(episode.seconds) / m,
                 "steps_until_sure": until_sure(own),
@@ -150,6 +157,8 @@ def test_every_figure_is_the_mean_over_traces_and_users(data):
             }
             for name, value in figures.items():
                 columns.setdefault(name, []).append((trace, value))
+    if not any(count for _, count in columns["messages_again"]):
+        del columns["messages_again"]  # left out where nothing was said again
     summary = summarise(records)
     dear, cheap = (sum(v for _, v in columns[name]) for name in ("oracle_cost", "clairvoyant_cost"))
     ratio = summary.pop("oracle_over_clairvoyant", None)

@@ -15,6 +15,7 @@ from xplain.errors import InputError
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import Costs, trace_seed
 from xplain.experiment.pipeline import Case, Prepared
+from xplain.explanation.belief import Independent
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
@@ -54,7 +55,9 @@ KNOWN = [
 
 
 def found_for(solver, prepared: Prepared = PREPARED, seed: int = 4, **effort) -> dict[str, float]:
-    return Certify(**{**EFFORT, **effort}).certificates(prepared, COSTS, solver, 0.0, seed)
+    return Certify(**{**EFFORT, **effort}).certificates(
+        prepared, COSTS, solver, Independent(), seed
+    )
 
 
 def test_bounds_enclose_the_optimum_and_are_as_close_as_asked():

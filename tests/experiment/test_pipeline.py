@@ -115,7 +115,7 @@ def test_a_solver_plans_with_what_it_may_know(user):
     names = {"types": ("F1", "F2"), "everyone": ("everyone",)}
     costs = replace(COSTS, prior="observers")
     for knows, table in tables.items():
-        problem = problem_for(prepared, case, costs, Spy(knows), 0.0, user)
+        problem = problem_for(prepared, case, costs, Spy(knows), Independent(), user)
         assert np.array_equal(problem.p_explicable, table.array(2)), knows
         assert problem.type_names == names.get(knows, (prepared.types[user],))
         expected = [1 / 3, 2 / 3] if knows == "types" else [1]
@@ -125,7 +125,7 @@ def test_a_solver_plans_with_what_it_may_know(user):
 def test_no_oracle_where_true_types_are_unknown():
     prepared = a_prepared(perfect=False)
     with pytest.raises(InputError, match="true types are known"):
-        problem_for(prepared, prepared.cases[0], COSTS, Spy("type"), 0.0, 0)
+        problem_for(prepared, prepared.cases[0], COSTS, Spy("type"), Independent(), 0)
 
 
 # --- Every solver, every trace, a user of every type ----------------------------------------------
@@ -307,7 +307,7 @@ def test_tables_kept_by_type_are_explained_as_dense_ones():
         said += one.episode.n_messages
     assert said > 0
     wise = [with_true_labels(p) for p in (dense, by_type)]
-    tables = [problem_for(p, p.cases[1], costs, QMDP(), 0.0, 0).dense() for p in wise]
+    tables = [problem_for(p, p.cases[1], costs, QMDP(), Independent(), 0).dense() for p in wise]
     assert np.array_equal(tables[0].p_explicable, tables[1].p_explicable)
 
 

@@ -79,7 +79,9 @@ def test_true_types_are_equally_likely_whatever_was_found() -> None:
     found, costs = prepared("rescue")
     two = replace(found, learned_types=found.types[:2], type_shares=np.array([0.9, 0.1]))
     known = with_true_labels(two)
-    problem = problem_of_types(known, known.cases[0], replace(costs, prior="observers"), 0.0)
+    problem = problem_of_types(
+        known, known.cases[0], replace(costs, prior="observers"), Independent()
+    )
     assert problem.prior.tolist() == [1 / len(found.types)] * len(found.types)
 
 
@@ -96,7 +98,7 @@ def test_what_happens_is_what_the_model_expects(domain: str) -> None:
     known, costs = prepared(domain)
     users = range(len(known.types))
     for index, case in enumerate(known.cases):
-        problem = problem_of_types(known, case, costs, 0.0)
+        problem = problem_of_types(known, case, costs, Independent())
         optimum = -bounds(problem, Effort(gap=1e-6)).upper
         for name, solver in SOLVERS.items():
             if name == "baseline":  # it plans for the mixture, which is none of these users

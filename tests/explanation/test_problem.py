@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from xplain.errors import InputError
-from xplain.explanation.answer_errors import ErrorRates
+from xplain.explanation.habits import PAPER, Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 
@@ -31,15 +31,17 @@ def unusual() -> Problem:
         message_names=("fuel", "fire"),
         type_names=("novice", "expert"),
     )
-    return problem.with_errors(ErrorRates(np.array([0.1, 0.3]), np.array([0.4, 0.6])))
+    habits = Habits(*np.array([[0.1, 0.3], [1.0, 0.8], [0.0, 0.1], [0.4, 0.6]]))
+    return problem.with_habits(habits)
 
 
 def plain(problem: Problem) -> dict[str, Any]:
     """Every field, arrays as lists."""
     values = {field.name: getattr(problem, field.name) for field in fields(problem)}
-    table, errors = problem.table, problem.errors
+    table, habits = problem.table, problem.habits
     values |= {"relevant": table.relevant, "table": table.p, "answers": table.answers}
-    values |= {"errors": errors.rates, "error_prior": errors.prior}
+    values |= {f"habits.{name}": rates for name, rates in vars(habits).items()}
+    values["habits"] = len(habits)
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
 
 
@@ -171,13 +173,13 @@ def test_other_types_keep_the_costs_and_are_equally_likely() -> None:
     problem = unusual()
     table = LabelTable.dense(np.full((4, 3, 4), 0.25))
     other = problem.with_types(table, ("a", "b", "c", "d"))
-    changed = {"table", "relevant", "answers", "prior", "type_names", "errors", "error_prior"}
-    assert {k: v for k, v in plain(other).items() if k not in changed} == {
-        k: v for k, v in plain(problem).items() if k not in changed
+    changed = {"table", "relevant", "answers", "prior", "type_names", "habits"}
+    assert {k: v for k, v in plain(other).items() if k.split(".")[0] not in changed} == {
+        k: v for k, v in plain(problem).items() if k.split(".")[0] not in changed
     }
     assert other.prior.tolist() == [0.25] * 4
     assert other.type_names == ("a", "b", "c", "d")
-    assert other.errors.none  # of the table given, types are types
+    assert other.habits is PAPER  # of the table given, types are types
 
 
 def test_a_prior_is_a_distribution_to_the_last_bit_however_often_it_is_handed_on() -> None:

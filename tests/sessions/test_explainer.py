@@ -15,16 +15,19 @@ from xplain import Explainer, GivenTypes
 from xplain.errors import InputError
 from xplain.evaluation.episode import explain
 from xplain.evaluation.explainees import SimulatedUser
-from xplain.explanation.answer_errors import error_rates
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import DENSE, LabelTable, joined
 from xplain.message_sets import mask_of
+from xplain.solvers.hsvi.solver import Certified
 from xplain.solvers.known_type import Conformant, KnownType
+from xplain.solvers.lookahead import Lookahead
+from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
 
 SOLVERS = [QMDP(), QHR(), Conformant()]
 ERRORS = [0.0, 0.0, 0.2, "learned"]
+LISTENING = [(1.0, 0.0), (1.0, 0.0), (0.6, 0.0), (0.9, 0.2), ("learned", 0.1)]
 
 
 def explainer_of(problem, solver, belief_update):
@@ -50,9 +53,10 @@ def situations(draw):
     assume(problem.p_explicable.any())  # a table of zeros is refused
     assume(not problem.table.answers.size)  # these come from the belief update alone
     answers = rng.integers(0, 2, problem.p_explicable.shape[1:]).astype(np.uint8)
-    solver = SOLVERS[rng.integers(len(SOLVERS))]
     error = ERRORS[rng.integers(len(ERRORS))]
-    update = Independent(error) if rng.random() < 0.5 else Persistent(error)
+    listening = LISTENING[rng.integers(len(LISTENING))]
+    solver = SOLVERS[rng.integers(len(SOLVERS))] if listening == (1.0, 0.0) else QMDP()
+    update = (Independent if rng.random() < 0.5 else Persistent)(error, *listening)
     return problem, answers, explainer_of(problem, solver, update), rng
 
 
@@ -71,7 +75,7 @@ def play(session, answers, steps=None):
 @settings(max_examples=60, deadline=None)
 def test_a_session_is_an_episode_of_the_experiments(situation):
     problem, answers, explainer, _ = situation
-    problem = problem.with_errors(error_rates(explainer.belief_update.error))
+    problem = problem.with_habits(explainer.belief_update.habits())
     policy = explainer.solver.plan(problem)
     episode = explain(problem, policy, SimulatedUser.of(answers), explainer.belief_update)
     session = explainer.session(range(problem.n_steps))
@@ -433,3 +437,25 @@ def test_more_than_62_messages_are_refused():
                 LabelTable.by_type(np.empty((1, 0), int), np.ones((1, 1, 1))), names, ("one",)
             )
         )
+
+
+def test_a_message_that_was_not_taken_in_is_said_again():
+    """One who still finds odd what a message explains is told once more; ``again`` says so."""
+    table = np.zeros((1, 6, 2))
+    table[..., 1] = 1
+    types = GivenTypes(np.clip(table, 0.02, 0.98), ("fuel",), ("novice",))
+    session = Explainer(types, belief_update=Independent(0.0, 0.7, 0.0)).session(range(6))
+    assert (session.messages(), session.again) == (("fuel",), ())
+    session.observe([0])
+    assert (session.messages(), session.again) == (("fuel",), ("fuel",))
+    assert session.cost == 3  # twice the message, and a label
+    session.observe([1, 1])
+    assert (session.messages(), session.again, session.said) == ((), (), ("fuel",))
+
+
+@pytest.mark.parametrize("solver", [QHR(), POMCP(), Certified(), Lookahead()])
+def test_solvers_that_cannot_say_a_message_again_say_so(solver):
+    types = GivenTypes(np.full((2, 3, 4), 0.5), ("a", "b"), ("x", "y"))
+    session = Explainer(types, solver, belief_update=Independent(forget=0.1)).session(range(3))
+    with pytest.raises(InputError, match="solver=qmdp"):
+        session.messages()

@@ -61,7 +61,7 @@ def _plan_one(cfg: DictConfig, known: Bounds | None = None) -> Row:
     told = solver.knows in ("type", "labels") and problem.n_types > 1
     began = time.perf_counter()
     policy = solver.plan(problem, cfg.seed)
-    first = None if told else indices(policy.messages(0, 0, problem.prior))
+    first = None if told else indices(policy.messages(0, 0, problem.start))
     seconds = time.perf_counter() - began
 
     row: Row = {"solver": cfg.hydra.runtime.choices.solver, "first_messages": first}

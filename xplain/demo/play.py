@@ -10,14 +10,14 @@ from hydra.utils import instantiate
 
 from xplain.config import composed
 from xplain.errors import InputError, one_of
-from xplain.evaluation.explainees import SimulatedUser
-from xplain.experiment.explanations import Costs
+from xplain.evaluation.explainees import Explainee
+from xplain.experiment.explanations import Costs, copies
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Case, Prepared, prepare
 from xplain.experiment.results import domain_name
 from xplain.explanation.belief import BeliefUpdate
 from xplain.message_sets import mask_of
-from xplain.randomness import stream
+from xplain.randomness import derived_seed, stream
 from xplain.sessions.explainer import Explainer, GivenTypes
 from xplain.sessions.session import Session, Why
 from xplain.solvers.base import Solver
@@ -32,6 +32,7 @@ class Stage:
         prepared: the learned types, and the traces.
         case: the trace that is explained.
         explainer: for the learned types.
+        explainee: what simulated users are like.
         beliefs: for each true type by name, its wrong beliefs as sentences.
         trade_off: λ.
         suggested: the true type of a simulated user for whom the trace shows most.
@@ -43,6 +44,7 @@ class Stage:
     prepared: Prepared
     case: Case
     explainer: Explainer
+    explainee: Explainee
     beliefs: dict[str, tuple[str, ...]]
     trade_off: float
     suggested: str
@@ -148,6 +150,7 @@ def stage(overrides: Sequence[str], trace: int | None = None, user: str | None =
     choices = cfg.hydra.runtime.choices
     components, costs = components_of(cfg), costs_of(cfg)
     solver, update = instantiate(cfg.solver), instantiate(cfg.belief)
+    explainee = instantiate(cfg.explainee)
     if solver.knows not in ("types", "everyone"):
         raise InputError("solver", str(choices.solver), "a solver that needs no user type")
     prepared = prepare(components)
@@ -162,6 +165,7 @@ def stage(overrides: Sequence[str], trace: int | None = None, user: str | None =
             prepared=prepared,
             case=case,
             explainer=_explainer(prepared, case, costs, solver, update, components.seed),
+            explainee=explainee,
             beliefs=beliefs,
             trade_off=costs.trade_off,
             suggested=name,
@@ -208,7 +212,7 @@ def _explainer(
         prepared.messages,
         ("everyone",) if alone else prepared.learned_types,
         prepared.type_shares if costs.prior == "observers" and not alone else (),
-        prepared.errors,
+        prepared.habits,
     )
     return Explainer(
         types,
@@ -241,19 +245,20 @@ def play(scene: Stage, answer: Answer, audience: Audience | None = None) -> Play
     return Played(getattr(answer, "user", None), prior, tuple(steps))
 
 
-@dataclass(frozen=True)
 class Simulated:
-    """Answers as a simulated user of a true type, by its true labels."""
+    """Answers as a simulated user of a true type; of ``explainee``'s kind."""
 
-    scene: Stage
-    user: str
+    def __init__(self, scene: Stage, user: str) -> None:
+        self.user, self._messages = user, scene.prepared.messages
+        labels = scene.case.labels.of_types([scene.prepared.types.index(user)])
+        seed = derived_seed(scene.explainer.seed, "explainee", user)
+        self._person = scene.explainee.meet(labels, copies(scene.case.transitions), seed)
 
     def __call__(self, session: Session) -> Sequence[int]:
-        prepared = self.scene.prepared
-        user = SimulatedUser(self.scene.case.labels.of_types([prepared.types.index(self.user)]))
-        said = mask_of(session.said, prepared.messages)
-        labels: list[int] = user.labels(session.shown, said).tolist()
-        return labels
+        self._person.hear(mask_of(session.messages(), self._messages))
+        given = mask_of(session.said, self._messages)
+        answers: list[int] = self._person.react(given, session.shown).answers.tolist()
+        return answers
 
 
 def asked(terminal: Any) -> Answer:

@@ -97,7 +97,10 @@ class Game:
         sentences = dict(zip(prepared.messages, prepared.sentences, strict=True))
         return {
             "name": name,
-            "said": [sentences[message] for message in said],
+            "said": [
+                f"As said before: {sentences[name]}" if name in session.again else sentences[name]
+                for name in said
+            ],
             "suggested": self._user.labels(session.shown, given).tolist(),
             "belief": {self._scene.title(t): p for t, p in session.belief.items()},
             "cost": session.cost,

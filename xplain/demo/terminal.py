@@ -62,7 +62,8 @@ class Terminal:
         prepared = self.stage.prepared
         for name in session.messages():
             sentence = prepared.sentences[prepared.messages.index(name)]
-            self.console.print(Panel(sentence, title="robot", title_align="left", expand=False))
+            title = "robot, as said before" if name in session.again else "robot"
+            self.console.print(Panel(sentence, title=title, title_align="left", expand=False))
         map_ = self._map(k)
         if map_ is not None:
             self.console.print(map_)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.evaluation.explainees import Person
+from xplain.evaluation.explainees import Knower, Person
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
 from xplain.message_sets import indices
@@ -24,7 +24,7 @@ class Episode:
     """What happened while one trace of m transitions was explained.
 
     Attributes:
-        messages: [m] int64, the new messages (bitmask) before each *explain*.
+        messages: [m] int64, the messages (bitmask) said before each *explain*.
         labels: [m, m] int8, row k the answers given at step k; −1 right of the diagonal.
         thoughts: [m, m] int8, row k the labels that the user truly holds; costs are by these.
         beliefs: [m + 1, M] over user types, before the first step and after each.
@@ -45,8 +45,13 @@ class Episode:
 
     @property
     def n_messages(self) -> int:
-        """Number of messages given over all steps."""
+        """Number of messages said over all steps, again or for the first time."""
         return sum(int(mask).bit_count() for mask in self.messages)
+
+    @property
+    def n_again(self) -> int:
+        """How many of them had been said before."""
+        return self.n_messages - int(np.bitwise_or.reduce(self.messages)).bit_count()
 
     @property
     def n_inexplicable(self) -> int:
@@ -54,7 +59,13 @@ class Episode:
         return int((self.thoughts == 0).sum())
 
 
-def explain(problem: Problem, policy: Policy, user: Person, belief_update: BeliefUpdate) -> Episode:
+def explain(
+    problem: Problem,
+    policy: Policy,
+    user: Person,
+    belief_update: BeliefUpdate,
+    sees_knowledge: bool = False,
+) -> Episode:
     """Explains the whole trace of ``problem`` to ``user``.
 
     Args:
@@ -62,6 +73,7 @@ def explain(problem: Problem, policy: Policy, user: Person, belief_update: Belie
         policy: planned for that problem; a cached one shares its decisions between users.
         user: who reacts; new to the trace.
         belief_update: which labels change the belief.
+        sees_knowledge: whether the agent sees what a user of known type has right now.
 
     Raises:
         ValueError: the policy gives a message again, or one that does not exist.
@@ -75,13 +87,18 @@ def explain(problem: Problem, policy: Policy, user: Person, belief_update: Belie
     beliefs[0] = problem.type_belief(talk.belief)
     seconds = np.empty(m)
     for k in range(m):
+        if sees_knowledge and isinstance(user, Knower):
+            talk.belief = problem.sure(0, user.knows)
         messages[k] = talk.say()
+        user.hear(int(messages[k]))
         seconds[k] = asked.seconds
-        thought, answer = user.react(talk.given, int(messages[k]), k + 1)
+        thought, answer = user.react(talk.given, k + 1)
         thoughts[k, : k + 1], labels[k, : k + 1] = thought, answer
         talk.hear(answer)
         beliefs[k + 1] = problem.type_belief(talk.belief)
-    communication = float(sum(problem.message_cost[j] for j in indices(talk.given)))
+    communication = float(
+        sum(problem.message_cost[j] for said in messages.tolist() for j in indices(said))
+    )
     inexplicability = problem.inexplicability_cost * int((thoughts == 0).sum())
     cost = problem.trade_off * communication + inexplicability
     return Episode(

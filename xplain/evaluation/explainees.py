@@ -8,13 +8,15 @@ and step, so that every solver meets the same person.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, number
+from xplain.explanation.habits import Habits, check_rate, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.message_sets import indices
 from xplain.randomness import stream
@@ -35,14 +37,33 @@ class Reaction(NamedTuple):
 class Person(Protocol):
     """Whoever a trace is explained to, once."""
 
-    def react(self, given: int, new: int, count: int) -> Reaction:
-        """To messages and then the first ``count`` transitions. Asked once a step, in order.
+    def hear(self, new: int) -> None:
+        """Messages (a bitmask) are said, for the first time or again."""
+        ...
 
-        Args:
-            given: bitmask of all messages given so far, the new ones among them.
-            new: of those given at this step.
-            count: k + 1.
-        """
+    def react(self, given: int, count: int) -> Reaction:
+        """To the first ``count`` transitions, with the messages ``given`` so far. Asked once a
+        step, in order."""
+        ...
+
+
+@runtime_checkable
+class Knower(Protocol):
+    """A person who may not know all that was said."""
+
+    @property
+    def knows(self) -> int:
+        """Bitmask of the facts set right that they have right now."""
+        ...
+
+
+@runtime_checkable
+class Habitual(Protocol):
+    """An explainee whose people are :class:`Knower`, and whose habits can be told."""
+
+    @property
+    def habits(self) -> Habits:
+        """Theirs."""
         ...
 
 
@@ -82,7 +103,10 @@ class SimulatedUser:
         labels: NDArray[np.uint8] = truth.astype(np.uint8)
         return labels
 
-    def react(self, given: int, new: int, count: int) -> Reaction:
+    def hear(self, new: int) -> None:
+        """Nothing more than what ``given`` says."""
+
+    def react(self, given: int, count: int) -> Reaction:
         """As :class:`Person` has it."""
         labels = self.labels(count, given)
         return Reaction(labels, labels)
@@ -112,7 +136,8 @@ class Slips:
 
     def __post_init__(self) -> None:
         """Raises InputError for a rate out of its range."""
-        _check_probability("rate", self.rate)
+        if not 0 <= number("explainee.rate", self.rate) <= 1:
+            raise InputError("explainee.rate", self.rate, "a probability in [0, 1]")
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
         """As :class:`Explainee` has it."""
@@ -126,7 +151,10 @@ class _Slipping:
     same: NDArray[np.int64]
     seed: int
 
-    def react(self, given: int, new: int, count: int) -> Reaction:
+    def hear(self, new: int) -> None:
+        """Nothing more than what ``given`` says."""
+
+    def react(self, given: int, count: int) -> Reaction:
         thoughts = self.user.labels(count, given)
         when = () if self.how.repeats else (count,)
         drawn = stream(self.seed, "slips", given, *when).random(len(self.same))
@@ -139,8 +167,8 @@ class Heedless:
     """Users who do not take every message in, or do not keep it.
 
     Args:
-        accept: probability that a message is taken in when it is given.
-        forget: probability that a fact set right is lost, at each step, after its labels.
+        accept: probability that a message is taken in when it is given, > 0.
+        forget: probability, < 1, that a fact set right is lost, at each step, after its labels.
     """
 
     accept: float = 0.8
@@ -149,7 +177,12 @@ class Heedless:
     def __post_init__(self) -> None:
         """Raises InputError for a probability out of its range."""
         for key in ("accept", "forget"):
-            _check_probability(key, getattr(self, key))
+            check_rate(f"explainee.{key}", getattr(self, key))
+
+    @property
+    def habits(self) -> Habits:
+        """As :class:`Habitual` has it."""
+        return habits_of(0.0, self.accept, self.forget)
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
         """As :class:`Explainee` has it."""
@@ -158,24 +191,29 @@ class Heedless:
 
 @dataclass
 class _Heedless:
-    """``knows`` is the bitmask of the facts set right that the person has right now."""
+    """``told`` counts how often each message was said."""
 
     user: SimulatedUser
     how: Heedless
     seed: int
     knows: int = 0
+    told: Counter[int] = field(default_factory=Counter)
 
-    def react(self, given: int, new: int, count: int) -> Reaction:
-        self.knows &= ~self._some("forget", self.knows, count, self.how.forget)
-        self.knows |= self._some("accept", new, count, self.how.accept)
-        return self.user.react(self.knows, new, count)
+    def hear(self, new: int) -> None:
+        for j in indices(new):
+            self.told[j] += 1
+            if self._by_chance("accept", j, self.told[j], self.how.accept):
+                self.knows |= 1 << j
 
-    def _some(self, what: str, messages: int, count: int, chance: float) -> int:
-        """Those of the messages that chance picks at this step."""
-        picked = (
-            1 << j for j in indices(messages) if stream(self.seed, what, count, j).random() < chance
-        )
-        return sum(picked)
+    def react(self, given: int, count: int) -> Reaction:
+        reaction = self.user.react(self.knows, count)
+        for j in indices(self.knows):
+            if self._by_chance("forget", j, count, self.how.forget):
+                self.knows &= ~(1 << j)
+        return reaction
+
+    def _by_chance(self, what: str, message: int, time: int, chance: float) -> bool:
+        return bool(stream(self.seed, what, message, time).random() < chance)
 
 
 @dataclass(frozen=True)
@@ -187,8 +225,3 @@ class Stranger:
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
         """As :class:`Explainee` has it."""
         return SimulatedUser(labels)
-
-
-def _check_probability(key: str, value: float) -> None:
-    if not 0 <= number(f"explainee.{key}", value) <= 1:
-        raise InputError(f"explainee.{key}", value, "a probability in [0, 1]")

@@ -14,7 +14,7 @@ from xplain.evaluation.statistics import half_width
 from xplain.experiment.explanations import Costs, problem_for, problem_of_types, trace_seed
 from xplain.experiment.pipeline import Prepared
 from xplain.experiment.progress import SILENT, Progress
-from xplain.explanation.answer_errors import Error
+from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
@@ -52,12 +52,13 @@ class Certify:
         prepared: Prepared,
         costs: Costs,
         solver: Solver,
-        error: Error,
+        belief_update: BeliefUpdate,
         seed: int,
         progress: Progress = SILENT,
     ) -> dict[str, float]:
         """Means over the traces, of expected discounted returns under the learned model of users
-        who err so often.
+        who listen and answer as the belief update assumes; empty where they may miss or forget
+        messages, for which no bounds are known.
 
         ``optimal_lower`` and ``optimal_upper`` enclose the optimum; ``policy_value`` (with its
         standard error ``policy_value_se``, and ``policy_value_exact``, the share of traces where
@@ -69,13 +70,15 @@ class Certify:
 
         Traces that pose the same problem are simulated once: their errors are one error.
         """
+        if not belief_update.habits(prepared.habits).take_all_in:
+            return {}
         times: Counter[tuple[bytes, bytes]] = Counter()
         found: dict[tuple[bytes, bytes], dict[str, float]] = {}
         cases = prepared.cases[: self.traces]
         tracked = progress.track(enumerate(cases), "certificates", len(cases))
         for index, case in tracked:
-            problem = problem_of_types(prepared, case, costs, error)
-            own = problem_for(prepared, case, costs, solver, error, 0)
+            problem = problem_of_types(prepared, case, costs, belief_update)
+            own = problem_for(prepared, case, costs, solver, belief_update, 0)
             key = _table_key(problem), _table_key(own)
             if key not in found:
                 found[key] = self._one(problem, own, solver, trace_seed(seed, index), progress)

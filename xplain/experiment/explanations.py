@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from xplain.errors import InputError, number
 from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import Explainee
+from xplain.evaluation.explainees import Explainee, Habitual
 from xplain.evaluation.metrics import Record
 from xplain.experiment.pipeline import Case, Prepared, Track, untracked
-from xplain.explanation.answer_errors import Error, error_rates
 from xplain.explanation.belief import BeliefUpdate
+from xplain.explanation.habits import PAPER
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import DiscountPer, Problem
 from xplain.randomness import derived_seed
@@ -101,19 +101,26 @@ def _cost(key: str, value: object) -> float:
     return cost
 
 
-def problem_of_types(prepared: Prepared, case: Case, costs: Costs, error: Error) -> Problem:
+def problem_of_types(
+    prepared: Prepared, case: Case, costs: Costs, belief_update: BeliefUpdate
+) -> Problem:
     """What the learned types say of a trace: the problem of a solver that must find the type of a
-    user who errs so often."""
+    user who listens and answers as the belief update assumes."""
     names, shares = prepared.learned_types, prepared.type_shares
     problem = costs.problem(case.learned, prepared.messages, names, shares)
-    return problem.with_errors(error_rates(error, prepared.errors))
+    return problem.with_habits(belief_update.habits(prepared.habits))
 
 
 def problem_for(
-    prepared: Prepared, case: Case, costs: Costs, solver: Solver, error: Error, user: int
+    prepared: Prepared,
+    case: Case,
+    costs: Costs,
+    solver: Solver,
+    belief_update: BeliefUpdate,
+    user: int,
 ) -> Problem:
     """What a solver may plan with when a user of the true type ``user`` is in front of it, who is
-    taken to err so often.
+    taken to listen and answer as the belief update assumes.
 
     Raises:
         InputError: the solver needs the observers' true types, and they are unknown.
@@ -121,7 +128,7 @@ def problem_for(
     name = prepared.types[user]
     alone = np.ones(1)
     if solver.knows == "types":
-        return problem_of_types(prepared, case, costs, error)
+        return problem_of_types(prepared, case, costs, belief_update)
     if solver.knows == "everyone":
         if case.everyone is None:
             raise InputError(
@@ -164,24 +171,28 @@ def evaluate(
         what: is done, in its words.
     """
     records = []
+    seen = explainee.habits if isinstance(explainee, Habitual) else PAPER
     for index, case in track(enumerate(prepared.cases), what, len(prepared.cases)):
         for name, solver in solvers.items():
             shared = solver.knows in ("types", "everyone")
+            # The clairvoyant sees what was taken in and lost, too.
+            habits = seen if solver.knows == "labels" else PAPER
             policy = problem = None
             for user in range(len(prepared.types)):
                 # A user's type changes the plan only of a solver that knows it.
                 if policy is None or problem is None or not shared:
-                    problem = problem_for(prepared, case, costs, solver, belief_update.error, user)
+                    problem = problem_for(prepared, case, costs, solver, belief_update, user)
+                    problem = problem.with_habits(habits)
                     planned = solver.plan(problem, trace_seed(seed, index))
                     if index == 0:  # kernels load at the first question: no decision's time
-                        planned.messages(0, 0, problem.prior)
+                        planned.messages(0, 0, problem.start)
                     policy = CachedPolicy(planned)
                 person = explainee.meet(
                     case.labels.of_types([user]),
                     copies(case.transitions),
                     derived_seed(seed, "explainee", index, user),
                 )
-                episode = explain(problem, policy, person, belief_update)
+                episode = explain(problem, policy, person, belief_update, solver.knows == "labels")
                 right = np.ones(problem.n_user_types, dtype=bool)
                 if solver.knows == "types":
                     right = prepared.matched_true_type == prepared.distinct[user]

@@ -26,7 +26,7 @@ from xplain.domains.base import (
     changes_of,
 )
 from xplain.errors import whole_number
-from xplain.explanation.answer_errors import UNKNOWN, ErrorRates
+from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.clustering import Clusterer
 from xplain.learning.known_types import Tables, find_types
@@ -115,7 +115,7 @@ class Prepared:
         rule: what decided the number of types.
         scene: the map, if there is one.
         cases: one a trace.
-        errors: how often people err, as far as the observers' answers tell.
+        habits: of people, as far as the observers' answers tell.
     """
 
     domain: str
@@ -131,7 +131,7 @@ class Prepared:
     rule: str
     scene: Scene | None
     cases: tuple[Case, ...]
-    errors: ErrorRates = UNKNOWN
+    habits: Habits | None = None
 
 
 def prepare(components: Components, track: Track[Any] = untracked) -> Prepared:

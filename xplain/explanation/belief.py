@@ -12,16 +12,21 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.explanation.answer_errors import Error, check_error
+from xplain.explanation import knowledge
+from xplain.explanation.habits import Assumed, Habits, check_assumed, habits_of
 from xplain.explanation.problem import Problem
+from xplain.message_sets import indices
 
 
 class BeliefUpdate(Protocol):
     """How labels change the belief."""
 
-    @property
-    def error(self) -> Error:
-        """How often users are taken to err."""
+    def habits(self, learned: Habits | None) -> Habits:
+        """How users are taken to listen and to answer.
+
+        Args:
+            learned: what observers' answers tell of it, if anything.
+        """
         ...
 
     def evidence(self, message_set: int, previous: int | None, count: int) -> slice:
@@ -36,18 +41,32 @@ class BeliefUpdate(Protocol):
 
 
 @dataclass(frozen=True)
-class Independent:
-    """The paper: at every step all labels of the prefix are drawn afresh, all are evidence.
+class Assuming:
+    """What a belief takes users to be like; the defaults are the paper's.
 
     Attributes:
-        error: how often users are taken to err; 0 in the paper.
+        error: how often an answer is the opposite of what it would have been.
+        accept: how often a message is taken in when it is said.
+        forget: how often a fact set right is lost, a step.
     """
 
-    error: Error = 0.0
+    error: Assumed = 0.0
+    accept: Assumed = 1.0
+    forget: Assumed = 0.0
 
     def __post_init__(self) -> None:
         """Raises InputError for a setting out of its range."""
-        check_error(self.error)
+        for key in ("error", "accept", "forget"):
+            check_assumed(key, getattr(self, key))
+
+    def habits(self, learned: Habits | None = None) -> Habits:
+        """As :class:`BeliefUpdate` has it."""
+        return habits_of(self.error, self.accept, self.forget, learned)
+
+
+@dataclass(frozen=True)
+class Independent(Assuming):
+    """The paper: at every step all labels of the prefix are drawn afresh, all are evidence."""
 
     def evidence(self, message_set: int, previous: int | None, count: int) -> slice:
         """All labels of an answer are evidence."""
@@ -55,20 +74,10 @@ class Independent:
 
 
 @dataclass(frozen=True)
-class Persistent:
+class Persistent(Assuming):
     """A label of (transition, message set) given before is no new evidence: people who learned
     nothing new repeat themselves. Messages only accumulate, so only the newest transition's
-    label is news unless the message set has changed.
-
-    Attributes:
-        error: how often users are taken to err. Asked again they err again.
-    """
-
-    error: Error = 0.0
-
-    def __post_init__(self) -> None:
-        """Raises InputError for a setting out of its range."""
-        check_error(self.error)
+    label is news unless something was said. Asked again, users err again."""
 
     def evidence(self, message_set: int, previous: int | None, count: int) -> slice:
         """Every label after a message, the newest otherwise."""
@@ -82,29 +91,46 @@ def update(
     labels: NDArray[np.uint8],
     evidence: slice = slice(None),
 ) -> NDArray[np.float64]:
-    """b'(t) ∝ b(t) · Π_i P(l_i | τ_i, H, t) over the answers that are evidence.
+    """b'(t) ∝ b(t) · Π_i P(l_i | τ_i, H, t) over the answers that are evidence; then facts that
+    users knew may be forgotten.
 
     Args:
         problem: of N hidden types.
-        belief: [N].
+        belief: [N], or [rows · N] where users may miss or forget messages.
         message_set: H, all messages given so far.
         labels: [k + 1] of 0 and 1, the user's labels of the prefix.
         evidence: which of them count.
 
     Returns:
-        [N]. Labels that no type with positive belief can give (only with probabilities of
+        As the belief. Labels that no type with positive belief can give (only with probabilities of
         exactly 0 or 1) tell nothing about the type: the belief stays as it was.
     """
-    p = problem.answer_probabilities(len(labels), message_set)[:, evidence]
+    if problem.tracks_knowledge:
+        p = problem.table.answered[: len(labels)].reshape(len(labels), -1).T[:, evidence]
+    else:
+        p = problem.answer_probabilities(len(labels), message_set)[:, evidence]
     likelihood = np.where(labels[evidence] == 1, p, 1 - p)
     with np.errstate(divide="ignore"):
         log_posterior = np.log(belief) + np.log(likelihood).sum(axis=1)
     top = log_posterior.max()
-    if top == -np.inf:
-        return belief.copy()
-    posterior = np.exp(log_posterior - top)
-    normalised: NDArray[np.float64] = posterior / posterior.sum()
-    return normalised
+    posterior = belief.copy() if top == -np.inf else np.exp(log_posterior - top)
+    normalised: NDArray[np.float64] = posterior if top == -np.inf else posterior / posterior.sum()
+    if not problem.tracks_knowledge:
+        return normalised
+    lose = np.tile(problem.habits.forget, problem.n_user_types)
+    known = normalised.reshape(-1, problem.n_types)
+    return knowledge.forget(known, problem.table.relevant, lose).ravel()
+
+
+def told(problem: Problem, belief: NDArray[np.float64], new: int) -> NDArray[np.float64]:
+    """The belief after these messages were said: the same, unless users may miss some."""
+    if not problem.tracks_knowledge:
+        return belief
+    accept = np.tile(problem.habits.accept, problem.n_user_types)
+    known = belief.reshape(-1, problem.n_types)
+    for message in indices(new):
+        known = knowledge.say(known, problem.table.relevant, message, accept)
+    return known.ravel()
 
 
 def rounded(belief: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
 """P(label is 1 | transition, type, message set): all that a solver knows of the users.
 
 A label is what a user thinks; it is what costs are made of. What the user answers may differ, by
-slips, guesses and errors (:mod:`xplain.explanation.answer_errors`); it is what beliefs are made of.
+slips, guesses and errors (:mod:`xplain.explanation.habits`); it is what beliefs are made of.
 Where the two differ a table holds both.
 
 To a user only those messages matter that change this user's labels on the trace: about facts held

@@ -2,16 +2,16 @@
 
 States ⟨k, L, E_given, E_next, t⟩ with three corrections (docs/choices.md, slips): messages already
 given or pending are no actions, label probabilities use E_given ∪ E_next and depend on τ_i, and the
-label that costs is 0. Where users err, L are their answers and t is a hidden type. Nothing here
-knows of the reduction to (k, H, belief); optimal values come from the definition, by trying every
-action and every observation.
+label that costs is 0. Where users fail, L are their answers, t is a hidden type, and the facts that
+they have right now belong to the state. Nothing here knows of the reduction to (k, H, belief);
+optimal values come from the definition, by trying every action and every observation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
+from itertools import compress, product
 from typing import NamedTuple
 
 import numpy as np
@@ -23,13 +23,14 @@ EXPLAIN = -1
 
 
 class State(NamedTuple):
-    """⟨k, L, E_given, E_next, t⟩."""
+    """⟨k, L, E_given, E_next, t⟩, and K where messages may be missed or forgotten."""
 
     step: int
     labels: tuple[int, ...]
     given: frozenset[int]
     pending: frozenset[int]
     user_type: int
+    known: frozenset[int] = frozenset()
 
 
 Observation = tuple[int, ...] | None
@@ -51,10 +52,11 @@ class LiteralPOMDP:
         }
 
     def actions(self, state: State) -> list[int]:
-        """*Explain*, and the messages neither given nor pending; none at the end of the trace."""
+        """*Explain*, and the messages neither given nor pending (where they may be missed or
+        forgotten, all that are not pending); none at the end of the trace."""
         if state.step == self.problem.n_steps:
             return []
-        used = state.given | state.pending
+        used = state.pending if self.problem.tracks_knowledge else state.given | state.pending
         return [EXPLAIN, *(j for j in range(self.problem.n_messages) if j not in used)]
 
     def outcomes(
@@ -64,10 +66,14 @@ class LiteralPOMDP:
         problem = self.problem
         if action != EXPLAIN:
             reward = -problem.trade_off * float(problem.message_cost[action])
-            yield 1.0, state._replace(pending=state.pending | {action}), None, reward
+            said = state._replace(pending=state.pending | {action})
+            accept = problem.habits.accept[state.user_type % len(problem.habits)]
+            yield float(accept), said._replace(known=state.known | {action}), None, reward
+            if accept < 1:
+                yield float(1 - accept), said, None, reward
             return
         given = state.given | state.pending
-        mask = sum(1 << j for j in given)
+        mask = sum(1 << j for j in (state.known if problem.tracks_knowledge else given))
         count = state.step + 1
         every = problem.answer_probabilities(count, mask)[state.user_type].tolist()
         thought = problem.label_probabilities(count, mask)[state.user_type]
@@ -80,7 +86,20 @@ class LiteralPOMDP:
                 # Where users err, what they think costs, on average; not what they answer.
                 errs = problem.table.answers.size
                 zeros = float((1 - thought).sum()) if errs else labels.count(0)
-                yield probability, after, labels, -problem.inexplicability_cost * zeros
+                reward = -problem.inexplicability_cost * zeros
+                for kept, known in self._not_forgotten(state):
+                    yield probability * kept, after._replace(known=known), labels, reward
+
+    def _not_forgotten(self, state: State) -> Iterator[tuple[float, frozenset[int]]]:
+        """What may be left of K after a step, and how likely it is."""
+        forget = float(self.problem.habits.forget[state.user_type % len(self.problem.habits)])
+        if not forget:
+            yield 1.0, state.known
+            return
+        facts = sorted(state.known)
+        for kept in product((False, True), repeat=len(facts)):
+            probability = (1 - forget) ** kept.count(True) * forget ** kept.count(False)
+            yield probability, frozenset(compress(facts, kept))
 
     def discount(self, action: int) -> float:
         """γ_E, or 1 for a message where only steps discount."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, number
-from xplain.explanation.answer_errors import NO_ERRORS, ErrorRates
+from xplain.explanation.habits import PAPER, Habits
 from xplain.explanation.label_table import MAX_MESSAGES, LabelTable
 
 DiscountPer = Literal["action", "step"]
@@ -27,9 +27,10 @@ DiscountPer = Literal["action", "step"]
 class Problem:
     """One trace of m transitions, n messages, N hidden types.
 
-    A hidden type is a user type or, where users err, a user type with an error rate
-    (:meth:`with_errors`): then M user types with E rates are N = M E hidden types, and beliefs are
-    over these.
+    A hidden type is a user type or, where habits differ or users fail, a user type with a habit
+    (:meth:`with_habits`): then M user types with F habits are N = M F hidden types. Beliefs are
+    over the hidden types, [N]; where messages may be missed or forgotten, over what each knows as
+    well, [rows · N], a row being a set of facts relevant to the type.
 
     Attributes:
         table: P(label of transition i is 1 | type t, message set H); given as an array
@@ -42,8 +43,8 @@ class Problem:
         discount_per: "action" (the paper: each message and each *explain* discounts) or "step"
             (only *explain* does).
         message_names, type_names: for people; n and M names.
-        errors: the E rates, side by side within a user type. The table's answers have them
-            already.
+        habits: the F habits, side by side within a user type. The table's answers have their
+            errors already.
     """
 
     table: LabelTable
@@ -55,7 +56,7 @@ class Problem:
     discount_per: DiscountPer = "action"
     message_names: tuple[str, ...] = ()
     type_names: tuple[str, ...] = ()
-    errors: ErrorRates = NO_ERRORS
+    habits: Habits = PAPER
 
     def __post_init__(self) -> None:
         """Checks every field: one clear line each."""
@@ -87,10 +88,10 @@ class Problem:
         # made of another: decisions and replays must not hang on it.
         if abs(prior.sum() - 1) > 1e-12:
             prior = prior / prior.sum()
-        known, left = divmod(types, len(self.errors.rates))
+        known, left = divmod(types, len(self.habits))
         if left:
             wanted = f"a divisor of {types}, the columns of the table"
-            raise InputError("error rates", len(self.errors.rates), wanted)
+            raise InputError("habits", len(self.habits), wanted)
         checked: dict[str, Any] = {
             "table": table,
             "message_cost": cost,
@@ -174,22 +175,48 @@ class Problem:
 
     def type_belief(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
         """[M] over user types, of a belief [N] over hidden types."""
+        if self.tracks_knowledge:
+            belief = belief.reshape(-1, self.n_types).sum(axis=0)
         if self.n_user_types == self.n_types:
             return belief
         user_types: NDArray[np.float64] = belief.reshape(self.n_user_types, -1).sum(axis=1)
         return user_types
 
-    def with_errors(self, errors: ErrorRates) -> Problem:
-        """The problem where users err at one of these rates, independent of their types."""
-        if errors.none:
+    @property
+    def tracks_knowledge(self) -> bool:
+        """Whether beliefs are over what users know as well: a message said is no fact known."""
+        return not self.habits.take_all_in
+
+    @property
+    def start(self) -> NDArray[np.float64]:
+        """The belief before the first step: the prior, and nobody knows anything."""
+        if not self.tracks_knowledge:
+            return self.prior.copy()
+        belief = np.zeros((self.table.p.shape[1], self.n_types))
+        belief[0] = self.prior
+        return belief.ravel()
+
+    def sure(self, hidden_type: int, known: int) -> NDArray[np.float64]:
+        """The belief of who sees a user's hidden type and, as a bitmask, the facts they have."""
+        belief = np.zeros((self.table.p.shape[1], self.n_types))
+        belief[self.table.subset(known)[hidden_type], hidden_type] = 1
+        return belief.ravel() if self.tracks_knowledge else belief.sum(axis=0)
+
+    def with_habits(self, habits: Habits) -> Problem:
+        """The problem where users have one of these habits, independent of their types.
+
+        Raises:
+            TooLargeError: what users may know takes too many rows.
+        """
+        if habits.never_err and habits.take_all_in:
             return self
-        table = self.table.repeated(len(errors.rates))
-        return replace(
-            self,
-            table=replace(table, answers=errors.answered(self.table.answered)),
-            prior=np.outer(self.prior, errors.prior).ravel(),
-            errors=errors,
-        )
+        table = self.table.repeated(len(habits))
+        if not habits.never_err:
+            table = replace(table, answers=habits.answered(self.table.answered))
+        if not habits.take_all_in:
+            table = table.over(table.effective())  # of other facts it does not matter who knows
+        prior = np.outer(self.prior, habits.prior).ravel()
+        return replace(self, table=table, prior=prior, habits=habits)
 
     def dense(self) -> Problem:
         """The same problem with one dense table.
@@ -205,11 +232,11 @@ class Problem:
         """The same trace and costs with other user types, equally likely a priori."""
         count = len(type_names)
         prior = np.full(count, 1 / count)
-        return replace(self, table=table, type_names=type_names, prior=prior, errors=NO_ERRORS)
+        return replace(self, table=table, type_names=type_names, prior=prior, habits=PAPER)
 
     def only_types(self, types: Sequence[int]) -> Problem:
         """The same trace and costs with some of the hidden types, equally likely a priori."""
-        names = tuple(self.type_names[t // len(self.errors.rates)] for t in types)
+        names = tuple(self.type_names[t // len(self.habits)] for t in types)
         return self.with_types(self.table.of_types(types), names)
 
     def mixture(self, weights: NDArray[np.float64], name: str = "everyone") -> Problem:
@@ -249,15 +276,18 @@ class Problem:
     def save(self, path: str | Path) -> None:
         """Writes an ``.npz`` file that :meth:`load` reads; arrays of numbers and text only. The
         table is ``p_explicable`` [N, m, 2^n] where messages are few, else ``relevant`` [N, r] and
-        ``p_relevant`` [N, m, 2^r]. Where users err there are ``p_answered``, of the same shape,
-        ``error_rates`` and ``error_prior``."""
+        ``p_relevant`` [N, m, 2^r]. Where users fail there are ``p_answered``, of the same shape,
+        and ``habits`` [4, F], the fields of :class:`~xplain.explanation.habits.Habits`."""
         table = self.table.compact(self.n_messages)
         p = table.p.transpose(2, 0, 1)
         dense = table.is_dense(self.n_messages)
         tables = {"p_explicable": p} if dense else {"relevant": table.relevant, "p_relevant": p}
         if table.answers.size:
             tables["p_answered"] = table.answers.transpose(2, 0, 1)
-            tables |= {"error_rates": self.errors.rates, "error_prior": self.errors.prior}
+        habits = self.habits
+        if not (habits.never_err and habits.take_all_in):
+            fields = (habits.error, habits.accept, habits.forget, habits.prior)
+            tables["habits"] = np.stack(fields)
         np.savez_compressed(
             path,
             **tables,
@@ -289,8 +319,7 @@ class Problem:
             reason = getattr(error, "strerror", None) or "it must hold named arrays of numbers"
             raise InputError("problem", str(path), f"not a readable .npz file ({reason})") from None
         by_type, dense = {"relevant", "p_relevant"}, {"p_explicable"}
-        erring = {"p_answered", "error_rates", "error_prior"}
-        fields = set(cls.__dataclass_fields__) - {"table", "errors"} | by_type | dense | erring
+        fields = set(cls.__dataclass_fields__) - {"table"} | by_type | dense | {"p_answered"}
         tables = by_type if arrays.keys() & by_type else dense
         missing = ({"message_cost"} | tables) - arrays.keys()
         if missing:
@@ -310,14 +339,15 @@ class Problem:
         own = [values.pop(key) for key in ("relevant", "p_relevant") if key in values]
         if own and "p_explicable" in values:
             raise InputError("problem", "p_explicable", "not beside relevant and p_relevant")
-        errors = [values.pop(key) for key in ("error_rates", "error_prior") if key in values]
+        if "habits" in values:
+            values["habits"] = Habits(*_numbers("habits", values["habits"]))
         answers = values.pop("p_answered", None)
         table: Any = None if own else values.pop("p_explicable")
         if own:
             table = LabelTable.by_type(own[0], own[1], answers)
         elif answers is not None:
             table = LabelTable.dense(table, answers)
-        return cls(table, errors=ErrorRates(*errors), **values)
+        return cls(table, **values)
 
 
 def _numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:

@@ -19,6 +19,7 @@ TITLES = {
     "clairvoyant_cost": "clairvoyant's cost",
     "regret_to_clairvoyant": "cost − clairvoyant's",
     "messages": "messages given",
+    "messages_again": "… again",
     "inexplicable_labels": "inexplicable labels",
     "steps_until_sure": "steps until belief > 0.9",
     "final_belief": "final belief in true type",
@@ -34,6 +35,8 @@ def print_summary(results: Results) -> None:
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 100)
     console.print(_headline(results))
     published = table1().get((results.choices["domain"], results.trade_off), {})
+    if _users(results) != "exact":  # the paper's users are
+        published = {}
     table = Table(box=None, pad_edge=False)
     table.add_column("measure")
     table.add_column("mean", justify="right")
@@ -63,13 +66,19 @@ def print_certificates(bounds: Mapping[str, float]) -> None:
         console.print(line)
 
 
+def _users(results: Results) -> str:
+    """The simulated users; runs before there was a choice had the paper's."""
+    return results.choices.get("explainee", "exact")
+
+
 def _headline(results: Results) -> str:
     learning = results.learning
     lines = [
         f"{results.domain} · {results.solver} · λ = {results.trade_off:g} · "
         f"{_count(results.config['traces'], 'trace')} × "
         f"{_count(len(results.types.true), 'type')} · "
-        f"seed {results.seed}",
+        + (f"explainee={_users(results)} · " if _users(results) != "exact" else "")
+        + f"seed {results.seed}",
         f"user types found: {learning['types_found']:.0f}"
         + (f" of {learning['true_types']:.0f}" if "true_types" in learning else "")
         + (

@@ -187,7 +187,7 @@ def run_experiment(
     results = results_of(prepared, records, {}, provenance)
     if tell is not None:
         tell(results)
-    bounds = certify.certificates(prepared, costs, solver, belief.error, cfg.seed, progress)
+    bounds = certify.certificates(prepared, costs, solver, belief, cfg.seed, progress)
     clock.lap("bounds")
     return replace(results, bounds=bounds, seconds=dict(clock.laps)), prepared
 

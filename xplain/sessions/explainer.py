@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, whole_number
-from xplain.explanation.answer_errors import ErrorRates
+from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.sessions.planner import Planner
 from xplain.sessions.session import FORMAT, Session
@@ -33,14 +33,14 @@ class GivenTypes:
         messages: n names.
         names: N names.
         prior: [N]; empty for all alike.
-        errors: how often they err, where that was learned.
+        habits: how they listen and answer, where that was learned.
     """
 
     table: ArrayLike | LabelTable | Callable[[Sequence[Any]], ArrayLike | LabelTable]
     messages: tuple[str, ...]
     names: tuple[str, ...]
     prior: ArrayLike = ()
-    errors: ErrorRates | None = None
+    habits: Habits | None = None
 
     def __post_init__(self) -> None:
         """Raises InputError for a table of other widths, or one of zeros."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.explanation.belief import BeliefUpdate, update
+from xplain.explanation.belief import BeliefUpdate, told, update
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
 
@@ -24,7 +24,7 @@ class Interaction:
         policy: planned for that problem. Both may be replaced between steps, by those of a trace
             that begins with the same transitions.
         belief_update: which labels change the belief.
-        belief: [N], at first the prior.
+        belief: over what is hidden, at first the prior.
         step: k, transitions shown so far.
         given: bitmask of the messages given so far.
     """
@@ -33,39 +33,49 @@ class Interaction:
     policy: Policy
     belief_update: BeliefUpdate
     belief: NDArray[np.float64] = field(init=False)
-    step: int = field(default=0, init=False)
-    given: int = field(default=0, init=False)
-    _answered: int | None = field(default=None, init=False)
+    step: int = field(init=False)
+    given: int = field(init=False)
+    _answered: int | None = field(init=False)
 
     def __post_init__(self) -> None:
-        self.belief = self.problem.prior.copy()
+        self.begin()
+
+    def begin(self) -> None:
+        """Nothing was said or shown yet."""
+        self.belief, self.step, self.given, self._answered = self.problem.start, 0, 0, None
 
     def say(self) -> int:
         """Decides which messages come before the next *explain*: a bitmask, given from now on.
 
         Raises:
-            ValueError: the policy gives a message again, or one that does not exist.
+            ValueError: as :meth:`give`.
         """
         new = self.policy.messages(self.step, self.given, self.belief)
         self.give(new)
         return new
 
     def give(self, new: int) -> None:
-        """These messages are said.
+        """These messages are said; again, where users may have missed or forgotten them.
 
         Raises:
-            ValueError: one was given before, or does not exist.
+            ValueError: one does not exist, or was given before and is known since.
         """
-        if new & self.given or new >> self.problem.n_messages:
+        problem = self.problem
+        again = 0 if problem.tracks_knowledge else new & self.given
+        if again or new >> problem.n_messages:
             raise ValueError(
                 f"policy gave message set {new:b} at step {self.step}, {self.given:b} already given"
             )
         self.given |= new
+        self.belief = told(problem, self.belief, new)
+        if new:
+            self._answered = None  # who heard something new is asked something new
 
     def hear(self, labels: NDArray[np.uint8]) -> None:
         """*Explain* showed the first ``step + 1`` transitions; these are the user's labels."""
         count = self.step + 1
         evidence = self.belief_update.evidence(self.given, self._answered, count)
         self.belief = update(self.problem, self.belief, self.given, labels, evidence)
-        self._answered = self.given
+        # Who may have forgotten something is asked something new, too.
+        self._answered = None if self.problem.habits.forget.any() else self.given
         self.step = count

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, number, whole_number
-from xplain.explanation.answer_errors import ErrorRates, error_rates
 from xplain.explanation.belief import BeliefUpdate, Independent
+from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import MAX_MESSAGES, LabelTable
 from xplain.explanation.problem import DiscountPer, Problem
 from xplain.solvers.base import Policy, Solver
@@ -50,11 +50,11 @@ class Types(Protocol):
 
 
 @runtime_checkable
-class KnowsErrors(Protocol):
-    """Types that were learned from answers, and with them how often people err."""
+class KnowsHabits(Protocol):
+    """Types that were learned from answers, and with them people's habits."""
 
     @property
-    def errors(self) -> ErrorRates | None:
+    def habits(self) -> Habits | None:
         """None where nothing was learned of it."""
         ...
 
@@ -92,7 +92,7 @@ class Planner:
             names = getattr(self.types, key, "")
             if isinstance(names, str) or len(set(names)) < len(names):
                 raise InputError(f"types.{key}", names, "names, each once")
-        wanted = {"solver": ("plan", "QMDP()"), "belief_update": ("evidence", "Independent()")}
+        wanted = {"solver": ("plan", "QMDP()"), "belief_update": ("habits", "Independent()")}
         for key, (method, example) in wanted.items():
             given = getattr(self, key)
             if isinstance(given, type) or not hasattr(given, method):
@@ -115,7 +115,7 @@ class Planner:
 
     def problem(self, table: LabelTable) -> Problem:
         """What the solver plans for, given the table of a trace."""
-        errors = self.types.errors if isinstance(self.types, KnowsErrors) else None
+        habits = self.types.habits if isinstance(self.types, KnowsHabits) else None
         problem = Problem(
             table,
             message_cost=np.asarray(self.message_cost),
@@ -127,7 +127,7 @@ class Planner:
             message_names=tuple(self.types.messages),
             type_names=tuple(self.types.names),
         )
-        return problem.with_errors(error_rates(self.belief_update.error, errors))
+        return problem.with_habits(self.belief_update.habits(habits))
 
     def plan(self, problem: Problem) -> Policy:
         """A policy for the problem, planned when it is first asked."""

@@ -88,6 +88,13 @@ class Session:
         return self._names(self._talk.given)
 
     @property
+    def again(self) -> tuple[str, ...]:
+        """Names of the messages of this step that had been said before, as users may miss or
+        forget some."""
+        *earlier, now = self._said or [0]
+        return self._names(now & int(np.bitwise_or.reduce(np.array([0, *earlier]))))
+
+    @property
     def belief(self) -> dict[str, float]:
         """``{type: probability}``, given all labels so far; they sum to 1."""
         return self._by_name(self._talk.belief)
@@ -96,7 +103,7 @@ class Session:
     def cost(self) -> float:
         """Definition 2 of the paper for what happened so far, undiscounted."""
         problem = self._talk.problem
-        said = sum(float(problem.message_cost[j]) for j in indices(self._talk.given))
+        said = sum(float(problem.message_cost[j]) for new in self._said for j in indices(new))
         zeros = sum(int((labels == 0).sum()) for labels in self._answers)
         return problem.trade_off * said + problem.inexplicability_cost * zeros
 
@@ -119,6 +126,12 @@ class Session:
         ahead = self._planner.unknown(max(self._expected_steps - known, 0))
         problem = self._planner.problem(joined([table, ahead]))
         self._talk.problem, self._talk.policy = problem, self._planner.plan(problem)
+        if problem.tracks_knowledge:  # more facts may matter now, and a belief is over these
+            self._talk.begin()
+            for k, said in enumerate(self._said):
+                self._talk.give(said)
+                if k < len(self._answers):
+                    self._talk.hear(self._answers[k])
         self._table = table
         self._trace += new
 
@@ -140,12 +153,13 @@ class Session:
         """Says these messages at this step, whatever the plan.
 
         Raises:
-            InputError: :meth:`messages` was called already, or a message is unknown or was given.
+            InputError: :meth:`messages` was called already, or a message is unknown, or was given
+                and cannot have been missed.
         """
         if len(self._said) > len(self._answers) or self.finished:
             raise InputError("session", tuple(names), "told once a step, before messages()")
         new = mask_of(names, self._talk.problem.message_names, "session")
-        if new & self._talk.given:
+        if new & self._talk.given and not self._talk.problem.tracks_knowledge:
             raise InputError("session", tuple(names), f"not given before, as {self.said} were")
         self._decide()
         self._talk.give(new)

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.errors import InputError
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, lean_kernel, tell_when_compiling
 from xplain.solvers.rows import Rows, delaying, make_rows, row, rows_at
@@ -74,8 +75,13 @@ def model_of(problem: Problem) -> Model:
     """The reduced POMDP of a problem.
 
     Raises:
+        InputError: users may miss or forget messages, so that a message said is no fact known.
         TooLargeError: too many rows.
     """
+    if problem.tracks_knowledge:
+        raise InputError(
+            "belief.accept, belief.forget", "set", "solver=qmdp, or 1 and 0 with other solvers"
+        )
     table, price = problem.table, problem.trade_off * problem.message_cost
     model = Model(
         table.p,

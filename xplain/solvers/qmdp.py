@@ -25,6 +25,7 @@ from xplain.solvers.model import (
     optimal_values,
     table_bytes,
 )
+from xplain.solvers.reminding import reminding_policy
 from xplain.solvers.restriction import Restricted, messages_worth_giving
 from xplain.solvers.rows import rows_at
 
@@ -105,6 +106,8 @@ def greedy_policy(problem: Problem, what: str, memory_gib: float, instead: str) 
     Raises:
         TooLargeError: its tables would take more than ``memory_gib``.
     """
+    if problem.tracks_knowledge:
+        return reminding_policy(problem, what, memory_gib)
     kept = messages_worth_giving(problem)
     small = problem.with_messages(kept)
     if len(kept) <= small.table.relevant.shape[1]:

@@ -35,7 +35,7 @@ class ExplaineeConformance(Conformance):
         """They belong to the caller."""
         labels = _labels(0)
         before = labels.p.copy()
-        component.meet(labels, np.arange(STEPS), 0).react(1, 1, 1)
+        component.meet(labels, np.arange(STEPS), 0).react(1, 1)
         assert np.array_equal(before, labels.p), "the labels were changed"
 
 
@@ -47,7 +47,11 @@ def _labels(seed: int) -> LabelTable:
 def _told(component: Any, seed: int, said: list[int]) -> list[Reaction]:
     person = component.meet(_labels(seed), np.arange(STEPS), seed)
     given: NDArray[np.int64] = np.bitwise_or.accumulate(np.array(said))
-    return [person.react(int(given[k]), new, k + 1) for k, new in enumerate(said)]
+    reactions = []
+    for k, new in enumerate(said):
+        person.hear(new)
+        reactions.append(person.react(int(given[k]), k + 1))
+    return reactions
 
 
 def _same(one: list[Reaction], other: list[Reaction]) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from xplain.explanation.answer_errors import ErrorRates
+from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 
@@ -55,4 +55,5 @@ def random_problem(
     answers = p * (1 - slips) + (1 - p) * guesses
     rates = np.array([rng.choice([0.0, 0.1]), 0.3])
     erring = replace(problem, table=LabelTable.dense(p, answers))
-    return erring.with_errors(ErrorRates(rates, rng.dirichlet(np.ones(2))))
+    habits = Habits(rates, np.ones(2), np.zeros(2), rng.dirichlet(np.ones(2)))
+    return erring.with_habits(habits)

@@ -35,6 +35,9 @@ class _Silent:
     user: SimulatedUser
     about: NDArray[np.bool_]
 
-    def react(self, given: int, new: int, count: int) -> Reaction:
+    def hear(self, new: int) -> None:
+        """Believes it; ``given`` says what was said."""
+
+    def react(self, given: int, count: int) -> Reaction:
         thoughts = self.user.labels(count, given)
         return Reaction(thoughts, thoughts | self.about[:count].astype(np.uint8))

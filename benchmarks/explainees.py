@@ -1,0 +1,199 @@
+"""Explaining to people who err, miss messages or forget them (docs/people-who-err.md).
+
+    python benchmarks/explainees.py errors     answers that are the opposite of what is thought
+    python benchmarks/explainees.py messages   messages that are not taken in, or forgotten
+    python benchmarks/explainees.py --quick    a smoke run
+
+True types and labels, no discount, λ = 1, both of the paper's domains; costs by what users truly
+think. Every row meets the same people, and differences are paired by seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.config import composed
+from xplain.evaluation.explainees import Exact, Explainee, Heedless, Person, Slips
+from xplain.evaluation.metrics import Record
+from xplain.evaluation.statistics import clustered_mean
+from xplain.experiment.explanations import Costs, evaluate
+from xplain.experiment.from_config import components_of, costs_of
+from xplain.experiment.pipeline import Prepared, prepare
+from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
+from xplain.explanation.habits import PAPER, Habits, habits_of
+from xplain.explanation.label_table import LabelTable
+from xplain.solvers.base import Solver
+from xplain.solvers.known_type import KnownType
+from xplain.solvers.qmdp import QMDP
+
+DOMAINS = ("rescue", "four_rooms")
+SEEDS = range(9300, 9312)
+FLOOR = 0.002
+"""The least probability of an answer, where an explainer knows nothing of errors but that they
+are."""
+TABLE = ((1.0, 0.0), (0.9, 0.0), (0.8, 0.0), (1.0, 0.05), (1.0, 0.1), (0.8, 0.1))
+"""α and φ."""
+
+
+@dataclass(frozen=True)
+class Halves:
+    """Half of the people never err, half at a rate."""
+
+    rate: float
+    repeats: bool
+
+    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
+        """Every other seed's person errs."""
+        who: Explainee = Slips(self.rate, self.repeats) if seed % 2 else Exact()
+        return who.meet(labels, same, seed)
+
+
+class World(NamedTuple):
+    """The types, traces and costs of one seed."""
+
+    prepared: Prepared
+    costs: Costs
+    seed: int
+
+    def meets(self, explainee: Explainee, belief: BeliefUpdate, solver: Solver) -> list[Record]:
+        """Episodes of one explainer with these people."""
+        own = {"solver": solver}
+        return evaluate(self.prepared, self.costs, own, belief, explainee, self.seed)
+
+
+def worlds(domain: str, seeds: Iterable[int], traces: int) -> Iterator[World]:
+    """True types and labels, by seed."""
+    fixed = ("labeler=true", "clusterer=perfect", "discount=1", f"traces={traces}")
+    for seed in seeds:
+        cfg = composed("config", [f"domain={domain}", *fixed, f"seed={seed}"])
+        yield World(prepare(components_of(cfg)), costs_of(cfg), seed)
+
+
+def floored(world: World) -> World:
+    """The same, its labels never quite sure."""
+    cases = tuple(
+        replace(case, learned=replace(case.learned, p=case.learned.p.clip(FLOOR, 1 - FLOOR)))
+        for case in world.prepared.cases
+    )
+    return world._replace(prepared=replace(world.prepared, cases=cases))
+
+
+def cost(records: list[Record]) -> float:
+    """Mean cost of an episode."""
+    return float(np.mean([record.episode.cost for record in records]))
+
+
+def log_score(records: list[Record]) -> float:
+    """Mean log of the final belief in the true type."""
+    return float(np.mean([np.log(max(r.right_belief[-1], 1e-12)) for r in records]))
+
+
+def figure(values: list[float]) -> str:
+    """A mean over seeds, with half of its 95 % interval."""
+    found = clustered_mean(values, range(len(values)))
+    return f"{found.mean:.2f} ± {(found.high - found.low) / 2:.2f}"
+
+
+def ratio(over: list[float], under: list[float]) -> str:
+    """Of two means, with the upper end of its 95 % interval over resampled seeds."""
+    rng, pairs = np.random.default_rng(0), np.array([over, under])
+    drawn = pairs[:, rng.integers(pairs.shape[1], size=(2000, pairs.shape[1]))].mean(axis=2)
+    top = np.quantile(drawn[0] / drawn[1], 0.975)
+    return f"{pairs[0].mean() / pairs[1].mean():.3f} (≤ {top:.3f})"
+
+
+def errors(seeds: Iterable[int], traces: int) -> None:
+    """The table of answers that err."""
+    people: dict[str, tuple[Explainee, Habits]] = {"never": (Exact(), PAPER)}
+    for repeats in (False, True):
+        how = "the same again" if repeats else "afresh"
+        for rate in (0.1, 0.3):
+            people[f"{rate:.0%}, {how}"] = Slips(rate, repeats), habits_of(rate, 1.0, 0.0)
+        both = Habits(np.array([0.0, 0.3]), np.ones(2), np.zeros(2), np.full(2, 0.5))
+        people[f"half of them 30%, {how}"] = Halves(0.3, repeats), both
+    kinds: tuple[Callable[..., BeliefUpdate], ...] = (Independent, Persistent)
+    print(
+        "| users err | evidence | as the paper | floor | told | learned | learned / told |", end=""
+    )
+    print(" log score: floor | told | learned |\n|---|---|---|---|---|---|---|---|---|---|")
+    for domain in DOMAINS:
+        print(f"| **{domain.replace('_', ' ')}** |" + " |" * 9)
+        found: dict[tuple[str, str, str], list[tuple[float, float]]] = defaultdict(list)
+        for world in worlds(domain, seeds, traces):
+            for name, (explainee, habits) in people.items():
+                knowing = world._replace(prepared=replace(world.prepared, habits=habits))
+                for update in kinds:
+                    ways = {
+                        "paper": (world, update()),
+                        "floor": (floored(world), update()),
+                        "told": (knowing, update("learned")),
+                        "learned": (world, update("learned")),
+                    }
+                    for way, (what, belief) in ways.items():
+                        records = what.meets(explainee, belief, QMDP())
+                        key = name, update.__name__.lower(), way
+                        found[key].append((cost(records), log_score(records)))
+        for name in people:
+            for update in kinds:
+                kind = update.__name__.lower()
+                ways_ = ("paper", "floor", "told", "learned")
+                own = {way: list(zip(*found[name, kind, way], strict=True)) for way in ways_}
+                costs = [figure(list(own[way][0])) for way in ways_]
+                score = [f"{np.mean(own[way][1]):.2f}" for way in ways_[1:]]
+                against = ratio(list(own["learned"][0]), list(own["told"][0]))
+                print(f"| {name} | {kind} | {' | '.join([*costs, against, *score])} |", flush=True)
+
+
+def messages(seeds: Iterable[int], traces: int) -> None:
+    """The table of messages that do not land."""
+    print(
+        "| α, φ | as the paper | told | learned | type and knowledge seen | told / paper |", end=""
+    )
+    print(" learned / told | said again |\n|---|---|---|---|---|---|---|---|")
+    for domain in DOMAINS:
+        print(f"| **{domain.replace('_', ' ')}** |" + " |" * 7)
+        found: dict[tuple[float, float, str], list[float]] = defaultdict(list)
+        for world in worlds(domain, seeds, traces):
+            for accept, forget in TABLE:
+                ways: dict[str, tuple[BeliefUpdate, Solver]] = {
+                    "paper": (Independent(), QMDP()),
+                    "told": (Independent(0.0, accept, forget), QMDP()),
+                    "learned": (Independent(0.0, "learned", "learned"), QMDP()),
+                    "seen": (Independent(), KnownType("labels")),
+                }
+                for way, (belief, solver) in ways.items():
+                    records = world.meets(Heedless(accept, forget), belief, solver)
+                    found[accept, forget, way].append(cost(records))
+                    if way == "told":
+                        again = float(np.mean([r.episode.n_again for r in records]))
+                        found[accept, forget, "again"].append(again)
+        names = ("paper", "told", "learned", "seen")
+        for accept, forget in TABLE:
+            own = {way: found[accept, forget, way] for way in (*names, "again")}
+            cells = [figure(own[way]) for way in names]
+            cells += [ratio(own["told"], own["paper"]), ratio(own["learned"], own["told"])]
+            cells.append(f"{np.mean(own['again']):.2f}")
+            print(f"| {accept:g}, {forget:g} | {' | '.join(cells)} |", flush=True)
+
+
+def main() -> None:
+    """Prints the table asked for, as Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", nargs="?", choices=("errors", "messages"))
+    parser.add_argument("--quick", action="store_true", help="only that it runs")
+    options = parser.parse_args()
+    seeds, traces = (SEEDS[:2], 1) if options.quick else (SEEDS, 8)
+    for name, table in (("errors", errors), ("messages", messages)):
+        if options.quick or options.what == name:
+            table(seeds, traces)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,209 @@
+"""What users know, against every way in which they may miss and forget messages."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xplain.explanation import knowledge
+from xplain.explanation.belief import Independent, told, update
+from xplain.explanation.habits import Habits, habits_of
+from xplain.explanation.label_table import LabelTable
+from xplain.explanation.literal_pomdp import EXPLAIN, LiteralPOMDP, State, literal_optimal_value
+from xplain.explanation.problem import Problem
+from xplain.solvers.qmdp import QMDP
+from xplain.solvers.reminding import Reminding
+from xplain.testing.problems import random_problem
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def habits(rng: np.random.Generator, count: int = 2) -> Habits:
+    """Habits of which at least one misses or forgets."""
+    accept = rng.choice([1.0, 0.8, 0.3], count)
+    forget = rng.choice([0.0, 0.1, 0.6], count)
+    forget[0] = forget[0] or 0.2
+    return Habits(rng.choice([0.0, 0.2], count), accept, forget, rng.dirichlet(np.ones(count)))
+
+
+def problem_of(seed: int, types: int = 2, steps: int = 2, messages: int = 2) -> Problem:
+    """A random problem in which messages may be missed or forgotten."""
+    rng = np.random.default_rng(seed)
+    while True:
+        problem = random_problem(rng, types, steps, messages)
+        if len(problem.habits) == 1:
+            return problem.with_habits(habits(rng, int(rng.integers(1, 3))))
+
+
+def tables(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.random.Generator]:
+    """A belief [rows, N], what is relevant, and a rate a type."""
+    rng = np.random.default_rng(seed)
+    relevant = np.array([sorted(rng.choice(5, 3, replace=False)) for _ in range(4)])
+    relevant[0, 2] = -1  # a pad
+    belief = rng.dirichlet(np.ones(32)).reshape(8, 4)
+    return belief, relevant, rng.random(4), rng
+
+
+@given(seeds)
+def test_saying_and_forgetting_only_move_probability_within_a_type(seed: int) -> None:
+    belief, relevant, rate, rng = tables(seed)
+    before = belief.copy()
+    said = knowledge.say(belief, relevant, int(rng.integers(5)), rate)
+    lost = knowledge.forget(belief, relevant, rate)
+    for after in (said, lost):
+        assert (after >= 0).all()
+        assert after.sum(axis=0) == pytest.approx(belief.sum(axis=0))
+    assert np.array_equal(belief, before)
+
+
+@given(seeds)
+def test_what_is_expected_after_forgetting_is_the_value_of_what_is_left(seed: int) -> None:
+    """b · E[v(K') | K] = (b after forgetting) · v: two ways to say one expectation."""
+    belief, relevant, rate, rng = tables(seed)
+    values = rng.random(belief.shape)
+    ahead = knowledge.expected_after_forgetting(values, relevant, rate)
+    assert (belief * ahead).sum() == pytest.approx(
+        (knowledge.forget(belief, relevant, rate) * values).sum()
+    )
+
+
+@given(seeds)
+def test_what_a_message_is_worth_is_the_value_where_it_lands(seed: int) -> None:
+    belief, relevant, rate, rng = tables(seed)
+    values, message = rng.random(belief.shape), int(rng.integers(5))
+    landed = knowledge.with_message(values, relevant, message)
+    assert (belief * (rate * landed + (1 - rate) * values)).sum() == pytest.approx(
+        (knowledge.say(belief, relevant, message, rate) * values).sum()
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(seeds)
+def test_the_belief_is_that_over_the_states_of_the_literal_pomdp(seed: int) -> None:
+    """Random messages, again and again, and random answers."""
+    problem = problem_of(seed, steps=3)
+    pomdp, rng = LiteralPOMDP(problem), np.random.default_rng(seed)
+    states, belief, mask = pomdp.initial(), problem.start, 0
+    for k in range(problem.n_steps):
+        for j in range(problem.n_messages):
+            if rng.random() < 0.5:
+                states = after(pomdp, states, j, None)
+                belief, mask = told(problem, belief, 1 << j), mask | 1 << j
+        labels = rng.integers(0, 2, k + 1)
+        heard = after(pomdp, states, EXPLAIN, tuple(labels.tolist()))
+        if not heard:  # nobody can answer so
+            return
+        states = heard
+        belief = update(problem, belief, mask, labels.astype(np.uint8))
+        expected = np.zeros((problem.table.p.shape[1], problem.n_types))
+        for state, weight in states.items():
+            row = problem.table.subset(sum(1 << j for j in state.known))[state.user_type]
+            expected[row, state.user_type] += weight
+        assert belief == pytest.approx(expected.ravel(), abs=1e-9)
+
+
+def after(
+    pomdp: LiteralPOMDP, states: dict[State, float], action: int, seen: tuple[int, ...] | None
+) -> dict[State, float]:
+    """Bayes' rule over states, written out."""
+    joint: dict[State, float] = {}
+    for state, weight in states.items():
+        for probability, new, observation, _ in pomdp.outcomes(state, action):
+            if observation == seen:
+                joint[new] = joint.get(new, 0.0) + weight * probability
+    total = sum(joint.values())
+    return {state: weight / total for state, weight in joint.items()} if total else {}
+
+
+def worth(problem: Problem, step: int, mask: int, belief: np.ndarray) -> float:
+    """What QMDP's policy earns, over every answer."""
+    if step == problem.n_steps:
+        return 0.0
+    policy = QMDP().plan(problem)
+    new = policy.messages(step, mask, belief)
+    per_message = problem.discount if problem.discount_per == "action" else 1.0
+    prices = [problem.trade_off * float(problem.message_cost[j]) for j in range(8) if new >> j & 1]
+    value = -sum(p * per_message**i for i, p in enumerate(sorted(prices)))
+    belief, mask = told(problem, belief, new), mask | new
+    count = step + 1
+    p, answered = (
+        t[:count].reshape(count, -1).T for t in (problem.table.p, problem.table.answered)
+    )
+    zeros = problem.inexplicability_cost * float(belief @ (1 - p).sum(axis=1))
+    later = 0.0
+    for labels in product((0, 1), repeat=count):
+        answer = np.array(labels, dtype=np.uint8)
+        chance = float(belief @ np.where(answer == 1, answered, 1 - answered).prod(axis=1))
+        if chance > 0:
+            later += chance * worth(problem, count, mask, update(problem, belief, mask, answer))
+    factor = per_message ** len(prices)
+    return value + factor * (problem.discount * later - zeros)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds)
+def test_qmdp_is_between_what_it_earns_and_nothing_better(seed: int) -> None:
+    """What it earns is at most the optimum by trying every action at every belief, and that is at
+    most its own value at the start, where type and knowledge become known. (Where messages
+    discount, an optimum may say some as a mere delay, which is not looked for here.)"""
+    problem = replace(problem_of(seed), discount_per="step")
+    optimum = literal_optimal_value(problem)
+    assert worth(problem, 0, 0, problem.start) <= optimum + 1e-9
+    bound = float(problem.start @ Reminding(problem).optimal[0].ravel())
+    assert optimum <= bound + 1e-9
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds)
+def test_optimal_values_solve_their_equation(seed: int) -> None:
+    """Type and knowledge seen: each value is the best of *explain* and of each message, which is
+    said again until it is taken in."""
+    problem = problem_of(seed, messages=3)
+    table, found = problem.table, Reminding(problem).optimal
+    accept = np.tile(problem.habits.accept, problem.n_user_types)
+    forget = np.tile(problem.habits.forget, problem.n_user_types)
+    delay = problem.discount if problem.discount_per == "action" else 1.0
+    rows = table.rows
+    for k, t in product(range(problem.n_steps), range(problem.n_types)):
+        for row in range(1 << len(rows[t])):
+            cost = problem.inexplicability_cost * float((1 - table.p[: k + 1, row, t]).sum())
+            held = [bit for bit in range(len(rows[t])) if row >> bit & 1]
+            left = 0.0
+            for kept in product((0, 1), repeat=len(held)):
+                share = (1 - forget[t]) ** sum(kept) * forget[t] ** (len(held) - sum(kept))
+                place = sum(1 << bit for bit, is_kept in zip(held, kept, strict=True) if is_kept)
+                left += share * found[k + 1, place, t]
+            options = [problem.discount * left - cost]
+            for bit, j in enumerate(rows[t]):
+                if not row >> bit & 1:
+                    price = problem.trade_off * float(problem.message_cost[j])
+                    then = accept[t] * found[k, row | 1 << bit, t]
+                    options.append(delay * (then + (1 - accept[t]) * found[k, row, t]) - price)
+            assert found[k, row, t] == pytest.approx(max(options), abs=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds)
+def test_users_who_all_but_surely_listen_are_told_the_same(seed: int) -> None:
+    """The paper's users are the limit."""
+    rng = np.random.default_rng(seed)
+    n, types, steps = 3, 3, 4
+    p = rng.uniform(0.02, 0.98, (types, steps, 1 << n))
+    problem = Problem(LabelTable.dense(p), rng.random(n), discount=1.0)
+    limit = problem.with_habits(habits_of(0.0, 1 - 1e-12, 0.0))
+    known, knowing = QMDP().plan(problem), QMDP().plan(limit)
+    belief = rng.dirichlet(np.ones(types))
+    wide = np.zeros((limit.table.p.shape[1], types))
+    wide[0] = belief
+    for step in range(steps):
+        assert knowing.messages(step, 0, wide.ravel()) == known.messages(step, 0, belief)
+
+
+def test_the_paper_is_the_default() -> None:
+    problem = Problem(np.full((2, 2, 4), 0.5), np.ones(2))
+    assert problem.with_habits(Independent().habits()) is problem

@@ -1,0 +1,138 @@
+"""How users listen and answer: the paper's take in every message for ever, and never err.
+
+A user answers the opposite of what they would have with probability e; takes a message in with
+probability α when it is said; and loses a fact set right with probability φ at each step, after
+their labels. Nobody's *habits* are known, so they are a hidden part of the explanation beside the
+user type, on a small grid. Costs depend on what a user thinks, evidence on what they answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.errors import InputError, number
+
+Assumed = float | Literal["learned"]
+"""A rate that all users share, or ``learned``: the rates that observers' answers tell, and where
+there were none a documented grid."""
+MOST = 45
+"""Habits on a grid, at most: tables and beliefs grow by so much."""
+
+
+def check_rate(key: str, rate: float, otherwise: str = "") -> None:
+    """Raises InputError: no rate of its kind, the last word of the key."""
+    kind, value = key.split(".")[-1], number(key, rate)
+    right = {"error": 0 <= value < 0.5, "accept": 0 < value <= 1, "forget": 0 <= value < 1}
+    ranges = {"error": "≥ 0 and < 0.5", "accept": "> 0 and ≤ 1", "forget": "≥ 0 and < 1"}
+    if not right[kind]:
+        raise InputError(key, rate, f"a rate {ranges[kind]}{otherwise}")
+
+
+@dataclass(frozen=True)
+class Habits:
+    """F habits.
+
+    Attributes:
+        error: [F] e, each ≥ 0 and below ½: whoever errs more often means the opposite.
+        accept: [F] α in (0, 1].
+        forget: [F] φ in [0, 1).
+        prior: [F] how likely each is; sums to 1.
+    """
+
+    error: NDArray[np.float64]
+    accept: NDArray[np.float64]
+    forget: NDArray[np.float64]
+    prior: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Raises InputError for a rate that no user has, or no probabilities."""
+        for key in ("error", "accept", "forget", "prior"):
+            object.__setattr__(self, key, np.asarray(getattr(self, key), float))
+        count = self.prior.size
+        if not 1 <= count <= MOST or any(a.shape != (count,) for a in self._arrays):
+            raise InputError("habits", count, f"1 to {MOST} of them, each with all rates")
+        for key, value in zip(("error", "accept", "forget"), self._arrays[:3], strict=True):
+            for rate in value.tolist():
+                check_rate(key, rate)
+        if not (self.prior >= 0).all() or abs(self.prior.sum() - 1) > 1e-6:
+            raise InputError("habits.prior", self.prior.tolist(), "probabilities that sum to 1")
+        object.__setattr__(self, "prior", self.prior / self.prior.sum())
+
+    @property
+    def _arrays(self) -> tuple[NDArray[np.float64], ...]:
+        return self.error, self.accept, self.forget, self.prior
+
+    def __len__(self) -> int:
+        return len(self.prior)
+
+    @property
+    def never_err(self) -> bool:
+        """Whether everybody answers what they think."""
+        return not self.error.any()
+
+    @property
+    def take_all_in(self) -> bool:
+        """Whether everybody takes every message in and keeps it: what was said is what a user
+        knows."""
+        return bool((self.accept == 1).all()) and not self.forget.any()
+
+    def answered(self, meant: NDArray[np.float64]) -> NDArray[np.float64]:
+        """P(answer is 1) of a table [..., N] of what answers would be without errors: [..., N F],
+        the habits side by side within a type."""
+        e = np.tile(self.error, meant.shape[-1])
+        a = meant.repeat(len(self), axis=-1)
+        return (1 - e) * a + e * (1 - a)
+
+
+PAPER = Habits(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
+"""Users take every message in for ever, and answer what they think."""
+
+Grid = tuple[tuple[float, ...], tuple[float, ...]]
+UNKNOWN: dict[str, Grid] = {
+    "error": ((0.0, 0.05, 0.1, 0.2, 0.3), (0.4, 0.2, 0.2, 0.1, 0.1)),
+    "accept": ((1.0, 0.8, 0.6), (0.6, 0.25, 0.15)),
+    "forget": ((0.0, 0.05, 0.1), (0.6, 0.25, 0.15)),
+}
+"""Where no answers were learned from: rates and how likely they are. Most people seldom fail, some
+often."""
+
+
+def habits_of(
+    error: Assumed, accept: Assumed, forget: Assumed, learned: Habits | None = None
+) -> Habits:
+    """The habits that a belief assumes: each rate as told, or learned; independent of each other.
+
+    Args:
+        error, accept, forget: the settings ``belief.error``, ``belief.accept``, ``belief.forget``.
+        learned: from observers' answers; UNKNOWN where there were none.
+
+    Raises:
+        InputError: neither ``learned`` nor a rate in its range.
+    """
+    grids = []
+    for key, assumed in (("error", error), ("accept", accept), ("forget", forget)):
+        check_assumed(key, assumed)
+        if assumed != "learned":
+            grids.append([(float(assumed), 1.0)])
+        elif learned is None:
+            grids.append(list(zip(*UNKNOWN[key], strict=True)))
+        else:
+            rates = getattr(learned, key)
+            grids.append(
+                [(r, float(learned.prior[rates == r].sum())) for r in np.unique(rates).tolist()]
+            )
+    ways = list(product(*grids))
+    e, a, f = np.array([[rate for rate, _ in way] for way in ways]).T
+    prior = np.array([[share for _, share in way] for way in ways]).prod(axis=1)
+    return Habits(e, a, f, prior)
+
+
+def check_assumed(key: str, assumed: Assumed) -> None:
+    """Raises InputError: neither ``learned`` nor a rate in its range."""
+    if assumed != "learned":
+        check_rate(f"belief.{key}", assumed, ", or learned")
