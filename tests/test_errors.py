@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import pytest
 
-from xplain.errors import InputError, discount_factor, number, whole_number
+from xplain.errors import Count, InputError, Range, checks, number, one_of, whole_number
 
 
 def test_a_long_value_keeps_both_ends() -> None:
@@ -33,10 +35,57 @@ def test_what_is_no_finite_number_is_refused(value: object) -> None:
 
 def test_limits_are_part_of_what_is_allowed_or_not() -> None:
     assert whole_number("key", 2, 2) == 2
-    assert discount_factor("key", 0.5) == 0.5
+    assert number("key", 0.5, Range(0, 1, "()")) == 0.5
     for value in (1, 2.0, True, "2"):
         with pytest.raises(InputError, match="whole number ≥ 2"):
             whole_number("key", value, 2)
-    for factor in (0, 1, -0.1):
-        with pytest.raises(InputError, match="both ends excluded"):
-            discount_factor("key", factor)
+    for value in (0, 8):
+        with pytest.raises(InputError, match=r"whole number in 1 … 7"):
+            whole_number("key", value, 1, 7)
+
+
+@pytest.mark.parametrize("ends", ["[]", "[)", "(]", "()"])
+def test_ends_are_allowed_as_their_brackets_say(ends: Literal["[]", "[)", "(]", "()"]) -> None:
+    for value, bracket, others in ((0, ends[0], "("), (1, ends[1], ")")):
+        if bracket == others:
+            with pytest.raises(InputError, match=rf"key={value}: a number in \{ends[0]}0, 1"):
+                number("key", value, Range(0, 1, ends))
+        else:
+            assert number("key", value, Range(0, 1, ends)) == value
+    with pytest.raises(InputError, match=f"a number {'≥' if ends[0] == '[' else '>'} 0$"):
+        number("key", -1, Range(0, ends=ends))
+
+
+@checks("thing")
+@dataclass(frozen=True)
+class Thing:
+    """Of annotated parameters."""
+
+    count: Count
+    share: Annotated[float, Range(0, 1)] = 0.5
+    way: Literal["here", "there"] = "here"
+    most: Count | None = None
+
+
+def test_what_annotations_do_not_allow_is_refused_by_its_key() -> None:
+    thing = Thing(1, way="there", most=3)
+    assert thing == Thing(count=1, share=0.5, way="there", most=3)
+    assert replace(thing, most=None).most is None
+    refused = {
+        "count": (0, "a whole number ≥ 1"),
+        "share": (1.5, "a number in [0, 1]"),
+        "way": ("up", "one of here, there"),
+        "most": (0, "a whole number ≥ 1"),
+    }
+    for name, (value, allowed) in refused.items():
+        with pytest.raises(InputError) as error:
+            replace(thing, **{name: value})
+        assert str(error.value) == f"thing.{name}={value!r}: {allowed}"
+    with pytest.raises(TypeError):
+        Thing(number=1)  # type: ignore[call-arg]
+
+
+def test_a_choice_is_one_of_those_that_there_are() -> None:
+    assert one_of("key", "a", ("a", "b")) == "a"
+    with pytest.raises(InputError, match="one of a, b"):
+        one_of("key", ["a"], ("a", "b"))  # also what cannot be hashed

@@ -7,14 +7,7 @@ For programs: ``from xplain import Explainer, GivenTypes, LearnedTypes`` (see do
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from xplain.learning.saved_types import LearnedTypes
-    from xplain.questions.hypotheses import Hypotheses
-    from xplain.questions.questionnaire import Questionnaire
-    from xplain.runs.api import Run, Sweep, load, run, sweep
-    from xplain.sessions.explainer import Explainer, GivenTypes
+from typing import Any
 
 __all__ = [
     "Explainer",
@@ -42,7 +35,8 @@ _WHERE = {
 
 
 def __getattr__(name: str) -> Any:
-    # Imported when asked for: `python -m xplain --help` must not wait for numba.
+    # Imported when asked for: `python -m xplain --help` must not wait for numba. What each name is
+    # for type checkers, __init__.pyi says.
     if name not in _WHERE:
         raise AttributeError(f"module 'xplain' has no attribute {name!r}")
     from importlib import import_module

@@ -26,8 +26,7 @@ from omegaconf import (
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 from yaml import MarkedYAMLError, YAMLError
 
-from xplain.errors import InputError, XplainError
-from xplain.randomness import run_seed
+from xplain.errors import InputError, XplainError, one_of
 
 _PACKAGE = Path(__file__).parent
 
@@ -126,23 +125,13 @@ def named(overrides: Sequence[str]) -> list[str]:
     return [quoted(override) for override in overrides]
 
 
-def require_seed(cfg: DictConfig) -> int:
-    """The seed of a command.
-
-    Raises:
-        InputError: no whole number from 0 to 2^32 − 1.
-    """
-    return run_seed(cfg.seed)
-
-
 def require_usable(cfg: DictConfig) -> None:
     """Refuses an experiment's configuration whose types fit and which makes no sense all the same.
 
     Raises:
         XplainError: a ``resume`` that there is not, or a domain's file in the wrong package.
     """
-    if cfg.resume not in RESUME:
-        raise InputError("resume", cfg.resume, f"one of {', '.join(RESUME)}")
+    one_of("resume", cfg.resume, RESUME)
     if "_target_" not in cfg.domain and "domain" in cfg.domain:
         raise XplainError(NO_PACKAGE)
 

@@ -10,8 +10,15 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache, wraps
+from inspect import signature
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
 
 
 class XplainError(ValueError):
@@ -74,34 +81,165 @@ def left_at_once() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def number(key: str, value: object) -> float:
-    """A finite number.
+@dataclass(frozen=True)
+class Range:
+    """The finite numbers that a parameter may have.
+
+    Attributes:
+        low, high: its ends; infinite where there is none.
+        ends: brackets as in [low, high): a round one leaves its end out.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    ends: Literal["[]", "[)", "(]", "()"] = "[]"
+
+    def check(self, key: str, value: object, whole: bool = False) -> None:
+        """Refuses all but the numbers, or whole numbers, in the range.
+
+        Raises:
+            InputError: the value is none of them.
+        """
+        fits = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
+        if not fits or not math.isfinite(value) or not self._holds(value):  # type: ignore[arg-type]
+            raise InputError(key, value, self._allowed(whole))
+
+    def _holds(self, value: float) -> bool:
+        above = value > self.low or (value == self.low and self.ends[0] == "[")
+        return above and (value < self.high or (value == self.high and self.ends[1] == "]"))
+
+    def _allowed(self, whole: bool) -> str:
+        if self == Range():
+            return "a finite number"
+        kind = "a whole number" if whole else "a number"
+        if self.high == math.inf:
+            return f"{kind} {'≥' if self.ends[0] == '[' else '>'} {self.low:g}"
+        if whole:
+            return f"{kind} in {self.low} … {self.high}"
+        return f"{kind} in {self.ends[0]}{self.low:g}, {self.high:.3g}{self.ends[1]}"
+
+
+Count = Annotated[int, Range(1)]
+Whole = Annotated[int, Range(0)]
+Positive = Annotated[float, Range(0, ends="(]")]
+Probability = Annotated[float, Range(0, 1)]
+Slip = Annotated[float, Range(0, 1, "[)")]
+Discount = Annotated[float, Range(0, 1, "()")]
+
+
+def checks(prefix: str) -> Callable[[type[T]], type[T]]:
+    """A class whose constructor refuses what its annotations do not allow, before its body runs.
+
+    ``Annotated[int, Range(1)]`` allows whole numbers ≥ 1, ``Annotated[float, Range(0, 1)]``
+    numbers in [0, 1], ``Literal["a", "b"]`` one of two words; beside ``| None`` None is allowed
+    too. Other annotations are not looked at, but their names have to be there at run time. The
+    error's key is ``prefix.parameter``. It stands above ``@dataclass``; a subclass with a
+    constructor of its own needs it again.
+    """
+
+    def of(kind: type[T]) -> type[T]:
+        made = kind.__init__
+        takes = signature(made)
+
+        @wraps(made)
+        def init(self: T, *values: object, **named: object) -> None:
+            given = takes.bind(self, *values, **named).arguments
+            for name, hint in _hints(made).items():
+                if name in given:
+                    check(f"{prefix}.{name}", given[name], hint)
+            made(self, *values, **named)
+
+        kind.__init__ = init  # type: ignore[method-assign, assignment]
+        return kind
+
+    return of
+
+
+@cache
+def _hints(function: Callable[..., None]) -> dict[str, Any]:
+    return get_type_hints(function, include_extras=True)
+
+
+def check(key: str, value: object, hint: Any) -> None:
+    """Refuses a value that its annotation does not allow (:func:`checks`).
 
     Raises:
-        InputError: it is none.
+        InputError: it is so.
     """
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise InputError(key, value, "a finite number")
-    return float(value)
+    inner = get_args(hint)
+    if get_origin(hint) in (Union, UnionType):
+        if value is not None or NoneType not in inner:
+            for one in inner:
+                check(key, value, one)
+    elif get_origin(hint) is Literal:
+        one_of(key, value, inner)
+    elif get_origin(hint) is Annotated and isinstance(inner[1], Range):
+        inner[1].check(key, value, whole=inner[0] is int)
 
 
-def whole_number(key: str, value: object, least: int) -> int:
-    """A whole number, ``least`` or more.
+def one_of(key: str, value: T, allowed: Iterable[T], what: str = "") -> T:
+    """One of the values that are allowed; ``what`` names their kind, in the error.
 
     Raises:
-        InputError: it is none.
+        InputError: it is none of them.
     """
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise InputError(key, value, f"a whole number ≥ {least}")
+    known = [*allowed]
+    if value not in known:
+        words = ", ".join(map(str, known)) or "none"
+        raise InputError(
+            key, value, f"unknown {what}; known: {words}" if what else f"one of {words}"
+        )
     return value
 
 
-def discount_factor(key: str, value: object) -> float:
-    """A discount in (0, 1).
+def mapping(key: str, value: object, allowed: str) -> Mapping[str, Any]:
+    """A mapping.
 
     Raises:
         InputError: it is none.
     """
-    if not 0 < (gamma := number(key, value)) < 1:
-        raise InputError(key, value, "a number in (0, 1), both ends excluded")
-    return gamma
+    if not isinstance(value, Mapping):
+        raise InputError(key, value, allowed)
+    return value
+
+
+def listed(key: str, value: object, allowed: str = "a list") -> Sequence[Any]:
+    """A list, and no text.
+
+    Raises:
+        InputError: it is none.
+    """
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise InputError(key, value, allowed)
+    return value
+
+
+def sentence(key: str, value: object, allowed: str = "a sentence") -> str:
+    """A text that is not blank.
+
+    Raises:
+        InputError: it is none.
+    """
+    if not isinstance(value, str) or not value.strip():
+        raise InputError(key, value, allowed)
+    return value
+
+
+def number(key: str, value: object, within: Range = Range()) -> float:
+    """A finite number in a range.
+
+    Raises:
+        InputError: it is none.
+    """
+    within.check(key, value)
+    return float(value)  # type: ignore[arg-type]
+
+
+def whole_number(key: str, value: object, least: int, most: float = math.inf) -> int:
+    """A whole number from ``least`` to ``most``.
+
+    Raises:
+        InputError: it is none.
+    """
+    Range(least, most).check(key, value, whole=True)
+    return value  # type: ignore[return-value]

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
+from xplain.errors import one_of
 
 
 def names_of(mask: int, messages: Sequence[str]) -> tuple[str, ...]:
@@ -26,9 +26,7 @@ def mask_of(names: Iterable[str], messages: Sequence[str], key: str = "messages"
     """
     mask = 0
     for name in names:
-        if name not in messages:
-            raise InputError(key, name, f"unknown message; known: {', '.join(messages)}")
-        mask |= 1 << messages.index(name)
+        mask |= 1 << messages.index(one_of(key, name, messages, "message"))
     return mask
 
 

@@ -10,7 +10,7 @@ import zlib
 
 import numpy as np
 
-from xplain.errors import InputError, whole_number
+from xplain.errors import whole_number
 
 MOST = (1 << 32) - 1
 """The largest seed of a run."""
@@ -33,10 +33,7 @@ def run_seed(value: object) -> int:
     Raises:
         InputError: no whole number from 0 to 2^32 − 1.
     """
-    seed = whole_number("seed", value, 0)
-    if seed > MOST:
-        raise InputError("seed", seed, f"a whole number ≤ {MOST}")
-    return seed
+    return whole_number("seed", value, 0, MOST)
 
 
 def derived_seed(seed: int, *names: str | int) -> int:

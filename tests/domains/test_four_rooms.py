@@ -150,7 +150,7 @@ def edited(path: str, value: Any) -> dict[str, Any]:
     [
         ("map", "...\n..", "row 1"),
         ("map", "..G", "unknown symbol"),
-        ("slip", "often", "probability"),
+        ("slip", "often", r"a number in \[0, 1\)"),
         ("parameters.goals.accurate", [], "at least one goal"),
         ("parameters.goals.accurate", [{"cell": [0, 0], "reward": 1.0}], "not a wall"),
         ("parameters.goals.accurate", [{"cell": [1, 99], "reward": 1.0}], "not a wall"),
@@ -164,7 +164,7 @@ def edited(path: str, value: Any) -> dict[str, Any]:
         ("parameters.goals.inaccurate", [[1, 1]], "cell"),
         ("parameters.goals.inaccurate", 3, "a list"),
         ("parameters.discount.inaccurate", 1.0, r"\(0, 1\)"),
-        ("parameters.discount.accurate", None, "finite number"),
+        ("parameters.discount.accurate", None, r"a number in \(0, 1\)"),
         ("parameters.step_cost.accurate", "high", "finite number"),
         ("parameters.penalty_cells.inaccurate", [[6, 6]], "not a wall"),
         ("parameters.penalty_cells.inaccurate", "door", "a list"),

@@ -18,52 +18,42 @@ messages. On a terminal it waits for Enter after each step. Keys are those of th
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
-from xplain.cli.parser import Parser
+from xplain.cli.parser import parsed
 from xplain.errors import InputError, whole_number
 
 
 def main(arguments: list[str]) -> None:
     """Plays one session on the terminal, writes it as a page, or serves the playground."""
-    parser = Parser("xplain demo")
-    who = parser.add_mutually_exclusive_group()
-    who.add_argument("--user", metavar="TYPE")
-    who.add_argument("--me", action="store_true")
-    parser.add_argument("--trace", metavar="N", type=int)
-    parser.add_argument("--html", metavar="FILE", type=Path)
-    parser.add_argument("--serve", action="store_true")
-    parser.add_argument("--host", default="127.0.0.1")
-    parser.add_argument("--port", type=int, default=5050)
-    parser.add_argument("overrides", metavar="KEY=VALUE", nargs="*")
-    _play(parser.parse_intermixed_args(arguments))
-
-
-def _play(arguments: argparse.Namespace) -> None:
-    if arguments.serve:
+    flags = {"user": str, "me": False, "trace": int, "html": Path, "serve": False}
+    address = {"host": "127.0.0.1", "port": 5050}
+    given = parsed("xplain demo", arguments, "overrides", **flags, **address)
+    if given.me and given.user is not None:
+        raise InputError("--user", given.user, "the type of a simulated user; not with --me")
+    if given.serve:
         from xplain.demo.serve import serve
 
-        serve(arguments.overrides, arguments.host, arguments.port)
+        serve(given.overrides, given.host, given.port)
         return
-    if arguments.trace is not None:
-        whole_number("--trace", arguments.trace, 0)
-    if arguments.html is not None and not arguments.html.absolute().parent.is_dir():
-        raise InputError("--html", str(arguments.html), "a file in a folder that exists")
+    if given.trace is not None:
+        whole_number("--trace", given.trace, 0)
+    if given.html is not None and not given.html.absolute().parent.is_dir():
+        raise InputError("--html", str(given.html), "a file in a folder that exists")
     # What follows brings the heavy packages; --help is over by now.
     from xplain.demo.page import page
     from xplain.demo.play import Simulated, asked, play, stage
     from xplain.demo.terminal import Terminal
 
-    scene = stage(arguments.overrides, arguments.trace, arguments.user)
-    if arguments.me:
+    scene = stage(given.overrides, given.trace, given.user)
+    if given.me:
         terminal = Terminal(scene, None)
         played = play(scene, asked(terminal), terminal)
     else:
-        user = scene.user_type(arguments.user)
-        audience = None if arguments.html else Terminal(scene, user)
+        user = scene.user_type(given.user)
+        audience = None if given.html else Terminal(scene, user)
         played = play(scene, Simulated(scene, user), audience)
-    if arguments.html is not None:
-        arguments.html.write_text(page(scene, played), encoding="utf-8")
-        print(arguments.html, file=sys.stderr)
+    if given.html is not None:
+        given.html.write_text(page(scene, played), encoding="utf-8")
+        print(given.html, file=sys.stderr)

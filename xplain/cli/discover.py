@@ -31,8 +31,9 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from yaml import YAMLError
 
-from xplain.config import composed, require_seed
-from xplain.errors import InputError, TooLargeError
+from xplain.config import composed
+from xplain.errors import InputError, TooLargeError, one_of
+from xplain.randomness import run_seed
 
 if TYPE_CHECKING:
     import numpy as np
@@ -55,7 +56,7 @@ def discover(arguments: list[str]) -> Row:
 
     began = time.perf_counter()
     cfg = composed("discover", arguments)
-    require_seed(cfg)
+    run_seed(cfg.seed)
     folder = Path(cfg.output)
     require_writable(folder)
     trainer, clusterer = instantiate(cfg.labeler), instantiate(cfg.clusterer)
@@ -106,10 +107,9 @@ def sentences_of(path: str | None, messages: Sequence[str]) -> dict[str, str]:
         raise InputError("sentences", path, f"{wanted} ({reason})") from None
     if not isinstance(said, dict) or not all(isinstance(text, str) for text in said.values()):
         raise InputError("sentences", path, wanted)
-    unknown = [name for name in said if name not in messages]
-    if unknown:
-        raise InputError("sentences", unknown[0], f"messages: {', '.join(messages)}")
-    return {str(name): text for name, text in said.items()}
+    return {
+        str(one_of("sentences", name, messages, "message")): text for name, text in said.items()
+    }
 
 
 def require_writable(folder: Path) -> None:
@@ -128,18 +128,19 @@ def _write(
 ) -> None:
     import pandas as pd
 
+    from xplain.cli import discovery_plots
     from xplain.learning.saved_types import LearnedTypes
-    from xplain.report import discovery, plots
+    from xplain.report import plots
 
     clustering = types.clustering
     figures = {}
     if dataset.messages:
-        figures["messages"] = discovery.effects(dataset, clustering, types.names)
+        figures["messages"] = discovery_plots.effects(dataset, clustering, types.names)
     if clustering.curve is not None and len(clustering.curve) > 1:
         curve = clustering.curve[: max(4 * clustering.n_types, 20)].tolist()
         figures["curve"] = plots.disagreements(curve, clustering.n_types, clustering.rule)
     if clustering.posterior is not None:
-        figures["posterior"] = discovery.posterior(clustering.posterior, clustering.n_types)
+        figures["posterior"] = discovery_plots.posterior(clustering.posterior, clustering.n_types)
     folder.mkdir(parents=True, exist_ok=True)
     LearnedTypes.of(types, dataset, sentences).save(folder / "types.npz")
     pd.DataFrame(row["assignment"].items(), columns=["observer", "type"]).to_csv(

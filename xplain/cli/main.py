@@ -9,6 +9,7 @@ import gc
 import logging
 import sys
 from importlib import import_module
+from inspect import getdoc
 from pathlib import Path
 
 from xplain import __version__
@@ -78,17 +79,18 @@ def _run(given: list[str]) -> None:
     from xplain.config import CONF
 
     command = COMMANDS[name]
+    module, _, function = command.module.partition(":")
     with left_at_once():
-        module = import_module(f"xplain.cli.{command.module}")
+        found = import_module(f"xplain.cli.{module}")
     if any(word in ("--help", "-h") for word in rest):
-        print(module.__doc__)
+        print(getdoc(getattr(found, function, found)), end="\n\n")
         if below := _commands(name):
             print("\n".join(below) + "\n")
         if command.config:
             print((CONF / f"{command.config}.yaml").read_text(encoding="utf-8"))
         return
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
-    module.main(_with_own_choices(rest))
+    getattr(found, function or "main")(_with_own_choices(rest))
 
 
 def _with_own_choices(words: list[str]) -> list[str]:

@@ -14,8 +14,9 @@ from typing import Any
 
 from hydra.utils import instantiate
 
-from xplain.config import composed, require_seed
+from xplain.config import composed
 from xplain.errors import InputError
+from xplain.randomness import run_seed
 
 
 def observe(arguments: list[str]) -> dict[str, Any]:
@@ -27,7 +28,7 @@ def observe(arguments: list[str]) -> dict[str, Any]:
     from xplain.experiment import pipeline
 
     cfg = composed("observe", arguments, with_hydra=True)
-    require_seed(cfg)
+    run_seed(cfg.seed)
     output = Path(cfg.output)
     check_format(output, "output")
     named = output.name.removesuffix(".gz").removesuffix(".csv").removesuffix(".parquet")

@@ -26,13 +26,15 @@ def parsed(prog: str, words: list[str], *names: str, **flags: Any) -> argparse.N
     Args:
         prog: the command.
         words: that followed it.
-        names: of what has to be given, in order; ``database`` and ``folder`` are paths.
+        names: of what has to be given, in order; ``database`` and ``folder`` are paths, and
+            ``overrides`` any number of ``key=value`` between the flags.
         flags: with their defaults, or the type of one without; ``...`` stands for a text that has
             to be given, False for a switch.
     """
     parser = Parser(prog)
     for name in names:
-        parser.add_argument(name, type=Path if name in ("database", "folder") else str)
+        many = "*" if name == "overrides" else None
+        parser.add_argument(name, nargs=many, type=Path if name in ("database", "folder") else str)
     for name, default in flags.items():
         flag = f"--{name.replace('_', '-')}"
         if default is False:
@@ -42,4 +44,4 @@ def parsed(prog: str, words: list[str], *names: str, **flags: Any) -> argparse.N
             parser.add_argument(flag, type=kind, required=default is ...)
         else:
             parser.add_argument(flag, type=type(default), default=default)
-    return parser.parse_args(words)
+    return parser.parse_intermixed_args(words)

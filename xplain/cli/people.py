@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 
 from xplain.cli.parser import parsed
 from xplain.config import composed
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError, XplainError, whole_number
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -87,8 +87,7 @@ def server_of(cfg: DictConfig) -> Server:
     from xplain.people.server.http import Server
 
     for key, most in (("port", 65535), ("threads", 256)):
-        if not isinstance(cfg[key], int) or not 1 <= cfg[key] <= most:
-            raise InputError(key, cfg[key], f"a whole number from 1 to {most}")
+        whole_number(key, cfg[key], 1, most)
     given: Any = OmegaConf.to_container(cfg.server, resolve=True)
     address = given.get("address") or f"http://{cfg.host}:{cfg.port}"
     return Server(**{k: v for k, v in given.items() if k != "_target_"} | {"address": address})
@@ -181,8 +180,7 @@ def bots(name: str, arguments: list[str]) -> None:
     numbers = {"count": 40, "at_once": 8, "pace": 0.0, "seed": 0}
     given = parsed(f"xplain {name} bots", arguments, **server, **numbers, **habits)
     for flag, value in (("--count", given.count), ("--at-once", given.at_once)):
-        if not 0 < value <= 10_000:
-            raise InputError(flag, value, "a whole number from 1 to 10000")
+        whole_number(flag, value, 1, 10_000)
     if given.chromium and (what := chromium.missing()):
         raise InputError("--chromium", "not here", f"install {what}")
     habits = own.Habits(**{habit: getattr(given, habit) for habit in habits})

@@ -24,7 +24,8 @@ from typing import TYPE_CHECKING, Any
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from xplain.config import CONF, composed, require_seed
+from xplain.config import CONF, composed
+from xplain.randomness import run_seed
 
 if TYPE_CHECKING:
     from xplain.explanation.problem import Problem
@@ -54,7 +55,7 @@ def _plan_one(cfg: DictConfig, known: Bounds | None = None) -> Row:
     from xplain.solvers.hsvi.solver import CertifiedPolicy
     from xplain.solvers.policy_evaluation import evaluate
 
-    require_seed(cfg)
+    run_seed(cfg.seed)
     problem = Problem.load(cfg.problem)
     solver = instantiate(cfg.solver)
     told = solver.knows in ("type", "labels") and problem.n_types > 1

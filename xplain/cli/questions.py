@@ -23,8 +23,9 @@ from typing import TYPE_CHECKING, Any
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from xplain.config import composed, require_seed
+from xplain.config import composed
 from xplain.errors import InputError
+from xplain.randomness import run_seed
 
 if TYPE_CHECKING:
     from xplain.questions.committee import Pool
@@ -40,21 +41,27 @@ def questions(arguments: list[str]) -> Row:
     from xplain.questions.designs import WITHOUT, Battery
 
     cfg = composed("questions", arguments, with_hydra=True)
-    require_seed(cfg)
+    run_seed(cfg.seed)
     design = instantiate(cfg.queries)
     if isinstance(design, Battery):
-        return _battery(cfg, design)
-    if getattr(design, "hypotheses", None) == WITHOUT:
-        return _screen(cfg, design)
-    raise InputError(
-        "queries",
-        cfg.hydra.runtime.choices.queries,
-        "battery, or adaptive with queries.hypotheses=none, a screen at a time; with hypotheses "
-        "each question depends on the answer before (from xplain import Questionnaire)",
-    )
+        rows, about = _battery(cfg, design)
+    elif getattr(design, "hypotheses", None) == WITHOUT:
+        rows, about = _screen(cfg, design)
+    else:
+        raise InputError(
+            "queries",
+            cfg.hydra.runtime.choices.queries,
+            "battery, or adaptive with queries.hypotheses=none, a screen at a time; with "
+            "hypotheses each question depends on the answer before (from xplain import "
+            "Questionnaire)",
+        )
+    _write(rows, Path(cfg.output))
+    _show(rows)
+    return {"output": str(cfg.output), "questions": len(rows), **about}
 
 
-def _battery(cfg: DictConfig, design: Battery) -> Row:
+def _battery(cfg: DictConfig, design: Battery) -> tuple[list[Row], Row]:
+    """The questions, and what is known of them."""
     import numpy as np
 
     from xplain.message_sets import names_of
@@ -70,19 +77,14 @@ def _battery(cfg: DictConfig, design: Battery) -> Row:
         if known.features is not None:
             row |= zip(known.feature_names, known.features[t].tolist(), strict=True)
         rows.append(row)
-    _write(rows, Path(cfg.output))
     if cfg.save is not None:
         known.save(cfg.save)
-    _show(rows)
-    return {
-        "output": str(cfg.output),
-        "questions": len(rows),
-        "transitions": known.n_transitions,
-        "candidates": len(np.unique(known.classes)),
-    }
+    candidates = len(np.unique(known.classes))
+    return rows, {"transitions": known.n_transitions, "candidates": candidates}
 
 
-def _screen(cfg: DictConfig, design: Adaptive) -> Row:
+def _screen(cfg: DictConfig, design: Adaptive) -> tuple[list[Row], Row]:
+    """As :func:`_battery`, of the next screen."""
     from xplain.data.label_file import align, columns_of, read_table
     from xplain.message_sets import names_of
     from xplain.questions.committee import next_screen_of
@@ -108,15 +110,8 @@ def _screen(cfg: DictConfig, design: Adaptive) -> Row:
         # The text itself is a feature where the table has no other.
         row |= {name: own[pool.which[t]] for name, own in columns.items() if name != "text"}
         rows.append(row | {"observer": cfg.observer, "label": ""})
-    _write(rows, Path(cfg.output))
-    _show(rows)
-    return {
-        "output": str(cfg.output),
-        "questions": len(rows),
-        "transitions": len(pool.features),
-        "observer": cfg.observer,
-        "answers": len(answers),
-    }
+    size = len(pool.features)
+    return rows, {"transitions": size, "observer": cfg.observer, "answers": len(answers)}
 
 
 def _pool(cfg: DictConfig) -> tuple[Pool, tuple[str, ...], tuple[str, ...], dict[str, str]]:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset, query_index
 from xplain.data.encoding import encoded
-from xplain.errors import InputError
+from xplain.errors import InputError, one_of
 from xplain.message_sets import mask_of, names_of
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def read_table(
             and its row (1 is the first row of data).
     """
     table = _load(Path(path), features, ignore)
-    observer, observers = _factorized(_text(table["observer"], "observer"))
+    observer, observers = _factorized(_complete(table["observer"]).astype(str).str.strip())
     message_set, known = _message_sets(table["messages"], messages)
     described, names = _features(table.drop(columns=list(COLUMNS)))
     distinct, transition = _distinct(described)
@@ -101,7 +101,7 @@ def read_questions(
         InputError: the rows do not fit ``like``.
     """
     table = _load(Path(path), features, ignore, key="predict")
-    observer, observers = _factorized(_text(table["observer"], "observer"))
+    observer, observers = _factorized(_complete(table["observer"]).astype(str).str.strip())
     message_set, _ = _message_sets(table["messages"], like.messages)
     described = table.drop(columns=list(COLUMNS)).reset_index(drop=True)
     group = described.groupby(list(described.columns), sort=False, dropna=False)
@@ -158,8 +158,7 @@ def align(dataset: Dataset, names: tuple[str, ...]) -> Dataset:
     """
     have = {name: j for j, name in enumerate(dataset.feature_names)}
     for name in dataset.feature_names:
-        if name not in names:
-            raise InputError("data", name, f"unknown feature; known: {', '.join(names)}")
+        one_of("data", name, names, "feature")
     text = {name.split("=")[0] for name in have if "=" in name}
     columns = []
     for name in names:
@@ -239,13 +238,18 @@ def _row(bad: Any) -> int:
     return int(np.flatnonzero(np.asarray(bad))[0]) + 1
 
 
-def _text(column: pd.Series[Any], name: str) -> pd.Series[Any]:
+def _complete(column: pd.Series[Any], mend: str = "") -> pd.Series[Any]:
+    """A column without missing values.
+
+    Raises:
+        InputError: one is missing; ``mend`` says what can be done.
+    """
     missing = column.isna()
     if missing.any():
-        raise InputError(
-            "data", name, f"missing in {int(missing.sum())} rows, first in row {_row(missing)}"
-        )
-    return column.astype(str).str.strip()
+        count, first = int(missing.sum()), _row(missing)
+        name = str(column.name)
+        raise InputError("data", name, f"missing in {count} rows, first in row {first}{mend}")
+    return column
 
 
 def _factorized(column: pd.Series[Any]) -> tuple[NDArray[np.int64], tuple[str, ...]]:
@@ -279,12 +283,7 @@ def _message_sets(
 def _labels(column: pd.Series[Any]) -> NDArray[np.uint8]:
     import pandas as pd
 
-    missing = column.isna()
-    if missing.any():
-        raise InputError(
-            "data", "label", f"missing in {int(missing.sum())} rows, first in row {_row(missing)}"
-        )
-    numbers = pd.to_numeric(column.astype(object), errors="coerce")
+    numbers = pd.to_numeric(_complete(column).astype(object), errors="coerce")
     bad = ~numbers.isin([0, 1])
     if bad.any():
         raise InputError(
@@ -302,15 +301,8 @@ def _features(table: pd.DataFrame) -> tuple[NDArray[np.float64], tuple[str, ...]
     columns: list[NDArray[np.float64]] = []
     names: list[str] = []
     for name in table.columns:
-        column = table[name]
-        missing = column.isna()
-        if missing.any():
-            raise InputError(
-                "data",
-                str(name),
-                f"missing in {int(missing.sum())} rows, first in row "
-                f"{_row(missing)}; leave those rows out, or the column by ignore=[{name}]",
-            )
+        mend = f"; leave those rows out, or the column by ignore=[{name}]"
+        column = _complete(table[name], mend)
         if is_numeric_dtype(column) or is_bool_dtype(column):
             number = column.to_numpy(dtype=np.float64)
             if not np.isfinite(number).all():

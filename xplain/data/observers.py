@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from xplain.data.dataset import Dataset
 from xplain.data.label_file import align, read_table
 from xplain.data.queries import Queries
 from xplain.domains.base import transition_feature_names, transition_features
-from xplain.errors import InputError, number
+from xplain.errors import InputError, Range, checks
 from xplain.randomness import stream
 from xplain.users.setting import Setting
 
@@ -65,6 +65,7 @@ class Observers(Protocol):
         ...
 
 
+@checks("observers")
 @dataclass(frozen=True)
 class SimulatedObservers:
     """Observers of each type, who answer the queries. They are in the order of their types.
@@ -78,7 +79,7 @@ class SimulatedObservers:
 
     per_type: int | Sequence[int] = 3
     points: int | Sequence[int] = 300
-    label_noise: float = 0.0
+    label_noise: Annotated[float, Range(0, 0.5)] = 0.0
 
     def __post_init__(self) -> None:
         counts = _whole_numbers(self.per_type)
@@ -88,8 +89,6 @@ class SimulatedObservers:
         single = isinstance(self.points, int)
         if len(points) != (1 if single else 2) or points[0] < 1 or points[0] > points[-1]:
             raise InputError("observers.points", self.points, "a number ≥ 1, or [low, high]")
-        if not 0 <= number("observers.label_noise", self.label_noise) <= 0.5:
-            raise InputError("observers.label_noise", self.label_noise, "a number in [0, 0.5]")
 
     def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
         """Labels of all observers and their true types.

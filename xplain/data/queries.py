@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.data.rollouts import sample_trace
-from xplain.errors import InputError, number, whole_number
+from xplain.errors import Count, Probability, checks
 from xplain.randomness import stream
 from xplain.users.setting import Setting
 
@@ -72,14 +72,8 @@ class RandomTraces:
         message_probability: that a message is in the message set of a trace.
     """
 
-    trace_length: int = 10
-    message_probability: float = 0.5
-
-    def __post_init__(self) -> None:
-        whole_number("queries.trace_length", self.trace_length, 1)
-        if not 0 <= number("queries.message_probability", self.message_probability) <= 1:
-            allowed = "a number in [0, 1]"
-            raise InputError("queries.message_probability", self.message_probability, allowed)
+    trace_length: Count = 10
+    message_probability: Probability = 0.5
 
     def draw(
         self, setting: Setting, count: int, rng: np.random.Generator
@@ -98,6 +92,7 @@ class RandomTraces:
         return np.concatenate(traces)[:count], np.concatenate(message_sets)[:count]
 
 
+@checks("queries")
 @dataclass(frozen=True)
 class Independent(RandomTraces):
     """Each observer is asked about their own random traces (the paper, as it reads)."""
@@ -113,6 +108,7 @@ class Independent(RandomTraces):
         return asked
 
 
+@checks("queries")
 @dataclass(frozen=True)
 class Shared(RandomTraces):
     """All observers are asked about the same random traces. This is best for a clusterer that

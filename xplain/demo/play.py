@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from hydra.utils import instantiate
 
 from xplain.config import composed
-from xplain.errors import InputError
+from xplain.errors import InputError, one_of
 from xplain.evaluation.explainees import Explainee
 from xplain.experiment.explanations import Costs, copies
 from xplain.experiment.from_config import components_of, costs_of
@@ -56,11 +56,7 @@ class Stage:
         Raises:
             InputError: there is no such type.
         """
-        if name is None:
-            return self.suggested
-        if name not in self.beliefs:
-            raise InputError("--user", name, f"one of {', '.join(self.beliefs)}")
-        return name
+        return self.suggested if name is None else one_of("--user", name, self.beliefs)
 
     def right(self, user: str | None) -> list[str]:
         """The learned types that match a true one; none for a person, or if there is one type."""

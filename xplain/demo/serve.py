@@ -20,7 +20,7 @@ from hydra.utils import instantiate
 
 from xplain.config import composed
 from xplain.demo.play import Stage, stage
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError, XplainError, one_of
 from xplain.evaluation.explainees import SimulatedUser
 from xplain.message_sets import mask_of
 from xplain.sessions.session import Session
@@ -54,10 +54,8 @@ class Game:
             raise InputError("solvers", list(solvers), f"two of {', '.join(SOLVERS)}")
         domain = instantiate(composed("config", overrides).domain)
         values = {fact.name: fact.inaccurate for fact in domain.parameters}
-        unknown = [name for name in wrong if name not in values]
-        if unknown:
-            raise InputError("wrong", unknown[0], f"facts of the task: {', '.join(values)}")
-        own = Setting.build(domain, (UserType("you", {name: values[name] for name in wrong}),))
+        held = {one_of("wrong", name, values, "fact"): values[name] for name in wrong}
+        own = Setting.build(domain, (UserType("you", held),))
         self._scene, self._solvers = scene, tuple(solvers)
         self._user = SimulatedUser(own.true_labels(scene.case.transitions))
         trace = range(len(scene.case.transitions))
@@ -123,9 +121,7 @@ def create_app(overrides: Sequence[str], host: str = HOST) -> Flask:
     rest = [word for word in overrides if not word.startswith("domain=")]
 
     def words(task: str) -> list[str]:
-        if task not in tasks:
-            raise InputError("task", task, f"one of {', '.join(tasks)}")
-        return [f"domain={task}", *rest]
+        return [f"domain={one_of('task', task, tasks)}", *rest]
 
     scene_of = cache(lambda task: stage(words(task)))
 

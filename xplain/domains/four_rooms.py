@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import MOVES, Cell, Grid, parameters_of
 from xplain.domains.mdp import MDP
-from xplain.errors import InputError, discount_factor, number
+from xplain.errors import InputError, Range, Slip, checks, listed, number
 
 PARAMETERS = ("goals", "discount", "step_cost", "penalty_cells", "penalty")
 DOORS = ((3, 6), (10, 6), (6, 2), (7, 9))
 """Of the published map: (row, column) from 0, the wall being row and column 0."""
 
 
+@checks("domain")
 class FourRooms:
     """The four-rooms task. States are cells; entering a goal earns its reward and ends the task.
 
@@ -45,7 +46,7 @@ class FourRooms:
         self,
         map: str,
         parameters: Mapping[str, Mapping[str, Any]],
-        slip: float = 0.0,
+        slip: Slip = 0.0,
         name: str = "four_rooms",
     ) -> None:
         """Reads the map and checks both values of every parameter."""
@@ -75,13 +76,13 @@ class FourRooms:
             InputError: a value is not allowed.
         """
         goals = self._goals(values["goals"])
-        discount = discount_factor("domain.parameters.discount", values["discount"])
+        discount = number("domain.parameters.discount", values["discount"], Range(0, 1, "()"))
         reward = np.full(
             self._successor.shape, -number("domain.parameters.step_cost", values["step_cost"])
         )
         penalised = [
             self.grid.at(cell, "domain.parameters.penalty_cells")
-            for cell in _list("penalty_cells", values["penalty_cells"])
+            for cell in listed("domain.parameters.penalty_cells", values["penalty_cells"])
         ]
         entered = self._moves & np.isin(self._successor, penalised)
         reward[entered] -= number("domain.parameters.penalty", values["penalty"])
@@ -95,7 +96,7 @@ class FourRooms:
         """Rewards by cell number."""
         key = "domain.parameters.goals"
         goals = {}
-        for goal in _list("goals", value):
+        for goal in listed(key, value):
             if not isinstance(goal, Mapping) or set(goal) != {"cell", "reward"}:
                 raise InputError(key, goal, "{cell: [row, column], reward: a number}")
             goals[self.grid.at(goal["cell"], key)] = number(f"{key}.reward", goal["reward"])
@@ -126,12 +127,6 @@ class FourRooms:
         cells = tuple(_cell(cell) for cell in accurate["penalty_cells"])
         penalty = [Item("penalty", "x", cells)] if cells else []
         return self.grid.scene([*goals, *penalty])
-
-
-def _list(name: str, value: Any) -> Sequence[Any]:
-    if isinstance(value, str) or not isinstance(value, Sequence):
-        raise InputError(f"domain.parameters.{name}", value, "a list")
-    return value
 
 
 def _cell(value: Sequence[int]) -> Cell:

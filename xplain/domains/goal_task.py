@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from xplain.domains.mdp import CLEAR, TIE
-from xplain.domains.shortest_ways import shortest_ways
 from xplain.errors import DomainError
 
 
@@ -114,13 +115,10 @@ class GoalTask:
     def to_go(self) -> NDArray[np.float64]:
         """[S] the cost of the cheapest plan, exact up to rounding; ∞ in dead ends."""
         first, order = self.space.backwards
-        result = np.full(self.n_states, np.inf)
-        shortest_ways(
-            first, order, self.space.source, self.space.variant, self._variant_cost,
-            self.terminal, result,
-        )  # fmt: skip
-        result[result >= self.dead_end_cost] = np.inf
-        return result
+        cost, before = self._variant_cost[self.space.variant[order]], self.space.source[order]
+        graph = csr_array((cost, before, first), shape=(self.n_states, self.n_states))
+        found = dijkstra(graph, indices=np.flatnonzero(self.terminal), min_only=True)
+        return np.where(found < self.dead_end_cost, found, np.inf)
 
     def gap(self, edges: NDArray[np.int64]) -> NDArray[np.float64]:
         """The extra cost of each edge [T] and a best plan after it over a best plan from its start,
@@ -169,15 +167,9 @@ class GoalTask:
 
     def _steps(self, starts: NDArray[np.int64], edges: NDArray[np.bool_]) -> NDArray[np.float64]:
         """[S] the number of these edges on the shortest path from any of the starts."""
-        source, after = self.space.source[edges], self.space.successor[edges]
-        result = np.full(self.n_states, np.inf)
-        result[starts] = 0
-        for step in range(1, self.n_states + 1):
-            new = after[(result[source] == step - 1) & np.isinf(result[after])]
-            if not len(new):
-                break
-            result[new] = step
-        return result
+        ends = self.space.source[edges], self.space.successor[edges]
+        ways = coo_array((np.ones(len(ends[0])), ends), shape=(self.n_states, self.n_states))
+        return np.asarray(dijkstra(ways, indices=starts, unweighted=True, min_only=True))
 
     @cached_property
     def optimal(self) -> NDArray[np.bool_]:

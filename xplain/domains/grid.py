@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Parameter, Scene
-from xplain.errors import InputError
+from xplain.domains.mdp import reached
+from xplain.errors import InputError, mapping, one_of, sentence
 
 Cell = tuple[int, int]
 
@@ -51,8 +52,7 @@ class Grid:
         Raises:
             InputError: no text, rows of unequal length, an unknown symbol, or walls only.
         """
-        if not isinstance(text, str) or not text.strip():
-            raise InputError(key, text, "an ASCII map, one line for each row")
+        sentence(key, text, "an ASCII map, one line for each row")
         lines = [line.rstrip() for line in text.strip("\n").splitlines()]
         known = {WALL: "wall", FLOOR: "floor", START: "floor where traces start", **symbols}
         where: dict[str, list[Cell]] = {}
@@ -113,12 +113,7 @@ class Grid:
 
         Args:
             slip: probability that the robot slides to one of the two sides (half each) instead.
-
-        Raises:
-            InputError: slip is not a number in [0, 1).
         """
-        if isinstance(slip, bool) or not isinstance(slip, (int, float)) or not 0 <= slip < 1:
-            raise InputError("domain.slip", slip, "a probability in [0, 1)")
         intended = self.neighbour[:, :, None]
         if slip == 0:
             return intended, np.ones(intended.shape)
@@ -127,13 +122,7 @@ class Grid:
 
     def connected(self, cell: int) -> NDArray[np.bool_]:
         """[C] the cells that can be reached from this one (and from which it can be reached)."""
-        seen = np.zeros(len(self.cells), dtype=bool)
-        frontier = np.array([cell])
-        while len(frontier):
-            seen[frontier] = True
-            after = np.unique(self.neighbour[frontier])
-            frontier = after[~seen[after]]
-        return seen
+        return reached(np.array([cell]), len(self.cells), self.neighbour.__getitem__)
 
     def require_path(self, what: str, cell: int, goal_name: str, goal: int) -> None:
         """Checks that a cell has a path to the goal.
@@ -182,20 +171,15 @@ def parameters_of(
     parameters = []
     for name, fields in given.items():
         key = f"domain.parameters.{name}"
-        if name not in known:
-            raise InputError("domain.parameters", name, f"unknown; known: {', '.join(known)}")
-        if not isinstance(fields, Mapping):
-            raise InputError(key, fields, "the fields accurate, inaccurate, message, belief")
-        needed, optional = {"accurate", "inaccurate", "message"}, {"belief"}
+        one_of("domain.parameters", name, known, "parameter")
+        mapping(key, fields, "the fields accurate, inaccurate, message, belief")
+        needed = {"accurate", "inaccurate", "message"}
         if missing := needed - fields.keys():
             raise InputError(key, dict(fields), f"lacks {', '.join(sorted(missing))}")
-        if unknown := fields.keys() - needed - optional:
-            raise InputError(
-                key, min(unknown), f"unknown field; known: {', '.join(sorted(needed | optional))}"
-            )
+        for field in fields:
+            one_of(key, field, sorted(needed | {"belief"}), "field")
         parameter = Parameter(name=name, **fields)
-        if not isinstance(parameter.message, str) or not parameter.message.strip():
-            raise InputError(f"{key}.message", parameter.message, "a sentence")
+        sentence(f"{key}.message", parameter.message)
         if parameter.accurate == parameter.inaccurate:
             raise InputError(f"{key}.inaccurate", parameter.inaccurate, "differs from accurate")
         parameters.append(parameter)

@@ -16,8 +16,17 @@ from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import Cell, parameters_of
-from xplain.domains.mdp import MDP
-from xplain.errors import InputError, XplainError, discount_factor, number
+from xplain.domains.mdp import MDP, reached
+from xplain.errors import (
+    Discount,
+    InputError,
+    XplainError,
+    checks,
+    listed,
+    mapping,
+    number,
+    one_of,
+)
 
 EFFECTS = ("add", "like", "to", "arguments")
 CHANGES = ("when", "actions", "next", *EFFECTS)
@@ -57,10 +66,9 @@ class Features:
 
     def where(self, key: str, condition: Any) -> NDArray[np.bool_]:
         """[S] the states that meet ``{feature: value, or a list of values}``."""
-        if not isinstance(condition, Mapping):
-            raise InputError(key, condition, "{feature: value, or a list of values}")
+        asked = mapping(key, condition, "{feature: value, or a list of values}")
         result = np.ones(len(self.codes), dtype=bool)
-        for feature, wanted in condition.items():
+        for feature, wanted in asked.items():
             one = isinstance(wanted, str) or not isinstance(wanted, Sequence)
             codes = [self._code(key, feature, value) for value in ([wanted] if one else wanted)]
             result &= np.isin(self.codes[:, self.names.index(feature)], codes)
@@ -68,10 +76,8 @@ class Features:
 
     def changed(self, key: str, target: Any) -> NDArray[np.int64]:
         """[S] the number of each state after the features in ``{feature: value}`` are set."""
-        if not isinstance(target, Mapping):
-            raise InputError(key, target, "{feature: value}")
         codes = self.codes.copy()
-        for feature, value in target.items():
+        for feature, value in mapping(key, target, "{feature: value}").items():
             code = self._code(key, feature, value)
             codes[:, self.names.index(feature)] = code
         return np.asarray(np.ravel_multi_index(tuple(codes.T), self.sizes), dtype=np.int64)
@@ -87,14 +93,11 @@ class Features:
         ]
 
     def _code(self, key: str, feature: str, value: Any) -> int:
-        if feature not in self.values:
-            raise InputError(key, feature, f"unknown feature; known: {', '.join(self.names)}")
-        known = self.values[feature]
-        if value not in known:
-            raise InputError(f"{key}.{feature}", value, f"one of {', '.join(map(str, known))}")
-        return known.index(value)
+        known = self.values[one_of(key, feature, self.names, "feature")]
+        return known.index(one_of(f"{key}.{feature}", value, known))
 
 
+@checks("domain")
 class Gymnasium:
     """A tabular Gymnasium environment. States are the numbers of the environment's states.
 
@@ -130,7 +133,7 @@ class Gymnasium:
         id: str,
         states: Mapping[str, int | Sequence[str]],
         actions: Sequence[str],
-        discount: float,
+        discount: Discount,
         parameters: Mapping[str, Mapping[str, Any]],
         starts: Mapping[str, Any] | None = None,
         arguments: Mapping[str, Any] | None = None,
@@ -139,7 +142,7 @@ class Gymnasium:
     ) -> None:
         """Makes the environment, reads its model and tries every change."""
         self.name, self._id, self._arguments = name, id, dict(arguments or {})
-        self.discount = discount_factor("domain.discount", discount)
+        self.discount = discount
         self._own = read_model(id, self._arguments)
         n_states, n_actions, _ = self._own.successor.shape
         self.actions = tuple(actions)
@@ -154,12 +157,11 @@ class Gymnasium:
             self.starts = np.flatnonzero(here)
         if not len(self.starts):
             raise InputError("domain.starts", starts, "at least one state that is not terminal")
-        if not isinstance(parameters, Mapping):
-            raise InputError("domain.parameters", parameters, "{name: {inaccurate, message}}")
+        given = mapping("domain.parameters", parameters, "{name: {inaccurate, message}}")
         # The robot's value is the environment as it is: no change.
         unchanged = {
             key: {"accurate": [], **fields} if isinstance(fields, Mapping) else fields
-            for key, fields in parameters.items()
+            for key, fields in given.items()
         }
         self.parameters = parameters_of(unchanged, tuple(parameters))
         accurate: dict[str, Any] = {parameter.name: [] for parameter in self.parameters}
@@ -211,10 +213,7 @@ class Gymnasium:
 
     def _numbers(self, key: str, names: Any) -> list[int]:
         """The numbers of actions."""
-        for name in names:
-            if name not in self.actions:
-                raise InputError(key, name, f"unknown action; known: {', '.join(self.actions)}")
-        return [self.actions.index(name) for name in names]
+        return [self.actions.index(one_of(key, name, self.actions, "action")) for name in names]
 
     def position(self, state: int) -> Cell | None:
         """The robot's cell, if states have a row and a column."""
@@ -240,24 +239,17 @@ class Gymnasium:
 
 def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
     """A parameter's value, checked in form."""
-    if isinstance(value, (str, Mapping)) or not isinstance(value, Sequence):
-        raise InputError(key, value, "a list of changes")
-    for change in value:
-        if not isinstance(change, Mapping):
-            raise InputError(key, change, f"a change with {', '.join(CHANGES)}")
-        if unknown := change.keys() - set(CHANGES):
-            raise InputError(key, min(unknown), f"unknown; known: {', '.join(CHANGES)}")
+    for change in listed(key, value, "a list of changes"):
+        for field in mapping(key, change, f"a change with {', '.join(CHANGES)}"):
+            one_of(key, field, CHANGES, "field")
         if sum(effect in change for effect in EFFECTS) != 1:
             raise InputError(key, dict(change), f"one of {', '.join(EFFECTS)}")
         if "arguments" in change and len(change) > 1:
             raise InputError(key, dict(change), "a change with arguments has no other field")
         if "next" in change and "add" not in change:
             raise InputError(key, dict(change), "next needs add")
-        listed = change.get("actions", [])
-        if isinstance(listed, str) or not isinstance(listed, Sequence):
-            raise InputError(f"{key}.actions", listed, "a list of actions")
-        if not isinstance(change.get("arguments", {}), Mapping):
-            raise InputError(f"{key}.arguments", change["arguments"], "{argument: value}")
+        listed(f"{key}.actions", change.get("actions", []), "a list of actions")
+        mapping(f"{key}.arguments", change.get("arguments", {}), "{argument: value}")
     return list(value)
 
 
@@ -300,13 +292,9 @@ def read_model(id: str, arguments: Mapping[str, Any]) -> Tables:
     terminal[successor[ended & (probability > 0)]] = True
     starts = np.flatnonzero(np.ones(states) if initial is None else np.asarray(initial) > 0)
     # Tables also hold states that no episode reaches, with outcomes that make no sense.
-    reached = np.zeros(states, dtype=bool)
-    frontier = starts[~terminal[starts]]
-    while len(frontier):
-        reached[frontier] = True
-        after = np.unique(successor[frontier][probability[frontier] > 0])
-        frontier = after[~reached[after] & ~terminal[after]]
-    goes_on = reached[:, None, None] & (probability > 0) & ~ended
+    possible = (probability > 0) & ~terminal[:, None, None]
+    met = reached(starts, states, lambda s: successor[s][possible[s]])
+    goes_on = met[:, None, None] & possible & ~ended
     if (goes_on & terminal[successor]).any():
         raise InputError("domain.id", id, "an environment whose end depends on the state alone")
     return Tables(successor, probability, reward, terminal, starts)

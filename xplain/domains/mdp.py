@@ -6,15 +6,14 @@ are solved in one batch, so accurately that "is this action optimal?" has a safe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import DomainError
-from xplain.numba_kernels import inlined, lean_kernel
 
 TIE = 1e-10
 """Two actions tie when their values differ by less than this, relative to the model's scale."""
@@ -22,6 +21,9 @@ CLEAR = 1e-8
 """They differ when the gap is at least this; a gap between TIE and CLEAR is ambiguous."""
 SOLVED = 1e-11
 """Values are solved to within this of the optimum, relative to the model's scale."""
+MOST_SWEEPS = 20_000
+LARGEST_BATCH = 1 << 17
+"""Outcomes (of all states, actions and models) that are swept at once."""
 
 
 class Model(Protocol):
@@ -61,6 +63,25 @@ class Model(Protocol):
             DomainError: ties are ambiguous; ``names`` says in whose model.
         """
         ...
+
+
+def reached(
+    starts: NDArray[np.int64], states: int, after: Callable[[NDArray[np.int64]], NDArray[Any]]
+) -> NDArray[np.bool_]:
+    """[S] the states that can be reached from the starts, themselves included.
+
+    Args:
+        starts: some states.
+        states: S.
+        after: gives the states that follow some states, in any order, also repeatedly.
+    """
+    seen = np.zeros(states, dtype=bool)
+    frontier = starts
+    while len(frontier):
+        seen[frontier] = True
+        new = np.unique(after(frontier))
+        frontier = new[~seen[new]]
+    return seen
 
 
 class Solution(Protocol):
@@ -161,16 +182,6 @@ class MDPSolution:
         return labels(self.models, self.optimal, transitions)
 
 
-class Fields(NamedTuple):
-    """The arrays of an :class:`MDP`, for a kernel."""
-
-    successor: NDArray[np.int64]
-    probability: NDArray[np.float64]
-    reward: NDArray[np.float64]
-    discount: float
-    terminal: NDArray[np.bool_]
-
-
 def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
     """Optimal action values of many models over the same states and actions.
 
@@ -182,18 +193,58 @@ def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
     Raises:
         DomainError: a discount is so near to 1 that rounding hides the optimum.
     """
-    result = np.empty((len(models), models[0].n_states, models[0].n_actions))
-    for b, model in enumerate(models):
-        available = model.probability.sum(axis=2) > 0
-        result[b] = np.where(available | model.terminal[:, None], 0.0, -np.inf)
-        fields = model.successor, model.probability, model.reward, model.discount, model.terminal
-        value, greedy = np.zeros(model.n_states), np.zeros(model.n_states, dtype=np.int64)
-        if not _solve(Fields(*fields), SOLVED * _scale(model), result[b], value, greedy):
-            raise DomainError(
-                f"domain: a model with discount {model.discount} cannot be solved to the accuracy "
-                "that safe ties need; use a smaller discount"
+    together = max(1, LARGEST_BATCH // models[0].successor.size)
+    batches = range(0, len(models), together)
+    return np.concatenate([_solved(models[first : first + together]) for first in batches])
+
+
+def _solved(models: Sequence[MDP]) -> NDArray[np.float64]:
+    """Modified policy iteration (Puterman & Shin 1978), for all models at once.
+
+    A Bellman sweep is a γ-contraction in the max norm with fixed point V*. So when it changes no
+    value by more than δ, the swept values lie within δ γ / (1 − γ) of V*, and the action values
+    backed up from them within δ γ² / (1 − γ) of Q*: this ends the loop. Between two such sweeps the
+    values move towards those of the greedy policy, A times cheaper; this changes the speed, not the
+    stopping rule.
+    """
+    slots = max(model.successor.shape[2] for model in models)
+
+    def stacked(name: str) -> NDArray[Any]:
+        """[B, S, A, K] of arrays that may have fewer slots."""
+        arrays = [getattr(model, name) for model in models]
+        return np.stack([np.pad(a, [(0, 0), (0, 0), (0, slots - a.shape[2])]) for a in arrays])
+
+    successor, probability = stacked("successor"), stacked("probability")
+    gain = (probability * stacked("reward")).sum(axis=3)
+    gain[probability.sum(axis=3) == 0] = -np.inf
+    terminal = np.stack([model.terminal for model in models])
+    gain[terminal], probability[terminal] = 0.0, 0.0
+    discount = np.array([model.discount for model in models])
+    allowed = SOLVED * np.array([_scale(model) for model in models])
+    allowed *= (1 - discount) / np.maximum(discount**2, 1e-300)
+    probability *= discount[:, None, None, None]
+    b, s = np.ogrid[: len(models), : models[0].n_states]
+    successor += b[..., None, None] * models[0].n_states  # a place in all models' values
+    value = np.zeros(terminal.shape)
+    for _ in range(MOST_SWEEPS):
+        q = gain + np.einsum("bsak,bsak->bsa", probability, value.take(successor))
+        swept, greedy = q.max(axis=2), q.argmax(axis=2)
+        done = (np.abs(swept - value).max(axis=1) <= allowed).all()
+        value = swept
+        if done:
+            return np.asarray(
+                gain + np.einsum("bsak,bsak->bsa", probability, value.take(successor))
             )
-    return result
+        own, chance, after = (array[b, s, greedy] for array in (gain, probability, successor))
+        for _ in range(100):
+            before = value
+            value = own + np.einsum("bsk,bsk->bs", chance, value.take(after))
+            if (np.abs(value - before).max(axis=1) <= 0.1 * allowed).all():
+                break
+    raise DomainError(
+        f"domain: a model with discount {discount.max():g} cannot be solved to the accuracy "
+        "that safe ties need; use a smaller discount"
+    )
 
 
 def optimal_actions(models: Sequence[MDP], names: Sequence[str] = ()) -> NDArray[np.bool_]:
@@ -242,72 +293,3 @@ def labels(
 def _scale(model: MDP) -> float:
     largest = float(np.abs(model.reward[model.probability > 0]).max(initial=0.0))
     return max(largest, 1e-12) / (1 - model.discount)
-
-
-@inlined
-def _action_value(model, value, s, a):  # type: ignore[no-untyped-def]
-    """Q(s, a), given the values [S] of the next states."""
-    total = 0.0
-    for k in range(model.successor.shape[2]):
-        p = model.probability[s, a, k]
-        if p > 0.0:
-            after = value[model.successor[s, a, k]]
-            total += p * (model.reward[s, a, k] + model.discount * after)
-    return total
-
-
-@lean_kernel
-def _solve(model, tolerance, q, value, greedy):  # type: ignore[no-untyped-def]
-    """Modified policy iteration (Puterman & Shin 1978); fills q [S, A] to |q − Q*| ≤ tolerance.
-
-    An in-place Bellman sweep is a γ-contraction in the max norm with fixed point V*. So when it
-    changes no value by more than δ, the swept values lie within δ γ / (1 − γ) of V*, and the action
-    values backed up from them within δ γ² / (1 − γ) of Q*: this ends the loop. Between two such
-    sweeps the values move towards those of the greedy policy, A times cheaper; this changes the
-    speed, not the stopping rule.
-
-    Args:
-        value, greedy: [S] zeros, work arrays.
-
-    Returns:
-        Whether the tolerance was reached.
-    """
-    states, actions = q.shape
-    allowed = tolerance * (1.0 - model.discount) / max(model.discount**2, 1e-300)
-    reached = False
-    for sweep in range(20_000):
-        change = 0.0
-        for index in range(states):
-            # Alternating directions carry values both ways through a grid.
-            s = index if sweep % 2 == 0 else states - 1 - index
-            if model.terminal[s]:
-                continue
-            best = -np.inf
-            for a in range(actions):
-                if q[s, a] == -np.inf:
-                    continue
-                total = _action_value(model, value, s, a)
-                if total > best:
-                    best = total
-                    greedy[s] = a
-            change = max(change, abs(best - value[s]))
-            value[s] = best
-        if change <= allowed:
-            reached = True
-            break
-        for inner in range(100):
-            moved = 0.0
-            for index in range(states):
-                s = index if inner % 2 == 0 else states - 1 - index
-                if model.terminal[s]:
-                    continue
-                total = _action_value(model, value, s, greedy[s])
-                moved = max(moved, abs(total - value[s]))
-                value[s] = total
-            if moved <= 0.1 * allowed:
-                break
-    for s in range(states):
-        for a in range(actions):
-            if q[s, a] != -np.inf and not model.terminal[s]:
-                q[s, a] = _action_value(model, value, s, a)
-    return reached

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import MOVES, Cell, Grid, parameters_of
 from xplain.domains.mdp import MDP
-from xplain.errors import InputError, discount_factor, number
+from xplain.errors import Discount, InputError, Positive, Slip, checks, number
 
 SHELTER, VICTIM = "S", "V"
 BONUSES = {"first_aid": "A", "fire": "F", "refuel": "U"}
@@ -44,6 +44,7 @@ SYMBOLS = {
 }
 
 
+@checks("domain")
 class Rescue:
     """The rescue task. A state is a cell, one flag for each bonus (done or not), and
     "carries the victim".
@@ -70,9 +71,9 @@ class Rescue:
         self,
         map: str,
         parameters: Mapping[str, Mapping[str, Any]],
-        rescue_reward: float,
-        discount: float,
-        slip: float = 0.0,
+        rescue_reward: Positive,
+        discount: Discount,
+        slip: Slip = 0.0,
         name: str = "rescue",
     ) -> None:
         """Reads the map and lays out the states: cell · 2^(bonuses + 1) + flags."""
@@ -81,10 +82,7 @@ class Rescue:
         for parameter in self.parameters:
             number(f"domain.parameters.{parameter.name}.accurate", parameter.accurate)
             number(f"domain.parameters.{parameter.name}.inaccurate", parameter.inaccurate)
-        self.rescue_reward = number("domain.rescue_reward", rescue_reward)
-        if self.rescue_reward <= 0:
-            raise InputError("domain.rescue_reward", rescue_reward, "a positive number")
-        self.discount = discount_factor("domain.discount", discount)
+        self.rescue_reward, self.discount = rescue_reward, discount
         self.grid = Grid.parse(map, SYMBOLS)
         named = [parameter.name for parameter in self.parameters]
         for kind, symbol in {**BONUSES, **OBSTACLES}.items():

@@ -12,15 +12,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import Item, Parameter, Scene
+from xplain.domains.base import Item, Parameter, Scene, cell_name
 from xplain.domains.grid import MOVES, WALL, Cell, Grid
 from xplain.domains.mdp import MDP
-from xplain.errors import InputError, discount_factor, number, whole_number
+from xplain.errors import Discount, Positive, Range, Slip, Whole, checks
 
 BLOCK = 3
 """Cells from one crossing to the next."""
@@ -51,6 +51,7 @@ class Stretch:
         return f"between {self.ends[0]} and {self.ends[1]}"
 
 
+@checks("domain")
 class Warehouse:
     """The warehouse task. States are cells; the dispatch, the last crossing, ends the task.
 
@@ -76,26 +77,18 @@ class Warehouse:
 
     def __init__(
         self,
-        facts: int,
-        layout: int = 0,
-        wet: float = 2.0,
-        against: float = 2.0,
-        charge: float = 0.6,
-        discount: float = 0.95,
-        slip: float = 0.0,
+        facts: Annotated[int, Range(2, 62)],
+        layout: Whole = 0,
+        wet: Positive = 2.0,
+        against: Positive = 2.0,
+        charge: Annotated[float, Range(0, 1, "()")] = 0.6,
+        discount: Discount = 0.95,
+        slip: Slip = 0.0,
         name: str = "warehouse",
     ) -> None:
         """Lays out the map, and draws the facts."""
         self.name = name
-        if not 2 <= whole_number("domain.facts", facts, 2) <= 62:
-            raise InputError("domain.facts", facts, "a whole number in 2 … 62")
-        whole_number("domain.layout", layout, 0)
-        for key, value in (("wet", wet), ("against", against)):
-            if number(f"domain.{key}", value) <= 0:
-                raise InputError(f"domain.{key}", value, "a number > 0")
-        if not 0 < number("domain.charge", charge) < 1:
-            raise InputError("domain.charge", charge, "a number in (0, 1)")
-        self.discount = discount_factor("domain.discount", discount)
+        self.discount = discount
         high, wide = size_for(facts)
         self.grid = Grid.parse(_map(high, wide), {"D": "dispatch"})
         rng = np.random.default_rng(layout)
@@ -206,13 +199,9 @@ def _stretches(high: int, wide: int) -> Sequence[Stretch]:
         for way, dr, dc in (("right", 0, 1), ("down", 1, 0)):
             if r + dr < high and c + dc < wide:
                 cells = tuple((BLOCK * r + i * dr, BLOCK * c + i * dc) for i in range(1, BLOCK))
-                ends = f"{_letter(c)}{r + 1}", f"{_letter(c + dc)}{r + dr + 1}"
+                ends = cell_name(r, c), cell_name(r + dr, c + dc)
                 found.append(Stretch(cells, way, ends))
     return found
-
-
-def _letter(column: int) -> str:
-    return chr(ord("A") + column)
 
 
 def _parameter(name: str, kind: str, stretch: Stretch, worth: float) -> Parameter:

@@ -9,10 +9,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from xplain.evaluation.statistics import Estimate, clustered_mean
@@ -39,37 +37,6 @@ PROBLEM = ("lambda", "setting", "seed", "trace", "type")
 UNKNOWN = Estimate(math.nan, math.nan, math.nan)
 
 
-@dataclass(frozen=True)
-class Combination:
-    """One combination of the swept values, over its seeds, traces and users.
-
-    Attributes:
-        values: by key; "" where a setting of the sweep lacks the key.
-        estimates: by measure, those that no episode has left out.
-        replicates: by measure, how many seeds (with one seed: traces) the interval is over.
-    """
-
-    values: Mapping[str, Value]
-    estimates: Mapping[str, Estimate]
-    replicates: Mapping[str, int]
-
-
-def combinations(summary: Summary, keys: Sequence[str]) -> list[Combination]:
-    """Every combination of these keys that has finished jobs, in the order of their values."""
-    if not len(summary.episodes):
-        return []
-    found = []
-    for values, frame in grouped(summary, keys):
-        estimates, replicates = {}, {}
-        for measure in MEASURES:
-            own = frame[np.isfinite(frame[measure])]
-            if len(own):
-                estimates[measure] = summary.mean(own, measure)
-                replicates[measure] = int(summary.clusters(own).nunique())
-        found.append(Combination(values, estimates, replicates))
-    return found
-
-
 def grouped(summary: Summary, keys: Sequence[str]) -> list[tuple[dict[str, Value], pd.DataFrame]]:
     """(values, episodes) of every combination of these keys, in the order of the values."""
     if not keys:
@@ -91,11 +58,12 @@ def regret_csv(summary: Summary) -> str:
     """
     keys = ["solver", "lambda", *(k for k in summary.keys if k not in ("solver", "lambda"))]
     rows = []
-    for one in combinations(summary, keys):
-        row: dict[str, object] = {key: plain_text(one.values[key]) for key in keys}
+    for values, frame in grouped(summary, keys):
+        row: dict[str, object] = {key: plain_text(value) for key, value in values.items()}
         for measure in MEASURES:
-            row |= _ends(one.estimates.get(measure, UNKNOWN), f"{measure.replace(' ', '_')}_")
-            row[f"{measure.replace(' ', '_')}_n"] = one.replicates.get(measure, 0)
+            known, name = frame.dropna(subset=[measure]), measure.replace(" ", "_")
+            row |= _ends(summary.estimate(known, measure) or UNKNOWN, f"{name}_")
+            row[f"{name}_n"] = int(summary.clusters(known).nunique())
         rows.append(row)
     return csv_text(pd.DataFrame(rows))
 

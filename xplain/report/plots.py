@@ -33,6 +33,7 @@ COLOURS = (
     "#8C8C8C",
 )
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+CLUSTERS, DISAGREEMENTS = "number of clusters k", "disagreements (pairs of labels)"
 STYLES = ("-", "--", "-.", ":", "-", "--", "-.", ":")
 
 matplotlib.rcParams.update(
@@ -63,25 +64,20 @@ def disagreements(curve: Sequence[float], found: int, rule: str) -> Figure:
     """Disagreements against the number of clusters, with the number that was chosen."""
     figure = Figure(figsize=(5, 3.2))
     axes = figure.subplots()
-    k = np.arange(1, len(curve) + 1)
-    axes.plot(k, curve, **series_style(0))
-    axes.plot(
-        found,
-        curve[min(found, len(k)) - 1],
-        marker="o",
-        markersize=13,
-        markerfacecolor="none",
-        markeredgecolor=COLOURS[1],
-        markeredgewidth=2,
-        linestyle="none",
-        label=f"chosen: {found} ({rule})",
-    )
-    axes.set_xlabel("number of clusters k")
-    axes.set_ylabel("disagreements (pairs of labels)")
-    axes.set_ylim(bottom=0)
+    axes.plot(np.arange(1, len(curve) + 1), curve, **series_style(0))
+    _draw_rings(axes, curve, [found], COLOURS[1], f"chosen: {found} ({rule})")
+    axes.set(xlabel=CLUSTERS, ylabel=DISAGREEMENTS, ylim=(0, None))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.legend()
     return figure
+
+
+def _draw_rings(
+    axes: Axes, curve: Sequence[float], chosen: Sequence[int], colour: str, name: str | None = None
+) -> None:
+    """Rings around the numbers of clusters that were chosen."""
+    heights = [curve[min(k, len(curve)) - 1] for k in chosen]
+    axes.plot(chosen, heights, "o", ms=13, mfc="none", mec=colour, mew=2, label=name)
 
 
 def elbows(summary: Summary) -> Figure | None:
@@ -94,7 +90,7 @@ def elbows(summary: Summary) -> Figure | None:
         curves = curves_of(summary, domain)
         few = len(curves) <= len(COLOURS) - 3
         for index, (setting, (curve, chosen)) in enumerate(curves.items()):
-            style = series_style(index) if few else {"color": "#888888", "alpha": 0.5}
+            style = series_style(index) if few else dict[str, Any](color="#888888", alpha=0.5)
             words = ", ".join(
                 f"{k}" + (f" ({times} seed{'s' * (times > 1)})" if len(chosen) > 1 else "")
                 for k, times in sorted(chosen.items())
@@ -103,21 +99,12 @@ def elbows(summary: Summary) -> Figure | None:
             k = np.arange(1, len(curve) + 1)
             axes.plot(k, curve, lw=1.3, ms=4, label=text if few else None, **style)
             found = [number for number in sorted(chosen) if number <= len(curve)]
-            axes.plot(
-                found,
-                curve[np.array(found, dtype=int) - 1],
-                ls="none",
-                marker="o",
-                ms=12,
-                mfc="none",
-                mec=style["color"],
-                mew=1.6,
-            )
+            _draw_rings(axes, curve.tolist(), found, style["color"])
         axes.set_title(title(domain), loc="left", weight="bold")
-        axes.set_xlabel("number of clusters k")
+        axes.set_xlabel(CLUSTERS)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.legend(fontsize=8)
-    panels[0].set_ylabel("disagreements (pairs of labels)")
+    panels[0].set_ylabel(DISAGREEMENTS)
     return figure
 
 

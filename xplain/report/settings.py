@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from xplain.config import SOURCE_GROUPS
+from xplain.experiment.cache import SOURCE
 
-_SOURCE = (*SOURCE_GROUPS, "points", "traces", "max_steps")
+_SOURCE = {*SOURCE, "points"} - {"seed"}
 """What tells settings apart; anything else that is swept tells methods apart."""
 
 _WORDS = {"users.count": "{} types", "users.index": "completion {}"}

@@ -213,11 +213,6 @@ class Summary:
         return {domain: list(dict.fromkeys(names)) for domain, names in by_domain}
 
     @cached_property
-    def trade_offs(self) -> list[float]:
-        """Every λ that was run, ascending."""
-        return sorted(set(self.episodes["lambda"])) if len(self.episodes) else []
-
-    @cached_property
     def seeds(self) -> int:
         """Number of different seeds that were run."""
         return int(self.episodes["seed"].nunique()) if len(self.episodes) else 0

@@ -184,7 +184,7 @@ def _draw_paper(
     published = table1()
     paper = [
         (trade_off + shift, published[domain, trade_off][solver])
-        for trade_off in summary.trade_offs
+        for trade_off in map(float, summary.values("lambda"))
         if solver in published.get((domain, trade_off), {})
     ]
     if paper:

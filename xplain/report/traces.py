@@ -162,12 +162,14 @@ def draw_map(axes: Axes, scene: Scene, positions: tuple[tuple[int, int], ...]) -
     for (row, column), steps in visits.items():
         numbers = ",".join(str(step) for step in steps if step > 0)
         axes.text(column + 0.44, row + 0.4, numbers, ha="right", fontsize=7, color="#222222")
-    axes.set_xlim(-0.5, scene.columns - 0.5)
-    axes.set_ylim(scene.rows - 0.5, -0.5)
-    axes.set_aspect("equal")
     # Rows and columns are numbered as in the phrases; lines between cells.
-    axes.set_xticks(range(scene.columns))
-    axes.set_yticks(range(scene.rows))
+    axes.set(
+        xlim=(-0.5, scene.columns - 0.5),
+        ylim=(scene.rows - 0.5, -0.5),
+        aspect="equal",
+        xticks=range(scene.columns),
+        yticks=range(scene.rows),
+    )
     axes.set_xticks([column - 0.5 for column in range(1, scene.columns)], minor=True)
     axes.set_yticks([row - 0.5 for row in range(1, scene.rows)], minor=True)
     axes.grid(visible=False, which="major")
@@ -210,13 +212,14 @@ def _draw_steps(axes: Axes, story: Story, caption: str) -> None:
             weight="bold",
         )
         axes.plot(k + 0.5, 0.36, "v", color=COLOURS[1], markersize=7, clip_on=False)
-    axes.set_xlim(0.5, m + 0.5)
-    axes.set_ylim(m + 0.5, 0.5)
-    axes.set_yticks(
-        range(1, m + 1), labels=[f"{i}. {phrase}" for i, phrase in enumerate(story.phrases, 1)]
+    axes.set(
+        xlim=(0.5, m + 0.5),
+        ylim=(m + 0.5, 0.5),
+        xticks=range(1, m + 1),
+        yticks=range(1, m + 1),
+        yticklabels=[f"{i}. {phrase}" for i, phrase in enumerate(story.phrases, 1)],
+        xlabel="step (at each, the user labels all transitions shown so far)",
     )
-    axes.set_xticks(range(1, m + 1))
-    axes.set_xlabel("step (at each, the user labels all transitions shown so far)")
     axes.grid(visible=False)
     axes.tick_params(length=0)
     axes.plot([], [], "s", color=EXPLICABLE, markersize=9, label="explicable")

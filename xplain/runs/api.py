@@ -30,7 +30,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from xplain.config import one_line
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError, XplainError, one_of
 from xplain.runs.start import start
 
 if TYPE_CHECKING:
@@ -124,10 +124,8 @@ class Sweep:
         Raises:
             InputError: rows of another kind.
         """
-        if rows == "episodes":
+        if one_of("rows", rows, ("jobs", "episodes")) == "episodes":
             return self.summary.episodes.copy()
-        if rows != "jobs":
-            raise InputError("rows", rows, "jobs or episodes")
         import pandas as pd
 
         return pd.DataFrame(
@@ -152,9 +150,7 @@ class Sweep:
         from xplain.report.measure import TITLES
         from xplain.report.sweep_plots import against_main_key
 
-        name = measure or self.summary.measure.name
-        if name not in TITLES:
-            raise InputError("measure", name, f"one of {', '.join(TITLES)}")
+        name = one_of("measure", measure or self.summary.measure.name, TITLES)
         figure = against_main_key(self.summary, name, TITLES[name])
         if figure is None:
             raise InputError("measure", name, "one that is known, of a sweep of several jobs")
@@ -183,10 +179,7 @@ def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
     Raises:
         XplainError: a key or value that is not allowed, in one line.
     """
-    folder = _started([*overrides, *_words(keys)], False, config_dir)
-    if folder is None:
-        raise InputError("dry_run", True, "false: nothing ran")
-    return Run(folder)
+    return Run(_started([*overrides, *_words(keys)], False, config_dir))
 
 
 def sweep(
@@ -202,10 +195,7 @@ def sweep(
     Raises:
         XplainError: a key or value that is not allowed, in one line; nothing was run.
     """
-    folder = _started([*overrides, *_words(keys)], True, config_dir)
-    if folder is None:
-        raise InputError("dry_run", True, "false: nothing ran")
-    return Sweep(folder, measure)
+    return Sweep(_started([*overrides, *_words(keys)], True, config_dir), measure)
 
 
 def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
@@ -222,11 +212,14 @@ def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
     raise InputError("folder", str(folder), "of a run or a sweep, below outputs/")
 
 
-def _started(words: list[str], multirun: bool, config_dir: str | None) -> Path | None:
+def _started(words: list[str], multirun: bool, config_dir: str | None) -> Path:
     """The folder; tables, which the result shows itself, are not printed."""
     try:
         with _told(), redirect_stdout(io.StringIO()):
-            return start(words, multirun, config_dir, logs=False)
+            folder = start(words, multirun, config_dir, logs=False)
+        if folder is None:
+            raise InputError("dry_run", True, "false: nothing ran")
+        return folder
     except XplainError:
         raise
     except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:

@@ -7,7 +7,7 @@ by itself, every Hydra program of the environment would load them.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from hydra._internal.core_plugins.file_config_source import FileConfigSource
 from hydra.core.config_search_path import ConfigSearchPath
@@ -20,11 +20,9 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from xplain.config import CONF, SWEEPS
-from xplain.errors import InputError
+from xplain.errors import checks
 
 GROUP = "sweeps"
-REPORTS = ("table1",)
-"""What a sweep file may ask for beside the report that every sweep has."""
 
 
 class SweepFiles(FileConfigSource):
@@ -76,6 +74,7 @@ class SweepSearchPath(SearchPathPlugin):
             search_path.append("xplain", f"{SweepFiles.scheme()}://{SWEEPS}")
 
 
+@checks("hydra.sweeper")
 class ResumingSweeper(Sweeper):
     """All combinations of the swept values, without the jobs that are finished already.
 
@@ -94,12 +93,10 @@ class ResumingSweeper(Sweeper):
         params: dict[str, Any] | None = None,
         settings: list[dict[str, Any]] | None = None,
         pool: list[str] | None = None,
-        report: str | None = None,
+        report: Literal["table1"] | None = None,
     ) -> None:
         self.params = params or {}
         self.settings = settings or [{}]
-        if report not in (None, *REPORTS):
-            raise InputError("hydra.sweeper.report", report, f"one of {', '.join(REPORTS)}")
         self.shown = {"pool": list(pool or ()), "report": report}
 
     def setup(

@@ -8,10 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from xplain.experiment.fingerprint import git_state
 from xplain.experiment.results import Results, load_results
-from xplain.runs.folder import FAILURE, STARTED, SweepFolder
-from xplain.runs.plan import Job
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -91,48 +88,6 @@ def send_run(store: Store, folder: Path) -> str:
     if new:
         fill(store.client, run_id, folder, results)
     return run_id
-
-
-def send_job(
-    store: Store,
-    known: Iterable[Run],
-    parent: str,
-    sweep: SweepFolder,
-    job: Job,
-    step: int,
-    number: int,
-    results: Results | None = None,
-) -> None:
-    """Sends what a job of a sweep left; nothing where it has not ended.
-
-    Args:
-        store: where to.
-        known: runs that this job has there.
-        parent: the sweep's own run.
-        sweep, job: which job.
-        step: where its figures stand in charts of the sweep.
-        number: of the job, from 1: names of runs begin with it, for pages cut them.
-        results: of the job, where they were read already.
-    """
-    folder, state, client = sweep.of(job), sweep.state(job), store.client
-    name = f"{number} · {job.label}"
-    tags = {RESULT_TAG: sweep.result_id(job), PARENT_TAG: parent, **source_tags(git_state())}
-    if state == "finished":
-        results = results or load_results(folder)
-        started = int(1000 * results.started)
-        run_id, new = store.once(known, name, "FINISHED", started, tags)
-        if new:
-            fill(client, run_id, folder, results, job.values, step)
-    elif state == "failed":
-        failure = sweep.failure(job)
-        tags["xplain.error"] = failure["error"][:4000]
-        tags["mlflow.note.content"] = f"```\n{failure['traceback'][-6000:]}```"
-        files = [folder / name for name in (STARTED, FAILURE) if (folder / name).exists()]
-        times = sorted(int(1000 * path.stat().st_mtime) for path in files)
-        run_id, new = store.once(known, name, "FAILED", times[0], tags)
-        if new:
-            client.log_artifacts(run_id, str(folder))
-            client.set_terminated(run_id, "FAILED", times[-1])
 
 
 def source_tags(git: Mapping[str, str]) -> dict[str, str]:

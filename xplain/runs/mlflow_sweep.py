@@ -9,18 +9,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from xplain.experiment.fingerprint import git_state
-from xplain.experiment.results import Results
+from xplain.experiment.results import Results, load_results
 from xplain.report.combinations import heading
 from xplain.report.comparison import answer, main_table
 from xplain.report.summary import Summary
-from xplain.runs.folder import SweepFolder
+from xplain.runs.folder import FAILURE, STARTED, SweepFolder
 from xplain.runs.mlflow_run import (
     MOST_PARAMETERS,
     PARENT_TAG,
     RESULT_TAG,
     Store,
     ended,
-    send_job,
+    fill,
     source_tags,
 )
 from xplain.runs.mlflow_views import (
@@ -83,10 +83,29 @@ class SweepRuns:
             self._children.setdefault(run.data.tags.get(RESULT_TAG, ""), []).append(run)
 
     def send(self, job: Job, results: Results | None = None) -> None:
-        """Sends a job that has ended, and does nothing for another; its results may be known."""
-        known = self._children.get(self._folder.result_id(job), [])
-        step, number = self._main.step(job.values), self._numbers[job.name]
-        send_job(self._store, known, self._parent, self._folder, job, step, number, results)
+        """Sends what a job left, and nothing where it has not ended; its results may be known."""
+        sweep, store, folder = self._folder, self._store, self._folder.of(job)
+        known = self._children.get(sweep.result_id(job), [])
+        # Names begin with the job's number, for pages cut them.
+        name, state = f"{self._numbers[job.name]} · {job.label}", sweep.state(job)
+        tags = {RESULT_TAG: sweep.result_id(job), PARENT_TAG: self._parent}
+        tags |= source_tags(git_state())
+        if state == "finished":
+            results = results or load_results(folder)
+            started = int(1000 * results.started)
+            run_id, new = store.once(known, name, "FINISHED", started, tags)
+            if new:
+                fill(store.client, run_id, folder, results, job.values, self._main.step(job.values))
+        elif state == "failed":
+            failure = sweep.failure(job)
+            tags["xplain.error"] = failure["error"][:4000]
+            tags["mlflow.note.content"] = f"```\n{failure['traceback'][-6000:]}```"
+            files = [folder / name for name in (STARTED, FAILURE) if (folder / name).exists()]
+            times = sorted(int(1000 * path.stat().st_mtime) for path in files)
+            run_id, new = store.once(known, name, "FAILED", times[0], tags)
+            if new:
+                store.client.log_artifacts(run_id, str(folder))
+                store.client.set_terminated(run_id, "FAILED", times[-1])
 
     def finish(self) -> list[str]:
         """Brings all runs and views to the state on disk; returns lines that tell where."""

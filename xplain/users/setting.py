@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from xplain.domains import mdp
 from xplain.domains.base import Domain
-from xplain.errors import InputError, TooLargeError
+from xplain.errors import InputError, TooLargeError, one_of
 from xplain.explanation.label_table import MAX_RELEVANT, LabelTable
 
 MAX_MODELS = 1 << 14
@@ -66,12 +66,7 @@ class Setting:
             raise InputError("users", called, "user types need different names")
         for user_type in types:
             for name in user_type.inaccurate:
-                if name not in names:
-                    raise InputError(
-                        f"users.{user_type.name}",
-                        name,
-                        f"unknown parameter; {domain.name} has {', '.join(names)}",
-                    )
+                one_of(f"users.{user_type.name}", name, names, f"parameter of {domain.name}")
         if sum(1 << len(user_type.inaccurate) for user_type in types) > MAX_MODELS:
             raise TooLargeError(
                 f"users: the types' inaccurate parameters span more than {MAX_MODELS} task models; "
@@ -159,18 +154,13 @@ class Setting:
     def reachable(self) -> NDArray[np.int64]:
         """[T, 3] every transition that an optimal policy of the robot can make from a start."""
         model, optimal = self.models[0], self.optimal[0]
-        seen = np.zeros(model.n_states, dtype=bool)
-        frontier = np.unique(self.domain.starts)
-        found = []
-        while len(frontier):
-            seen[frontier] = True
-            s, a, k = np.nonzero(optimal[frontier][:, :, None] & (model.probability[frontier] > 0))
-            s = frontier[s]
-            after = model.successor[s, a, k]
-            found.append(np.stack([s, a, after], axis=1))
-            after = np.unique(after)
-            frontier = after[~seen[after] & ~model.terminal[after]]
-        return np.unique(np.concatenate(found), axis=0)
+        made = optimal[:, :, None] & (model.probability > 0)
+        states = self.domain.starts
+        made &= mdp.reached(states, model.n_states, lambda s: model.successor[s][made[s]])[
+            :, None, None
+        ]
+        s, a, k = np.nonzero(made)
+        return np.unique(np.stack([s, a, model.successor[s, a, k]], axis=1), axis=0)
 
     @cached_property
     def distinct(self) -> NDArray[np.int64]:

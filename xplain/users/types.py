@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from xplain.domains.base import Domain
-from xplain.errors import InputError, whole_number
+from xplain.errors import Count, InputError, checks, one_of, whole_number
 from xplain.users.setting import Setting, UserType
 
 
@@ -52,10 +52,7 @@ def user_type(domain: Domain, name: str, facts: Sequence[str] | Mapping[str, Any
         raise InputError(key, facts, f"some of the parameters {', '.join(default)}")
     own = facts if isinstance(facts, Mapping) else dict.fromkeys(facts)
     for fact in own:
-        if fact not in default:
-            raise InputError(
-                key, fact, f"unknown parameter; {domain.name} has {', '.join(default)}"
-            )
+        one_of(key, fact, default, f"parameter of {domain.name}")
     return UserType(name, {f: default[f] if own[f] is None else own[f] for f in own})
 
 
@@ -104,11 +101,7 @@ class Completions:
 
     def __post_init__(self) -> None:
         """Raises InputError if there is no completion ``index``."""
-        count = len(self.completions())
-        if isinstance(self.index, bool) or not isinstance(self.index, int):
-            raise InputError("users.index", self.index, f"a whole number in 0 ... {count - 1}")
-        if not 0 <= self.index < count:
-            raise InputError("users.index", self.index, f"a whole number in 0 ... {count - 1}")
+        whole_number("users.index", self.index, 0, len(self.completions()) - 1)
 
     def completions(self) -> tuple[tuple[tuple[str, str], ...], ...]:
         """All completions: each has one (bonus, obstacle) for each free name."""
@@ -129,6 +122,7 @@ class Completions:
         return tuple(user_type(domain, name, groups[name]) for name in sorted(groups))
 
 
+@checks("users")
 @dataclass(frozen=True)
 class RandomCover:
     """Types drawn at random: each is a non-empty subset of the parameters, and their union is all
@@ -141,14 +135,9 @@ class RandomCover:
         attempts: draws before giving up.
     """
 
-    count: int
+    count: Count
     distinct: bool = True
-    attempts: int = 1000
-
-    def __post_init__(self) -> None:
-        """Raises InputError if a count is not a whole number ≥ 1."""
-        for key in ("count", "attempts"):
-            whole_number(f"users.{key}", getattr(self, key), 1)
+    attempts: Count = 1000
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
         """Uniform over the lists of distinct subsets that cover all parameters (and, if required,
@@ -183,6 +172,7 @@ class RandomCover:
         )
 
 
+@checks("users")
 @dataclass(frozen=True)
 class FewFacts:
     """Types drawn at random for domains with many facts: each type holds a few facts wrong.
@@ -193,15 +183,13 @@ class FewFacts:
         attempts: draws before giving up.
     """
 
-    count: int
-    fewest: int = 2
-    most: int = 6
-    attempts: int = 1000
+    count: Count
+    fewest: Count = 2
+    most: Count = 6
+    attempts: Count = 1000
 
     def __post_init__(self) -> None:
-        """Raises InputError if a count is not a whole number ≥ 1, or ``most`` < ``fewest``."""
-        for key in ("count", "fewest", "attempts"):
-            whole_number(f"users.{key}", getattr(self, key), 1)
+        """Raises InputError if ``most`` < ``fewest``."""
         whole_number("users.most", self.most, self.fewest)
 
     def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:

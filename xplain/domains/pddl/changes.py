@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from xplain.domains.pddl.task import EQUAL, Action, Atom, Effect, Literal, Task, pddl
-from xplain.errors import InputError, number
+from xplain.errors import InputError, Range, number
 
 OF_ACTIONS = ("drop_precondition", "add_precondition", "drop_effect", "add_effect", "cost")
 """What a change can do to the action that it names; one at a time."""
@@ -230,6 +230,4 @@ def function_term(key: str, text: object, task: Task, action: Action | None = No
 
 
 def positive(key: str, value: object) -> float:
-    if (cost := number(key, value)) <= 0:
-        raise InputError(key, value, "a number > 0")
-    return cost
+    return number(key, value, Range(0, ends="(]"))

@@ -20,7 +20,16 @@ from xplain.domains.pddl.features import counts
 from xplain.domains.pddl.reading import read_task
 from xplain.domains.pddl.task import Action, pddl
 from xplain.domains.pddl.words import Words
-from xplain.errors import DomainError, InputError, number, whole_number
+from xplain.errors import (
+    Count,
+    DomainError,
+    InputError,
+    Positive,
+    checks,
+    mapping,
+    one_of,
+    sentence,
+)
 
 log = logging.getLogger(__name__)
 
@@ -28,6 +37,7 @@ COMBINATIONS = 1024
 """Sets of facts held wrong that are tried before a fact is reported to have no effect."""
 
 
+@checks("domain")
 class PDDL:
     """A task in PDDL: STRIPS with types, equality, negative preconditions, conditional effects and
     action costs. States are those that the robot's task or a believed one reaches, from the states
@@ -73,16 +83,13 @@ class PDDL:
         words: Mapping[str, str] | None = None,
         features: Mapping[str, str | Sequence[str]] | None = None,
         starts: str | int = "initial",
-        dead_end_cost: float = 1000.0,
-        max_states: int = 100_000,
+        dead_end_cost: Positive = 1000.0,
+        max_states: Count = 100_000,
         name: str | None = None,
     ) -> None:
         """Reads the files, explores the states and tries every fact."""
         self.name = "pddl" if name is None else str(name)
-        self.dead_end_cost = number("domain.dead_end_cost", dead_end_cost)
-        if self.dead_end_cost <= 0:
-            raise InputError("domain.dead_end_cost", dead_end_cost, "a number > 0")
-        whole_number("domain.max_states", max_states, 1)
+        self.dead_end_cost = dead_end_cost
         self.task = read_task(file, problem, ("domain.file", "domain.problem"))
         self.words = Words(self.task, _mapping("words", words, "{predicate or action: its words}"))
         found, more = self._differences(file, problem, believed)
@@ -122,16 +129,12 @@ class PDDL:
         joined = {name for fields in given.values() for name in _joined(fields)}
         for fact in dict.fromkeys([*(name for name in found if name not in joined), *given]):
             key, fields = f"domain.facts.{fact}", given.get(fact, {})
-            if not isinstance(fields, Mapping):
-                raise InputError(key, fields, "the fields change, message, belief")
-            if unknown := fields.keys() - {"change", "join", "message", "belief"}:
-                raise InputError(key, min(unknown), "unknown; known: change, join, message, belief")
+            for name in mapping(key, fields, "the fields change, message, belief"):
+                one_of(key, name, ("change", "join", "message", "belief"), "field")
             own = found.get(fact)
             if "join" in fields:
-                if absent := [name for name in _joined(fields) if name not in found]:
-                    known = ", ".join(found) or "none"
-                    raise InputError(f"{key}.join", absent[0], f"differences found: {known}")
-                own = [change for name in _joined(fields) for change in found[name]]
+                names = [one_of(f"{key}.join", n, found, "difference") for n in _joined(fields)]
+                own = [change for name in names for change in found[name]]
             if "change" not in fields and own is None:
                 raise InputError(key, dict(fields), "lacks change")
             changes = checked(f"{key}.change", fields.get("change", own))
@@ -139,8 +142,7 @@ class PDDL:
             so, believed = told(self.task, changes, self.words)
             texts = fields.get("message", so), fields.get("belief", believed)
             for field, text in zip(("message", "belief"), texts, strict=True):
-                if not isinstance(text, str) or not text.strip():
-                    raise InputError(f"{key}.{field}", text, "a sentence")
+                sentence(f"{key}.{field}", text)
             # Plain values: models of a type are distinguished by them.
             plain = [dict(change) for change in changes]
             result.append(Parameter(str(fact), [], plain, *texts))
@@ -270,10 +272,7 @@ def _mapping(field: str, given: Any, allowed: str) -> Mapping[str, Any]:
     Raises:
         InputError: it is not a mapping.
     """
-    found = {} if given is None else given
-    if not isinstance(found, Mapping):
-        raise InputError(f"domain.{field}", given, allowed)
-    return found
+    return mapping(f"domain.{field}", {} if given is None else given, allowed)
 
 
 def _joined(fields: Any) -> list[str]:

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from xplain.domains.pddl.grounding import Ground
 from xplain.domains.pddl.task import Atom, Literal
 from xplain.errors import TooLargeError
-from xplain.numba_kernels import kernel
 
 Words = NDArray[np.uint64]
+LARGEST_BATCH = 1 << 18
+"""Pairs of a state and an action that are looked at at once."""
 
 
 class Bits:
@@ -51,7 +52,7 @@ class Bits:
             return np.zeros(len(rows), dtype=bool)
         holds = self.row(x.atom for x in listed if x.positive)
         lacks = self.row(x.atom for x in listed if not x.positive)
-        return np.asarray(((rows & holds) == holds).all(axis=1) & ((rows & lacks) == 0).all(axis=1))
+        return _meet(rows, holds, lacks)
 
 
 @dataclass(frozen=True)
@@ -110,129 +111,54 @@ def explore(
     Raises:
         TooLargeError: there are more states.
     """
-    found = _explore(
-        compiled.holds, compiled.lacks, compiled.first, compiled.if_holds, compiled.if_lacks,
-        compiled.adds, compiled.deletes, seeds, np.flatnonzero(allowed), ends[0], ends[1], limit,
-    )  # fmt: skip
-    states, first, variant, successor = found
+    variants = np.flatnonzero(allowed)
+    found = {row.tobytes(): s for s, row in enumerate(seeds)}
+    states, degrees, used, reached = list(seeds), [], [], []
+    together, done = max(1, LARGEST_BATCH // max(1, len(variants))), 0
+    while done < len(states) <= limit:
+        rows = np.array(states[done : done + together])
+        can = _meet(rows[:, None], compiled.holds[variants], compiled.lacks[variants])
+        if len(ends[0]):
+            can[_meet(rows[:, None], *ends).all(axis=1)] = False
+        source, at = np.nonzero(can)  # by state, then by variant
+        after, which = np.unique(
+            _after(compiled, rows[source], variants[at]), axis=0, return_inverse=True
+        )
+        numbers = np.array([found.get(row.tobytes(), -1) for row in after], dtype=np.int32)
+        _, first = np.unique(which, return_index=True)
+        for new in sorted(np.flatnonzero(numbers < 0), key=first.__getitem__):
+            numbers[new] = found[after[new].tobytes()] = len(states)
+            states.append(after[new])
+        degrees.append(can.sum(axis=1))
+        used.append(variants[at])
+        reached.append(numbers[which])
+        done += len(rows)
     if len(states) > limit:
         raise TooLargeError(
             f"domain.max_states={limit}: the robot's and the believed tasks reach more states; use "
             "fewer objects, or allow more (memory and time grow with them)"
         )
-    return Reached(states, first, variant, successor)
-
-
-@kernel
-def _explore(  # type: ignore[no-untyped-def]
-    holds, lacks, first_effect, if_holds, if_lacks, adds, deletes, seeds, allowed,
-    end_holds, end_lacks, limit,
-):  # fmt: skip
-    """Stops when there are more states than ``limit``."""
-    width = seeds.shape[1]
-    capacity = max(1024, 2 * len(seeds))
-    states = np.zeros((capacity, width), dtype=np.uint64)
-    table = np.full(4 * capacity, -1, dtype=np.int64)
-    first = np.zeros(capacity + 1, dtype=np.int64)
-    variant = np.empty(4 * capacity, dtype=np.int32)
-    successor = np.empty(4 * capacity, dtype=np.int32)
-    count, edges = 0, 0
-    for i in range(len(seeds)):
-        states[count] = seeds[i]
-        place = _place(states, table, states[count])
-        table[place] = count
-        count += 1
-    after = np.zeros(width, dtype=np.uint64)
-    removed = np.zeros(width, dtype=np.uint64)
-    s = 0
-    while s < count and count <= limit:
-        first[s] = edges
-        if len(end_holds) == 0 or not _meets_all(states[s], end_holds, end_lacks):
-            for v in allowed:
-                if not _meets(states[s], holds[v], lacks[v]):
-                    continue
-                after[:] = 0
-                removed[:] = 0
-                for x in range(first_effect[v], first_effect[v + 1]):
-                    if _meets(states[s], if_holds[x], if_lacks[x]):
-                        for w in range(width):
-                            after[w] |= adds[x, w]
-                            removed[w] |= deletes[x, w]
-                for w in range(width):
-                    after[w] |= states[s, w] & ~removed[w]  # what is added stays
-                place = _place(states, table, after)
-                if table[place] < 0:
-                    if count == capacity:
-                        capacity *= 2
-                        more = np.zeros((capacity, width), dtype=np.uint64)
-                        more[:count] = states
-                        states = more
-                        more_first = np.zeros(capacity + 1, dtype=np.int64)
-                        more_first[: count + 1] = first
-                        first = more_first
-                        table = np.full(4 * capacity, -1, dtype=np.int64)
-                        for i in range(count):
-                            table[_place(states, table, states[i])] = i
-                        place = _place(states, table, after)
-                    states[count] = after
-                    table[place] = count
-                    count += 1
-                if edges == len(variant):
-                    variant = _doubled(variant)
-                    successor = _doubled(successor)
-                variant[edges] = v
-                successor[edges] = table[place]
-                edges += 1
-        s += 1
-    for rest in range(s, count + 1):
-        first[rest] = edges
-    return (
-        states[:count].copy(),
-        first[: count + 1].copy(),
-        variant[:edges].copy(),
-        successor[:edges].copy(),
+    return Reached(
+        np.array(states),
+        np.concatenate([[0], np.cumsum(np.concatenate(degrees))]),
+        np.concatenate(used).astype(np.int32),
+        np.concatenate(reached),
     )
 
 
-@kernel
-def _place(states, table, row):  # type: ignore[no-untyped-def]
-    """The slot of a state in the table of numbers, or its free slot: open addressing."""
-    mixed = np.uint64(0x9E3779B97F4A7C15)
-    key = np.uint64(0)
-    for word in row:
-        key = (key ^ word) * mixed
-        key ^= key >> np.uint64(29)
-    place = np.int64(key % np.uint64(len(table)))
-    while table[place] >= 0:
-        same = True
-        for w in range(len(row)):
-            if states[table[place], w] != row[w]:
-                same = False
-                break
-        if same:
-            break
-        place = np.int64(0) if place + 1 == len(table) else np.int64(place + 1)
-    return place
+def _after(compiled: Compiled, states: Words, variants: NDArray[np.int64]) -> Words:
+    """[n, W] the states [n, W] after these variants [n], which they meet."""
+    count = np.diff(compiled.first)[variants]
+    start = np.cumsum(count) - count
+    edge = np.repeat(np.arange(len(variants)), count)
+    effect = np.arange(len(edge)) - start[edge] + compiled.first[variants][edge]
+    happens = _meet(states[edge], compiled.if_holds[effect], compiled.if_lacks[effect])
+    edge, effect, result = edge[happens], effect[happens], states.copy()
+    np.bitwise_and.at(result, edge, ~compiled.deletes[effect])
+    np.bitwise_or.at(result, edge, compiled.adds[effect])  # what is added stays
+    return result
 
 
-@kernel
-def _meets(state, holds, lacks):  # type: ignore[no-untyped-def]
-    for w in range(len(state)):
-        if (state[w] & holds[w]) != holds[w] or (state[w] & lacks[w]) != 0:
-            return False
-    return True
-
-
-@kernel
-def _meets_all(state, holds, lacks):  # type: ignore[no-untyped-def]
-    met = 0
-    for goal in range(len(holds)):
-        met += _meets(state, holds[goal], lacks[goal])
-    return met == len(holds)
-
-
-@kernel
-def _doubled(values):  # type: ignore[no-untyped-def]
-    more = np.empty(2 * len(values), dtype=values.dtype)
-    more[: len(values)] = values
-    return more
+def _meet(states: Words, holds: Words, lacks: Words) -> NDArray[np.bool_]:
+    """Whether states have all atoms of ``holds`` and none of ``lacks``: the last axis is W."""
+    return np.asarray((((states & holds) == holds) & ((states & lacks) == 0)).all(axis=-1))

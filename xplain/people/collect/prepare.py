@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from xplain.config import require_seed
 from xplain.domains.base import Domain, Scene, changes_of
 from xplain.errors import InputError, number
 from xplain.message_sets import mask_of, names_of
@@ -31,7 +30,7 @@ from xplain.questions.battery import battery
 from xplain.questions.designs import Adaptive, Battery, hypotheses_of
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.own_transitions import read_transitions, with_features
-from xplain.randomness import derived_seed, stream
+from xplain.randomness import derived_seed, run_seed, stream
 from xplain.users.types import TypeSource
 
 if TYPE_CHECKING:
@@ -87,7 +86,7 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
     """
     from hydra.utils import instantiate
 
-    require_seed(cfg)
+    run_seed(cfg.seed)
     config = fixed(cfg)
     rules = Rules(points=config["points"], **config["rules"])  # refused before the work
     error = number("expected_error", config["expected_error"])

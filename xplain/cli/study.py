@@ -1,0 +1,140 @@
+"""The commands of the user study; each docstring is the command's help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from xplain.cli import people
+from xplain.cli.parser import parsed
+from xplain.config import composed
+from xplain.errors import InputError, whole_number
+
+
+def serve(arguments: list[str]) -> None:
+    """Serves the user study: ``xplain study port=8080 rules.per_cell=10``.
+
+    The first start fixes the study in its database; later starts go on with it. One worker process
+    with threads: it alone has the database open. How a lab runs a study: docs/study.md.
+    """
+    people.serve("study", arguments)
+
+
+def bots(arguments: list[str]) -> None:
+    """Lets simulated participants take part in a running study, over HTTP or in a real browser.
+    They are marked as bots in the data for ever, and take nobody's place.
+
+        xplain study bots --key KEY [--url http://127.0.0.1:8080] [--count 40] [--at-once 8]
+            [--pace 0] [--leaving 0] [--chromium] [--seed 0] [--save FILE]
+
+    ``--key``: the researcher's key, which the server prints; ``--pace``: 1 is real time;
+    ``--leaving``: chance to leave, a page; ``--save``: where the export (ZIP) goes afterwards.
+    Other habits (``xplain.people.study.bot.Habits``) are flags too, such as ``--label-noise 0.1``.
+    """
+    people.bots("study", arguments)
+
+
+def export(arguments: list[str]) -> None:
+    """CSV and Parquet tables, and their codebook, from a study's database that no server has open
+    (or from a snapshot).
+
+        xplain study export DATABASE FOLDER
+    """
+    people.export("study", arguments)
+
+
+def replay(arguments: list[str]) -> None:
+    """Recomputes every belief and message of a study from its log, and compares.
+
+        xplain study replay DATABASE [--head DIGEST]
+
+    ``--head`` is the head of the log that an earlier export printed: everything up to it must be as
+    it was then. The database is one that no server has open. Exit code 1 where anything differs.
+    """
+    people.replay("study", arguments)
+
+
+def erase(arguments: list[str]) -> None:
+    """Erases everything that one participant did or said, by the reference they were given.
+
+        xplain study erase DATABASE REFERENCE
+
+    The database is one that no server has open; a running server's page can do the same. The
+    erasure is written to the log, which can still be checked. Exports and backups made before keep
+    the data.
+    """
+    people.erase("study", arguments)
+
+
+def preregister(arguments: list[str]) -> None:
+    """A document to register before the first participant, from the plan: hypotheses, design,
+    measures, exclusions, analysis and sample size.
+
+        xplain study preregister DATABASE [--out FILE]
+
+    DATABASE holds a study that was started once: what is registered is what runs.
+    """
+    given = parsed("xplain study preregister", arguments, "database", out=Path)
+    from xplain.people.analysis.stored import read_plan
+    from xplain.people.study.plan import StudyPlan
+    from xplain.people.study.preregistration import document
+
+    plan = read_plan(given.database, StudyPlan)
+    if plan is None:
+        raise InputError("database", str(given.database), "one in which a study was started")
+    text = document(plan)
+    if given.out is None:
+        print(text, end="")
+        return
+    given.out.write_text(text, encoding="utf-8")
+    print(f"preregistration in {given.out}")
+
+
+def analyse(arguments: list[str]) -> None:
+    """The paper's Table 2 from an export of the study, with plots.
+
+        xplain study analyse FOLDER [--stream person] [--exclude FILE] [--seed 0] [--out FOLDER]
+
+    FOLDER holds participants.csv, as exported; ``--stream`` is person, pilot or bot; ``--exclude``
+    a CSV file with the columns participant and reason; ``--seed`` that of the permutation tests.
+    """
+    flags = {"stream": "person", "exclude": Path, "seed": 0, "out": Path}
+    given = parsed("xplain study analyse", arguments, "folder", **flags)
+    from rich.console import Console
+
+    from xplain.people.study import table2
+    from xplain.people.study.report import exclusions, save, show
+
+    analysis = table2.analyse(
+        table2.read(given.folder), given.stream, exclusions(given.exclude), seed=given.seed
+    )
+    out = given.out or given.folder
+    save(analysis, out)
+    show(analysis, Console(width=None if Console().is_terminal else 150))
+    print(f"table2.csv, flow.csv, measures.png in {out}")
+
+
+def power(arguments: list[str]) -> None:
+    """Power curves for the planned study, and what they hang on, from simulated participants.
+
+        xplain study power [--out FOLDER] [--people 200] [--studies 2000] [--n 50] [key=value ...]
+
+    ``--people``: simulated ones a cell; ``--studies``: planned studies a point; ``--n``:
+    participants a condition, for the sensitivity. Keys are those of conf/study.yaml.
+    """
+    numbers = {"people": 200, "studies": 2000, "n": 50}
+    out = Path("outputs/study/power")
+    given = parsed("xplain study power", arguments, "overrides", out=out, **numbers)
+    for key in numbers:
+        whole_number(f"--{key}", getattr(given, key), 2)
+    import pandas as pd
+
+    from xplain.people.study import power as curves
+    from xplain.people.study.policies import study_of
+    from xplain.people.study.prepare import study_plan
+
+    study = study_of(study_plan(composed("study", given.overrides)))
+    rows = pd.DataFrame(curves.write(study, given.out, given.people, given.studies, given.n))
+    for key, whose in (("simulated_holm", "simulated people"), ("paper_effect_holm", "the paper")):
+        figures = rows.pivot(index="n_per_condition", columns="measure", values=key)
+        print(f"power, corrected for three tests; effects of {whose}\n{figures.round(2)}\n")
+    print(f"power.csv, sensitivity.csv and their plots in {given.out}")
