@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Annotated, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.errors import InputError, number
-from xplain.explanation.habits import Habits, check_rate, habits_of
+from xplain.errors import Probability, Range, Slip, checks
+from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.message_sets import indices
 from xplain.randomness import stream
@@ -121,6 +121,7 @@ class Exact:
         return SimulatedUser(labels)
 
 
+@checks("explainee")
 @dataclass(frozen=True)
 class Slips:
     """Users who mean one thing and answer the other.
@@ -131,13 +132,8 @@ class Slips:
             messages given; else each answer is drawn for itself.
     """
 
-    rate: float = 0.1
+    rate: Probability = 0.1
     repeats: bool = True
-
-    def __post_init__(self) -> None:
-        """Raises InputError for a rate out of its range."""
-        if not 0 <= number("explainee.rate", self.rate) <= 1:
-            raise InputError("explainee.rate", self.rate, "a probability in [0, 1]")
 
     def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
         """As :class:`Explainee` has it."""
@@ -162,6 +158,7 @@ class _Slipping:
         return Reaction(thoughts, thoughts ^ mistaken.astype(np.uint8))
 
 
+@checks("explainee")
 @dataclass(frozen=True)
 class Heedless:
     """Users who do not take every message in, or do not keep it.
@@ -171,13 +168,8 @@ class Heedless:
         forget: probability, < 1, that a fact set right is lost, at each step, after its labels.
     """
 
-    accept: float = 0.8
-    forget: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Raises InputError for a probability out of its range."""
-        for key in ("accept", "forget"):
-            check_rate(f"explainee.{key}", getattr(self, key))
+    accept: Annotated[float, Range(0, 1, "(]")] = 0.8
+    forget: Slip = 0.0
 
     @property
     def habits(self) -> Habits:
