@@ -23,9 +23,8 @@ Command = Callable[..., subprocess.CompletedProcess[str]]
 LONGEST = (
     "runs/test_sweep.py",
     "runs/test_kill.py",
-    "participants/test_browser.py",
-    "participants/test_dry_runs.py",
-    "participants/test_collect_dry_runs.py",
+    "people/test_browser.py",
+    "people/test_dry_runs.py",
 )
 """Files that take half a minute and more."""
 
