@@ -502,6 +502,8 @@ def test_codes_are_letters_and_no_ending_has_that_of_another(store: Store) -> No
     assert set_.code(out) == "OUT"
     left = replace(found[0], state=replace(found[0].state, stage="withdrawn"))
     assert set_.code(left) not in ("ALL", "OUT")
+    both = Context(store, Server(completion_code="ALL", codes={"done": "DONE"}))
+    assert both.code(replace(found[0], state=replace(found[0].state, stage="done"))) == "DONE"
 
 
 def test_events_of_a_page_are_kept_once_and_not_without_end(store: Store) -> None:

@@ -261,6 +261,9 @@ def test_a_certain_type_is_searched_for_where_the_limit_is_another() -> None:
         search = search_of(other, problem)
         value, _ = search.search(1, 0, np.eye(3)[0])
         assert search.values(1, 0, np.eye(3)[0])[0] == value[-1]
+    nearly, search = np.array([0.995, 0.005, 0.0]), search_of(POMCP(simulations=50), problem)
+    value, _ = search.search(1, 0, nearly)
+    assert search.values(1, 0, nearly)[0] == value[-1]
 
 
 def test_the_unit_of_cost_does_not_matter() -> None:
