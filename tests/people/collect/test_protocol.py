@@ -256,6 +256,8 @@ def test_what_is_shared_is_a_mean_in_any_order(order: list[int]) -> None:
     # By hand: 3 has 1/3, 1, 1, 0 of those that some hypothesis fits; 5 is too little to keep.
     assert found == {"0": round((2 / 3 + 0.9999) / 4, 6), "3": round((1 / 3 + 2) / 4, 6)}
     assert shared([]) == {}
+    # Whom no hypothesis fits says nothing, though rounding leaves a little of one.
+    assert shared([{"5": 1e-6, "none": 1.0}, {"3": 1.0, "none": 0.0}]) == {"3": 0.5}
 
 
 def test_later_people_need_fewer_questions() -> None:
