@@ -109,6 +109,12 @@ def test_faultless_people_are_sorted_into_the_types_they_are() -> None:
     assert min(one.posterior for one in found.types) > 0.9
     assert found.unlike < 0.1
     assert found_types(plan, people[:1]) is None
+    # One of the type with the smallest mask, two of the next, three of the last.
+    rank = sorted(role.held for role in plan.roles[:3]).index
+    some = [one for i, one in enumerate(people) if i // 3 <= rank(plan.roles[i % 3].held)]
+    largest_first = found_types(plan, some)
+    assert largest_first is not None
+    assert [len(one.members) for one in largest_first.types] == [3, 2, 1]
 
 
 @pytest.mark.parametrize("people", [5, 24, 200])
