@@ -21,11 +21,15 @@ processes.end_as_on_ctrl_c()
 Command = Callable[..., subprocess.CompletedProcess[str]]
 
 LONGEST = (
+    "fixed/test_fixed.py",
     "runs/test_sweep.py",
     "runs/test_kill.py",
-    "participants/test_browser.py",
-    "participants/test_dry_runs.py",
-    "participants/test_collect_dry_runs.py",
+    "cli/test_plan.py",
+    "test_docs.py",
+    "runs/test_api.py",
+    "people/collect/test_protocol.py",
+    "people/test_browser.py",
+    "people/test_dry_runs.py",
 )
 """Files that take half a minute and more."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import threading
 
 import numpy as np
@@ -80,9 +81,19 @@ def test_those_who_want_the_same_at_once_wait_for_the_first(tmp_path):
     assert all(same(one, a_prepared()) for one in found)
 
 
-def test_a_folder_that_cannot_be_written_costs_no_result(tmp_path):
+def test_a_folder_that_cannot_be_written_costs_no_result(tmp_path, monkeypatch):
     (tmp_path / "cache").write_text("a file")
     assert same(prepared_once(tmp_path / "cache", "key", a_prepared), a_prepared())
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(np, "savez_compressed", full)
+        assert same(prepared_once(tmp_path / "other", "key", a_prepared), a_prepared())
+    # Nothing that is cut short is left: the next one makes it anew, and keeps it.
+    assert same(prepared_once(tmp_path / "other", "key", a_prepared), a_prepared())
+    assert same(prepared_once(tmp_path / "other", "key", never), a_prepared())
 
 
 NOT_OF_THE_SOURCE = {

@@ -11,7 +11,7 @@ from scipy import stats
 from tests.configurations import composed
 from tests.handmade import a_prepared, with_cases
 from tests.solvers.test_policy_evaluation import worth_by_enumeration
-from xplain.errors import InputError
+from xplain.errors import InputError, TooLargeError
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import Costs, trace_seed
 from xplain.experiment.pipeline import Case, Prepared
@@ -113,6 +113,21 @@ def test_a_baseline_is_judged_by_the_types_that_it_does_not_know():
     assert found["policy_cost"] == pytest.approx(np.mean(worths, axis=0)[1])
 
 
+def test_a_baseline_is_judged_where_the_types_messages_are_too_many_to_be_mixed(monkeypatch):
+    """The value is the same, from the types one by one."""
+    mixed, mixture = found_for(Baseline()), Problem.mixture
+
+    def too_many(problem, *of):
+        if problem.n_types > 1:
+            raise TooLargeError("more messages matter than a table over all their subsets holds")
+        return mixture(problem, *of)
+
+    monkeypatch.setattr(Problem, "mixture", too_many)
+    apart = found_for(Baseline())
+    for name in ("policy_value", "policy_cost", "policy_value_exact"):
+        assert apart[name] == pytest.approx(mixed[name])
+
+
 @pytest.mark.parametrize("knows", ["type", "labels"])
 def test_who_is_told_the_type_has_no_value_of_its_own(knows):
     found = found_for(KnownType(knows))
@@ -121,24 +136,27 @@ def test_who_is_told_the_type_has_no_value_of_its_own(knows):
 
 
 def test_simulated_values_come_with_the_error_of_their_mean():
-    solver, seed = QMDP(), 4
-    found = found_for(solver, seed=seed, beliefs=0, episodes=400)
+    solver, seed, prepared = QMDP(), 4, a_prepared(steps=(3, 4))
+    problems = [problem_of(case) for case in prepared.cases]
+    found = found_for(solver, prepared, seed, beliefs=0, episodes=400)
     each = [
         policy_value.simulate(problem, solver.plan(problem), 400, trace_seed(seed, i))
-        for i, problem in enumerate(PROBLEMS)
+        for i, problem in enumerate(problems)
     ]
     value, error = found["policy_value"], found["policy_value_se"]
     assert found["policy_value_exact"] == 0
     assert value == pytest.approx(np.mean([worth.value for worth in each]))
     # Traces are simulated independently: variances add.
+    assert min(worth.value_se for worth in each) > 0
     assert error == pytest.approx((each[0].value_se ** 2 + each[1].value_se ** 2) ** 0.5 / 2)
-    exact = np.mean([worth_by_enumeration(p, solver.plan(p))[0] for p in PROBLEMS])
+    exact = np.mean([worth_by_enumeration(p, solver.plan(p))[0] for p in problems])
     assert abs(value - exact) < 4 * error
-    # 95 % limits a trace: no narrower than the optimum's bounds, no wider than both errors.
-    margin = stats.t.ppf(0.975, 399) * np.mean([worth.value_se for worth in each])
+    # 95 % limits a trace: no narrower than the optimum's bounds, wider by both errors.
+    margins = [stats.t.ppf(0.975, 399) * worth.value_se for worth in each]
     low, high = found["price_of_approximation_low"], found["price_of_approximation_high"]
-    assert high == pytest.approx(found["optimal_upper"] - value + margin)
-    assert 0 <= low < high
+    assert high == pytest.approx(found["optimal_upper"] - value + np.mean(margins))
+    assert low == pytest.approx(found["optimal_lower"] - value - np.mean(margins))
+    assert low > 0.1  # each trace's is: none was cut at 0
 
 
 def test_only_the_first_traces_count():

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from hydra.errors import HydraException
+from hydra.utils import instantiate
 
 from tests.configurations import composed
 from xplain.errors import InputError
@@ -44,6 +45,17 @@ def test_bad_parts_are_found_behind_jobs_that_are_good() -> None:
         assert key in GOOD[part], (part, key)
         with pytest.raises((InputError, HydraException), match=key):
             check([GOOD, GOOD | {part: GOOD[part] | {key: value}}])
+
+
+def test_types_that_do_not_fit_the_domain_are_found_behind_jobs_that_are_good() -> None:
+    fact = instantiate(composed("domain=four_rooms").domain).parameters[0].name
+    fits, other = (
+        configuration(composed("domain=four_rooms", "users=explicit", f"users.groups={{A: [{j}]}}"))
+        for j in (fact, "lava")
+    )
+    check([GOOD, fits])
+    with pytest.raises(InputError, match="lava"):
+        check([GOOD, fits, other])
 
 
 def test_every_cost_is_the_one_of_its_key() -> None:

@@ -10,11 +10,14 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
-from cosmic_ray.ast import ast_nodes, get_ast
-from cosmic_ray.mutating import mutate_code
-from cosmic_ray.operators.operator import Operator
-from cosmic_ray.operators.provider import OperatorProvider
-from parso.python.tree import Keyword
+try:
+    from cosmic_ray.ast import ast_nodes, get_ast
+    from cosmic_ray.mutating import mutate_code
+    from cosmic_ray.operators.operator import Operator
+    from cosmic_ray.operators.provider import OperatorProvider
+    from parso.python.tree import Keyword
+except ModuleNotFoundError as error:
+    raise SystemExit(f"{error.name} is missing: pip install --editable '.[mutants]'") from None
 
 Node = Any  # of parso's tree
 Span = tuple[tuple[int, int], tuple[int, int]]

@@ -15,7 +15,8 @@ from werkzeug.datastructures import MultiDict
 
 from tests.people.kinds import KINDS, bot_of, site_of
 from xplain.errors import Refused
-from xplain.people.flow import State
+from xplain.people.flow import State, check, small
+from xplain.people.plan import Asked
 from xplain.people.simulation.bots import answer
 
 ADMITTED: dict[str, dict[str, Any]] = {
@@ -188,3 +189,23 @@ def test_whatever_comes_is_refused_or_leads_to_a_stage(kind: str, data: Any) -> 
     assert after.stage in (*flow.stages, *after.ENDS)
     assert type(after).from_text(after.text) == after
     flow.view(after)
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [("0", 0), ("999", 999), ("007", 7), ("1000", None), ("", None), ("-1", None), ("1.0", None),
+     (" 1", None), ("²", None), ("٣", None), (None, None)],
+)  # fmt: skip
+def test_a_small_number_has_plain_digits_and_few(text: str | None, number: int | None) -> None:
+    """Others that Python calls digits are none that it could always read."""
+    assert small(text) == number
+
+
+@pytest.mark.parametrize("text", ["17", "111", "²", "٣٤", "-18", "18.0", "9" * 10, "9" * 5000])
+def test_a_number_that_is_none_or_out_of_bounds_is_refused_whatever_was_typed(text: str) -> None:
+    words = site_of("study").flow.words
+    age = Asked("age", "Your age", "number", low=18, high=110, max_length=10_000)
+    for allowed in ("18", "110", ""):
+        check(age, allowed, words)
+    with pytest.raises(Refused):
+        check(age, text, words)

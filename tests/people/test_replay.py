@@ -77,9 +77,8 @@ def answered(kind: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes
     """A database in which three people answered, and their ids."""
     path = tmp_path_factory.mktemp("answered") / "s.sqlite"
     people = filled(kind, path)
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection:
         connection.execute("VACUUM INTO ?", (str(path.with_name("copy")),))
-    connection.close()
     return path.with_name("copy").read_bytes(), people
 
 
@@ -93,12 +92,11 @@ def snapshot(answered: tuple[bytes, list[str]], tmp_path: Path) -> Path:
 
 def changed(snapshot: Path, *statements: str) -> None:
     """Does what nobody may, with every trigger out of the way."""
-    with sqlite3.connect(snapshot) as connection:
+    with closing(sqlite3.connect(snapshot)) as connection, connection:
         for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'"):
             connection.execute(f"DROP TRIGGER {name}")
         for statement in statements:
             assert connection.execute(statement).rowcount > 0, statement
-    connection.close()
 
 
 def differences(kind: str, snapshot: Path, head: str = "") -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -47,9 +48,8 @@ def test_a_plan_with_names_of_before_goes_on_and_keeps_its_hash() -> None:
 
 def test_a_database_without_a_plan_is_a_start_for_the_server_and_no_data(tmp_path: Path) -> None:
     path = tmp_path / "study.sqlite"
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)")
-    connection.close()
     assert read_plan(path, StudyPlan) is None
     assert read_plan(tmp_path / "none.sqlite", StudyPlan) is None
     with pytest.raises(InputError, match=r"study\.sqlite"), reading(path) as opened:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Annotation
 
 from xplain.domains.base import Scene
@@ -51,5 +52,7 @@ def test_the_picture_says_which_episode_it_is_and_by_what_rule(scene: Scene | No
     assert caption == (
         "trace 12, user of type E: cost 2.5, the median of 100 episodes (the first that costs this)"
     )
-    texts = [text.get_text() for text in draw_trace(scene, one, caption).findobj(Annotation)]
-    assert caption in texts
+    figure = draw_trace(scene, one, caption)
+    canvas = FigureCanvasAgg(figure)
+    (text,) = (text for text in figure.findobj(Annotation) if text.get_text() == caption)
+    assert text.get_tightbbox(canvas.get_renderer()).width > 100  # it is seen, above the axes

@@ -133,10 +133,10 @@ def tables(folder: Path) -> dict[str, bytes]:
     return {name: (report / name).read_bytes() for name in names}
 
 
-def database(folder: Path) -> sqlite3.Connection:
+def database(folder: Path) -> contextlib.closing[sqlite3.Connection]:
     """MLflow's database, read only."""
     path = folder / "outputs" / "mlflow.db"
-    return sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+    return contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True))
 
 
 def runs(folder: Path) -> list[tuple[str, str, str | None]]:

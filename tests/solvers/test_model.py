@@ -14,7 +14,9 @@ from tests.explanation.problems import tiny_problems
 from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.habits import habits_of
+from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
+from xplain.solvers import restriction
 from xplain.solvers.base import Solver
 from xplain.solvers.hsvi.solver import Certified
 from xplain.solvers.known_type import Baseline, Conformant, KnownType
@@ -22,7 +24,7 @@ from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.model import best_set, explain_cost_at, explain_costs, model_of, optimal_values
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
-from xplain.solvers.restriction import messages_worth_giving
+from xplain.solvers.restriction import coupled, messages_worth_giving, restricted
 
 
 @settings(deadline=None, max_examples=60)
@@ -82,6 +84,37 @@ def test_a_message_without_effect_is_kept_where_delay_pays() -> None:
     assert 1 in messages_worth_giving(idle_problem(trade_off=0.0))
     assert 1 not in messages_worth_giving(idle_problem(trade_off=0.0, discount_per="step"))
     assert 1 not in messages_worth_giving(idle_problem(trade_off=0.0, discount=1.0))
+
+
+@pytest.mark.parametrize("share", [0.99, 1.01])
+@pytest.mark.parametrize("dear", [(), (5.0,)])
+def test_a_delay_pays_up_to_its_share_of_all_that_is_still_to_be_paid(
+    share: float, dear: tuple[float, ...]
+) -> None:
+    """It puts off the most at the step from which on the most is to be paid. A dear message that
+    has an effect never pays: all of that is the cost of labels."""
+    p, left, most = np.full((1, 4, 2 << len(dear)), 0.5), 0.0, 0.0
+    p[:, :, 2:] = 0.51
+    for k in reversed(range(4)):
+        left = 0.5 * (k + 1) + 0.9 * left
+        most = max(most, left)
+    problem = Problem(p, np.array([share * 0.1 * most, *dear]), discount=0.9)
+    others = tuple(range(1, problem.n_messages))
+    pays = share < 1
+    assert messages_worth_giving(problem) == ((0, *others) if pays else others)
+    without = reduced_optimal_value(problem.with_messages(others))
+    assert (reduced_optimal_value(problem) > without + 1e-9) == pays
+
+
+def test_one_message_more_than_sets_are_weighed_for_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem = Problem(np.random.default_rng(5).random((2, 3, 8)), np.ones(3))
+    monkeypatch.setattr(restriction, "MAX_RELEVANT", 3)
+    assert coupled(problem, "certified") == restricted(problem)
+    monkeypatch.setattr(restriction, "MAX_RELEVANT", 2)
+    with pytest.raises(TooLargeError, match=r"certified.*3 are worth giving.*at most 2"):
+        coupled(problem, "certified")
 
 
 @composite

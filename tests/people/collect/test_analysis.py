@@ -62,6 +62,13 @@ def test_what_people_say_is_compared_with_what_their_answers_say() -> None:
     assert market == {"said": 2, "inferred": 2, "agree": 3, "of": 3}
     assert school == {"said": 0, "inferred": 0, "agree": 2, "of": 2}
     assert tunnel["agree"] == tunnel["of"] == 3
+    # Whom no hypothesis fits, or who is unsure of everything, is compared with nothing.
+    unlike, known = {"none": 1.0}, {"3": 0.9, "none": 0.1}
+    nobody = [
+        replace(State(), belief=unlike, stated=(0,) * 4),
+        replace(State(), belief=known, stated=(2,) * 4),
+    ]
+    assert compared(plan, nobody) == {}
 
 
 def test_only_who_finished_and_looked_is_learned_from() -> None:
@@ -109,6 +116,12 @@ def test_faultless_people_are_sorted_into_the_types_they_are() -> None:
     assert min(one.posterior for one in found.types) > 0.9
     assert found.unlike < 0.1
     assert found_types(plan, people[:1]) is None
+    # One of the type with the smallest mask, two of the next, three of the last.
+    rank = sorted(role.held for role in plan.roles[:3]).index
+    some = [one for i, one in enumerate(people) if i // 3 <= rank(plan.roles[i % 3].held)]
+    largest_first = found_types(plan, some)
+    assert largest_first is not None
+    assert [len(one.members) for one in largest_first.types] == [3, 2, 1]
 
 
 @pytest.mark.parametrize("people", [5, 24, 200])

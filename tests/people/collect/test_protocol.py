@@ -28,7 +28,7 @@ from xplain.people.collect.bot import Habits, Observer, take_part
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.simulation.bots import answer
-from xplain.questions.designs import Battery
+from xplain.questions.designs import Adaptive, Battery
 
 COLLECTION = street_collection()
 LISTED = street_collection(Battery(redundancy=2), points=12)
@@ -91,6 +91,12 @@ def test_a_schedule_has_every_question_one_obvious_step_and_looks_back(number: i
 
 def test_schedules_and_questions_differ_between_people() -> None:
     assert len({schedule(COLLECTION.plan, number) for number in range(20)}) > 10
+
+
+def test_clips_of_several_steps_end_at_the_points_asked_for() -> None:
+    """Ten points in clips of four: the last clip has two."""
+    state = somebody(street_collection(Adaptive(clip=4), points=10), held=2, number=1)
+    assert [one.size for one in state.questions()] == [4, 4, 2]
 
 
 def test_a_repeated_question_is_the_same_question() -> None:
@@ -218,6 +224,10 @@ def test_the_posterior_is_one_and_depends_on_the_answers_alone(number: int, held
     state = somebody(COLLECTION, held, number, habits)
     assert abs(sum(state.belief.values()) - 1) < 1e-4  # but for what is not written down
     assert belief(COLLECTION.questionnaire(state)) == state.belief
+    written = [share for facts, share in state.belief.items() if facts != "none"]
+    assert min(written) >= 1e-6
+    classes = COLLECTION.questionnaire(state).classes
+    assert len(written) == (classes >= 1e-6).sum() < len(classes) or min(classes) >= 1e-6
 
 
 def test_nothing_of_what_is_behind_a_clip_is_on_its_page() -> None:
@@ -256,6 +266,8 @@ def test_what_is_shared_is_a_mean_in_any_order(order: list[int]) -> None:
     # By hand: 3 has 1/3, 1, 1, 0 of those that some hypothesis fits; 5 is too little to keep.
     assert found == {"0": round((2 / 3 + 0.9999) / 4, 6), "3": round((1 / 3 + 2) / 4, 6)}
     assert shared([]) == {}
+    # Whom no hypothesis fits says nothing, though rounding leaves a little of one.
+    assert shared([{"5": 1e-6, "none": 1.0}, {"3": 1.0, "none": 0.0}]) == {"3": 0.5}
 
 
 def test_later_people_need_fewer_questions() -> None:

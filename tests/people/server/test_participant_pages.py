@@ -101,8 +101,8 @@ def test_entry_is_as_configured(store: Store) -> None:
     ids = {"PROLIFIC_PID": "p", "STUDY_ID": "s", "SESSION_ID": "x"}
     assert closed.post("/enter", data=ids).status_code == 403  # without the form's token
     assert closed.post("/enter", data=ids | {"token": visitor}).status_code == 303
-    long = ids | {"PROLIFIC_PID": "p" * 101, "token": visitor}
-    assert closed.post("/enter", data=long).status_code == 403
+    for wrong in ({"PROLIFIC_PID": "p" * 101}, {"PROLIFIC_PID": ""}, {"SESSION_ID": ""}):
+        assert closed.post("/enter", data=ids | wrong | {"token": visitor}).status_code == 403
     with pytest.raises(InputError, match=r"server\.entry"):
         Server(entry=("anybody",))
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 
+import pytest
 from flask import Flask
 
 from tests.people.visitors import Visitor, enter, field
-from xplain.people.server.security import Keys, RateLimit
+from xplain.people.server.security import MAX_BODY, Keys, RateLimit, ReadToTheEnd
 from xplain.people.server.store import Store
 
 
@@ -61,6 +63,15 @@ def test_after_a_long_silence_no_more_than_the_burst_is_allowed() -> None:
         now[0] += silence
         allowed = sum(limit.allows("a") for _ in range(200))
         assert allowed == (min(40, 5 * silence) if silence else 40)
+
+
+@pytest.mark.parametrize(("sent", "left"), [(0, 0), (3, 0), (16, 0), (20, 4)])
+def test_a_body_is_read_to_its_end_where_it_is_not_too_large(sent: int, left: int) -> None:
+    """In bodies of the largest size that a page may send."""
+    body = io.BytesIO(bytes(sent * MAX_BODY))
+    answers = ReadToTheEnd(lambda environ, start: [b"early"])
+    assert answers({"wsgi.input": body}, None) == [b"early"]
+    assert len(body.read()) == left * MAX_BODY
 
 
 def test_a_bucket_fills_up_again_and_forgets_the_oldest() -> None:

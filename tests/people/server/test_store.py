@@ -8,6 +8,7 @@ import sqlite3
 import threading
 from collections import Counter
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -452,12 +453,11 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     content = b"".join(file.read_bytes() for file in tmp_path.glob("s.sqlite*"))
     assert b"whatnobodyelsesaid" not in content
     # What says that it was erased, but is not in the log as erased, is a change.
-    with sqlite3.connect(path) as connection:
+    with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("DROP TRIGGER event_fixed")
         connection.execute(
             "UPDATE event SET kind = 'erased', payload = '{}' WHERE participant = ?", (kept,)
         )
-    connection.close()
     store = Store(path, StudySite(study))
     assert StudySite(study).replay(store._connection).differences
     store.close()
@@ -502,6 +502,8 @@ def test_codes_are_letters_and_no_ending_has_that_of_another(store: Store) -> No
     assert set_.code(out) == "OUT"
     left = replace(found[0], state=replace(found[0].state, stage="withdrawn"))
     assert set_.code(left) not in ("ALL", "OUT")
+    both = Context(store, Server(completion_code="ALL", codes={"done": "DONE"}))
+    assert both.code(replace(found[0], state=replace(found[0].state, stage="done"))) == "DONE"
 
 
 def test_events_of_a_page_are_kept_once_and_not_without_end(store: Store) -> None:
@@ -576,13 +578,15 @@ def test_a_damaged_or_foreign_file_is_named(tmp_path: Path, study: Study) -> Non
 def test_a_database_that_is_refused_is_let_go(
     tmp_path: Path, study: Study, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "s.sqlite"
+    path, refused = tmp_path / "s.sqlite", []
     with monkeypatch.context() as patched:
-        patched.setattr(Database, "_check", lambda self: 1 / 0)
+        patched.setattr(Database, "_check", lambda self: refused.append(self) or 1 / 0)
         with pytest.raises(ZeroDivisionError) as error:
             Store(path, StudySite(study))
     Store(path, StudySite(study)).close()
     assert error.value is not None  # nor did it go with the error
+    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+        refused[0].query("SELECT 1")
 
 
 def test_state_survives_a_restart(tmp_path: Path, study: Study) -> None:

@@ -8,6 +8,7 @@ import threading
 import time
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +17,11 @@ from xplain.errors import InputError, TooLargeError
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
-from xplain.solvers.hsvi.explore import Effort
+from xplain.solvers.hsvi import solver
+from xplain.solvers.hsvi.explore import Effort, Found, explore
 from xplain.solvers.hsvi.search import TAIL
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
-from xplain.solvers.hsvi.tree import ACTIONS, NODES, find, grown, rehash
+from xplain.solvers.hsvi.tree import ACTIONS, NODES, OPENED, find, grown, rehash
 from xplain.solvers.policy_evaluation import evaluate
 from xplain.testing.problems import random_problem
 
@@ -70,6 +72,36 @@ def test_what_was_found_is_not_searched_for_again() -> None:
             assert values == policy.policy.found.values(int(node))
             opened += step > 0
     assert opened >= 10
+
+
+def test_a_belief_that_was_not_found_is_searched_from_there() -> None:
+    """However close to one that was: the values are bounds of what it is worth itself."""
+    rng, unlike = np.random.default_rng(27), 0
+    for _ in range(100):
+        problem = random_problem(rng)
+        policy = planned(problem, gap=1e-6, decision_nodes=10_000)
+        belief = rng.dirichlet(np.ones(problem.n_types))
+        optimum = reduced_optimal_value(replace(problem, prior=belief))
+        best = max(policy.values(0, 0, belief).values())
+        assert optimum - 1e-6 <= best <= optimum + 1e-9
+        unlike += abs(optimum - policy.lower) > 1e-3
+    assert unlike > 50
+
+
+def test_a_decision_opens_as_few_beliefs_as_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = medium_problem()
+    policy = planned(problem, gap=1e-6, nodes=300, decision_nodes=5)
+    opened = []
+
+    def counted(*search: Any) -> Found:
+        found = explore(*search)
+        opened.append(int(found.store.used[OPENED]))
+        return found
+
+    monkeypatch.setattr(solver, "explore", counted)
+    policy.messages(0, 0, np.array([0.3, 0.1, 0.2, 0.2, 0.2]))
+    assert len(opened) == 1
+    assert 5 <= opened[0] < 5 + problem.n_steps
 
 
 def rarely_needed() -> Problem:

@@ -26,6 +26,7 @@ from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers.model import best_set
 from xplain.solvers.policy_evaluation import evaluate
+from xplain.solvers.pomcp import search_model
 from xplain.solvers.pomcp import solver as pomcp
 from xplain.solvers.pomcp.kernel import simulate
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
@@ -65,8 +66,9 @@ def test_is_the_plain_search(
     backup: Any, rollout: Any, depth: int | None, depth_unit: Any, leaf: Any
 ) -> None:
     """Same words, same visits and values, from the start and in the middle, for random tables and
-    one with exchangeable and uninformative labels, for every discounting. (Where messages do not
-    discount, their orders tie, and rounding decides: one message then.)"""
+    one with exchangeable and uninformative labels, for every discounting, where a 0 is the dearest
+    and where a message is. (Where messages do not discount, their orders tie, and rounding decides:
+    one message then.)"""
     solver = POMCP(
         simulations=700, depth=depth, depth_unit=depth_unit, exploration=1.5, leaf=leaf,
         rollout=rollout, backup=backup,
@@ -78,6 +80,7 @@ def test_is_the_plain_search(
         soft_problem(1),
         soft_problem(2, n=1, discount_per="step", prior=np.array([0.5, 0.5, 0.0])),
         soft_problem(4, n=1, discount=1.0),
+        soft_problem(5, trade_off=4.0),
         replace(repeated, table=p),
     ]
     for problem, middle in product(problems, [False, True]):
@@ -265,6 +268,9 @@ def test_a_certain_type_is_searched_for_where_the_limit_is_another() -> None:
         search = search_of(other, problem)
         value, _ = search.search(1, 0, np.eye(3)[0])
         assert search.values(1, 0, np.eye(3)[0])[0] == value[-1]
+    nearly, search = np.array([0.995, 0.005, 0.0]), search_of(POMCP(simulations=50), problem)
+    value, _ = search.search(1, 0, nearly)
+    assert search.values(1, 0, nearly)[0] == value[-1]
 
 
 def test_the_unit_of_cost_does_not_matter() -> None:
@@ -294,6 +300,43 @@ def test_merged_trees_are_weighted_by_visits_and_have_own_streams(
             total[action] += count, count * worth
     assert visits.tolist() == total[:, 0].tolist()
     assert value == pytest.approx(total[:, 1] / total[:, 0], rel=1e-9)
+
+
+def test_many_simulations_are_one_search_however_often_ctrl_c_is_looked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """700 in parts of 300 are 700 at once."""
+    problem = soft_problem(16)
+    search = search_of(POMCP(simulations=700), problem)
+    whole = search.search(0, 0, problem.prior)
+    monkeypatch.setattr(pomcp, "CHUNK", 300)
+    value, visits = search.search(0, 0, problem.prior)
+    assert visits.sum() == 700
+    assert (value.tolist(), visits.tolist()) == (whole[0].tolist(), whole[1].tolist())
+
+
+def test_more_message_sets_than_are_kept_coded_are_searched_alike(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Sixteen places for 64 sets: what is coded for another set is coded anew."""
+    problem = soft_problem(17, n=6, trade_off=0.1)
+    found = []
+    for cache in (search_model.CACHE, 1):
+        monkeypatch.setattr(search_model, "CACHE", cache)
+        search = search_of(POMCP(simulations=3000, depth=None), problem)
+        found.append((len(search.model.coded), *search.search(0, 0, problem.prior)))
+    (many, value, visits), (few, *again) = found
+    assert (many, few) == (64, 16)
+    assert [each.tolist() for each in again] == [value.tolist(), visits.tolist()]
+
+
+@pytest.mark.parametrize("messages", [1, 30, 31, 61])
+def test_a_nodes_masks_hold_every_action(messages: int) -> None:
+    """*explain* has a bit of its own beside the messages'."""
+    tree = Tree.rooted(1, messages, 1, 0, 0, np.ones(1), 0)
+    tree.nodes["untried"][0] = (1 << (messages + 1)) - 1
+    assert int(tree.nodes["untried"][0]).bit_count() == messages + 1
+    assert np.iinfo(tree.nodes.dtype["given"]).max >= (1 << messages) - 1
 
 
 PRINT_SEARCH = """

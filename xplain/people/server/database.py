@@ -14,7 +14,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
@@ -63,25 +63,26 @@ class Database:
             self._file_lock.acquire(timeout=5)
         except Timeout:
             raise XplainError(f"database={path}: another process is using it") from None
-        try:
+        with ExitStack() as opened:
+            opened.callback(self._file_lock.release)
             self.secret = _secret(path)
             self._lock = threading.RLock()
-            self._connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-            os.chmod(path, 0o600)
-            self._connection.row_factory = sqlite3.Row
-            for pragma in (
-                *("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"),
-                # Deletions that REPLACE makes meet the triggers, and what is erased is gone.
-                *("recursive_triggers=ON", "secure_delete=ON"),
-            ):
-                self._connection.execute(f"PRAGMA {pragma}")
-            self._check()
-        except sqlite3.DatabaseError as error:
-            self._file_lock.release()
-            raise InputError("database", str(path), f"cannot be used ({error})") from None
-        except BaseException:
-            self._file_lock.release()
-            raise
+            try:
+                self._connection = opened.enter_context(
+                    closing(sqlite3.connect(path, isolation_level=None, check_same_thread=False))
+                )
+                os.chmod(path, 0o600)
+                self._connection.row_factory = sqlite3.Row
+                for pragma in (
+                    *("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"),
+                    # Deletions that REPLACE makes meet the triggers, and what is erased is gone.
+                    *("recursive_triggers=ON", "secure_delete=ON"),
+                ):
+                    self._connection.execute(f"PRAGMA {pragma}")
+                self._check()
+            except sqlite3.DatabaseError as error:
+                raise InputError("database", str(path), f"cannot be used ({error})") from None
+            opened.pop_all()  # it can be used: all stays open until it is closed
 
     def _check(self) -> None:
         (verdict,) = self._connection.execute("PRAGMA integrity_check").fetchone()

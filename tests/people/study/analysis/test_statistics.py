@@ -122,6 +122,19 @@ def test_figures_of_two_groups_by_hand() -> None:
     assert unequal.g == pytest.approx(hedges(unequal.student.t, 2, 4)[0])
 
 
+def test_the_unit_does_not_matter_to_a_permutation() -> None:
+    """Differences that are equal stay so where tenths cannot be told exactly."""
+    rng = np.random.default_rng(9)
+    for seed in range(20):
+        x, y = rng.integers(0, 4, (2, 8)).astype(float)
+        strata = np.array(["a", "b"] * 4)
+        whole, tenths = (
+            stratified_permutation(x * unit, y * unit, strata, strata, seed, 500)
+            for unit in (1, 0.1)
+        )
+        assert whole == tenths
+
+
 def test_permutation_p_is_never_zero() -> None:
     # Of 20 arrangements two are as extreme; of none drawn, the one observed is.
     x, y, strata = np.array([7.0, 8, 9]), np.array([1.0, 2, 3]), np.array(["a"] * 3)

@@ -86,6 +86,9 @@ def test_failing_the_check_leads_to_the_briefing_then_to_a_polite_end(study: Stu
     assert study.view(state)["attempts_left"] == 1
     state = study.advance(state, "read", {}).state
     assert state.stage == "eligibility"  # the practice is not repeated
+    right = {"answers": [q.answer for q in study.plan.roles[0].eligibility]}
+    passed = study.advance(state, "eligibility", right).state
+    assert (passed.stage, study.view(passed)["wrong"]) == ("evaluation", False)
     state = study.advance(state, "eligibility", {"answers": wrong}).state
     assert (state.stage, state.over) == ("ineligible", True)
 

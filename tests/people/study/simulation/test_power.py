@@ -37,6 +37,16 @@ def test_simulated_power_agrees_with_theory() -> None:
     assert (corrected <= plain).all()
 
 
+def test_types_beyond_an_even_share_are_drawn_anew_in_each_study_and_condition() -> None:
+    """Types answer 0 and 1 for certain; of three people two are of one type. In half of the studies
+    that is another type in the other condition: t = 1/√2, p = 0.52 (4 degrees of freedom)."""
+    values = np.array([0.0, 1.0])[:, None, None] * np.ones((2, 10, len(MEASURES)))
+    pool = Pool({"conformant": values, "personalized": values})
+    plain, _ = power(pool, 3, 4000, np.random.default_rng(6), alpha=0.6)
+    # Within four standard deviations of a binomial.
+    assert plain == pytest.approx(0.5, abs=4 * (0.25 / 4000) ** 0.5)
+
+
 def test_what_people_forget_changes_what_the_study_would_find() -> None:
     study = street_study()
     perfect = simulate(study, Habits(0, 0, 0, 0, mistake=0), 20, seed=0)
