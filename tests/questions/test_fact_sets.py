@@ -20,6 +20,7 @@ from xplain.questions.likelihood import (
     ERROR,
     Answers,
     Cells,
+    by_level,
     log_prior,
 )
 
@@ -78,7 +79,8 @@ def test_the_likelihood_is_a_sum_over_true_labels(seed, unwritten):
     known = known_of(seed, unwritten=unwritten)
     answers = answers_of(rng, known, 8)
     facts = np.array([0, 3, 5 + 8 * unwritten])
-    found = Cells.of(known, answers, facts).log_likelihood(ERROR[[0, 3]], 3)
+    given = by_level(answers.label)[:, :, [0, 3]]
+    found = Cells.of(known, answers, facts, given).log_likelihood(3)
     for r, variant, d, e in product(range(3), range(2), range(len(DEVIATION)), range(2)):
         error = float(ERROR[[0, 3]][e])
         plain = plainly(known, answers, int(facts[r]), variant, d, error)
@@ -215,7 +217,8 @@ def test_labels_of_another_task_are_left_to_trees(tmp_path):
 
 def test_the_posterior_is_one_probability(rng):
     known = known_of(4)
-    joint = Cells.of(known, answers_of(rng, known, 6), np.array([1])).log_joint(ERROR)
+    answers = answers_of(rng, known, 6)
+    joint = Cells.of(known, answers, np.array([1]), by_level(answers.label)).log_joint()
     assert np.exp(logsumexp(joint, axis=0)).max() <= 1
 
 

@@ -21,6 +21,7 @@ from xplain.data.dataset import Dataset, inputs
 from xplain.data.observers import Observed
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.label_table import DENSE, LabelTable
+from xplain.learning.answer_model import AnswerModel
 from xplain.learning.clustering import Clustering
 from xplain.learning.labelers import (
     Labeler,
@@ -30,10 +31,10 @@ from xplain.learning.labelers import (
 )
 from xplain.message_sets import bits_of, indices, names_of, subsets
 from xplain.questions.designs import hypotheses_of
-from xplain.questions.fact_sets import partition
+from xplain.questions.fact_sets import errors_of, partition
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.known_transitions import Answers, KnownTransitions
-from xplain.questions.likelihood import ERROR, Cells, log_prior, truth
+from xplain.questions.likelihood import Cells, by_level, log_prior, truth
 from xplain.randomness import derived_seed, stream
 
 log = logging.getLogger(__name__)
@@ -66,19 +67,33 @@ class FactSetClassifier:
     classes_ = np.array([0, 1])
     is_sound = True
 
-    def __init__(self, known: KnownTransitions, answers: Answers, fallback: Any) -> None:
-        """Works out the posterior over fact sets, variants, deviations and errors."""
+    def __init__(
+        self,
+        known: KnownTransitions,
+        answers: Answers,
+        fallback: Any,
+        given: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Works out the posterior over fact sets, variants and deviations.
+
+        Args:
+            known, fallback: see above.
+            answers: P of people of the type.
+            given: [P, 2, E] log P(answer | f) for f = 0 and 1, by levels of error that are as
+                likely; None: of answers that all err as often.
+        """
         self.known, self.fallback = known, fallback
+        given = by_level(answers.label) if given is None else given
         facts = known.supported(answers)
         prior = np.log(known.prior_of(facts) + 1e-300)
-        joint = Cells.of(known, answers, facts).log_likelihood(ERROR, len(facts))
+        joint = Cells.of(known, answers, facts, given).log_likelihood(len(facts))
         joint += prior[:, None, None, None] + log_prior(known.hypotheses)[:, :, None]
         posterior = np.exp(joint - logsumexp(joint))
         kept = posterior.sum(axis=(1, 2, 3)) > KEPT
         posterior = posterior[kept] / posterior[kept].sum()
         self.facts, self.weight = facts[kept], posterior.sum(axis=3)
-        self.cells = Cells.of(known, answers, self.facts)
-        zero, one = self.cells.log_joint(ERROR)
+        self.cells = Cells.of(known, answers, self.facts, given)
+        zero, one = self.cells.log_joint()
         of_cell = np.exp(one - np.logaddexp(zero, one)) * posterior[self.cells.which]
         self.learned = of_cell.sum(axis=(1, 2, 3))
 
@@ -207,11 +222,13 @@ class HypothesisTrainer(LabelerTrainer):
         holdout: share of the distinct points held out to measure the accuracy.
         path: an ``.npz`` file of hypotheses with features; None: the observers' domain's.
         hypotheses: in place of both.
+        answers: how the dataset's people err when they answer; None: all as often.
     """
 
     classifier: Any = field(default_factory=paper_tree)
     path: str | None = None
     hypotheses: Hypotheses | None = None
+    answers: AnswerModel | None = None
 
     def given(self, observed: Observed) -> HypothesisTrainer:
         """With the hypotheses of the observers' domain, and the fact sets that their questions
@@ -246,24 +263,30 @@ class HypothesisTrainer(LabelerTrainer):
         made = super().fit(dataset, seed)
         return HypothesisLabeler(**{one.name: getattr(made, one.name) for one in fields(made)})
 
-    def fitted(
-        self,
-        x: NDArray[np.float32],
-        y: NDArray[np.uint8],
-        seed: int,
-    ) -> Any:
-        """A classifier fitted to rows [P, F + n] of labels [P]."""
-        fallback = super().fitted(x, y, seed)
-        hypotheses = self.known.hypotheses
-        n = hypotheses.n_messages
-        if x.shape[1] != self.known.features.shape[1] + n:
+    def fitted_to(self, dataset: Dataset, x: NDArray[np.float32], seed: int) -> Any:
+        """A classifier fitted to the labels of a dataset, whose rows are x [P, F + n]."""
+        fallback = super().fitted_to(dataset, x, seed)
+        place = self.known.find(dataset.features)[dataset.transition]
+        rows = np.flatnonzero(place >= 0)
+        if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
             return fallback
-        transition = self.known.find(x[:, :-n])
-        rows = np.flatnonzero(transition >= 0)
-        told = x[:, -n:].astype(np.int64) @ (1 << np.arange(n, dtype=np.int64))
-        once = np.ones(len(rows))
-        answers = Answers(transition[rows], told[rows], y[rows].astype(np.int64), once)
-        return FactSetClassifier(self.known.grown(answers), answers, fallback)
+        own = dataset.take(rows)
+        answers = _answers(place[rows], own)
+        given = None
+        if self.answers is not None:
+            about = own.transition, own.observer, own.label
+            given = self.answers.log_given(*about)[:, :, None]
+        return FactSetClassifier(self.known.grown(answers), answers, fallback, given)
+
+    def with_errors(self, dataset: Dataset, assignment: NDArray[np.int64]) -> HypothesisTrainer:
+        """With how these people err when they answer, their types [O] being given."""
+        found = self._known_answers(dataset)
+        if found is None:
+            return self
+        place, known, observers = found
+        made = errors_of(known, observers, assignment)
+        answers = replace(made, slip=made.slip[[*place, -1]], guess=made.guess[[*place, -1]])
+        return replace(self, answers=answers)
 
     def find_types(self, dataset: Dataset, concentration: float, seed: int) -> Clustering | None:
         """The types by a Dirichlet process over fact sets; None where the hypotheses know nothing
@@ -274,29 +297,47 @@ class HypothesisTrainer(LabelerTrainer):
             concentration: α of the process.
             seed: of the sampler.
         """
-        known = self.known
-        if not _same_task(known.hypotheses, dataset.feature_names, dataset.messages):
+        found_answers = self._known_answers(dataset)
+        if found_answers is None:
             return None
-        place = known.find(dataset.features)
-        if (place < 0).all():
-            return None
-        rows = [np.flatnonzero(dataset.observer == o) for o in range(len(dataset.observers))]
-        every = Answers(
-            place[dataset.transition],
-            dataset.message_set,
-            dataset.label.astype(np.int64),
-            np.ones(len(dataset)),
-        )
-        observers = [every.take(own[every.transition[own] >= 0]) for own in rows]
-        for own in observers:
-            known = known.with_sets(self.known.grown(own).supported(own))
+        place, known, observers = found_answers
         found = partition(known, observers, concentration, stream(derived_seed(seed, "types")))
         _, first = np.unique(found.facts, return_index=True)
         needs = found.facts[np.sort(first)]
         if surprise := int(np.bitwise_or.reduce(needs & known.unwritten)):
             names = ", ".join(names_of(surprise, dataset.messages))
             log.warning("some hold wrong what no hypothesis does; it is set right by: %s", names)
-        return Clustering(found.facts, "dirichlet", "hypotheses", needs=needs)
+        expected = found.expected
+        if expected is not None:
+            ones = np.bincount(dataset.transition, dataset.label, len(place))
+            mean = (ones + 1) / (np.bincount(dataset.transition, minlength=len(place)) + 2)
+            expected = np.where(place >= 0, expected[:, place], mean)
+        return Clustering(found.facts, "dirichlet", "hypotheses", needs=needs, expected=expected)
+
+    def _known_answers(
+        self, dataset: Dataset
+    ) -> tuple[NDArray[np.int64], KnownTransitions, list[Answers]] | None:
+        """Where the dataset's features [T] are among those that hypotheses know (−1 nowhere), these
+        with all that any observer's answers make likely, and the answers of each observer; None
+        where they know nothing of the dataset."""
+        known = self.known
+        if not _same_task(known.hypotheses, dataset.feature_names, dataset.messages):
+            return None
+        place = known.find(dataset.features)
+        if (place < 0).all():
+            return None
+        every = _answers(place[dataset.transition], dataset)
+        rows = [np.flatnonzero(dataset.observer == o) for o in range(len(dataset.observers))]
+        observers = [every.take(own[every.transition[own] >= 0]) for own in rows]
+        for own in observers:
+            known = known.with_sets(self.known.grown(own).supported(own))
+        return place, known, observers
+
+
+def _answers(place: NDArray[np.int64], dataset: Dataset) -> Answers:
+    """The labels of a dataset, about transitions [P]."""
+    label = dataset.label.astype(np.int64)
+    return Answers(place, dataset.message_set, label, np.ones(len(dataset)))
 
 
 def _same_task(
