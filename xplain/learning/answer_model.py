@@ -8,8 +8,10 @@ Slips and guesses are those of the DINA model (Junker & Sijtsma 2001, "Cognitive
 with few assumptions"), where f says whether a person has all skills that an item needs; the error
 rate is added. All three are learned from everybody's answers by empirical Bayes. Errors that all
 people share cannot be told from slips that all questions share: they are taken to be slips, as the
-likeliest error rate of the population is 0. And what most of a type answer is what they think: a
-slip or a guess is less likely than ½, and never explains such a majority.
+likeliest error rate of the population is 0. What most of a type answer is what they think: a slip
+or a guess is less likely than ½, and never explains such a majority. And slips have the same mean as
+guesses, to which those of a question are drawn: if people say 0 for 1 more often than 1 for 0 all
+over, it is rather f that is not as expected.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ their own, the mean rate is .05."""
 PEOPLE = 2.0
 """This prior counts as so many people."""
 MEAN = 0.02
-"""Of slips and guesses, before any answer …"""
+"""Of slips and guesses alike, before any answer …"""
 WEIGHT = 50.0
 """… with the weight of so many answers."""
 SHRINKAGE = np.array([16.0, 32, 64, 128])
@@ -236,11 +238,10 @@ def learned(
     else:
         slip, guess = np.full((2, questions + 1), max(start, LOWEST))
         share = RATE_PRIOR
-    rates = RATES
     rate = np.tile(share, (len(answers.cell), 1))  # [P, E] of each answer's person, by the others'
     for _ in range(steps):
         before = np.concatenate([slip, guess, share])
-        one = answered(slip[answers.question], guess[answers.question], rates)
+        one = answered(slip[answers.question], guess[answers.question], RATES)
         given = np.where(answers.label[:, None, None] == 1, one, 1 - one)  # [P, 2, E]
         said = np.log((given * rate[:, None, :]).sum(axis=2))
         truth_ = softmax(log_prior[answers.cell] + _others(said, answers.cell, len(prior)), axis=1)
@@ -250,11 +251,10 @@ def learned(
         share = _population(person)
         weight = truth_[:, :, None] * rate[:, None, :] * given
         weight /= weight.sum(axis=(1, 2), keepdims=True)
-        slip = _rates(slip, weight[:, 1], rates, answers.question, answers.label == 0)
-        guess = _rates(guess, weight[:, 0], rates, answers.question, answers.label == 1)
+        slip, guess = _slips(slip, guess, weight, answers)
         if np.abs(np.concatenate([slip, guess, share]) - before).max() < STILL:
             break
-    return AnswerModel(slip, guess, ErrorRates(rates, share), np.vstack([person, share]))
+    return AnswerModel(slip, guess, ErrorRates(RATES, share), np.vstack([person, share]))
 
 
 def summed(
@@ -280,24 +280,27 @@ def _population(person: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(share / share.sum())
 
 
-def _rates(
-    before: NDArray[np.float64],
+def _slips(
+    slip: NDArray[np.float64],
+    guess: NDArray[np.float64],
     weight: NDArray[np.float64],
-    rates: NDArray[np.float64],
-    question: NDArray[np.int64],
-    unlike: NDArray[np.bool_],
+    answers: Answers,
 ) -> NDArray[np.float64]:
-    """Slips (or guesses) [T + 1] of the answers whose f is 1 (0) with weight [P, E] by error rate,
-    and which are ``unlike`` f [P]; the rates ``before`` say what of that was the person's error."""
-    slip = before[question][:, None]
-    slipped = np.where(unlike[:, None], slip * (1 - rates), slip * rates)
-    kept = np.where(unlike[:, None], (1 - slip) * rates, (1 - slip) * (1 - rates))
-    times = (weight * slipped / (slipped + kept)).sum(axis=1)
-    slips = np.bincount(question, times, len(before))[:-1]
-    others = np.bincount(question, weight.sum(axis=1) - times, len(before))[:-1]
-    mean = (slips.sum() + WEIGHT * MEAN) / (slips.sum() + others.sum() + WEIGHT)
-    first, second = SHRINKAGE[:, None] * mean, SHRINKAGE[:, None] * (1 - mean)
-    gain = betaln(first + slips, second + others) - betaln(first, second)
-    kappa = SHRINKAGE[gain.sum(axis=1).argmax()]
-    own = (slips + kappa * mean) / (slips + others + kappa)
-    return np.append(own, mean).clip(LOWEST, HIGHEST)
+    """[2, T + 1] slips and guesses, of answers whose f and error rate have the probabilities
+    ``weight`` [P, 2, E]; those before say what of it was the person's error."""
+    question, counts = answers.question, np.zeros((2, 2, len(slip) - 1))
+    for f, before in ((1, slip), (0, guess)):
+        unlike = (answers.label != f)[:, None]
+        chance = before[question][:, None]
+        slipped = chance * np.where(unlike, 1 - RATES, RATES)
+        kept = (1 - chance) * np.where(unlike, RATES, 1 - RATES)
+        times = (weight[:, f] * slipped / (slipped + kept)).sum(axis=1)
+        for i, own in enumerate((times, weight[:, f].sum(axis=1) - times)):
+            counts[1 - f, i] = np.bincount(question, own, len(slip) - 1)
+    times, others = counts[:, 0], counts[:, 1]  # [2, T] slips and guesses, and all else
+    mean = (times.sum() + WEIGHT * MEAN) / (counts.sum() + WEIGHT)
+    first, second = SHRINKAGE[:, None, None] * mean, SHRINKAGE[:, None, None] * (1 - mean)
+    gain = betaln(first + times, second + others) - betaln(first, second)
+    kappa = SHRINKAGE[gain.sum(axis=(1, 2)).argmax()]
+    own = (times + kappa * mean) / (times + others + kappa)
+    return np.pad(own, ((0, 0), (0, 1)), constant_values=mean).clip(LOWEST, HIGHEST)

@@ -147,8 +147,8 @@ def learn_types(
     clusters = [clustering.members(t) for t in range(n)]
     answers = clustering.answers
     if isinstance(trainer, LearnsErrors):
-        trainer = trainer.with_errors(dataset, clustering.assignment)
-        answers = trainer.answers or answers
+        heeding = trainer.with_errors(dataset, clustering.assignment)
+        trainer, answers = heeding, heeding.answers or answers
         if known is not None and {tuple(own.tolist()) for own in clusters} != set(known):
             known = None  # how people err was learned with other types
     labelers = [

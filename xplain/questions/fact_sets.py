@@ -372,7 +372,7 @@ class _Search:
         said = (1 - own) * zero + own * one
         share = self.weight.sum(axis=2)
         wrong = self.weight @ self.answers.errors.rates
-        return (share - 2 * wrong) @ said + wrong.sum(axis=1)[:, None]
+        return np.asarray((share - 2 * wrong) @ said + wrong.sum(axis=1)[:, None])
 
     def _merge(self, state: NDArray[np.int64]) -> None:
         """Gives the type that gains most by it other facts that nobody has, or merges two under the

@@ -34,7 +34,7 @@ from xplain.questions.designs import hypotheses_of
 from xplain.questions.fact_sets import errors_of, partition
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.known_transitions import Answers, KnownTransitions
-from xplain.questions.likelihood import Cells, by_level, log_prior, truth
+from xplain.questions.likelihood import Cells, by_level, log_prior, scaled, truth
 from xplain.randomness import derived_seed, stream
 
 log = logging.getLogger(__name__)
@@ -274,8 +274,8 @@ class HypothesisTrainer(LabelerTrainer):
         answers = _answers(place[rows], own)
         given = None
         if self.answers is not None:
-            about = own.transition, own.observer, own.label
-            given = self.answers.log_given(*about)[:, :, None]
+            label = answers.label
+            given = scaled(self.answers.log_given(own.transition, own.observer, label), label)
         return FactSetClassifier(self.known.grown(answers), answers, fallback, given)
 
     def with_errors(self, dataset: Dataset, assignment: NDArray[np.int64]) -> HypothesisTrainer:

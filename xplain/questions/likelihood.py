@@ -37,6 +37,20 @@ def by_level(label: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.asarray(np.where(right[:, :, None], np.log1p(-ERROR), np.log(ERROR)))
 
 
+SCALE = np.array([0.05, 0.15, 0.4, 1.0, 2.0])
+"""Of people of one type all slips, guesses and errors may be so many times those learned of
+everybody, each as likely: what many contradict is f rather than a slip, if f fits as well."""
+
+
+def scaled(given: NDArray[np.float64], label: NDArray[np.int64]) -> NDArray[np.float64]:
+    """log P(answer | f) [P, 2] of answers [P], errors being by a level of :data:`SCALE` more or
+    less: [P, 2, E]."""
+    right = label[:, None] == np.arange(2)
+    wrong = np.exp(np.where(right, np.log(-np.expm1(given)), given))[:, :, None] * SCALE
+    wrong = np.minimum(wrong, 0.45)
+    return np.asarray(np.where(right[:, :, None], np.log1p(-wrong), np.log(wrong)))
+
+
 @dataclass(frozen=True)
 class Cells:
     """Answers by cell, for some fact sets at once.

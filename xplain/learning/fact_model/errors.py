@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from xplain.data.dataset import Dataset
-from xplain.learning.answer_model import AnswerModel, Answers, learned, truth
+from xplain.learning.answer_model import AnswerModel, Answers, learned
 from xplain.learning.fact_model.model import NOISE, Prior, State
 
 
@@ -24,7 +24,7 @@ def errors_of(dataset: Dataset, prior: Prior, state: State) -> AnswerModel:
     wrong = float(np.exp(state.log_noise) @ NOISE)
     # How many cells are 1 is seen in the answers: where few answers share a cell, a share that is
     # too low would pass for guesses.
-    ones = [label[(matters > 0) == kind].mean() if (matters > 0).any() else 1 for kind in (0, 1)]
-    share = truth(np.array(ones), np.float64(wrong), np.float64(1 - wrong)).clip(0.02, 0.98)
-    one = share[(cells[1] > 0).astype(int)]
+    kind = (matters > 0).astype(np.int64)
+    ones = np.bincount(kind, label, 2) / np.bincount(kind, minlength=2).clip(1)
+    one = ((ones - wrong) / (1 - 2 * wrong)).clip(0.02, 0.98)[(cells[1] > 0).astype(np.int64)]
     return learned(about, one, len(dataset.features), len(dataset.observers), wrong)
