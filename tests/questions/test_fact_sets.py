@@ -10,10 +10,11 @@ from scipy.special import logsumexp
 
 from tests.questions.tables import random_hypotheses
 from xplain.data.dataset import Dataset
+from xplain.questions.fact_set_classifier import FactSetClassifier
 from xplain.questions.fact_sets import partition
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.known_transitions import MATTERS, UNWRITTEN, KnownTransitions
-from xplain.questions.labeler import FactSetClassifier, HypothesisTrainer
+from xplain.questions.labeler import HypothesisTrainer
 from xplain.questions.likelihood import (
     DEVIATION,
     DISPUTED,

@@ -9,8 +9,8 @@ with few assumptions"), where f says whether a person has all skills that an ite
 rate is added. All three are learned from everybody's answers by empirical Bayes. Errors that all
 people share cannot be told from slips that all questions share: they are taken to be slips, as the
 likeliest error rate of the population is 0. What most of a type answer is what they think: a slip
-or a guess is less likely than ½, and never explains such a majority. And slips have the same mean as
-guesses, to which those of a question are drawn: if people say 0 for 1 more often than 1 for 0 all
+or a guess is less likely than ½, and never explains such a majority. Slips and guesses have one
+mean, to which those of a question are drawn: where 0 is said for 1 more often than 1 for 0 all
 over, it is rather f that is not as expected.
 """
 
@@ -107,9 +107,15 @@ class AnswerModel:
     ) -> NDArray[np.float64]:
         """log P(y | f = 0 and 1) of P answers: [P, 2]. Of questions and people −1 nothing is known
         but what holds for all."""
-        one = self.given(question)  # [P, 2, E]
-        each = np.where(label[:, None, None] == 1, one, 1 - one)
+        each = self.likelihood(question, label)
         return np.asarray(np.log((each * self.person[person][:, None, :]).sum(axis=2)))
+
+    def likelihood(
+        self, question: NDArray[np.int64], label: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(y | f, e) of P answers: [P, 2, E]."""
+        one = self.given(question)
+        return np.asarray(np.where(label[:, None, None] == 1, one, 1 - one))
 
     def given(self, question: NDArray[np.int64]) -> NDArray[np.float64]:
         """P(y = 1 | f, e) of P questions: [P, 2, E]."""
@@ -145,34 +151,14 @@ class QuestionErrors:
     guess: NDArray[np.float64]
     errors: ErrorRates
 
-    @classmethod
-    def of(cls, model: AnswerModel, features: NDArray[np.float64]) -> QuestionErrors:
-        """What a model of questions with these features [T, F] says of other people.
-
-        Raises:
-            InputError: slips and guesses that are none.
-        """
-        return cls.checked(features, model.slip, model.guess, model.errors)
-
-    @classmethod
-    def checked(
-        cls,
-        features: NDArray[np.float64],
-        slip: NDArray[np.float64],
-        guess: NDArray[np.float64],
-        errors: ErrorRates,
-    ) -> QuestionErrors:
-        """Of arrays that may be anything.
-
-        Raises:
-            InputError: they do not fit each other, or are no probabilities.
-        """
-        for key, row in (("slip", slip), ("guess", guess)):
-            if row.shape != (len(features) + 1,) or not ((row > 0) & (row < 1)).all():
-                raise InputError(key, row.shape, f"{len(features) + 1} probabilities inside (0, 1)")
-        if not (slip + guess < 1).all():
-            raise InputError("slip", float((slip + guess).max()), "slip + guess < 1")
-        return cls(features, slip, guess, errors)
+    def __post_init__(self) -> None:
+        """Raises InputError: slips and guesses that are none, or not of these transitions."""
+        for key, row in (("slip", self.slip), ("guess", self.guess)):
+            count = len(self.features) + 1
+            if row.shape != (count,) or not ((row > 0) & (row < 1)).all():
+                raise InputError(key, row.shape, f"{count} probabilities inside (0, 1)")
+        if not (self.slip + self.guess < 1).all():
+            raise InputError("slip", float((self.slip + self.guess).max()), "slip + guess < 1")
 
     def rates_of(
         self, features: NDArray[np.float64]
@@ -199,7 +185,7 @@ def truth(
     return np.asarray(((one - low) / (high - low)).clip(0.0, 1.0))
 
 
-class Answers(NamedTuple):
+class CellAnswers(NamedTuple):
     """P answers: ``cell`` [P], which share one f, ``question`` [P], ``person`` [P] and ``label``
     [P], of 0 and 1."""
 
@@ -210,7 +196,7 @@ class Answers(NamedTuple):
 
 
 def learned(
-    answers: Answers,
+    answers: CellAnswers,
     prior: NDArray[np.float64],
     questions: int,
     people: int,
@@ -231,7 +217,6 @@ def learned(
     """
     counted = np.bincount(answers.cell, minlength=len(prior))
     off = np.where(counted >= MAJORITY, DEVIATES, 1e-6)
-    off = np.minimum(off, 0.5)
     log_prior = np.log(np.stack([1 - prior, prior], axis=1).clip(off[:, None], 1 - off[:, None]))
     if isinstance(start, AnswerModel):
         slip, guess, share = start.slip, start.guess, start.errors.prior
@@ -244,12 +229,12 @@ def learned(
         one = answered(slip[answers.question], guess[answers.question], RATES)
         given = np.where(answers.label[:, None, None] == 1, one, 1 - one)  # [P, 2, E]
         said = np.log((given * rate[:, None, :]).sum(axis=2))
-        truth_ = softmax(log_prior[answers.cell] + _others(said, answers.cell, len(prior)), axis=1)
-        heard = np.log((given * truth_[:, :, None]).sum(axis=1))
+        thought = softmax(log_prior[answers.cell] + _others(said, answers.cell, len(prior)), axis=1)
+        heard = np.log((given * thought[:, :, None]).sum(axis=1))
         rate = softmax(np.log(share) + _others(heard, answers.person, people), axis=1)
         person = softmax(np.log(share) + summed(heard, answers.person, people), axis=1)
         share = _population(person)
-        weight = truth_[:, :, None] * rate[:, None, :] * given
+        weight = thought[:, :, None] * rate[:, None, :] * given
         weight /= weight.sum(axis=(1, 2), keepdims=True)
         slip, guess = _slips(slip, guess, weight, answers)
         if np.abs(np.concatenate([slip, guess, share]) - before).max() < STILL:
@@ -284,7 +269,7 @@ def _slips(
     slip: NDArray[np.float64],
     guess: NDArray[np.float64],
     weight: NDArray[np.float64],
-    answers: Answers,
+    answers: CellAnswers,
 ) -> NDArray[np.float64]:
     """[2, T + 1] slips and guesses, of answers whose f and error rate have the probabilities
     ``weight`` [P, 2, E]; those before say what of it was the person's error."""

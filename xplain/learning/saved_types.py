@@ -73,7 +73,9 @@ class LearnedTypes:
             dataset.messages,
             dataset.feature_names,
             dict(sentences or {}),
-            None if learned is None else QuestionErrors.of(learned, dataset.features),
+            None
+            if learned is None
+            else QuestionErrors(dataset.features, learned.slip, learned.guess, learned.errors),
         )
 
     def encode(self, transition: Mapping[str, float | str]) -> tuple[float, ...]:
@@ -266,7 +268,7 @@ def _errors(arrays: Mapping[str, NDArray[Any]], features: int) -> QuestionErrors
     )
     if rows.ndim != 2 or rows.shape[1] != features:
         raise InputError("types", "errors/features", f"rows of {features} features")
-    return QuestionErrors.checked(rows, slip, guess, rates)
+    return QuestionErrors(rows, slip, guess, rates)
 
 
 def _classifier(

@@ -11,17 +11,21 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, gammaln, logsumexp, softmax
+from scipy.special import gammaln, logsumexp, softmax
 
 from xplain.learning import answer_model
 from xplain.learning.answer_model import AnswerModel, summed
+from xplain.questions.counted_answers import CountedAnswers
+from xplain.questions.fact_mixture import mixture
 from xplain.questions.known_transitions import Answers, KnownTransitions
-from xplain.questions.likelihood import DEVIATION, ERROR, Cells, by_level, log_prior, truth
+from xplain.questions.likelihood import ERROR, Cells, by_level, log_prior, truth
 
 SWEEPS = 30
 """Of the sampler, after the deterministic start."""
 DRAWS, FEWEST_SWEEPS = 6000, 5
 """Of observers in all; with many observers sweeps are fewer, but not fewer than these."""
+CANDIDATE = 0.01
+"""A fact set starts as a candidate where somebody's own answers give it so much."""
 CANDIDATE = 0.01
 """A fact set starts as a candidate where somebody's own answers give it so much."""
 ROUNDS, AS_SAID = 30, 5
@@ -79,71 +83,9 @@ def errors_of(
 ) -> AnswerModel:
     """How answers err, the types [O] of the observers being given."""
     search = _Search(known, observers, 1.0, np.random.default_rng(0))
-    search.start()
+    search.alike()
     search.learn(search.best_of(types))
     return search.learn(search.best_of(types))
-
-
-class _Counted:
-    """Answers by cell, for the fact sets that were in use by now: S of them, with N cells in all.
-
-    Attributes:
-        slot: of each fact set.
-        cell: [S, P] of each answer, were it of people who hold the fact set wrong.
-        owner: [N] the slot of each cell; ascending.
-        prior: [N, 2, 1 + V, D] log P(f = 0 and 1) of each cell.
-        said: [N, 2] log P(answers counted in the cell | f).
-    """
-
-    def __init__(self, known: KnownTransitions, answers: Answers) -> None:
-        self.known, self.answers = known, answers
-        self.slot: dict[int, int] = {}
-        layers = len(known.share), len(DEVIATION)
-        self.cell = np.zeros((0, len(answers.label)), dtype=np.int64)
-        self.owner = np.zeros(0, dtype=np.int64)
-        self.prior, self.said = np.zeros((0, 2, *layers)), np.zeros((0, 2))
-
-    def of(self, facts: int) -> int:
-        """The slot of a fact set (bitmask)."""
-        if facts not in self.slot:
-            known, answers = self.known, self.answers
-            rows = known.hypotheses.row(facts & ~answers.message_set)
-            key = rows * known.share.shape[2] + answers.transition
-            cells, where = np.unique(key, return_inverse=True)
-            one = truth(known.by_cell[cells], known.hypotheses.sizes)
-            prior = np.log(np.stack([1 - one, one], axis=1))
-            self.slot[facts] = new = len(self.cell)
-            self.cell = np.vstack([self.cell, len(self.owner) + where[None]])
-            self.owner = np.append(self.owner, np.full(len(cells), new))
-            self.prior = np.concatenate([self.prior, prior])
-            self.said = np.concatenate([self.said, np.zeros((len(cells), 2))])
-        return self.slot[facts]
-
-    def count(self, slot: int, rows: NDArray[np.int64], given: NDArray[np.float64]) -> None:
-        """Adds answers, or takes them away: ``given`` [rows, 2], its sign."""
-        np.add.at(self.said, self.cell[slot, rows], given)
-
-    def evidence(self, slot: int) -> NDArray[np.float64]:
-        """log P(answers counted | variant, δ): [1 + V, D]."""
-        first, end = np.searchsorted(self.owner, [slot, slot + 1])
-        joint = self.prior[first:end] + self.said[first:end, :, None, None]
-        return np.asarray(np.logaddexp(joint[:, 0], joint[:, 1]).sum(axis=0))
-
-    def gain(
-        self, slots: NDArray[np.int64], rows: NDArray[np.int64], levels: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """log P(further answers | those counted, variant, δ, level) by slot, ascending, of answers
-        with log P(answer | f, level) ``levels`` [rows, 2, E]: [slots, 1 + V, D, E]."""
-        if not len(rows):
-            return np.zeros((len(slots), *self.prior.shape[2:], levels.shape[2]))
-        cells, where = np.unique(self.cell[slots][:, rows], return_inverse=True)
-        more = summed(np.tile(levels, (len(slots), 1, 1)), where.ravel(), len(cells))
-        before = self.prior[cells] + self.said[cells][:, :, None, None]
-        after = before[..., None] + more[:, :, None, None, :]
-        change = np.logaddexp(after[:, 0], after[:, 1])
-        change -= np.logaddexp(before[:, 0], before[:, 1])[..., None]
-        starts = np.searchsorted(self.owner[cells], slots)
-        return np.asarray(np.add.reduceat(change, starts, axis=0))
 
 
 class _Search:
@@ -165,10 +107,10 @@ class _Search:
         self.facts = reduce(np.union1d, [known.supported(answers) for answers in observers])
         self.log_new = np.log(concentration) + np.log(known.prior_of(self.facts))
         self.log_prior = log_prior(known.hypotheses)
-        self.counted = _Counted(known, self.every)
+        self.counted = CountedAnswers(known, self.every)
 
     def run(self) -> Partition:
-        state = self.mixture(self.start())
+        state = self.start()
         if len(state) < MANY:
             self._merge(state)
         best, best_score = state.copy(), -np.inf
@@ -195,49 +137,24 @@ class _Search:
             None if told else np.mean(drawn, axis=0),
         )
 
-    def start(self) -> NDArray[np.float64]:
+    def alike(self) -> NDArray[np.float64]:
         """All answers err as often, with the probability that makes them likeliest, everybody being
-        of a type of their own. Returns what each holds wrong under it: [O, R]."""
+        of a type of their own. Returns what each then holds wrong: [O, R]."""
         levels = by_level(self.every.label)
         alone = self._of_each(levels) + self.log_new[:, None]
         likely = logsumexp(alone, axis=1).sum(axis=0).argmax()
         self.level, self.given = float(ERROR[likely]), levels[:, :, likely]
         return np.asarray(softmax(alone[:, :, likely], axis=1))
 
-    def mixture(self, alone: NDArray[np.float64]) -> NDArray[np.int64]:
-        """The likeliest fact set [O] of each observer by expectation maximisation, from
-        :meth:`start`: shares of (fact set, variant, deviation), f of their cells, slips, guesses
-        and error rates are everybody's."""
-        kept = np.flatnonzero(alone.max(axis=0) > CANDIDATE)
-        known, every = self.known, self.every
-        held = known.hypotheses.row(self.facts[kept][:, None] & ~every.message_set)
-        key = held * known.share.shape[2] + every.transition
-        one = np.stack([truth(known.by_cell[row], known.hypotheses.sizes) for row in key])
-        one = one.reshape(*key.shape, -1).transpose(0, 2, 1)  # [R, (1 + V) D, P]
-        odds = np.log(one / (1 - one))
-        cells = [np.unique(row, return_inverse=True)[1] for row in key]
-        prior = np.exp(self.log_new[kept][:, None] + self.log_prior.ravel())
-        prior, share = prior / prior.sum(), prior / prior.sum()
-        label, question, people = every.label, every.transition, len(self.rows)
-        about = answer_model.Answers(np.arange(len(label)), question, self.person, label)
-        made: AnswerModel | float = self.level
-        for turn in range(ROUNDS):
-            zero, both = np.exp(self.given).T
-            log_each = np.log((1 - one) * zero + one * both)  # [R, (1 + V) D, P]
-            joint = summed(np.moveaxis(log_each, 2, 0), self.person, people) + np.log(share)
-            weight = softmax(joint, axis=(1, 2))  # [O, R, (1 + V) D]
-            share = (weight.sum(axis=0) + prior) / (people + 1)
-            others = softmax(np.moveaxis(joint[self.person], 0, 2) - log_each, axis=(0, 1))
-            f = (others * one).sum(axis=(0, 1))  # of each answer, by all others of its person
-            made = answer_model.learned(about, f, known.share.shape[2], people, made, 3)
-            self.given = made.log_given(question, self.person, label)
-            if turn < AS_SAID:
-                continue
-            own = np.moveaxis(weight[self.person], 0, 2)
-            said = own * (self.given[:, 1] - self.given[:, 0])
-            for r, cell in enumerate(cells):  # … and by all other answers of the cell
-                one[r] = expit(odds[r] + summed(said[r].T, cell, cell.max() + 1)[cell].T - said[r])
-        return np.asarray(kept[weight.sum(axis=2).argmax(axis=1)])
+    def start(self) -> NDArray[np.int64]:
+        """The likeliest fact set of each observer [O], by a mixture of those that somebody's own
+        answers make likely."""
+        alone = self.alike()
+        kept = np.union1d(alone.argmax(axis=1), np.flatnonzero(alone.max(axis=0) > CANDIDATE))
+        about = self.known, self.every, self.person, len(self.rows)
+        found, self.answers = mixture(*about, self.facts[kept], self.log_new[kept], self.level)
+        self._heed()
+        return np.asarray(kept[found])
 
     def learn(self, state: NDArray[np.int64]) -> AnswerModel:
         """How answers err, the types being as they are; from then on they are taken to."""
@@ -251,12 +168,16 @@ class _Search:
             prior[own] = (np.exp(counted.prior[own, 1]) * weight).sum(axis=(1, 2))
         cells, cell = np.unique(self._cells(state), return_inverse=True)
         label, question = self.every.label, self.every.transition
-        about = answer_model.Answers(cell.ravel(), question, self.person, label)
+        about = answer_model.CellAnswers(cell.ravel(), question, self.person, label)
         sizes = self.known.share.shape[2], len(self.rows)
         made = answer_model.learned(about, prior[cells], *sizes, self.level)
         self.answers = made
-        self.given = made.log_given(question, self.person, label)
+        self._heed()
         return made
+
+    def _heed(self) -> None:
+        about = self.every.transition, self.person, self.every.label
+        self.given = self.answers.log_given(*about)
 
     def best_of(self, types: NDArray[np.int64]) -> NDArray[np.int64]:
         """The likeliest fact set of each type, given who is of it: [O]."""
@@ -268,8 +189,7 @@ class _Search:
 
     def _all_alone_by_level(self) -> NDArray[np.float64]:
         """log P(answers of each observer, error rate | R): [O, R, E]."""
-        one = self.answers.given(self.every.transition)
-        self.levels = np.log(np.where(self.every.label[:, None, None] == 1, one, 1 - one))
+        self.levels = np.log(self.answers.likelihood(self.every.transition, self.every.label))
         self.log_level = np.log(self.answers.errors.prior)
         return self._of_each(self.levels) + self.log_level
 

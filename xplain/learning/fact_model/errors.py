@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from xplain.data.dataset import Dataset
-from xplain.learning.answer_model import AnswerModel, Answers, learned
+from xplain.learning.answer_model import AnswerModel, CellAnswers, learned
 from xplain.learning.fact_model.model import NOISE, Prior, State
 
 
@@ -20,7 +20,7 @@ def errors_of(dataset: Dataset, prior: Prior, state: State) -> AnswerModel:
     both = np.stack([dataset.transition, matters])
     cells, cell = np.unique(both, axis=1, return_inverse=True)
     label = dataset.label.astype(np.int64)
-    about = Answers(cell.ravel(), dataset.transition, dataset.observer, label)
+    about = CellAnswers(cell.ravel(), dataset.transition, dataset.observer, label)
     wrong = float(np.exp(state.log_noise) @ NOISE)
     # How many cells are 1 is seen in the answers: where few answers share a cell, a share that is
     # too low would pass for guesses.
