@@ -50,7 +50,9 @@ class Partition:
         score: log of the joint probability.
         error: share of the answers that are thought wrong.
         expected: [O, U] P(answer 1) of each observer about every row of features that hypotheses
-            know, with nothing told, by many draws; None where somebody was told something.
+            know, with nothing told: the mean of what the mixture and the sampler expect, as the
+            former trusts hypotheses more and the latter people who are alike; None where somebody
+            was told something.
     """
 
     facts: NDArray[np.int64]
@@ -115,7 +117,6 @@ class _Search:
             self._merge(state)
         best, best_score = state.copy(), -np.inf
         drawn, sweeps = [], max(min(SWEEPS, DRAWS // len(state)), FEWEST_SWEEPS)
-        told = self.every.message_set.any()
         for sweep in range(sweeps):
             if sweep & (sweep - 1) == 0:  # 0, 1, 2, 4, 8, …
                 self.learn(state)
@@ -125,7 +126,7 @@ class _Search:
             self._sweep(state)
             if (score := self._score(state)) > best_score:
                 best, best_score = state.copy(), score
-            if not told and 2 * sweep >= sweeps:
+            if self.softly is not None and 2 * sweep >= sweeps:
                 drawn.append(self._expected())
         self._merge(best)
         error = self.answers.wrong(self.every.transition, self.person)
@@ -134,7 +135,7 @@ class _Search:
             self.answers,
             self._score(best),
             error,
-            None if told else np.mean(drawn, axis=0),
+            None if self.softly is None else (self.softly + np.mean(drawn, axis=0)) / 2,
         )
 
     def alike(self) -> NDArray[np.float64]:
@@ -152,9 +153,10 @@ class _Search:
         alone = self.alike()
         kept = np.union1d(alone.argmax(axis=1), np.flatnonzero(alone.max(axis=0) > CANDIDATE))
         about = self.known, self.every, self.person, len(self.rows)
-        found, self.answers = mixture(*about, self.facts[kept], self.log_new[kept], self.level)
+        found = mixture(*about, self.facts[kept], self.log_new[kept], self.level)
+        self.answers, self.softly = found.answers, found.expected
         self._heed()
-        return np.asarray(kept[found])
+        return np.asarray(kept[found.weight.argmax(axis=1)])
 
     def learn(self, state: NDArray[np.int64]) -> AnswerModel:
         """How answers err, the types being as they are; from then on they are taken to."""
