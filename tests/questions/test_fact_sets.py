@@ -10,6 +10,7 @@ from scipy.special import logsumexp
 
 from tests.questions.tables import random_hypotheses
 from xplain.data.dataset import Dataset
+from xplain.questions.counted_answers import CountedAnswers
 from xplain.questions.fact_set_classifier import FactSetClassifier
 from xplain.questions.fact_sets import partition
 from xplain.questions.hypotheses import Hypotheses
@@ -161,6 +162,38 @@ def test_where_answers_contradict_the_hypotheses_the_answers_win():
         truth = known.hypotheses.labels[5 & ~every, t] ^ (t < 2)
         asked = np.isin(5 & ~every, 5 & ~said.message_set[said.transition == t])
         assert ((p > 0.5) == truth)[asked].all()
+
+
+def test_answers_of_who_errs_more_count_for_less():
+    """Four answers in one cell contradict the hypotheses: they win unless they tell nothing."""
+    known = known_of(1, facts=3, transitions=20, variants=0)
+    t, told = np.repeat(np.arange(20), 4), np.zeros(80, dtype=np.int64)
+    label = known.hypotheses.labels[5, t].astype(np.int64)
+    label[:4] ^= 1
+    answers = Answers(t, told, label, np.ones(80))
+    for error, wins in ((0.02, True), (0.49, False)):
+        wrong = np.where(np.arange(80) < 4, error, 0.02)[:, None]
+        given = np.log(np.where(label[:, None] == np.arange(2), 1 - wrong, wrong))[:, :, None]
+        p = FactSetClassifier(known, answers, None, given).known_rows(t[:1], told[:1])[0]
+        assert (p > 0.5) == (label[0] if wins else 1 - label[0])
+
+
+@given(st.integers(0, 10_000))
+@settings(deadline=None, max_examples=10)
+def test_what_answers_would_add_is_the_difference_that_they_make(seed):
+    rng = np.random.default_rng(seed)
+    known = known_of(seed)
+    answers = answers_of(rng, known, 30)
+    counted = CountedAnswers(known, answers)
+    slots = np.array([counted.of(3), counted.of(5)])
+    given = np.log(rng.uniform(0.05, 0.95, (30, 2)))
+    for slot in slots.tolist():
+        counted.count(slot, np.arange(20), given[:20])
+    before = [counted.evidence(slot) for slot in slots.tolist()]
+    gain = counted.gain(slots, np.arange(20, 30), given[20:, :, None])[..., 0]
+    for slot, first, more in zip(slots.tolist(), before, gain, strict=True):
+        counted.count(slot, np.arange(20, 30), given[20:])
+        assert counted.evidence(slot) - first == pytest.approx(more)
 
 
 def test_one_wrong_answer_does_not_win():
