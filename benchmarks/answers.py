@@ -5,7 +5,8 @@
     python benchmarks/answers.py --quick         simulated pupils, one split; few examinees
 
 A fifth of the answers is left out, by chance, in each of three splits. All methods see the same
-answers, and have no options but these: `question's mean` smooths by one answer of either kind;
+answers, and have no options but these: `discover, hypotheses` also knows the skills of each item
+(labeler=hypotheses); `question's mean` smooths by one answer of either kind;
 `Rasch` is a logistic regression on persons and items; `DINA` (Junker & Sijtsma 2001) takes the
 skills of NAME_items.csv (item, inexplicable_if: skills joined by `;`), with slips and guesses by
 item and shares of the 2^n profiles by expectation maximisation; `classes` are StepMix's latent
@@ -32,7 +33,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 from sklearn.linear_model import LogisticRegression
 
-from xplain import Questionnaire
+from xplain import Hypotheses, Questionnaire
 
 Table = NDArray[np.float64]
 """[O, T] answers, NaN where none was given, or was left out."""
@@ -119,8 +120,9 @@ def classes(answers: Table, _: Table | None) -> Table:
     return best.predict_proba(answers) @ one
 
 
-def discovered(answers: Table, labels: Table, folder: Path) -> Table:
-    """``xplain discover``, as a user runs it: [O, T], NaN but where answers were left out."""
+def discovered(answers: Table, needed: Table | None, labels: Table, folder: Path) -> Table:
+    """``xplain discover``, as a user runs it: [O, T], NaN but where answers were left out. Where
+    skills are given, people lack some, and the items that need one of these are answered 0."""
     given, left = np.nonzero(~np.isnan(answers)), np.nonzero(np.isnan(answers) & ~np.isnan(labels))
     names = {"observer": [f"p{o:05d}" for o in given[0]], "item": given[1]}
     pd.DataFrame(names | {"label": answers[given].astype(int)}).to_csv(folder / "given.csv")
@@ -128,6 +130,16 @@ def discovered(answers: Table, labels: Table, folder: Path) -> Table:
     pd.DataFrame(asked).to_csv(folder / "left.csv")
     command = [sys.executable, "-m", "xplain", "discover", "data=given.csv", "predict=left.csv"]
     options = ["features=[item]", "held_out=false"]
+    if needed is not None:
+        count, skills = needed.shape
+        masks = needed.astype(int) @ (1 << np.arange(skills))
+        Hypotheses.of(
+            (np.arange(1 << skills)[:, None] & masks) == 0,
+            messages=[f"skill_{j}" for j in range(skills)],
+            features=np.arange(count, dtype=float)[:, None],
+            feature_names=("item",),
+        ).save(folder / "skills.npz")
+        options += ["labeler=hypotheses", "hypotheses=skills.npz"]
     subprocess.run([*command, *options], cwd=folder, check=True, capture_output=True)
     result = np.full(answers.shape, np.nan)
     result[left] = pd.read_csv(folder / "outputs/discover/predictions.csv")["p"]
@@ -182,27 +194,37 @@ def compare(name: str, labels: Table, needed: Table | None, splits: int) -> None
         print("(no StepMix: pip install 'xplain-hri[bench]')")
     methods["mixture 3"], methods["mixture 5"] = mixture(3), mixture(5)
     rows: dict[str, list[float]] = {}
-    seconds, one, label = [], [], []
+    seconds: dict[str, list[float]] = {}
+    found: dict[str, list[Table]] = {}
+    label = []
+    ways = (
+        {"discover": None} if needed is None else {"discover": None, "discover, hypotheses": needed}
+    )
     for split in range(splits):
         rng = np.random.default_rng((split, 1))
         left = ~np.isnan(labels) & (rng.random(labels.shape) < 0.2)
         answers = np.where(left, np.nan, labels)
         for method, expected in methods.items():
             rows.setdefault(method, []).append(nats(expected(answers, needed), labels, left))
-        with tempfile.TemporaryDirectory() as folder:
-            began = time.perf_counter()
-            found = discovered(answers, labels, Path(folder))
-            seconds.append(time.perf_counter() - began)
-        rows.setdefault("discover", []).append(nats(found, labels, left))
-        one.append(found[left])
+        for way, known in ways.items():
+            with tempfile.TemporaryDirectory() as folder:
+                began = time.perf_counter()
+                one = discovered(answers, known, labels, Path(folder))
+                seconds.setdefault(way, []).append(time.perf_counter() - began)
+            rows.setdefault(way, []).append(nats(one, labels, left))
+            found.setdefault(way, []).append(one[left])
         label.append(labels[left])
     print(f"\n## {name}: {labels.shape[0]} people, {labels.shape[1]} questions\n")
     print("nats a left-out answer | " + " | ".join(f"split {k}" for k in range(splits)) + " | mean")
     print(" | ".join(["---"] * (splits + 2)))
     for method, values in rows.items():
         print(f"{method} | " + " | ".join(f"{v:.3f}" for v in (*values, np.mean(values))))
-    off = calibration(np.concatenate(one), np.concatenate(label))
-    print(f"\ndiscover: {np.mean(seconds):.1f} s; calibration off by {off:.3f} at most in a tenth")
+    print()
+    for way, parts in found.items():
+        off = calibration(np.concatenate(parts), np.concatenate(label))
+        print(
+            f"{way}: {np.mean(seconds[way]):.1f} s; calibration off by {off:.3f} at most in a tenth"
+        )
 
 
 def examinees(banks: int, people: int) -> None:

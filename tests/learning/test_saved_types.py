@@ -3,6 +3,7 @@
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from xplain.data.dataset import Dataset
 from xplain.data.encoding import encoded
 from xplain.data.label_file import read_table
 from xplain.errors import InputError
+from xplain.learning.answer_model import ErrorRates, QuestionErrors
 from xplain.learning.clustering import Clustering
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.user_types import learn_types
@@ -246,3 +248,32 @@ def test_learned_types_encode_what_they_explain():
     np.testing.assert_array_equal(
         array_of(types, [row]), array_of(types, data.features[3:4].tolist())
     )
+
+
+def test_types_of_which_nobody_learned_how_people_err_say_so(tmp_path):
+    types, _ = learned(DecisionTreeClassifier())
+    types.save(tmp_path / "types.npz")
+    assert LearnedTypes.load(tmp_path / "types.npz").errors is None
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("rates", [0.0, 0.7]),
+        ("prior", [0.5, 0.6]),
+        ("slip", [0.1] * 7),
+        ("guess", [1.5] * 41),
+        ("features", [[0.0]] * 40),
+    ],
+)
+def test_doctored_errors_are_refused(tmp_path, key, value):
+    types, data = learned(DecisionTreeClassifier())
+    slip, rates = np.full(41, 0.1), ErrorRates.of([0.0, 0.2], [0.5, 0.5])
+    errors = QuestionErrors(data.features, slip, slip, rates)
+    replace(types, errors=errors).save(tmp_path / "types.npz")
+    assert LearnedTypes.load(tmp_path / "types.npz").errors.errors.prior.tolist() == [0.5, 0.5]
+    with np.load(tmp_path / "types.npz") as file:
+        arrays = {name: file[name] for name in file.files}
+    np.savez(tmp_path / "other.npz", **arrays | {f"errors/{key}": np.array(value)})
+    with pytest.raises(InputError):
+        LearnedTypes.load(tmp_path / "other.npz")

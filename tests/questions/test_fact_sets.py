@@ -10,16 +10,19 @@ from scipy.special import logsumexp
 
 from tests.questions.tables import random_hypotheses
 from xplain.data.dataset import Dataset
+from xplain.questions.counted_answers import CountedAnswers
+from xplain.questions.fact_set_classifier import FactSetClassifier
 from xplain.questions.fact_sets import partition
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.known_transitions import MATTERS, UNWRITTEN, KnownTransitions
-from xplain.questions.labeler import FactSetClassifier, HypothesisTrainer
+from xplain.questions.labeler import HypothesisTrainer
 from xplain.questions.likelihood import (
     DEVIATION,
     DISPUTED,
     ERROR,
     Answers,
     Cells,
+    by_level,
     log_prior,
 )
 
@@ -78,7 +81,8 @@ def test_the_likelihood_is_a_sum_over_true_labels(seed, unwritten):
     known = known_of(seed, unwritten=unwritten)
     answers = answers_of(rng, known, 8)
     facts = np.array([0, 3, 5 + 8 * unwritten])
-    found = Cells.of(known, answers, facts).log_likelihood(ERROR[[0, 3]], 3)
+    given = by_level(answers.label)[:, :, [0, 3]]
+    found = Cells.of(known, answers, facts, given).log_likelihood(3)
     for r, variant, d, e in product(range(3), range(2), range(len(DEVIATION)), range(2)):
         error = float(ERROR[[0, 3]][e])
         plain = plainly(known, answers, int(facts[r]), variant, d, error)
@@ -160,6 +164,38 @@ def test_where_answers_contradict_the_hypotheses_the_answers_win():
         assert ((p > 0.5) == truth)[asked].all()
 
 
+def test_answers_of_who_errs_more_count_for_less():
+    """Four answers in one cell contradict the hypotheses: they win unless they tell nothing."""
+    known = known_of(1, facts=3, transitions=20, variants=0)
+    t, told = np.repeat(np.arange(20), 4), np.zeros(80, dtype=np.int64)
+    label = known.hypotheses.labels[5, t].astype(np.int64)
+    label[:4] ^= 1
+    answers = Answers(t, told, label, np.ones(80))
+    for error, wins in ((0.02, True), (0.49, False)):
+        wrong = np.where(np.arange(80) < 4, error, 0.02)[:, None]
+        given = np.log(np.where(label[:, None] == np.arange(2), 1 - wrong, wrong))[:, :, None]
+        p = FactSetClassifier(known, answers, None, given).known_rows(t[:1], told[:1])[0]
+        assert (p > 0.5) == (label[0] if wins else 1 - label[0])
+
+
+@given(st.integers(0, 10_000))
+@settings(deadline=None, max_examples=10)
+def test_what_answers_would_add_is_the_difference_that_they_make(seed):
+    rng = np.random.default_rng(seed)
+    known = known_of(seed)
+    answers = answers_of(rng, known, 30)
+    counted = CountedAnswers(known, answers)
+    slots = np.array([counted.of(3), counted.of(5)])
+    given = np.log(rng.uniform(0.05, 0.95, (30, 2)))
+    for slot in slots.tolist():
+        counted.count(slot, np.arange(20), given[:20])
+    before = [counted.evidence(slot) for slot in slots.tolist()]
+    gain = counted.gain(slots, np.arange(20, 30), given[20:, :, None])[..., 0]
+    for slot, first, more in zip(slots.tolist(), before, gain, strict=True):
+        counted.count(slot, np.arange(20, 30), given[20:])
+        assert counted.evidence(slot) - first == pytest.approx(more)
+
+
 def test_one_wrong_answer_does_not_win():
     known = known_of(1, facts=3, transitions=20, variants=0)
     t, told = np.repeat(np.arange(20), 3), np.tile([0, 1, 2], 20)
@@ -215,7 +251,8 @@ def test_labels_of_another_task_are_left_to_trees(tmp_path):
 
 def test_the_posterior_is_one_probability(rng):
     known = known_of(4)
-    joint = Cells.of(known, answers_of(rng, known, 6), np.array([1])).log_joint(ERROR)
+    answers = answers_of(rng, known, 6)
+    joint = Cells.of(known, answers, np.array([1]), by_level(answers.label)).log_joint()
     assert np.exp(logsumexp(joint, axis=0)).max() <= 1
 
 

@@ -16,9 +16,10 @@ from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.message_sets import mask_of
 from xplain.questions.battery import battery
 from xplain.questions.designs import Adaptive, hypotheses_of
+from xplain.questions.fact_set_classifier import MOST
 from xplain.questions.growth import LIKELY, grown, posterior_by
 from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.labeler import MOST, HypothesisTrainer
+from xplain.questions.labeler import HypothesisTrainer
 from xplain.users.setting import Setting, UserType
 
 FACTS = 7

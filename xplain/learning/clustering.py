@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
 from xplain.errors import InputError
+from xplain.learning.answer_model import AnswerModel
 from xplain.learning.labelers import LabelerTrainer
 
 
@@ -37,6 +38,8 @@ class Clustering:
             does not say.
         expected: [O, T] P(answer 1) of each observer about each transition of the dataset, where
             the method predicts answers itself; else None.
+        answers: how labels became answers, of the dataset's transitions and observers; None where
+            the method does not say.
     """
 
     assignment: NDArray[np.int64]
@@ -47,6 +50,7 @@ class Clustering:
     posterior: Mapping[int, float] | None = None
     needs: NDArray[np.int64] | None = None
     expected: NDArray[np.float64] | None = None
+    answers: AnswerModel | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "assignment", by_first_appearance(self.assignment))

@@ -48,6 +48,12 @@ class Labeler:
     n_test: int
     calibrated: bool = False
 
+    @property
+    def means_truth(self) -> bool:
+        """Whether P(label = 1) is what people think, errors in answers left out; else it is what
+        they answer, as the confidence is measured on answers."""
+        return bool(getattr(self.classifier, "is_sound", False))
+
     def predict(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.uint8]:
@@ -109,7 +115,7 @@ class Labeler:
     def _probability(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
         if hasattr(self.classifier, "tree_"):
             return np.asarray(self._of_leaves()[self.classifier.apply(x)])
-        if getattr(self.classifier, "is_sound", False):
+        if self.means_truth:
             return share_of_ones(self.classifier, self.classifier.predict_proba(x))
         if not self.calibrated:
             return self._of_labels(self.classifier.predict(x))
@@ -184,7 +190,7 @@ class LabelerTrainer:
         seed = derived_seed(seed, "labelers")
         dataset, x, test = self._laid_out(dataset, seed)
         y, query = dataset.label, query_index(dataset)
-        trained = self.fitted(x[~test], y[~test], seed)
+        trained = self.fitted_to(dataset.take(np.flatnonzero(~test)), x[~test], seed)
         tested = len(np.unique(query[test]))
         right = (
             float(by_question(trained.predict(x[test]) == y[test], query[test]).sum())
@@ -192,7 +198,7 @@ class LabelerTrainer:
             else 0.0
         )
         return Labeler(
-            classifier=self.fitted(x, y, seed) if self.refit and tested else trained,
+            classifier=self.fitted_to(dataset, x, seed) if self.refit and tested else trained,
             n_messages=dataset.n_messages,
             confidence=(right + 1) / (tested + 2),
             accuracy=right / tested if tested else float("nan"),
@@ -212,7 +218,7 @@ class LabelerTrainer:
         dataset, x, test = self._laid_out(dataset, seed)
         used = np.full(len(x), True) if self.refit else ~test
         return Labeler(
-            classifier=self.fitted(x[used], dataset.label[used], seed),
+            classifier=self.fitted_to(dataset.take(np.flatnonzero(used)), x[used], seed),
             n_messages=dataset.n_messages,
             confidence=0.5,
             accuracy=float("nan"),
@@ -231,6 +237,11 @@ class LabelerTrainer:
         dataset = dataset.take(np.lexsort((dataset.label, dataset.message_set, dataset.transition)))
         x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
         return dataset, x, split(dataset, self.holdout, seed)
+
+    def fitted_to(self, dataset: Dataset, x: NDArray[np.float32], seed: int) -> Any:
+        """A classifier fitted to the labels of a dataset, whose rows are x [P, F + n]; for those
+        who look at more of an answer than its row."""
+        return self.fitted(x, dataset.label, seed)
 
     def fitted(
         self,

@@ -3,18 +3,21 @@ predict answers that were held out."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
 from xplain.data.dataset import Dataset, query_index
+from xplain.learning.answer_model import truth
 from xplain.learning.clustering import Clusterer, Clustering, Single
 from xplain.learning.labelers import Labeler, LabelerTrainer, split
-from xplain.learning.user_types import UserTypes
+from xplain.learning.user_types import LearnsErrors, UserTypes, learn_types
 from xplain.randomness import derived_seed, stream
 
+EDGE = 0.002
+"""What people think is never surer than this, as their answers tell it."""
 SURE = 1.96
 """Standard errors of a 95 % interval."""
 
@@ -32,28 +35,49 @@ def predicted(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray
         questions: transitions and message sets, with the features and messages of ``dataset``, by
             the names of observers, who may be new; its labels are not looked at.
     """
-    weight = _posterior(dataset, types)
     place = {name: o for o, name in enumerate(dataset.observers)}
     known = np.array([place.get(name, -1) for name in questions.observers], dtype=np.int64)
     who = known[questions.observer]
-    result = np.einsum("pn,pn->p", weight[who], _of_types(types.labelers, questions))
+    rows = {row.tobytes(): t for t, row in enumerate(dataset.features + 0.0)}
+    found = [rows.get(row.tobytes(), -1) for row in questions.features + 0.0]
+    transition = np.array(found, dtype=np.int64)[questions.transition]
+    weight = _posterior(dataset, types)[who]
+    one = _answered(types, questions, transition)
+    result = np.einsum("pne,pne->p", weight, one)
     expected = types.clustering.expected
     if expected is not None:
-        rows = {row.tobytes(): t for t, row in enumerate(dataset.features + 0.0)}
-        found = [rows.get(row.tobytes(), -1) for row in questions.features + 0.0]
-        transition = np.array(found, dtype=np.int64)[questions.transition]
         everyone = np.vstack([expected, expected.mean(axis=0)])  # the last is of a new observer
-        result = np.where(transition >= 0, everyone[who, transition], result)
+        plain = (transition >= 0) & (questions.message_set == 0)
+        result = np.where(plain, everyone[who, transition], result)
     return np.asarray(result)
 
 
 def _posterior(dataset: Dataset, types: UserTypes) -> NDArray[np.float64]:
-    """[O + 1, N] P(type) of each observer by their own labels; the last row is the shares."""
-    one = _of_types(types.labelers, dataset)
-    value = np.log(np.where(dataset.label[:, None] == 1, one, 1 - one))
-    joint = np.zeros((len(dataset.observers) + 1, len(types.prior)))
+    """[O + 1, N, E] P(type, error rate) of each observer by their own labels; the last row is of
+    somebody who gave none."""
+    one = _answered(types, dataset, dataset.transition)
+    value = np.log(np.where(dataset.label[:, None, None] == 1, one, 1 - one))
+    rate = np.ones(1) if types.answers is None else types.answers.errors.prior
+    joint = np.zeros((len(dataset.observers) + 1, *one.shape[1:]))
     np.add.at(joint, dataset.observer, value)
-    return np.asarray(softmax(joint + np.log(types.prior), axis=1))
+    return np.asarray(softmax(joint + np.log(types.prior)[:, None] + np.log(rate), axis=(1, 2)))
+
+
+def _answered(
+    types: UserTypes, asked: Dataset, transition: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """P(answer 1) by type and error rate, of questions about ``transition`` [P] of the dataset that
+    the types were learned from, or −1: [P, N, E]. Without an answer model labelers say what is
+    answered, and there is one rate."""
+    one = _of_types(types.labelers, asked)
+    if types.answers is None:
+        return one[:, :, None]
+    given = types.answers.given(transition)  # [P, 2, E]
+    low, high = (given @ types.answers.errors.prior).T
+    for k, labeler in enumerate(types.labelers):
+        if not labeler.means_truth:
+            one[:, k] = truth(one[:, k], low, high).clip(EDGE, 1 - EDGE)
+    return np.asarray((1 - one[..., None]) * given[:, None, 0] + one[..., None] * given[:, None, 1])
 
 
 def _of_types(labelers: tuple[Labeler, ...], asked: Dataset) -> NDArray[np.float64]:
@@ -119,9 +143,12 @@ def log_likelihoods(
 ) -> NDArray[np.float64]:
     """log P of each label of ``test``: [P]. Where the method predicts answers itself, by that;
     else by the labeler of its observer's cluster, fitted to ``train``. A cluster without labels in
-    ``train`` is predicted by everybody's."""
+    ``train`` is predicted by everybody's. Where the trainer knows that an answer is not a label, as
+    :func:`predicted`."""
     if found.expected is not None:
         return _log(found.expected[test.observer, test.transition], test.label)
+    if isinstance(trainer, LearnsErrors):
+        return _log(predicted(train, _all_learned(train, found, trainer, seed), test), test.label)
     result = np.empty(len(test))
     for cluster in range(found.n_types):
         members = found.members(cluster)
@@ -130,6 +157,16 @@ def log_likelihoods(
         rows = np.flatnonzero(np.isin(test.observer, members))
         result[rows] = log_likelihood(labeler, test.take(rows))
     return result
+
+
+def _all_learned(
+    train: Dataset, found: Clustering, trainer: LabelerTrainer, seed: int
+) -> UserTypes:
+    """The types; clusters without labels are the first that has some."""
+    labels = np.bincount(found.assignment[train.observer], minlength=found.n_types)
+    has = labels[found.assignment] > 0
+    assignment = np.where(has, found.assignment, found.assignment[has][0])
+    return learn_types(train, replace(found, assignment=assignment), trainer, seed)
 
 
 def log_likelihood(labeler: Labeler, dataset: Dataset) -> NDArray[np.float64]:

@@ -20,6 +20,7 @@ from xplain.data.encoding import encoded
 from xplain.data.label_file import MAX_MASK
 from xplain.errors import InputError
 from xplain.explanation.label_table import LabelTable
+from xplain.learning.answer_model import ErrorRates, QuestionErrors
 from xplain.learning.labelers import Labeler
 from xplain.learning.user_types import UserTypes, label_table
 
@@ -42,6 +43,7 @@ class LearnedTypes:
         messages: n names; bit j of a message set is message j.
         feature_names: F names.
         sentences: what to say for each message, by its name; may be empty.
+        errors: how people err when they answer; None where nobody learned it.
     """
 
     labelers: tuple[Labeler, ...]
@@ -50,6 +52,7 @@ class LearnedTypes:
     messages: tuple[str, ...]
     feature_names: tuple[str, ...]
     sentences: Mapping[str, str] = field(default_factory=dict)
+    errors: QuestionErrors | None = None
 
     @classmethod
     def of(
@@ -62,6 +65,7 @@ class LearnedTypes:
             dataset: what they were learned from.
             sentences: what to say for each message.
         """
+        learned = types.answers
         return cls(
             types.labelers,
             types.names,
@@ -69,6 +73,9 @@ class LearnedTypes:
             dataset.messages,
             dataset.feature_names,
             dict(sentences or {}),
+            None
+            if learned is None
+            else QuestionErrors(dataset.features, learned.slip, learned.guess, learned.errors),
         )
 
     def encode(self, transition: Mapping[str, float | str]) -> tuple[float, ...]:
@@ -111,6 +118,11 @@ class LearnedTypes:
             "feature_names": np.array(self.feature_names, dtype=np.str_),
             "sentences": np.array([self.sentences.get(m, "") for m in self.messages], np.str_),
         }
+        if self.errors is not None:
+            found = self.errors
+            arrays |= {"errors/features": found.features, "errors/prior": found.errors.prior}
+            arrays |= {"errors/slip": found.slip, "errors/guess": found.guess}
+            arrays["errors/rates"] = found.errors.rates
         for key in FIGURES:
             arrays[key] = np.array([getattr(labeler, key) for labeler in self.labelers])
         for t, labeler in enumerate(self.labelers):
@@ -157,6 +169,7 @@ class LearnedTypes:
                 for t in range(len(names))
             )
             prior = np.asarray(arrays["prior"], dtype=np.float64)
+            errors = _errors(arrays, len(features)) if "errors/rates" in arrays else None
         except InputError:
             raise
         except (OSError, KeyError, ValueError, IndexError, AttributeError, TypeError,
@@ -168,7 +181,7 @@ class LearnedTypes:
         if not labelers or prior.shape != (len(labelers),):
             raise InputError("types", str(path), "one prior and one labeler a type")
         said = {m: text for m, text in zip(messages, sentences, strict=True) if text}
-        return cls(labelers, names, prior, messages, features, said)
+        return cls(labelers, names, prior, messages, features, said, errors)
 
 
 @dataclass(frozen=True)
@@ -245,6 +258,17 @@ class SavedTable:
     def predict(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
         """The likelier label of each row [P, F + n]: [P]."""
         return (self.predict_proba(x)[:, 1] >= 0.5).astype(np.int64)
+
+
+def _errors(arrays: Mapping[str, NDArray[Any]], features: int) -> QuestionErrors:
+    rates = ErrorRates.of(arrays["errors/rates"], arrays["errors/prior"])
+    rows, slip, guess = (
+        np.asarray(arrays[f"errors/{key}"], dtype=np.float64)
+        for key in ("features", "slip", "guess")
+    )
+    if rows.ndim != 2 or rows.shape[1] != features:
+        raise InputError("types", "errors/features", f"rows of {features} features")
+    return QuestionErrors(rows, slip, guess, rates)
 
 
 def _classifier(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from xplain.data.dataset import Dataset, inputs
 from xplain.errors import InputError
 from xplain.explanation.label_table import DENSE, LabelTable, stacked
+from xplain.learning.answer_model import AnswerModel
 from xplain.learning.clustering import Clustering
 from xplain.learning.labelers import Labeler, LabelerTrainer
 
@@ -25,18 +26,35 @@ class UserTypes:
         clustering: the observers' types they were learned from.
         names: N, for people.
         prior: [N] P(type) of the next user.
+        answers: how labels became answers, of the dataset's transitions and observers; None where
+            nobody learned it.
     """
 
     labelers: tuple[Labeler, ...]
     clustering: Clustering
     names: tuple[str, ...]
     prior: NDArray[np.float64]
+    answers: AnswerModel | None = None
 
     @property
     def by_observers(self) -> dict[tuple[int, ...], Labeler]:
         """Each cluster's labeler, by its observers."""
         clusters = range(self.clustering.n_types)
         return {tuple(self.clustering.members(t).tolist()): self.labelers[t] for t in clusters}
+
+
+@runtime_checkable
+class LearnsErrors(Protocol):
+    """A trainer whose labelers know that an answer is not a label."""
+
+    @property
+    def answers(self) -> AnswerModel | None:
+        """How a dataset's people err when they answer."""
+        ...
+
+    def with_errors(self, dataset: Dataset, assignment: NDArray[np.int64]) -> Any:
+        """The trainer with :attr:`answers` learned from everybody's, the types being given."""
+        ...
 
 
 def label_table(
@@ -127,6 +145,12 @@ def learn_types(
     if prior == "uniform":
         weight[:] = 1
     clusters = [clustering.members(t) for t in range(n)]
+    answers = clustering.answers
+    if isinstance(trainer, LearnsErrors):
+        heeding = trainer.with_errors(dataset, clustering.assignment)
+        trainer, answers = heeding, heeding.answers or answers
+        if known is not None and {tuple(own.tolist()) for own in clusters} != set(known):
+            known = None  # how people err was learned with other types
     labelers = [
         (known or {}).get(tuple(own.tolist())) or trainer.fit(dataset.of(own), seed)
         for own in clusters
@@ -136,7 +160,8 @@ def learn_types(
         labelers.append(base_rate(dataset))
         names.append("none of these")
         weight = np.append(weight, none_of_these)
-    return UserTypes(tuple(labelers), clustering, tuple(names), weight / weight.sum())
+    shares = weight / weight.sum()
+    return UserTypes(tuple(labelers), clustering, tuple(names), shares, answers)
 
 
 def base_rate(dataset: Dataset) -> Labeler:

@@ -17,6 +17,7 @@ from xplain.data.dataset import Dataset
 from xplain.errors import InputError, TooLargeError
 from xplain.learning.answer_classes import answer_classes
 from xplain.learning.clustering import Clustering, KnowsFactSets, by_first_appearance
+from xplain.learning.fact_model.errors import errors_of
 from xplain.learning.fact_model.gibbs import Chain, sample
 from xplain.learning.fact_model.model import Answers, Prior, facts_that_matter
 from xplain.learning.fact_model.resample_transitions import WIDE
@@ -132,7 +133,12 @@ class DirichletMixture:
         types = len(np.unique(held))
         _log_types(types, posterior)
         _, first = np.unique(by_first_appearance(held), return_index=True)
-        return Clustering(held, "dirichlet", "posterior", posterior=posterior, needs=held[first])
+        return Clustering(
+            *(held, "dirichlet", "posterior"),
+            posterior=posterior,
+            needs=held[first],
+            answers=errors_of(dataset, prior, best),
+        )
 
     def _first(self, observers: int, n: int, chain: int, seed: int) -> NDArray[np.int64]:
         everything = np.full(observers, (1 << n) - 1, dtype=np.int64)

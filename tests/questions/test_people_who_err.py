@@ -1,0 +1,220 @@
+"""What is learned of people who slip, guess and err: what they think, not what they answer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.questions.tables import random_hypotheses
+from xplain.data.dataset import Dataset
+from xplain.data.observers import Observed
+from xplain.learning.clustering import Clustering, Single
+from xplain.learning.fact_model.dirichlet import DirichletMixture
+from xplain.learning.known_types import learn
+from xplain.learning.labelers import Labeler
+from xplain.learning.prediction import held_out, predicted
+from xplain.learning.saved_types import LearnedTypes
+from xplain.learning.user_types import learn_types
+from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.labeler import HypothesisTrainer
+
+
+def hypotheses(seed=1, facts=4, transitions=30):
+    rows = np.arange(transitions, dtype=np.float64)[:, None]
+    return random_hypotheses(*(seed, facts, transitions, 0), features=rows, feature_names=("row",))
+
+
+def asked(known, facts, each, rng, thinks=None, told=True):
+    """Observers who hold ``facts`` wrong and answer ``each`` random questions as they think:
+    ``thinks(label, transition)``, or by the hypotheses; and their labels."""
+    n, count = known.n_messages, known.n_transitions
+    observer = np.repeat(np.arange(len(facts)), each)
+    transition = np.concatenate([rng.permutation(np.resize(np.arange(count), each)) for _ in facts])
+    message_set = rng.integers(0, 1 << n, len(observer)) if told else np.zeros_like(observer)
+    held = np.array(facts)[observer] & ~message_set
+    label = known.labels[known.row(held), transition].astype(np.int64)
+    if thinks is not None:
+        label = thinks(label, transition)
+    return Dataset(
+        known.features, known.feature_names, known.messages,
+        tuple(f"o{o}" for o in range(len(facts))), observer, transition, message_set,
+        label.astype(np.uint8),
+    )  # fmt: skip
+
+
+def erring(data, rate, rng, slip=()):
+    """The answers of people with these error rates [O], who slip about ``slip`` with .3."""
+    slips = np.isin(data.transition, slip) & (rng.random(len(data)) < 0.3)
+    wrong = rng.random(len(data)) < np.array(rate)[data.observer]
+    return replace(data, label=np.where(slips, 0, data.label).astype(np.uint8) ^ wrong)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_fact_sets_are_found_though_every_second_person_errs(seed):
+    """Three answers in ten of six people are wrong: then two fact sets may look alike."""
+    rng = np.random.default_rng(seed)
+    known = hypotheses()
+    facts = [3] * 4 + [12] * 4 + [5] * 4
+    data = erring(asked(known, facts, 90, rng), np.resize([0, 0.3], 12), rng)
+    types = learn(Observed(data), HypothesisTrainer(hypotheses=known), DirichletMixture(), 0)
+    right = types.clustering.needs[types.clustering.assignment] == known.essential[facts]
+    assert right[::2].all()
+    assert right[1::2].sum() >= 4
+    rate = types.answers.person[:-1] @ types.answers.errors.rates
+    assert rate[::2].max() < 0.1
+    assert rate[1::2].min() > 0.1
+
+
+def explicable(labeler, known, facts, data):
+    """P(f = 1) of all that people of these facts were asked: transitions and message sets."""
+    _, first = np.unique(
+        np.stack([data.transition, facts & ~data.message_set]), axis=1, return_index=True
+    )
+    own = data.take(first)
+    return own, labeler.probability(known.features[own.transition], own.message_set)
+
+
+def test_what_all_of_a_type_think_otherwise_is_learned_as_theirs():
+    """An opposite error: what is expected to be explicable is not, and the other way round, at a
+    third of the transitions."""
+    rng = np.random.default_rng(4)
+    known = hypotheses(transitions=18)
+    contrary = np.arange(6)
+    data = asked(known, [3] * 6 + [12] * 6, 180, rng, lambda y, t: y ^ np.isin(t, contrary))
+    answers = erring(data, [0.05] * 12, rng)
+    trainer = HypothesisTrainer(hypotheses=known)
+    truth = np.repeat([0, 1], 6)
+    types = learn_types(answers, Clustering(truth, "true", ""), trainer, 0)
+    for labeler, facts, members in zip(
+        types.labelers, (3, 12), (range(6), range(6, 12)), strict=True
+    ):
+        own, one = explicable(labeler, known, facts, data.of(np.array(members)))
+        assert ((one > 0.5) == own.label).mean() > 0.97
+    assert types.answers.slip[:6].max() < 0.2
+
+
+def test_what_is_slipped_about_is_still_thought():
+    """Three in ten answer 0 about the same transitions, whatever they think: two types are found,
+    not those who slipped, and what they think is as expected."""
+    rng = np.random.default_rng(5)
+    known = hypotheses(transitions=15)
+    slippery = np.arange(4)
+    data = asked(known, [3] * 15 + [12] * 15, 45, rng)
+    answers = erring(data, [0.02] * 30, rng, slippery)
+    types = learn(Observed(answers), HypothesisTrainer(hypotheses=known), DirichletMixture(), 0)
+    assert types.clustering.assignment.tolist() == [0] * 15 + [1] * 15
+    assert types.answers.slip[slippery].mean() == pytest.approx(0.3, abs=0.1)
+    assert types.answers.slip[4:-1].max() < types.answers.slip[slippery].min()
+    for labeler, facts in zip(types.labelers, (3, 12), strict=True):
+        own, one = explicable(labeler, known, facts, data.of(np.arange(15) + 15 * (facts == 12)))
+        assert ((one > 0.5) == own.label).mean() > 0.97
+
+
+class Constant(Labeler):
+    """Says the same of everything; ``means_truth`` as told."""
+
+    def __init__(self, one, means_truth):
+        super().__init__(None, 1, 0.5, 0.5, 1, 1)
+        object.__setattr__(self, "said", (one, means_truth))
+
+    @property
+    def means_truth(self):
+        return self.said[1]
+
+    def probability(self, features, message_sets):
+        return np.full(len(features), self.said[0])
+
+
+def test_a_prediction_is_a_mean_over_types_and_error_rates():
+    rng = np.random.default_rng(6)
+    known = hypotheses(facts=2, transitions=6)
+    data = erring(asked(known, [1, 1, 2, 2], 12, rng), [0.0, 0.3] * 2, rng)
+    types = learn(Observed(data), HypothesisTrainer(hypotheses=known), Single(), 0)
+    answers = types.answers
+    sure, prior = (0.9, 0.2), np.array([0.6, 0.4])
+    made = replace(
+        types, labelers=tuple(Constant(p, True) for p in sure), names=("a", "b"), prior=prior
+    )
+    new = replace(data.take(np.arange(2)), observers=("o1", "new"), observer=np.array([0, 1]))
+    found = predicted(data, made, new)
+    for row, (own, t) in enumerate(
+        zip((data.of(np.array([1])), data.take(np.zeros(0, int))), new.transition, strict=True)
+    ):
+        joint, one = np.zeros((2, 5)), np.zeros((2, 5))
+        for k, e in np.ndindex(2, 5):
+            given = answers.given(own.transition)[:, :, e]
+            y = (1 - sure[k]) * given[:, 0] + sure[k] * given[:, 1]
+            joint[k, e] = prior[k] * answers.errors.prior[e]
+            joint[k, e] *= np.prod(np.where(own.label == 1, y, 1 - y))
+            at = answers.given(np.array([t]))[0, :, e]
+            one[k, e] = (1 - sure[k]) * at[0] + sure[k] * at[1]
+        assert found[row] == pytest.approx((joint * one).sum() / joint.sum())
+    # A labeler measured on answers says what is answered, errors and all.
+    measured = replace(made, labelers=(Constant(0.8, False),) * 2)
+    assert predicted(data, measured, new)[1] == pytest.approx(0.8)
+
+
+def pupils(rng, people, items, skills):
+    """Hypotheses of items that need skills, and the answers of people who lack some; and the
+    probability of each answer, were all but the skills known."""
+    needed = (rng.random((items, skills)) < 0.5).astype(int) @ (1 << np.arange(skills))
+    needed[needed == 0] = 1
+    lacked = np.arange(1 << skills)
+    features = np.arange(items, dtype=float)[:, None]
+    known = Hypotheses.of(
+        (lacked[:, None] & needed) == 0, features=features, feature_names=("item",)
+    )
+    slip, guess = rng.uniform(0.02, 0.25, (2, items))
+    one = np.where(known.labels == 1, 1 - slip, guess)  # [2^n, T]
+    share = rng.dirichlet(np.ones(1 << skills))
+    who = rng.choice(1 << skills, people, p=share)
+    answers = rng.random((people, items)) < one[who]
+    left = rng.random(answers.shape) < 0.2
+    said = np.where(answers[:, None], np.log(one), np.log(1 - one))  # [O, 2^n, T]
+    weight = share * np.exp((said * ~left[:, None]).sum(axis=2))
+    return known, answers, left, weight @ one / weight.sum(axis=1, keepdims=True)
+
+
+def table(known, answers, rows):
+    observer, transition = np.nonzero(rows)
+    names = tuple(f"p{o:03d}" for o in range(len(answers)))
+    label = answers[observer, transition].astype(np.uint8)
+    none = np.zeros_like(observer)
+    about = known.features, known.feature_names, known.messages, names
+    return Dataset(*about, observer, transition, none, label)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_answers_about_skills_are_predicted_nearly_as_by_the_truth(seed):
+    rng = np.random.default_rng(seed)
+    known, answers, left, best = pupils(rng, 300, 12, 3)
+    data, asked_ = table(known, answers, ~left), table(known, answers, left)
+    types = learn(Observed(data), HypothesisTrainer(hypotheses=known), DirichletMixture(), 0)
+    found = predicted(data, types, asked_)
+    assert nats(found, answers[left]) < nats(best[left], answers[left]) + 0.02
+
+
+def nats(one, label):
+    return float(-np.log(np.where(label, one, 1 - one)).mean())
+
+
+def test_held_out_answers_are_predicted_as_answers():
+    """Nobody's labels are taken for certain: better than a coin, though three in ten are wrong."""
+    rng = np.random.default_rng(8)
+    known = hypotheses()
+    data = erring(asked(known, [3] * 4 + [12] * 4, 60, rng), [0.3] * 8, rng)
+    found = held_out(data, DirichletMixture(), HypothesisTrainer(hypotheses=known), 0)
+    assert -0.69 < found.types < -0.5
+
+
+def test_how_people_err_is_kept_with_the_types(tmp_path):
+    rng = np.random.default_rng(9)
+    known = hypotheses()
+    data = erring(asked(known, [3] * 3 + [12] * 3, 40, rng), [0, 0.3] * 3, rng)
+    types = learn(Observed(data), HypothesisTrainer(hypotheses=known), DirichletMixture(), 0)
+    LearnedTypes.of(types, data).save(tmp_path / "types.npz")
+    read = LearnedTypes.load(tmp_path / "types.npz").errors
+    assert np.array_equal(read.errors.prior, types.answers.errors.prior)
+    slip, guess = read.rates_of(data.features)
+    assert np.array_equal(slip, types.answers.slip[:-1])
+    assert np.array_equal(guess, types.answers.guess[:-1])

@@ -1,0 +1,291 @@
+"""An answer is not a label: f is what a person thinks, y what they click.
+
+Question τ has a slip s and a guess g, person i an error rate e::
+
+    a = f (1 − s_τ) + (1 − f) g_τ,      P(y = 1 | f, τ, i) = (1 − e_i) a + e_i (1 − a)
+
+Slips and guesses are those of the DINA model (Junker & Sijtsma 2001, "Cognitive assessment models
+with few assumptions"), where f says whether a person has all skills that an item needs; the error
+rate is added. All three are learned from everybody's answers by empirical Bayes. Errors that all
+people share cannot be told from slips that all questions share: they are taken to be slips, as the
+likeliest error rate of the population is 0. What most of a type answer is what they think: a slip
+or a guess is less likely than ½, and never explains such a majority. Slips and guesses have one
+mean, to which those of a question are drawn: where 0 is said for 1 more often than 1 for 0 all
+over, it is rather f that is not as expected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import prod
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import betaln, softmax
+
+from xplain.errors import InputError
+
+RATES = np.array([0.0, 0.04, 0.1, 0.2, 0.35])
+"""The error rates e that are told apart."""
+RATE_PRIOR = np.array([0.5, 0.25, 0.15, 0.07, 0.03])
+"""Their probabilities where no answers were learned from: half of the people make no mistake of
+their own, the mean rate is .05."""
+PEOPLE = 2.0
+"""This prior counts as so many people."""
+MEAN = 0.02
+"""Of slips and guesses alike, before any answer …"""
+WEIGHT = 50.0
+"""… with the weight of so many answers."""
+SHRINKAGE = np.array([16.0, 32, 64, 128])
+"""Answers of which the mean of all questions has the weight for each of them: the one of these
+that makes the answers likeliest."""
+LOWEST, HIGHEST = 0.002, 0.45
+"""Slips and guesses stay between."""
+MAJORITY = 3
+"""From so many answers in one cell on …"""
+DEVIATES = 0.05
+"""… f is taken to be otherwise than expected with at least this probability while slips are
+learned: what most of a type answer is what they think."""
+STEPS = 60
+"""Of the expectation maximisation, at most; fewer where nothing moves by more than STILL."""
+STILL = 1e-4
+
+
+@dataclass(frozen=True)
+class ErrorRates:
+    """What is known of the error rate of the next person.
+
+    Attributes:
+        rates: [E] e ascending, in [0, ½).
+        prior: [E] their probabilities; none is likelier than the first.
+    """
+
+    rates: NDArray[np.float64]
+    prior: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, rates: ArrayLike = RATES, prior: ArrayLike = RATE_PRIOR) -> ErrorRates:
+        """Checked; without arguments what is taken where no answers were learned from.
+
+        Raises:
+            InputError: no ascending rates in [0, ½), or no probabilities of as many.
+        """
+        grid, share = np.asarray(rates, np.float64), np.asarray(prior, np.float64)
+        if grid.ndim != 1 or not len(grid) or not (np.diff(grid) > 0).all():
+            raise InputError("rates", grid.tolist(), "ascending error rates")
+        if not 0 <= grid[0] <= grid[-1] < 0.5:
+            raise InputError("rates", grid.tolist(), "error rates in [0, 0.5)")
+        if share.shape != grid.shape or (share < 0).any() or not np.isclose(share.sum(), 1):
+            raise InputError("prior", share.tolist(), f"{len(grid)} probabilities that sum to 1")
+        return cls(grid, share / share.sum())
+
+    @property
+    def mean(self) -> float:
+        """Expected error rate of the next person."""
+        return float(self.rates @ self.prior)
+
+
+@dataclass(frozen=True)
+class AnswerModel:
+    """How labels become answers, of T questions and O people.
+
+    Attributes:
+        slip, guess: [T + 1] P(a = 0 | f = 1) and P(a = 1 | f = 0) of each question; the last are
+            those of a question that nobody answered. slip + guess < 1.
+        errors: of the next person.
+        person: [O + 1, E] posterior over ``errors.rates`` of each person; the last is the prior.
+    """
+
+    slip: NDArray[np.float64]
+    guess: NDArray[np.float64]
+    errors: ErrorRates
+    person: NDArray[np.float64]
+
+    def log_given(
+        self, question: NDArray[np.int64], person: NDArray[np.int64], label: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """log P(y | f = 0 and 1) of P answers: [P, 2]. Of questions and people −1 nothing is known
+        but what holds for all."""
+        each = self.likelihood(question, label)
+        return np.asarray(np.log((each * self.person[person][:, None, :]).sum(axis=2)))
+
+    def likelihood(
+        self, question: NDArray[np.int64], label: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(y | f, e) of P answers: [P, 2, E]."""
+        one = self.given(question)
+        return np.asarray(np.where(label[:, None, None] == 1, one, 1 - one))
+
+    def given(self, question: NDArray[np.int64]) -> NDArray[np.float64]:
+        """P(y = 1 | f, e) of P questions: [P, 2, E]."""
+        return answered(self.slip[question], self.guess[question], self.errors.rates)
+
+    def wrong(self, question: NDArray[np.int64], person: NDArray[np.int64]) -> float:
+        """Share of these answers [P] that are not what the person thinks, f being 0 as often as
+        1."""
+        slip = (self.slip[question] + self.guess[question]) / 2
+        rate = self.person[person] @ self.errors.rates
+        return float((slip + rate * (1 - 2 * slip)).mean())
+
+    @property
+    def overall(self) -> ErrorRates:
+        """Error rates of the next person with slips and guesses in them: for who knows of one
+        symmetric rate alone, of a question that nobody answered."""
+        slip = (self.slip[-1] + self.guess[-1]) / 2
+        return ErrorRates(slip + self.errors.rates * (1 - 2 * slip), self.errors.prior)
+
+
+@dataclass(frozen=True)
+class QuestionErrors:
+    """How labels of transitions become answers of people who gave none so far.
+
+    Attributes:
+        features: [T, F] of the transitions.
+        slip, guess: [T + 1] as of :class:`AnswerModel`.
+        errors: of the next person.
+    """
+
+    features: NDArray[np.float64]
+    slip: NDArray[np.float64]
+    guess: NDArray[np.float64]
+    errors: ErrorRates
+
+    def __post_init__(self) -> None:
+        """Raises InputError: slips and guesses that are none, or not of these transitions."""
+        for key, row in (("slip", self.slip), ("guess", self.guess)):
+            count = len(self.features) + 1
+            if row.shape != (count,) or not ((row > 0) & (row < 1)).all():
+                raise InputError(key, row.shape, f"{count} probabilities inside (0, 1)")
+        if not (self.slip + self.guess < 1).all():
+            raise InputError("slip", float((self.slip + self.guess).max()), "slip + guess < 1")
+
+    def rates_of(
+        self, features: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Slip and guess of transitions with these features [m, F]: [m] each."""
+        rows = {row.tobytes(): t for t, row in enumerate(self.features.astype(np.float64) + 0.0)}
+        place = [rows.get(row.tobytes(), -1) for row in features.astype(np.float64) + 0.0]
+        return self.slip[place], self.guess[place]
+
+
+def answered(
+    slip: NDArray[np.float64], guess: NDArray[np.float64], rates: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """P(y = 1) of P questions by f = 0, 1 and error rate: [P, 2, E]."""
+    one = np.stack([guess, 1 - slip], axis=-1)[..., None]
+    return np.asarray((1 - rates) * one + rates * (1 - one))
+
+
+def truth(
+    one: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """P(f = 1) where answers are 1 with probability ``one``, and with probabilities ``low`` and
+    ``high`` where f is 0 and 1: what an accuracy that was measured on answers says of f."""
+    return np.asarray(((one - low) / (high - low)).clip(0.0, 1.0))
+
+
+class CellAnswers(NamedTuple):
+    """P answers: ``cell`` [P], which share one f, ``question`` [P], ``person`` [P] and ``label``
+    [P], of 0 and 1."""
+
+    cell: NDArray[np.int64]
+    question: NDArray[np.int64]
+    person: NDArray[np.int64]
+    label: NDArray[np.int64]
+
+
+def learned(
+    answers: CellAnswers,
+    prior: NDArray[np.float64],
+    questions: int,
+    people: int,
+    start: AnswerModel | float = MEAN,
+    steps: int = STEPS,
+) -> AnswerModel:
+    """Slips, guesses and error rates by expectation maximisation.
+
+    What one answer says of its cell's f, and of its person's rate, is what all others leave open
+    (belief propagation: exact where no two people share two cells).
+
+    Args:
+        answers: P of them.
+        prior: [C] P(f = 1) of each cell before any answer.
+        questions, people: T and O, with those who gave no answer.
+        start: where to begin, or slips and guesses at first.
+        steps: at most.
+    """
+    counted = np.bincount(answers.cell, minlength=len(prior))
+    off = np.where(counted >= MAJORITY, DEVIATES, 1e-6)
+    log_prior = np.log(np.stack([1 - prior, prior], axis=1).clip(off[:, None], 1 - off[:, None]))
+    if isinstance(start, AnswerModel):
+        slip, guess, share = start.slip, start.guess, start.errors.prior
+    else:
+        slip, guess = np.full((2, questions + 1), max(start, LOWEST))
+        share = RATE_PRIOR
+    rate = np.tile(share, (len(answers.cell), 1))  # [P, E] of each answer's person, by the others'
+    for _ in range(steps):
+        before = np.concatenate([slip, guess, share])
+        one = answered(slip[answers.question], guess[answers.question], RATES)
+        given = np.where(answers.label[:, None, None] == 1, one, 1 - one)  # [P, 2, E]
+        said = np.log((given * rate[:, None, :]).sum(axis=2))
+        thought = softmax(log_prior[answers.cell] + _others(said, answers.cell, len(prior)), axis=1)
+        heard = np.log((given * thought[:, :, None]).sum(axis=1))
+        rate = softmax(np.log(share) + _others(heard, answers.person, people), axis=1)
+        person = softmax(np.log(share) + summed(heard, answers.person, people), axis=1)
+        share = _population(person)
+        weight = thought[:, :, None] * rate[:, None, :] * given
+        weight /= weight.sum(axis=(1, 2), keepdims=True)
+        slip, guess = _slips(slip, guess, weight, answers)
+        if np.abs(np.concatenate([slip, guess, share]) - before).max() < STILL:
+            break
+    return AnswerModel(slip, guess, ErrorRates(RATES, share), np.vstack([person, share]))
+
+
+def summed(
+    values: NDArray[np.float64], group: NDArray[np.int64], count: int
+) -> NDArray[np.float64]:
+    """Sums of ``values`` [N, …] by group [N]: [count, …]."""
+    columns = values.reshape(len(values), prod(values.shape[1:])).T
+    total = np.stack([np.bincount(group, column, count) for column in columns], axis=1)
+    return np.asarray(total.reshape(count, *values.shape[1:]))
+
+
+def _others(
+    values: NDArray[np.float64], group: NDArray[np.int64], count: int
+) -> NDArray[np.float64]:
+    """For each row the sum of the other rows of its group: [P, K]."""
+    return np.asarray(summed(values, group, count)[group] - values)
+
+
+def _population(person: NDArray[np.float64]) -> NDArray[np.float64]:
+    """[E] how many people have which error rate; 0 is the likeliest."""
+    share = (person.sum(axis=0) + PEOPLE * RATE_PRIOR) / (len(person) + PEOPLE)
+    share[0] = share.max()
+    return np.asarray(share / share.sum())
+
+
+def _slips(
+    slip: NDArray[np.float64],
+    guess: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    answers: CellAnswers,
+) -> NDArray[np.float64]:
+    """[2, T + 1] slips and guesses, of answers whose f and error rate have the probabilities
+    ``weight`` [P, 2, E]; those before say what of it was the person's error."""
+    question, counts = answers.question, np.zeros((2, 2, len(slip) - 1))
+    for f, before in ((1, slip), (0, guess)):
+        unlike = (answers.label != f)[:, None]
+        chance = before[question][:, None]
+        slipped = chance * np.where(unlike, 1 - RATES, RATES)
+        kept = (1 - chance) * np.where(unlike, RATES, 1 - RATES)
+        times = (weight[:, f] * slipped / (slipped + kept)).sum(axis=1)
+        for i, own in enumerate((times, weight[:, f].sum(axis=1) - times)):
+            counts[1 - f, i] = np.bincount(question, own, len(slip) - 1)
+    times, others = counts[:, 0], counts[:, 1]  # [2, T] slips and guesses, and all else
+    mean = (times.sum() + WEIGHT * MEAN) / (counts.sum() + WEIGHT)
+    first, second = SHRINKAGE[:, None, None] * mean, SHRINKAGE[:, None, None] * (1 - mean)
+    gain = betaln(first + times, second + others) - betaln(first, second)
+    kappa = SHRINKAGE[gain.sum(axis=(1, 2)).argmax()]
+    own = (times + kappa * mean) / (times + others + kappa)
+    return np.pad(own, ((0, 0), (0, 1)), constant_values=mean).clip(LOWEST, HIGHEST)
