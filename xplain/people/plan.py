@@ -55,6 +55,19 @@ def facts_of(parameters: Sequence[Parameter]) -> tuple[Fact, ...]:
 
 
 @dataclass(frozen=True)
+class Ahead:
+    """A step for the practice that looks odd and is right because of what comes later.
+
+    Attributes:
+        steps: the step, and those that follow until the reason is seen, as sentences.
+        way: of these on the map.
+    """
+
+    steps: tuple[str, ...]
+    way: Way
+
+
+@dataclass(frozen=True)
 class Asked:
     """One question of the lab's own to the participant.
 
@@ -176,6 +189,7 @@ class StoredPlan:
         scene: the map, or None.
         icons: {name of an item on the map: path of its icon in a box of 24}; may lack some.
         changes: [m] what each transition changes, for domains without a map; or none.
+        ahead: of the practice; None where the task has no such step.
         config: the configuration that it was made from, for the record.
     """
 
@@ -190,6 +204,7 @@ class StoredPlan:
     scene: Scene | None
     icons: Mapping[str, str]
     changes: Told = ()
+    ahead: Ahead | None = None
     config: Mapping[str, Any]
 
     @cached_property

@@ -15,6 +15,7 @@ from xplain.config import require_seed
 from xplain.domains.base import Domain, Scene, changes_of
 from xplain.errors import InputError, number
 from xplain.message_sets import mask_of, names_of
+from xplain.people.ahead import ahead_of
 from xplain.people.collect.bot import probes
 from xplain.people.collect.expectation import expect
 from xplain.people.collect.flow import Collection
@@ -25,7 +26,7 @@ from xplain.people.collect.plan import (
     Role,
     Rules,
 )
-from xplain.people.plan import Asked, Fact, Told, Way, facts_of
+from xplain.people.plan import Ahead, Asked, Fact, Told, Way, facts_of
 from xplain.people.wording import each, fixed, of_states, parts, worded
 from xplain.questions.battery import battery
 from xplain.questions.designs import Adaptive, Battery, hypotheses_of
@@ -60,7 +61,7 @@ class Source:
         whole: see :class:`CollectPlan`.
         facts: [n] sentences.
         roles: {name: bitmask of what it holds wrong}, of simulated people.
-        situations, gone, paths, changes, scene, pictures: see :class:`CollectPlan`.
+        situations, gone, paths, changes, scene, ahead, pictures: see :class:`CollectPlan`.
         domain, users: of the task, where there is a model of it.
     """
 
@@ -73,6 +74,7 @@ class Source:
     paths: Way = ()
     changes: Told = ()
     scene: Scene | None = None
+    ahead: Ahead | None = None
     pictures: tuple[Picture | None, ...] = field(default_factory=tuple)
     whole: Hypotheses | None = None
     domain: Domain | None = None
@@ -131,6 +133,7 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
     types = users.types(domain, stream(seed, "users"))
     names = known.messages
     assert known.states is not None, "hypotheses of a domain know states"
+    assert whole.states is not None, "the same"
     cells = [tuple(domain.position(int(state)) for state in pair) for pair in known.states]
     paths = tuple((a, b) for a, b in cells if a is not None and b is not None)
     drawn = domain.scene is not None and len(paths) == len(cells)
@@ -145,6 +148,7 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
         paths=paths if drawn else (),
         changes=() if drawn else _changes(domain, known),
         scene=domain.scene if drawn else None,
+        ahead=ahead_of(domain, whole.states, whole.labels, lambda t: whole.phrases[t]),
         domain=domain,
         users=users,
     )
@@ -248,6 +252,8 @@ def assemble(
         which, told = battery(known, design.redundancy, seed, rules.points)
         pairs = zip(which.tolist(), told.tolist(), strict=True)
         listed = tuple(pairs)[: rules.points]
+    subject = wording["words"]["robot"] if source.domain else ""
+    ahead = source.ahead
     return CollectPlan(
         **own,
         domain=source.name,
@@ -259,7 +265,9 @@ def assemble(
         assigned=config["briefing"] == "assigned",
         hypotheses=known,
         whole=source.whole,
-        subject=wording["words"]["robot"] if source.domain else "",
+        subject=subject,
+        ahead=ahead
+        and replace(ahead, steps=tuple(f"{subject} {in_words(step)}" for step in ahead.steps)),
         questions=listed,
         design=design if isinstance(design, Adaptive) else Adaptive(),
         situations=each(source.situations, in_words),

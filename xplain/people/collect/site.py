@@ -15,9 +15,9 @@ from xplain.people.collect.flow import Collection
 from xplain.people.collect.labels import Found, compared, found_types, why_left_out
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.collect.tables import export
-from xplain.people.flow import small
 from xplain.people.server import map_svg, site
 from xplain.people.server.database import Do
+from xplain.people.stages import small
 from xplain.randomness import stream
 
 if TYPE_CHECKING:

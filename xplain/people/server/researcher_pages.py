@@ -17,7 +17,7 @@ from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError, Refused
 from xplain.people.analysis.stored import STREAMS
-from xplain.people.flow import small
+from xplain.people.stages import small
 from xplain.people.server import charts
 from xplain.people.server.http import (
     PARTICIPANT,

@@ -40,6 +40,7 @@ class Site(Generic[F]):
         TEMPLATES: folder of its pages, one named like each stage.
         OVERVIEW: template of the researcher's page.
         STEP: what it calls a row of the step table.
+        BLIND: whether a page tells who gets what.
         flow: with its plan.
     """
 
@@ -47,6 +48,7 @@ class Site(Generic[F]):
     TEMPLATES: ClassVar[Path]
     OVERVIEW: ClassVar[str]
     STEP: ClassVar[str] = "step"
+    BLIND: ClassVar[bool] = False
 
     def __init__(self, flow: F) -> None:
         self.flow = flow
@@ -121,7 +123,8 @@ class Site(Generic[F]):
     # Pages ---------------------------------------------------------------------------------------
 
     def drawing(self) -> dict[str, Any]:
-        """What every template may use: ``map``, ``legend``, ``changes``, ``titles``."""
+        """What every template may use: ``map``, ``ahead`` (that of the
+        practice), ``legend``, ``changes``, ``titles``."""
         words = self.plan.texts.words
 
         @functools.lru_cache(4096)
@@ -131,6 +134,7 @@ class Site(Generic[F]):
         legend = map_svg.legend(self.plan, self.way_in_legend)
         return {
             "map": drawn,
+            "ahead": lambda steps: Markup(map_svg.picture(self.plan, self.plan.ahead.way, steps)),
             "legend": [(name, Markup(svg)) for name, svg in legend],
             "changes": self.plan.changes,
             "titles": {stage: words[stage] for stage in self.flow.stages[:-1]},

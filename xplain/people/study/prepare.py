@@ -17,12 +17,13 @@ from xplain.errors import InputError, whole_number
 from xplain.experiment.explanations import Costs
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.user_types import label_table
-from xplain.people.plan import Asked, Way, facts_of
+from xplain.people.ahead import ahead_of
+from xplain.people.plan import Ahead, Asked, Way, facts_of
 from xplain.people.study import content
 from xplain.people.study.known_types import Learned, learned_types, matched
 from xplain.people.study.plan import Known, Rules, StudyPlan, Training
 from xplain.people.study.policies import at_work, difference, probes
-from xplain.people.wording import each, fixed, of_states, parts, worded
+from xplain.people.wording import InWords, each, fixed, of_states, parts, worded
 from xplain.randomness import stream
 from xplain.users.setting import Setting
 
@@ -177,6 +178,9 @@ def drafted(
         belief=config["belief"],
         probes={},
         changes=each(changes, in_words),
+        ahead=_ahead(
+            setting, lambda phrase: wording["words"]["robot_does"].format(phrase=in_words(phrase))
+        ),
         taken=each(of_states(domain, "gone", states), in_words),
     )
 
@@ -190,6 +194,17 @@ def _worded(wording: Mapping[str, Any], natural: bool) -> Mapping[str, Any]:
         }
     told = {key: [*wording[key], *wording["briefed"][key]] for key in ("consent", "debriefing")}
     return {**wording, **told}
+
+
+def _ahead(setting: Setting, in_words: InWords) -> Ahead | None:
+    """The odd step of the practice, which makes sense to every type."""
+    made = setting.reachable
+    return ahead_of(
+        setting.domain,
+        made[:, [0, 2]],
+        setting.label_by_model(made),
+        lambda row: in_words(setting.domain.describe(made[row])),
+    )
 
 
 def _path(domain: Domain, states: Sequence[int]) -> Way | None:
