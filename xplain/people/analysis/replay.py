@@ -13,7 +13,7 @@ from typing import Any
 from xplain.errors import Refused
 from xplain.people.analysis import log
 from xplain.people.analysis.export import Participant, Row, everybody
-from xplain.people.flow import Flow, S
+from xplain.people.flow import Flow, Outcome, S
 
 Steps = dict[int, dict[str, Any]]
 """By step k, the columns of the step table."""
@@ -75,14 +75,13 @@ def replayed(
     return found, people
 
 
-def _advanced(flow: Flow[Any, S], events: Sequence[Row]) -> tuple[S, Steps]:
-    """The last state, and the steps on the way.
+def outcomes(flow: Flow[Any, S], events: Sequence[Row]) -> Iterator[Outcome[S]]:
+    """What each of somebody's answers leads to, in order.
 
     Raises:
         Refused: an event that does not follow from those before.
     """
     state: S = flow.STATE()
-    steps: Steps = {}
     for event in events:
         if event["source_sequence"] != state.accepted:
             raise Refused(f"event {event['sequence']} is out of order")
@@ -90,6 +89,15 @@ def _advanced(flow: Flow[Any, S], events: Sequence[Row]) -> tuple[S, Steps]:
             outcome = flow.advance(state, event["kind"], event["payload"])
         except (Refused, KeyError) as error:
             raise Refused(f"event {event['sequence']} is refused: {error}") from None
+        yield outcome
+        state = outcome.state
+
+
+def _advanced(flow: Flow[Any, S], events: Sequence[Row]) -> tuple[S, Steps]:
+    """The last state, and the steps on the way; raises as :func:`outcomes`."""
+    state: S = flow.STATE()
+    steps: Steps = {}
+    for outcome in outcomes(flow, events):
         if answer := outcome.answer:
             steps[answer.step] |= answer.columns
         if decision := outcome.decision:

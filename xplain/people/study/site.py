@@ -61,6 +61,7 @@ class StudySite(site.Site[Study]):
     PLAN = StudyPlan
     TEMPLATES = Path(__file__).parent / "templates"
     OVERVIEW = "researcher.html"
+    BLIND = True
     export = staticmethod(export)
 
     @classmethod
