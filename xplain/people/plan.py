@@ -55,6 +55,16 @@ def facts_of(parameters: Sequence[Parameter]) -> tuple[Fact, ...]:
 
 
 @dataclass(frozen=True)
+class Picture:
+    """An image of a transition: its media type, its bytes in base 64, and what it shows, in words
+    for those who do not see it."""
+
+    media: str
+    content: str
+    alt: str = ""
+
+
+@dataclass(frozen=True)
 class Ahead:
     """A step for the practice that looks odd and is right because of what comes later.
 
@@ -189,6 +199,7 @@ class StoredPlan:
         scene: the map, or None.
         icons: {name of an item on the map: path of its icon in a box of 24}; may lack some.
         changes: [m] what each transition changes, for domains without a map; or none.
+        pictures: of own transitions, None where one has no image; or none.
         ahead: of the practice; None where the task has no such step.
         config: the configuration that it was made from, for the record.
     """
@@ -204,6 +215,7 @@ class StoredPlan:
     scene: Scene | None
     icons: Mapping[str, str]
     changes: Told = ()
+    pictures: tuple[Picture | None, ...] = ()
     ahead: Ahead | None = None
     config: Mapping[str, Any]
 

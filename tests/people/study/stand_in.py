@@ -22,6 +22,7 @@ from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import drafted, stored
+from xplain.people.study.task import OfDomain
 from xplain.users.setting import Setting, UserType
 
 FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
@@ -147,7 +148,7 @@ def street_plan(map_shown: bool = True, **changes: Any) -> StudyPlan:
     setting = Setting.build(Street(map_shown), TYPES)
     trace = np.array([[j, 0, j + 1] for j in range(len(PLACES))])
     labels = setting.label_table(trace)
-    plan = drafted(setting, trace, 0.02 + 0.96 * labels, CONFIG | changes)
+    plan = drafted(OfDomain(setting).seen(trace), 0.02 + 0.96 * labels, CONFIG | changes)
     return stored(replace(plan, ahead=AHEAD if map_shown else None))
 
 

@@ -203,7 +203,4 @@ def _clip(plan: CollectPlan, clip: Clip) -> dict[str, Any]:
         "steps": [f"{plan.subject} {plan.hypotheses.phrases[t]}".strip() for t in steps],
         "transitions": steps,
         "situation": plan.situations[steps[0]] if plan.situations else (),
-        "pictures": {
-            t: picture.alt for t in steps if plan.pictures and (picture := plan.pictures[t])
-        },
     }

@@ -7,6 +7,7 @@ flow it is.
 
 from __future__ import annotations
 
+import base64
 import functools
 import sqlite3
 from collections.abc import Callable, Hashable, Iterable, Mapping
@@ -22,6 +23,7 @@ from xplain.people.flow import Flow, State
 from xplain.people.plan import StoredPlan
 from xplain.people.server import map_svg
 from xplain.people.server.database import Do
+from xplain.people.stages import small
 
 Query = Callable[[str], list[dict[str, Any]]]
 """Rows of a reading query."""
@@ -123,8 +125,8 @@ class Site(Generic[F]):
     # Pages ---------------------------------------------------------------------------------------
 
     def drawing(self) -> dict[str, Any]:
-        """What every template may use: ``map``, ``ahead`` (that of the
-        practice), ``legend``, ``changes``, ``titles``."""
+        """What every template may use: ``map``, ``ahead`` (that of the practice), ``legend``,
+        ``changes``, ``pictures``, ``titles``."""
         words = self.plan.texts.words
 
         @functools.lru_cache(4096)
@@ -137,6 +139,7 @@ class Site(Generic[F]):
             "ahead": lambda steps: Markup(map_svg.picture(self.plan, self.plan.ahead.way, steps)),
             "legend": [(name, Markup(svg)) for name, svg in legend],
             "changes": self.plan.changes,
+            "pictures": self.plan.pictures,
             "titles": {stage: words[stage] for stage in self.flow.stages[:-1]},
         }
 
@@ -150,8 +153,12 @@ class Site(Generic[F]):
         raise NotImplementedError
 
     def file(self, name: str) -> tuple[str, bytes] | None:
-        """A picture that belongs to the plan: media type and content."""
-        return None
+        """The image of a transition, by its number: media type and content."""
+        number = small(name)
+        if number is None or number >= len(self.plan.pictures):
+            return None
+        picture = self.plan.pictures[number]
+        return (picture.media, base64.b64decode(picture.content)) if picture else None
 
     def glance(self, query: Query) -> dict[str, Any]:
         """What the researcher's page shows besides participants and stages; ``data`` names the
