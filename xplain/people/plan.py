@@ -239,7 +239,11 @@ class StoredPlan:
         """
         value = json.loads(text)
         if value.pop("version", None) != cls.VERSION:
-            allowed = f"that of {cls.OF}, in the form that this version of xplain stores"
-            raise InputError("database", "its plan", f"{allowed} ({cls.VERSION})")
+            allowed = (
+                f"that of {cls.OF} in the form {cls.VERSION}, which this version of xplain stores; "
+                "one of an earlier form goes on, is exported and replayed with the version that "
+                "began it"
+            )
+            raise InputError("database", "its plan", allowed)
         plan: Self = decode(cls, value)
         return plan

@@ -141,6 +141,6 @@ def collection_of(plan: CollectPlan) -> Collection:
     if probes(collection) != plan.probes:
         raise XplainError(
             "database: this version of xplain asks differently from the one that started the "
-            "collection; go on with that version, or start anew in another database"
+            "collection; go on and replay with that version, or start anew in another database"
         )
     return collection

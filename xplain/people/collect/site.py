@@ -43,8 +43,13 @@ class CollectSite(site.Site[Collection]):
         return collect_plan(cfg)
 
     @classmethod
-    def of(cls, plan: CollectPlan) -> CollectSite:
+    def as_planned(cls, plan: CollectPlan) -> CollectSite:
         """With its questionnaires."""
+        return cls(Collection(plan))
+
+    @classmethod
+    def of(cls, plan: CollectPlan) -> CollectSite:
+        """The same, where they ask as they did."""
         from xplain.people.collect.bot import collection_of
 
         return cls(collection_of(plan))

@@ -68,8 +68,13 @@ class Site(Generic[F]):
         raise NotImplementedError
 
     @classmethod
+    def as_planned(cls, plan: Any) -> Self:
+        """A plan at work, for a replay, which finds what the installed code does otherwise."""
+        raise NotImplementedError
+
+    @classmethod
     def of(cls, plan: Any) -> Self:
-        """A plan at work.
+        """A plan at work, for people to take part.
 
         Raises:
             XplainError: the installed code decides differently from the code that made the plan.

@@ -28,7 +28,7 @@ def study_of(plan: StudyPlan) -> Study:
     if probes(study) != plan.probes:
         raise XplainError(
             "database: this version of xplain decides differently from the one that started the "
-            "study; go on with that version, or start a new study in another database"
+            "study; go on and replay with that version, or start a new study in another database"
         )
     return study
 
