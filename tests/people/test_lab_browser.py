@@ -155,6 +155,7 @@ def test_a_lab_goes_from_an_empty_folder_to_a_robot_and_a_study(
         assert look.seen["clips"] == 8 + 2 + 1
         assert look.alts <= {line.rsplit(",", 1)[1] for line in STEPS.splitlines()}
         assert len(look.alts) > 2
+        assert max(look.below.values()) <= 0, look.below
         played_back(driver, axe, server, "collect")
         main(["collect", "bots", "--url", server.url, "--key", server.key, "--count", "8"])
     main(["collect", "export", str(people), "data"])
@@ -181,6 +182,7 @@ def test_a_lab_goes_from_an_empty_folder_to_a_robot_and_a_study(
         assert take_part(driver, person, look=look) == "done"
         assert look.seen["evaluation"] == 5
         assert len(look.alts) == 5
+        assert max(look.below.values()) <= 0, look.below
         played_back(driver, axe, server, "study")
     assert complaints(driver) == []
     main(["study", "replay", str(database)])
