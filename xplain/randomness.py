@@ -27,6 +27,15 @@ def stream(seed: int, *names: str | int) -> np.random.Generator:
     return np.random.default_rng(sequence(seed, *names))
 
 
+def below(rng: np.random.Generator, *names: str | int) -> np.random.Generator:
+    """A generator at the start of the named stream below that of ``rng``, whatever was drawn from
+    it before."""
+    parent = rng.bit_generator.seed_seq
+    assert isinstance(parent, np.random.SeedSequence), "every stream here has one"
+    key = (*parent.spawn_key, *sequence(0, *names).spawn_key)
+    return np.random.default_rng(np.random.SeedSequence(parent.entropy, spawn_key=key))
+
+
 def run_seed(value: object) -> int:
     """The seed of a run, from which all streams come; scikit-learn's ``random_state`` takes it.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -12,11 +13,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from tests.people.server_process import ServerProcess
+from xplain.errors import InputError
 from xplain.people.server.store import Store
 from xplain.people.simulation.bots import Researcher
 from xplain.people.simulation.browser import Browser, Page
 
-RATE = ("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6")
+RATE = (
+    *("server.requests_per_second=1e6", "server.burst=1e6", "server.visitor_burst=1e6"),
+    "server.blinded=false",
+)
 
 
 class Person(Protocol):
@@ -83,16 +88,33 @@ def survive(
             own.append(visitor)
         return own
 
+    def watch() -> int:
+        """A researcher who plays sessions back all the while; how many pages they saw."""
+        seen = 0
+        while not ended.is_set():
+            try:
+                watching = Researcher(server.url, server.key).browser  # logins end with the server
+                _, html = watching.get("/researcher")
+                for page in re.findall(r"/researcher/session/\w+/", html)[:3]:
+                    status, html = watching.get(f"{page}1")
+                    seen += status == 200 and 'aria-label="Playback"' in html
+            except (InputError, OSError):
+                continue  # the server is away
+            time.sleep(0.2)
+        return seen
+
     researcher = Researcher(server.url, server.key)
     invitations = [researcher.invite(100) for _ in range(people)]
-    with ThreadPoolExecutor(people) as pool:
+    with ThreadPoolExecutor(people + 1) as pool:
         futures = [pool.submit(parade, place) for place in range(people)]
+        watched = pool.submit(watch)
         pause = np.random.default_rng(0)
         for _ in range(kills):
             time.sleep(0.4 + pause.random())
             server.kill()
             server.start()
         ended.set()
+        assert watched.result() > 0
         visitors = [visitor for future in futures for visitor in future.result()]
     server.stop()
     return _compare(Store(database, site), visitors)

@@ -163,7 +163,7 @@ def test_every_page_is_accessible_and_is_photographed(
         wait(lambda: moved_on(driver, "none"))
         person = Person(plan, FAULTLESS, np.random.default_rng(0))
         assert take_part(driver, person, look=look) == "done"
-        assert len(seen) == plan.n_steps + 8
+        assert len(seen) == plan.n_steps + 9
         assert complaints(driver) == []
 
         # The pages off the way: a failed check, the ends, errors, the researcher's.
@@ -367,7 +367,7 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         (invitation,) = Researcher(server.url, server.key).invite(1)
         go_in(driver, server.url, invitation)
         person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
-        for _ in range(5):
+        for _ in range(6):
             page = Page.of_html(driver.page_source)
             choose(driver, person.fill(page)[0])
             button = driver.find_element(By.CSS_SELECTOR, "main form button")
@@ -405,7 +405,11 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
         assert len(Page.of_html(driver.page_source).fields) == 3
     store = Store(path, StudySite(study))
     kinds = [row["kind"] for row in store.query("SELECT kind FROM event WHERE source = 'protocol'")]
-    assert kinds == ["consent", "read", "example", "example", "eligibility", "labels", "labels"]
+    assert kinds == [
+        *("consent", "read", "example", "example", "ahead"),
+        "eligibility",
+        *["labels"] * 2,
+    ]
     store.close()
 
 

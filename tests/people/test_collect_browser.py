@@ -3,6 +3,7 @@ picture (``outputs/study/screenshots/collect``; ``XPLAIN_SCREENSHOTS`` names ano
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +101,34 @@ def test_every_page_is_accessible_and_is_photographed(
         # It keeps itself up to date, and what is typed stays.
         wait(lambda: "</meter> 6</td>" in driver.page_source)
         assert driver.find_element(By.ID, "count").get_attribute("value") == "7"
+
+
+def test_under_three_messages_the_button_is_in_sight(
+    driver: Driver, rescue: Collection, tmp_path: Path
+) -> None:
+    """On a phone, in the practice too, where every half is answered wrong first."""
+    plan, rng = rescue.plan, np.random.default_rng(0)
+    threes = [told for told in range(1 << len(plan.facts)) if told.bit_count() == 3]
+    steps = rng.integers(plan.hypotheses.n_transitions, size=8)
+    listed = tuple((int(step), int(rng.choice(threes))) for step in steps)
+    collection = at_work(replace(plan, design=Adaptive(), questions=listed))
+    driver.implicitly_wait(0)
+    phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    bottom = "return document.querySelector('main form button').getBoundingClientRect().bottom"
+    with serving(tmp_path / "c.sqlite", collection) as server:
+        below: dict[tuple[str, int], float] = {}
+
+        def look(page: Page) -> None:
+            if page.stage in ("practice", "ahead", "clips"):
+                key = page.stage, len(page.messages)
+                below[key] = max(driver.execute_script(bottom) - 844, below.get(key, -np.inf))
+
+        go_in(driver, server.url, Researcher(server.url, server.key).invite(1)[0])
+        erring = replace(FAULTLESS, mistake=1.0)
+        assert take_part(driver, bot(collection.plan, erring, 0, 0), look=look) == "done"
+        assert {("practice", 1), ("ahead", 0), ("clips", 3)} <= below.keys()
+        assert max(below.values()) <= 0, below
 
 
 def test_bots_in_a_browser_answer_as_those_without(

@@ -209,3 +209,38 @@ def test_a_number_that_is_none_or_out_of_bounds_is_refused_whatever_was_typed(te
         check(age, allowed, words)
     with pytest.raises(Refused):
         check(age, text, words)
+
+
+@kinds
+def test_who_does_not_look_ahead_is_shown_what_comes_later(kind: str) -> None:
+    flow, state = site_of(kind).flow, at(kind, "ahead")
+    step, *later = flow.plan.ahead.steps
+    assert flow.view(state) | {"action": step, "later": ()} == flow.view(state)
+    wrong = flow.advance(state, "ahead", {"label": 0}).state
+    assert (wrong.stage, wrong.wrong, list(flow.view(wrong)["later"])) == ("ahead", True, later)
+    for before in (state, wrong):
+        after = flow.advance(before, "ahead", {"label": 1}).state
+        assert (after.stage != "ahead", after.wrong) == (True, False)
+    for nothing in ({}, {"label": 2}, {"label": None}):
+        with pytest.raises(Refused):
+            flow.advance(state, "ahead", nothing)
+
+
+@kinds
+def test_simulated_people_answer_a_page_alike_whatever_pages_come_before(kind: str) -> None:
+    """They err often, so that every answer is drawn."""
+    site = site_of(kind)
+    without = replace(site.flow, plan=replace(site.plan, ahead=None))
+    given = []
+    for flow in (site.flow, without):
+        person, state = bot_of(site, 5), flow.advance(flow.STATE(), "consent", consent(kind)).state
+        person.habits = replace(person.habits, mistake=0.5)
+        answers = []
+        while not state.over:
+            event, payload = answer(flow, person, state)
+            if state.stage not in ("briefing", "ahead"):
+                answers.append((state.stage, payload))
+            after = flow.advance(state, event, payload).state
+            state = replace(after, stage="eligibility") if after.stage == "briefing" else after
+        given.append(answers)
+    assert given[0] == given[1]

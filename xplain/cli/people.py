@@ -226,11 +226,16 @@ def replay(name: str, arguments: list[str]) -> None:
 
     kind = site(name)
     with reading(given.database) as connection:
-        found = kind.of(plan_of(connection, kind.PLAN)).replay(connection, given.head)
+        plan = plan_of(connection, kind.PLAN)
+        found = kind.as_planned(plan).replay(connection, given.head)
         head = head_of(connection)
+    if found.differences and found.whole:
+        kind.of(plan)  # raises where another version decided
     for difference in found.differences:
         print(difference, file=sys.stderr)
     verdict = f"{len(found.differences)} differences" if found.differences else "all equal"
+    if found.rounded:
+        verdict += f", {found.rounded} values but for rounding, as another version computes them"
     print(
         f"{found.participants} participants, {found.events} answers, {found.steps} steps "
         f"replayed{f', {found.erased} erased' if found.erased else ''}: {verdict}\n"

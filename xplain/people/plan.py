@@ -55,6 +55,29 @@ def facts_of(parameters: Sequence[Parameter]) -> tuple[Fact, ...]:
 
 
 @dataclass(frozen=True)
+class Picture:
+    """An image of a transition: its media type, its bytes in base 64, and what it shows, in words
+    for those who do not see it."""
+
+    media: str
+    content: str
+    alt: str = ""
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """A step for the practice that looks odd and is right because of what comes later.
+
+    Attributes:
+        steps: the step, and those that follow until the reason is seen, as sentences.
+        way: of these on the map.
+    """
+
+    steps: tuple[str, ...]
+    way: Way
+
+
+@dataclass(frozen=True)
 class Asked:
     """One question of the lab's own to the participant.
 
@@ -176,6 +199,8 @@ class StoredPlan:
         scene: the map, or None.
         icons: {name of an item on the map: path of its icon in a box of 24}; may lack some.
         changes: [m] what each transition changes, for domains without a map; or none.
+        pictures: of own transitions, None where one has no image; or none.
+        ahead: of the practice; None where the task has no such step.
         config: the configuration that it was made from, for the record.
     """
 
@@ -190,6 +215,8 @@ class StoredPlan:
     scene: Scene | None
     icons: Mapping[str, str]
     changes: Told = ()
+    pictures: tuple[Picture | None, ...] = ()
+    ahead: Ahead | None = None
     config: Mapping[str, Any]
 
     @cached_property
@@ -212,7 +239,11 @@ class StoredPlan:
         """
         value = json.loads(text)
         if value.pop("version", None) != cls.VERSION:
-            allowed = f"that of {cls.OF}, in the form that this version of xplain stores"
-            raise InputError("database", "its plan", f"{allowed} ({cls.VERSION})")
+            allowed = (
+                f"that of {cls.OF} in the form {cls.VERSION}, which this version of xplain stores; "
+                "one of an earlier form goes on, is exported and replayed with the version that "
+                "began it"
+            )
+            raise InputError("database", "its plan", allowed)
         plan: Self = decode(cls, value)
         return plan

@@ -7,7 +7,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from tests.people.study.stand_in import TYPES, Street
+from tests.people.study.stand_in import AHEAD, TYPES, Street
 from xplain.config import CONF
 from xplain.people.collect.bot import Habits, collection_of, probes
 from xplain.people.collect.flow import Collection
@@ -65,7 +65,7 @@ def street_plan(
 
 def at_work(plan: CollectPlan) -> Collection:
     """A plan with an expectation that is made up."""
-    plan = replace(plan, expectation=EXPECTED)
+    plan = replace(plan, expectation=EXPECTED, ahead=AHEAD)
     return Collection(CollectPlan.from_text(replace(plan, probes=probes(Collection(plan))).text))
 
 

@@ -17,7 +17,8 @@ from xplain.errors import InputError
 from xplain.people.collect.bot import Habits
 from xplain.people.collect.expectation import crowd, expect, rand_index, truth_of
 from xplain.people.collect.plan import Rules
-from xplain.people.collect.prepare import assemble, domain_source, own_source, read_facts
+from xplain.people.collect.prepare import assemble, domain_source, own_source
+from xplain.people.own_table import read_facts
 from xplain.questions.designs import Adaptive, Battery
 from xplain.users.types import Explicit
 

@@ -22,8 +22,8 @@ from xplain.people.collect.asking import State, belief, schedule
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.labels import Found
-from xplain.people.collect.plan import Picture
 from xplain.people.collect.site import CollectSite
+from xplain.people.plan import Picture
 from xplain.people.server.app import create_app
 from xplain.people.server.charts import WIDTH, over_time
 from xplain.people.server.security import Keys

@@ -58,7 +58,7 @@ NAMES = (
     *("fact_0", "fact_1", "fact_2", "fact_3", "stated", "others", "role"),
 )
 EVENTS = (
-    *("consent", "read", "example", "eligibility", "labels", "labels", "quiz", "beliefs"),
+    *("consent", "read", "example", "ahead", "eligibility", "labels", "labels", "quiz", "beliefs"),
     *("answers", "withdraw"),
 )
 

@@ -15,8 +15,8 @@ from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Page
 
 BEFORE = {
-    "study": ("consent", "briefing", "training", "training", "eligibility"),
-    "collect": ("consent", "task", "practice", "practice"),
+    "study": ("consent", "briefing", "training", "training", "ahead", "eligibility"),
+    "collect": ("consent", "task", "practice", "practice", "ahead"),
 }
 STEPS = {"study": ["evaluation"] * 4, "collect": ["clips"] * 15}
 AFTER = {"study": ("quiz", "questions", "done"), "collect": ("beliefs", "questions", "done")}

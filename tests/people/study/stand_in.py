@@ -7,6 +7,7 @@ Whoever believes that going straight is bad there expects it to walk around.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,17 +16,21 @@ import yaml
 from xplain.config import CONF
 from xplain.domains.base import Item, Parameter, Scene
 from xplain.domains.mdp import MDP
+from xplain.people.plan import Ahead
 from xplain.people.study.bot import Habits
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import drafted, stored
+from xplain.people.study.task import OfDomain
 from xplain.users.setting import Setting, UserType
 
 FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
 """Of a participant who errs, forgets and leaves nowhere."""
 
 PLACES = ("bridge", "market", "school", "tunnel")
+AHEAD = Ahead(("Qback <Qand> & Qforth", "Qfetched"), (((0, 1), (0, 0)),) * 2)
+"""The street itself leads nowhere but to its end."""
 
 
 class Street:
@@ -143,7 +148,8 @@ def street_plan(map_shown: bool = True, **changes: Any) -> StudyPlan:
     setting = Setting.build(Street(map_shown), TYPES)
     trace = np.array([[j, 0, j + 1] for j in range(len(PLACES))])
     labels = setting.label_table(trace)
-    return stored(drafted(setting, trace, 0.02 + 0.96 * labels, CONFIG | changes))
+    plan = drafted(OfDomain(setting).seen(trace), 0.02 + 0.96 * labels, CONFIG | changes)
+    return stored(replace(plan, ahead=AHEAD if map_shown else None))
 
 
 def street_study(**changes: Any) -> Study:

@@ -25,8 +25,9 @@ from xplain.people.study.bot import Person
 from xplain.people.study.content import needed
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.policies import difference, study_of
-from xplain.people.study.prepare import ranked_traces, study_plan
+from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite
+from xplain.people.study.task import OfDomain
 from xplain.people.wording import phrases_of
 from xplain.users.setting import Setting
 
@@ -80,19 +81,19 @@ def street() -> Setting:
 
 
 def trace_rules(**changes: object) -> dict[str, object]:
-    return {"start": None, "candidates": 3, "min_steps": 1} | changes
+    return {"start": None, "rows": [], "candidates": 3, "min_steps": 1} | changes
 
 
 def test_a_trace_has_the_steps_that_are_asked_for() -> None:
     setting = street()
-    assert len(ranked_traces(setting, trace_rules(min_steps=4), 20, 0)[0]) == 4
+    assert len(OfDomain(setting).traces(trace_rules(min_steps=4), 20, 0)[0]) == 4
     with pytest.raises(InputError, match=r"trace\.min_steps=5: 4 steps or fewer"):
-        ranked_traces(setting, trace_rules(min_steps=5), 20, 0)
+        OfDomain(setting).traces(trace_rules(min_steps=5), 20, 0)
 
 
 def test_traces_that_tell_most_come_first_the_shortest_among_equals() -> None:
     setting = setting_of("domain=four_rooms", "users.count=3")
-    ranked = ranked_traces(setting, trace_rules(candidates=80), 40, 0)
+    ranked = OfDomain(setting).traces(trace_rules(candidates=80), 40, 0)
     facts = [
         sum(needed(of_type).bit_count() for of_type in setting.label_table(one)) for one in ranked
     ]
@@ -108,13 +109,13 @@ def test_a_trace_starts_where_it_is_told_to() -> None:
     domain = setting.domain
     here = domain.position(int(domain.starts[0]))
     assert here is not None
-    anywhere = ranked_traces(setting, trace_rules(), 20, 0)
-    told = ranked_traces(setting, trace_rules(start=list(here)), 20, 0)
+    anywhere = OfDomain(setting).traces(trace_rules(), 20, 0)
+    told = OfDomain(setting).traces(trace_rules(start=list(here)), 20, 0)
     assert [one.tolist() for one in told] == [one.tolist() for one in anywhere]  # one start
     (elsewhere,) = {domain.position(int(s)) for s in told[0][-1:, 2]} - {here}
     assert elsewhere is not None
     with pytest.raises(InputError, match=r"trace\.start"):
-        ranked_traces(setting, trace_rules(start=list(elsewhere)), 20, 0)
+        OfDomain(setting).traces(trace_rules(start=list(elsewhere)), 20, 0)
 
 
 def test_conditions_that_say_the_same_differ_by_nothing() -> None:

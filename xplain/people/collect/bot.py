@@ -17,8 +17,9 @@ from xplain.errors import XplainError
 from xplain.people.collect.asking import State
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
+from xplain.people.flow import Fields
 from xplain.people.simulation import bots
-from xplain.people.simulation.browser import Fields, Page
+from xplain.people.simulation.browser import Page
 from xplain.randomness import stream
 
 PROBES = 4
@@ -64,7 +65,7 @@ class Observer(bots.Bot[CollectPlan, Habits]):
 
     def at_practice(self, page: Page) -> Fields:
         """Makes sense under the one sentence only."""
-        return self.practises(int(list(page.messages) == [self.plan.example.speaks_for]))
+        return self.practises(page, int(list(page.messages) == [self.plan.example.speaks_for]))
 
     def at_clips(self, page: Page) -> tuple[Fields, float]:
         """A label a step."""
@@ -140,6 +141,6 @@ def collection_of(plan: CollectPlan) -> Collection:
     if probes(collection) != plan.probes:
         raise XplainError(
             "database: this version of xplain asks differently from the one that started the "
-            "collection; go on with that version, or start anew in another database"
+            "collection; go on and replay with that version, or start anew in another database"
         )
     return collection

@@ -1,4 +1,7 @@
-"""The flow of a collection: consent → task → practice → clips → beliefs → questions → done."""
+"""The flow of a collection:
+
+consent → task → practice → ahead → clips → beliefs → questions → done
+"""
 
 from __future__ import annotations
 
@@ -10,20 +13,12 @@ from typing import Any, ClassVar
 
 from xplain.message_sets import indices
 from xplain.people import flow as core
+from xplain.people import stages
 from xplain.people.collect import asking
 from xplain.people.collect.asking import ATTENTION, QUESTION, STATED, Clip, State
 from xplain.people.collect.plan import CollectPlan
-from xplain.people.flow import (
-    Answer,
-    Consent,
-    Decision,
-    Flow,
-    Form,
-    Questions,
-    Stage,
-    choices,
-    small,
-)
+from xplain.people.flow import Answer, Decision, Fields, Flow, Form, Stage
+from xplain.people.stages import Consent, LookingAhead, Questions, choices, small
 from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import derived_seed, stream
 
@@ -40,7 +35,7 @@ class Task(Stage["Collection", State]):
         return flow.briefing(state)
 
 
-class Practice(core.Practice["Collection", State]):
+class Practice(stages.Practice["Collection", State]):
     """An action that makes no sense under one sentence, and sense under another."""
 
     def view(self, flow: Collection, state: State) -> dict[str, Any]:
@@ -70,6 +65,10 @@ class Clips(Stage["Collection", State]):
         """A label a step."""
         steps = range(state.clip.size if state.clip else 0)
         return {"labels": [small(form.get(f"label_{i}")) for i in steps]}
+
+    def fields(self, payload: Mapping[str, Any]) -> Fields:
+        """A label a step."""
+        return [(f"label_{i}", str(label)) for i, label in enumerate(payload["labels"])]
 
     def advance(self, flow: Collection, state: State, payload: Mapping[str, Any]) -> Outcome:
         """To the next clip, or on from the last one."""
@@ -113,6 +112,10 @@ class Beliefs(Stage["Collection", State]):
         facts = range(len(flow.plan.facts))
         return {"stated": [small(form.get(f"fact_{j}")) for j in facts]}
 
+    def fields(self, payload: Mapping[str, Any]) -> Fields:
+        """An index a fact."""
+        return [(f"fact_{j}", str(value)) for j, value in enumerate(payload["stated"])]
+
     def advance(self, flow: Collection, state: State, payload: Mapping[str, Any]) -> Outcome:
         """All of them are needed."""
         counts = [len(STATED)] * len(flow.plan.facts)
@@ -134,6 +137,7 @@ class Collection(Flow[CollectPlan, State]):
         Consent("consent", "consent"),
         Task("task", "read"),
         Practice("practice", "example", "choose"),
+        LookingAhead("ahead", "ahead", "choose"),
         Clips("clips", "labels"),
         Beliefs("beliefs", "beliefs"),
         Questions("questions", "answers"),
@@ -199,7 +203,4 @@ def _clip(plan: CollectPlan, clip: Clip) -> dict[str, Any]:
         "steps": [f"{plan.subject} {plan.hypotheses.phrases[t]}".strip() for t in steps],
         "transitions": steps,
         "situation": plan.situations[steps[0]] if plan.situations else (),
-        "pictures": {
-            t: picture.alt for t in steps if plan.pictures and (picture := plan.pictures[t])
-        },
     }

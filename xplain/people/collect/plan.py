@@ -68,16 +68,6 @@ class Role:
     briefing: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Picture:
-    """An image of a transition: its media type, its bytes in base 64, and what it shows, in words
-    for those who do not see it."""
-
-    media: str
-    content: str
-    alt: str = ""
-
-
 @dataclass(frozen=True, kw_only=True)
 class CollectPlan(StoredPlan):
     """A collection about T transitions and n facts.
@@ -96,7 +86,6 @@ class CollectPlan(StoredPlan):
         situations: [T] what is so when the transition begins, as sentences; or none.
         gone: [T] names of the items that are on the map no more when it begins; or none.
         paths: [T] on the map; or none.
-        pictures: [T] of own transitions, None where one has no image; or none.
         attention: the obvious step that does not make sense.
         expectation: what simulated observers let one expect, by figure.
         probes: what is asked of simulated people, to notice changed code.
@@ -117,7 +106,6 @@ class CollectPlan(StoredPlan):
     situations: Told
     gone: Told
     paths: Way
-    pictures: tuple[Picture | None, ...]
     attention: str
     expectation: Mapping[str, float]
     probes: tuple[str, ...]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,40 +11,28 @@ import numpy as np
 
 from xplain.domains.base import Domain, Scene, changes_of
 from xplain.errors import InputError, number
-from xplain.message_sets import mask_of, names_of
+from xplain.message_sets import mask_of
+from xplain.people.ahead import ahead_of
 from xplain.people.collect.bot import probes
 from xplain.people.collect.expectation import expect
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import (
     CollectPlan,
     Example,
-    Picture,
     Role,
     Rules,
 )
-from xplain.people.plan import Asked, Fact, Told, Way, facts_of
+from xplain.people.own_table import no_map, own_table
+from xplain.people.plan import Ahead, Asked, Fact, Picture, Told, Way, facts_of
 from xplain.people.wording import each, fixed, of_states, parts, worded
 from xplain.questions.battery import battery
 from xplain.questions.designs import Adaptive, Battery, hypotheses_of
 from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.own_transitions import read_transitions, with_features
 from xplain.randomness import derived_seed, run_seed, stream
 from xplain.users.types import TypeSource
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-MEDIA = {
-    ".png": "image/png",
-    ".jpg": "image/jpeg",
-    ".jpeg": "image/jpeg",
-    ".webp": "image/webp",
-    ".gif": "image/gif",
-}
-MAX_IMAGE = 2 << 20
-"""Bytes of one image."""
-DRAWN_ROLES = 4
-"""Kinds of simulated people where nobody wrote down which there may be."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +45,7 @@ class Source:
         whole: see :class:`CollectPlan`.
         facts: [n] sentences.
         roles: {name: bitmask of what it holds wrong}, of simulated people.
-        situations, gone, paths, changes, scene, pictures: see :class:`CollectPlan`.
+        situations, gone, paths, changes, scene, ahead, pictures: see :class:`CollectPlan`.
         domain, users: of the task, where there is a model of it.
     """
 
@@ -72,6 +58,7 @@ class Source:
     paths: Way = ()
     changes: Told = ()
     scene: Scene | None = None
+    ahead: Ahead | None = None
     pictures: tuple[Picture | None, ...] = field(default_factory=tuple)
     whole: Hypotheses | None = None
     domain: Domain | None = None
@@ -130,6 +117,7 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
     types = users.types(domain, stream(seed, "users"))
     names = known.messages
     assert known.states is not None, "hypotheses of a domain know states"
+    assert whole.states is not None, "the same"
     cells = [tuple(domain.position(int(state)) for state in pair) for pair in known.states]
     paths = tuple((a, b) for a, b in cells if a is not None and b is not None)
     drawn = domain.scene is not None and len(paths) == len(cells)
@@ -144,6 +132,7 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
         paths=paths if drawn else (),
         changes=() if drawn else _changes(domain, known),
         scene=domain.scene if drawn else None,
+        ahead=ahead_of(domain, whole.states, whole.labels, lambda t: whole.phrases[t]),
         domain=domain,
         users=users,
     )
@@ -161,69 +150,8 @@ def _changes(domain: Domain, known: Hypotheses) -> Told:
 
 
 def own_source(table: Path, facts: str | None, seed: int) -> Source:
-    """One's own transitions, and the sentences of the facts.
-
-    Raises:
-        InputError: a table cannot be read, a fact has no sentences, or an image cannot be shown.
-    """
-    own = read_transitions(table)
-    known = with_features(own.hypotheses)
-    shown = zip(own.images, own.alts, strict=True)
-    pictures = tuple(_picture(table.parent, image, alt) for image, alt in shown)
-    return Source(
-        name=table.stem,
-        hypotheses=known,
-        facts=read_facts(facts, known.messages),
-        roles=drawn_roles(known, seed),
-        pictures=pictures if any(pictures) else (),
-    )
-
-
-def read_facts(path: str | None, names: Sequence[str]) -> tuple[Fact, ...]:
-    """The sentences of facts, from a CSV table with the columns fact, message and belief.
-
-    Raises:
-        InputError: no such table, or a fact without a sentence in it.
-    """
-    wanted = "a .csv file with the columns fact, message, belief: the robot's value, and what "
-    wanted += f"somebody who holds it wrong would say, of {', '.join(names)}"
-    if path is None:
-        raise InputError("facts", None, wanted)
-    try:
-        with Path(path).open(encoding="utf-8-sig", newline="") as file:
-            rows = {(row.get("fact") or "").strip(): row for row in csv.DictReader(file)}
-    except (OSError, UnicodeDecodeError, csv.Error):
-        raise InputError("facts", str(path), wanted) from None
-    found = []
-    for name in names:
-        row = rows.get(name, {})
-        message, belief = ((row.get(key) or "").strip() for key in ("message", "belief"))
-        if not message or not belief:
-            raise InputError("facts", name, f"a message and a belief in {path}")
-        found.append(Fact(name, message, belief))
-    return tuple(found)
-
-
-def drawn_roles(known: Hypotheses, seed: int) -> dict[str, int]:
-    """Some fact sets that behave differently, none of them empty, for simulated people."""
-    sets = np.unique(known.essential[known.essential > 0])
-    chosen = stream(seed, "roles").permutation(sets)[:DRAWN_ROLES].tolist()
-    return {"+".join(names_of(held, known.messages)): held for held in chosen}
-
-
-def _picture(folder: Path, image: str, alt: str) -> Picture | None:
-    if not image:
-        return None
-    path = folder / image
-    if path.suffix.lower() not in MEDIA:
-        raise InputError("transitions.image", image, f"a file that ends in {', '.join(MEDIA)}")
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError("transitions.image", image, f"a file in {folder} ({error})") from None
-    if len(content) > MAX_IMAGE:
-        raise InputError("transitions.image", image, f"at most {MAX_IMAGE >> 20} MB")
-    return Picture(MEDIA[path.suffix.lower()], base64.b64encode(content).decode(), alt)
+    """One's own transitions; raises as :func:`xplain.people.own_table.own_table`."""
+    return Source(**vars(own_table(table, facts, seed)))
 
 
 def assemble(
@@ -235,9 +163,8 @@ def assemble(
         XplainError: a part contradicts another.
     """
     known, wording = source.hypotheses, config["wording"]
-    for key in ("icons", "hide"):
-        if wording[key] and source.domain is None:
-            raise InputError(f"wording.{key}", [*wording[key]], "none: these steps have no map")
+    if source.domain is None:
+        no_map(wording)
     own, in_words = parts("collect", config, wording, source.scene)
     known = replace(known, phrases=tuple(map(in_words, known.phrases)))
     facts = worded(source.facts, wording["facts"], in_words)
@@ -247,6 +174,8 @@ def assemble(
         which, told = battery(known, design.redundancy, seed, rules.points)
         pairs = zip(which.tolist(), told.tolist(), strict=True)
         listed = tuple(pairs)[: rules.points]
+    subject = wording["words"]["robot"] if source.domain else ""
+    ahead = source.ahead
     return CollectPlan(
         **own,
         domain=source.name,
@@ -258,7 +187,9 @@ def assemble(
         assigned=config["briefing"] == "assigned",
         hypotheses=known,
         whole=source.whole,
-        subject=wording["words"]["robot"] if source.domain else "",
+        subject=subject,
+        ahead=ahead
+        and replace(ahead, steps=tuple(f"{subject} {in_words(step)}" for step in ahead.steps)),
         questions=listed,
         design=design if isinstance(design, Adaptive) else Adaptive(),
         situations=each(source.situations, in_words),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import sqlite3
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -15,7 +14,6 @@ from xplain.people.collect.flow import Collection
 from xplain.people.collect.labels import Found, compared, found_types, why_left_out
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.collect.tables import export
-from xplain.people.flow import small
 from xplain.people.server import map_svg, site
 from xplain.people.server.database import Do
 from xplain.randomness import stream
@@ -45,8 +43,13 @@ class CollectSite(site.Site[Collection]):
         return collect_plan(cfg)
 
     @classmethod
-    def of(cls, plan: CollectPlan) -> CollectSite:
+    def as_planned(cls, plan: CollectPlan) -> CollectSite:
         """With its questionnaires."""
+        return cls(Collection(plan))
+
+    @classmethod
+    def of(cls, plan: CollectPlan) -> CollectSite:
+        """The same, where they ask as they did."""
         from xplain.people.collect.bot import collection_of
 
         return cls(collection_of(plan))
@@ -126,14 +129,6 @@ class CollectSite(site.Site[Collection]):
         beside = next((path for path in plan.paths if path[0] not in taken), plan.paths[0])
         path = tuple(plan.paths[t] for t in what) or (beside,)
         return map_svg.picture(plan, path, len(what), gone)
-
-    def file(self, name: str) -> tuple[str, bytes] | None:
-        """The image of a transition, by its number."""
-        number = small(name)
-        if number is None or number >= len(self.plan.pictures):
-            return None
-        picture = self.plan.pictures[number]
-        return (picture.media, base64.b64decode(picture.content)) if picture else None
 
     def glance(self, query: site.Query) -> dict[str, Any]:
         """Labels so far, the types that are in them, and what more people would bring: of people,

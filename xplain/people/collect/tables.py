@@ -94,7 +94,8 @@ def _observer(plan: CollectPlan, one: Participant) -> Row:
         "clips_s": took,
         "clock": clock,
         "label_s": float(np.median(each)) if each else None,
-        "practice_errors": max(len(one.answers("example")) - 2, 0),
+        "practice_errors": max(len(one.answers("example")) - 2, 0)
+        + sum(not event["payload"]["label"] for event in one.answers("ahead")),
         "entered": one.events[0]["wall"],
         "entry": one.row["entry"],
         "outside_ids": one.row["kept"] if one.row["kept"] != "{}" else None,

@@ -100,24 +100,27 @@ def show() -> AnyResponse:
 
 def _page(found: Participant, problem: str = "", status: int = 200) -> Response:
     own = context()
-    flow = own.site.flow
-    stage = found.state.stage
-    own.store.shown(found.id, found.state.accepted, stage)
-    code = own.code(found)
-    return make_response(
-        render_template(
-            "ended.html" if found.state.over else f"{stage}.html",
-            **flow.view(found.state),
-            token=own.keys.form(found.id),
-            kind=flow.waits_for(found.state),
-            problem=own.say(problem),
-            reference="-".join(re.findall(".{4}", own.store.reference(found.id))),
-            code=code,
-            back=own.back(found, code),
-            stages=flow.stages,
-            stream=found.stream,
-        ),
-        status,
+    own.store.shown(found.id, found.state.accepted, found.state.stage)
+    reference = "-".join(re.findall(".{4}", own.store.reference(found.id)))
+    token = own.keys.form(found.id)
+    said = own.say(problem)
+    return make_response(rendered(found, token=token, problem=said, reference=reference), status)
+
+
+def rendered(found: Participant, **more: Any) -> str:
+    """The page of a participant's state, with what else it shows. Without a form's token nothing
+    can be done on it."""
+    own = context()
+    flow, code = own.site.flow, own.code(found)
+    return render_template(
+        "ended.html" if found.state.over else f"{found.state.stage}.html",
+        **flow.view(found.state),
+        kind=flow.waits_for(found.state),
+        code=code,
+        back=own.back(found, code),
+        stages=flow.stages,
+        stream=found.stream,
+        **more,
     )
 
 

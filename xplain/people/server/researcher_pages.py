@@ -9,7 +9,10 @@ import io
 import secrets
 import tempfile
 import zipfile
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from flask import Blueprint, Response, make_response, redirect, render_template, request, url_for
 from markupsafe import Markup
@@ -17,7 +20,6 @@ from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError, Refused
 from xplain.people.analysis.stored import STREAMS
-from xplain.people.flow import small
 from xplain.people.server import charts
 from xplain.people.server.http import (
     PARTICIPANT,
@@ -28,6 +30,10 @@ from xplain.people.server.http import (
     session,
     set_cookie,
 )
+from xplain.people.server.participant_pages import rendered
+from xplain.people.server.playback import filled_in, played
+from xplain.people.server.store import Unknown
+from xplain.people.stages import small
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")
 MOST_INVITATIONS = 500
@@ -71,7 +77,10 @@ def overview() -> AnyResponse:
             **site.glance(own.store.query),
             token=own.keys.form(here),
             columns=site.about(site.state(), blinded),
-            people=[p | {"about": site.about(site.state(p["state"]), blinded)} for p in people],
+            people=[
+                p | {"about": site.about(site.state(p["state"]), blinded), "hidden": _hidden(p)}
+                for p in people
+            ],
             now=own.store.clock.wall(),
             stages=(*site.flow.stages, *site.flow.STATE.ENDS),
             flow={(row["stream"], row["stage"]): row["number"] for row in flow},
@@ -170,6 +179,36 @@ def export() -> AnyResponse:
     response.headers["Content-Type"] = "application/zip"
     response.headers["Content-Disposition"] = "attachment; filename=study.zip"
     return response
+
+
+@pages.get("/session/<who>/<int:number>")
+def playback(who: str, number: int) -> AnyResponse:
+    """A page of somebody's session as they saw it, computed again from the log. Writes nothing."""
+    own = context()
+    if session() is None:
+        return make_response(render_template("login.html"))
+    try:
+        found = own.store.participant(who)
+        if _hidden({"stream": found.stream}):
+            return error_page(403, "Sessions tell types and conditions: server.blinded=false")
+        seen = played(own.site.flow, own.store.log(who))
+    except Unknown:
+        return error_page(404, "There is nobody with this id, or their data was erased.")
+    except Refused as error:
+        return error_page(409, f"This session cannot be computed again: {error}")
+    if not 1 <= number <= len(seen):
+        return error_page(404, "no_page")
+    page = seen[number - 1]
+    then = replace(found, state=page.state)
+    shown = {"who": who, "number": number, "pages": len(seen), "page": page}
+    html = rendered(then, reference="…", playback=shown)
+    return make_response(filled_in(html, page.fields))
+
+
+def _hidden(person: Mapping[str, Any]) -> bool:
+    """Whether a participant's session would tell what the researcher shall not know."""
+    own = context()
+    return own.site.BLIND and own.server.blinded and person["stream"] == "person"
 
 
 def _back() -> Response:

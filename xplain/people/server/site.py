@@ -7,6 +7,7 @@ flow it is.
 
 from __future__ import annotations
 
+import base64
 import functools
 import sqlite3
 from collections.abc import Callable, Hashable, Iterable, Mapping
@@ -22,6 +23,7 @@ from xplain.people.flow import Flow, State
 from xplain.people.plan import StoredPlan
 from xplain.people.server import map_svg
 from xplain.people.server.database import Do
+from xplain.people.stages import small
 
 Query = Callable[[str], list[dict[str, Any]]]
 """Rows of a reading query."""
@@ -40,6 +42,7 @@ class Site(Generic[F]):
         TEMPLATES: folder of its pages, one named like each stage.
         OVERVIEW: template of the researcher's page.
         STEP: what it calls a row of the step table.
+        BLIND: whether a page tells who gets what.
         flow: with its plan.
     """
 
@@ -47,6 +50,7 @@ class Site(Generic[F]):
     TEMPLATES: ClassVar[Path]
     OVERVIEW: ClassVar[str]
     STEP: ClassVar[str] = "step"
+    BLIND: ClassVar[bool] = False
 
     def __init__(self, flow: F) -> None:
         self.flow = flow
@@ -64,8 +68,13 @@ class Site(Generic[F]):
         raise NotImplementedError
 
     @classmethod
+    def as_planned(cls, plan: Any) -> Self:
+        """A plan at work, for a replay, which finds what the installed code does otherwise."""
+        raise NotImplementedError
+
+    @classmethod
     def of(cls, plan: Any) -> Self:
-        """A plan at work.
+        """A plan at work, for people to take part.
 
         Raises:
             XplainError: the installed code decides differently from the code that made the plan.
@@ -121,7 +130,8 @@ class Site(Generic[F]):
     # Pages ---------------------------------------------------------------------------------------
 
     def drawing(self) -> dict[str, Any]:
-        """What every template may use: ``map``, ``legend``, ``changes``, ``titles``."""
+        """What every template may use: ``map``, ``ahead`` (that of the practice), ``legend``,
+        ``changes``, ``pictures``, ``titles``."""
         words = self.plan.texts.words
 
         @functools.lru_cache(4096)
@@ -131,8 +141,10 @@ class Site(Generic[F]):
         legend = map_svg.legend(self.plan, self.way_in_legend)
         return {
             "map": drawn,
+            "ahead": lambda steps: Markup(map_svg.picture(self.plan, self.plan.ahead.way, steps)),
             "legend": [(name, Markup(svg)) for name, svg in legend],
             "changes": self.plan.changes,
+            "pictures": self.plan.pictures,
             "titles": {stage: words[stage] for stage in self.flow.stages[:-1]},
         }
 
@@ -146,8 +158,12 @@ class Site(Generic[F]):
         raise NotImplementedError
 
     def file(self, name: str) -> tuple[str, bytes] | None:
-        """A picture that belongs to the plan: media type and content."""
-        return None
+        """The image of a transition, by its number: media type and content."""
+        number = small(name)
+        if number is None or number >= len(self.plan.pictures):
+            return None
+        picture = self.plan.pictures[number]
+        return (picture.media, base64.b64decode(picture.content)) if picture else None
 
     def glance(self, query: Query) -> dict[str, Any]:
         """What the researcher's page shows besides participants and stages; ``data`` names the

@@ -197,6 +197,11 @@ class Store(Database):
             return Participant(who, row["stream"], state, row["code"], kept)
         raise Unknown
 
+    def log(self, who: str) -> list[dict[str, Any]]:
+        """A participant's events in order, payloads decoded."""
+        sql = "SELECT * FROM event WHERE participant = ? ORDER BY sequence"
+        return [row | {"payload": json.loads(row["payload"])} for row in self.query(sql, (who,))]
+
     def submit(
         self,
         who: str,

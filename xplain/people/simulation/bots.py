@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -26,10 +27,11 @@ from werkzeug.datastructures import MultiDict
 
 from xplain.errors import InputError
 from xplain.people.analysis.stored import Plan, opened, plan_of
-from xplain.people.flow import Flow, S
+from xplain.people.flow import Fields, Flow, S
 from xplain.people.plan import Asked
 from xplain.people.simulation import chromium
-from xplain.people.simulation.browser import Browser, Fields, Page, Visitor, visit
+from xplain.people.simulation.browser import Browser, Page, Visitor, visit
+from xplain.randomness import below
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +63,8 @@ class Bot(Generic[P, H]):
     """One simulated participant, who only uses what the pages tell.
 
     A stage's page is answered by the method of that name, which gives its fields and the seconds
-    that they took; pages without one need no answer but the button.
+    that they took; pages without one need no answer but the button. Each stage draws from a stream
+    of its own, so that a page more changes nothing on the others.
 
     Args:
         plan: for the sentences and the true labels.
@@ -71,22 +74,24 @@ class Bot(Generic[P, H]):
 
     def __init__(self, plan: P, habits: H, rng: np.random.Generator) -> None:
         self.plan, self.habits, self.rng = plan, habits, rng
-        self.corrected: set[int] = set()
+        self.streams = cache(partial(below, rng))
+        self.corrected: set[tuple[str, int]] = set()
 
     def chance(self, probability: float) -> bool:
         """Whether something of this probability happens."""
         return bool(self.rng.random() < probability)
 
-    def leaves(self) -> bool:
+    def leaves(self, page: Page) -> bool:
         """Whether this page is where they drop out."""
+        self.rng = self.streams(page.stage)
         return self.chance(self.habits.leaving)
 
-    def practises(self, part: int) -> Fields:
-        """The label of the practice step. Who errs is told so, and errs once."""
-        errs = self.chance(self.habits.mistake) and part not in self.corrected
+    def practises(self, page: Page, right: int) -> Fields:
+        """The label of a practice step. Who errs is told so, and errs once."""
+        errs = self.chance(self.habits.mistake) and (page.stage, right) not in self.corrected
         if errs:
-            self.corrected.add(part)
-        return [("label", str(part ^ errs))]
+            self.corrected.add((page.stage, right))
+        return [("label", str(right ^ errs))]
 
     def asked(self, questions: tuple[Asked, ...]) -> Fields:
         """What is right, else the first that is allowed, of questions that need an answer."""
@@ -98,6 +103,7 @@ class Bot(Generic[P, H]):
 
     def fill(self, page: Page) -> tuple[Fields, float]:
         """The fields that they fill in on a page, and how long it took them, in seconds."""
+        self.rng = self.streams(page.stage)
         answer: Callable[[Page], tuple[Fields, float] | Fields | None]
         answer = getattr(self, f"at_{page.stage}", lambda page: None)
         filled = answer(page) or []
@@ -106,6 +112,10 @@ class Bot(Generic[P, H]):
     def at_consent(self, page: Page) -> Fields:
         """Agrees."""
         return [("agree", "1")]
+
+    def at_ahead(self, page: Page) -> Fields:
+        """Sees what the step is good for."""
+        return self.practises(page, 1)
 
     def at_questions(self, page: Page) -> Fields:
         """Says no more than is needed."""
@@ -120,7 +130,7 @@ def answer(flow: Flow[Any, S], bot: Bot[Any, Any], state: S) -> tuple[str, dict[
 
 def take_part(flow: Flow[Any, S], bot: Bot[Any, Any], state: S) -> S:
     """A bot in the bare flow, from a state to the end or to where they leave."""
-    while not state.over and not bot.leaves():
+    while not state.over and not bot.leaves(Page.of_view(flow.view(state))):
         state = flow.advance(state, *answer(flow, bot, state)).state
     return state
 

@@ -11,9 +11,10 @@ import lxml.html
 import requests
 from requests.cookies import RequestsCookieJar
 
+from xplain.people.flow import Fields
+
 WIDTH = {"width": "1280"}
 """Of the window that a client without scripts says it has."""
-Fields = list[tuple[str, str]]
 
 
 def _of_class(tag: str, name: str) -> str:
@@ -82,7 +83,7 @@ def _text(element: Any) -> str:
 class Visitor(Protocol):
     """Somebody simulated."""
 
-    def leaves(self) -> bool:
+    def leaves(self, page: Page) -> bool:
         """Whether this page is where they drop out."""
         ...
 
@@ -174,7 +175,7 @@ def walk(
     """
     look(page)
     while page.hidden:
-        if person.leaves():
+        if person.leaves(page):
             return "left"
         fields, seconds = person.fill(page)
         think(seconds)

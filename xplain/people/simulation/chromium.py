@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from xplain.errors import InputError
-from xplain.people.simulation.browser import Fields, Page, Visitor, walk
+from xplain.people.flow import Fields
+from xplain.people.simulation.browser import Page, Visitor, walk
 
 FLAGS = (
     "--headless=new",

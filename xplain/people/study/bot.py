@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from xplain.message_sets import indices
+from xplain.people.flow import Fields
 from xplain.people.simulation import bots
-from xplain.people.simulation.browser import Fields, Page
+from xplain.people.simulation.browser import Page
 from xplain.people.study.flow import State, Study
 from xplain.people.study.plan import StudyPlan
 from xplain.randomness import stream
@@ -72,7 +73,7 @@ class Person(bots.Bot[StudyPlan, Habits]):
 
     def at_training(self, page: Page) -> Fields:
         """Expected where the message is there."""
-        return self.practises(len(page.messages))
+        return self.practises(page, len(page.messages))
 
     def at_eligibility(self, page: Page) -> Fields:
         """What they were told."""

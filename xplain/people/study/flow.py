@@ -1,7 +1,7 @@
 """The flow of the study:
 
-    consent → before → briefing → training → eligibility → evaluation → quiz → questions → done
-                           ↑__________________|  (a failed attempt, while some are left)
+    consent → before → briefing → training → ahead → eligibility → evaluation → quiz → questions
+                           ↑__________________________|  (a failed attempt, while some are left)
 
 People who come as they are have no eligibility test, for they are told nothing to be tested on.
 """
@@ -20,17 +20,9 @@ from xplain.explanation import belief as beliefs
 from xplain.explanation.belief import BeliefUpdate
 from xplain.message_sets import indices
 from xplain.people import flow as core
-from xplain.people.flow import (
-    Answer,
-    Decision,
-    Flow,
-    Form,
-    Questions,
-    Stage,
-    choice,
-    choices,
-    small,
-)
+from xplain.people import stages
+from xplain.people.flow import Answer, Decision, Fields, Flow, Form, Stage
+from xplain.people.stages import LookingAhead, Questions, choice, choices, small
 from xplain.people.study.plan import Role, StudyPlan
 from xplain.solvers.base import Policy
 
@@ -81,7 +73,7 @@ class State(core.State):
 Outcome = core.Outcome[State]
 
 
-class Consent(core.Consent["Study", State]):
+class Consent(stages.Consent["Study", State]):
     """With the width of the window."""
 
     def read(self, flow: Study, state: State, form: Form) -> dict[str, Any]:
@@ -90,6 +82,10 @@ class Consent(core.Consent["Study", State]):
         return super().read(flow, state, form) | {
             "width": int(width) if _WIDTH.match(width) else None
         }
+
+    def fields(self, payload: Mapping[str, Any]) -> Fields:
+        """With the width."""
+        return [*super().fields(payload), ("width", str(payload["width"] or ""))]
 
 
 class Briefing(Stage["Study", State]):
@@ -110,7 +106,7 @@ class Briefing(Stage["Study", State]):
         return flow.after(state, wrong=False)
 
 
-class Training(core.Practice["Study", State]):
+class Training(stages.Practice["Study", State]):
     """An added action, unexpected without its message."""
 
     def view(self, flow: Study, state: State) -> dict[str, Any]:
@@ -140,6 +136,10 @@ class Eligibility(Stage["Study", State]):
         """The answers in the plan's order."""
         count = len(flow.role(state).eligibility)
         return {"answers": [small(form.get(f"q{i}")) for i in range(count)]}
+
+    def fields(self, payload: Mapping[str, Any]) -> Fields:
+        """The answers."""
+        return [(f"q{i}", str(answer)) for i, answer in enumerate(payload["answers"])]
 
     def advance(self, flow: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
         """On with all of them right; else back to the briefing, or to the end."""
@@ -188,6 +188,10 @@ class Evaluation(Stage["Study", State]):
         pairs = zip(sent, kept, strict=True)
         return {"labels": [old if label is None else label for label, old in pairs]}
 
+    def fields(self, payload: Mapping[str, Any]) -> Fields:
+        """All labels."""
+        return [(f"label_{i}", str(label)) for i, label in enumerate(payload["labels"])]
+
     def advance(self, flow: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
         """To the next step, or on from the last one."""
         count = [2] * (state.step + 1)
@@ -228,6 +232,10 @@ class Quiz(Stage["Study", State]):
         """Those that are ticked."""
         return {"chosen": [small(text) for text in form.getlist("true")[:100]]}
 
+    def fields(self, payload: Mapping[str, Any]) -> Fields:
+        """Those that are ticked."""
+        return [("true", str(one)) for one in payload["chosen"]]
+
     def advance(self, flow: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
         """A point for each statement judged rightly."""
         statements, chosen = flow.role(state).quiz, payload.get("chosen")
@@ -254,6 +262,7 @@ class Study(Flow[StudyPlan, State]):
         Questions("before", "screening", "before", "screened_out"),
         Briefing("briefing", "read"),
         Training("training", "example", "label_missing"),
+        LookingAhead("ahead", "ahead", "label_missing"),
         Eligibility("eligibility", "eligibility"),
         Evaluation("evaluation", "labels"),
         Quiz("quiz", "quiz"),

@@ -78,16 +78,25 @@ def learned_types(cfg: DictConfig) -> tuple[Setting, Learned]:
         columns = tuple(range(len(names)))
         return observed.setting, Learned(types.names, types.labelers, types.prior, columns, key)
     setting = Setting.build(domain, users.types(domain, stream(cfg.seed, "users")))
-    known = LearnedTypes.load(cfg.types)
+    return setting, fitting(cfg.types, domain.name, setting.message_names, names)
+
+
+def fitting(path: str, name: str, messages: Sequence[str], features: Sequence[str]) -> Learned:
+    """The types of a file, for a task with these messages and features.
+
+    Raises:
+        InputError: they know others.
+    """
+    known = LearnedTypes.load(path)
     for own, theirs, what in (
-        (setting.message_names, known.messages, "messages"),
-        (tuple(sorted(names)), tuple(sorted(known.feature_names)), "features"),
+        (tuple(messages), known.messages, "messages"),
+        (tuple(sorted(features)), tuple(sorted(known.feature_names)), "features"),
     ):
         if own != theirs:
-            wanted = f"types whose {what} are those of {domain.name}: {', '.join(own)}"
-            raise InputError("types", f"{cfg.types}: {', '.join(theirs)}", wanted)
-    columns = tuple(names.index(name) for name in known.feature_names)
-    return setting, Learned(known.names, known.labelers, known.prior, columns, "types")
+            wanted = f"types whose {what} are those of {name}: {', '.join(own)}"
+            raise InputError("types", f"{path}: {', '.join(theirs)}", wanted)
+    columns = tuple(features.index(one) for one in known.feature_names)
+    return Learned(known.names, known.labelers, known.prior, columns, "types")
 
 
 def matched(setting: Setting, learned: Learned, seed: int) -> list[int]:

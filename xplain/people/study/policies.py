@@ -29,7 +29,7 @@ def study_of(plan: StudyPlan) -> Study:
     if probes(study) != plan.probes:
         raise XplainError(
             "database: this version of xplain decides differently from the one that started the "
-            "study; go on with that version, or start a new study in another database"
+            "study; go on and replay with that version, or start a new study in another database"
         )
     return study
 
@@ -71,11 +71,8 @@ def probes(study: Study) -> dict[str, tuple[str, ...]]:
 
 def _walk(study: Study, condition: str, number: int) -> str:
     rng = stream(0, "probes", number)
-    state = State(stage="training", part=1, user_type=0, condition=condition)
-    state = study.advance(state, "example", {"label": 1}).state
-    if state.stage == "eligibility":
-        right = [question.answer for question in study.plan.roles[0].eligibility]
-        state = study.advance(state, "eligibility", {"answers": right}).state
+    before = State(stage="eligibility", user_type=0, condition=condition)
+    state = study.after(before).state
     messages = [state.new]
     while state.stage == "evaluation":
         # Mostly 1, so that beliefs stay apart rather than settle at once.

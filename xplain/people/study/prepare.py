@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from xplain.data.rollouts import sample_trace
-from xplain.domains.base import Domain, changes_of, transition_features
-from xplain.errors import InputError, whole_number
+from xplain.errors import InputError
 from xplain.experiment.explanations import Costs
 from xplain.explanation.label_table import LabelTable
-from xplain.learning.user_types import label_table
-from xplain.people.plan import Asked, Way, facts_of
+from xplain.people.own_table import no_map, own_table
+from xplain.people.plan import Asked, facts_of
 from xplain.people.study import content
-from xplain.people.study.known_types import Learned, learned_types, matched
+from xplain.people.study.known_types import Learned, fitting, learned_types, matched
 from xplain.people.study.plan import Known, Rules, StudyPlan, Training
 from xplain.people.study.policies import at_work, difference, probes
-from xplain.people.wording import each, fixed, of_states, parts, worded
-from xplain.randomness import stream
-from xplain.users.setting import Setting
+from xplain.people.study.task import OfDomain, OfTable, Seen, Task
+from xplain.people.wording import each, fixed, parts, worded
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -54,15 +50,11 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     Rules(**config["rules"])  # refused before the work, not after it
     if config["briefing"] not in ("assigned", "none"):
         raise InputError("briefing", config["briefing"], "assigned or none")
-    setting, learned = learned_types(cfg)
-    if config["briefing"] == "assigned" and learned.key:
-        learned = learned.ordered(matched(setting, learned, cfg.seed))
-    traces = ranked_traces(setting, config["trace"], config["max_steps"], cfg.seed)[:TRIED]
+    task, learned = _task_and_types(cfg, config)
     gaps = []
-    for transitions in traces:
-        features = transition_features(setting.domain, transitions)[:, learned.columns]
-        table = label_table(learned.labelers, features, transitions)
-        plan = drafted(setting, transitions, table, config, learned)
+    for transitions in task.traces(config["trace"], config["max_steps"], cfg.seed)[:TRIED]:
+        table = task.table(learned, transitions)
+        plan = drafted(task.seen(transitions), table, config, learned)
         gaps.append(difference(plan))
         if gaps[-1] >= LEAST_DIFFERENCE:
             return stored(plan)
@@ -75,49 +67,28 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     )
 
 
-def ranked_traces(
-    setting: Setting, trace: Mapping[str, Any], max_steps: int, seed: int
-) -> list[NDArray[np.int64]]:
-    """Traces [m, 3] that every participant could evaluate, the best first, none twice.
-
-    Of ``candidates`` random ones of at least ``min_steps``, the shortest of those for which the
-    types need the most facts corrected: a trace that most types understand anyway would measure
-    nothing, and one of two or three steps hardly anything.
-
-    Args:
-        setting: domain and types.
-        trace: ``start`` (a cell of the map, or None for any), ``candidates`` and ``min_steps``.
-        max_steps: a trace ends at a terminal state or here.
-        seed: of the stream.
+def _task_and_types(cfg: DictConfig, config: Mapping[str, Any]) -> tuple[Task, Learned]:
+    """What is explained, and the types that the policies know.
 
     Raises:
-        InputError: no trace starts at that cell, or none is as long.
+        InputError: a key that does not go with the others.
     """
-    domain, starts = setting.domain, setting.domain.starts
-    if trace["start"] is not None:
-        cell = tuple(trace["start"])
-        starts = np.array([s for s in starts if domain.position(int(s)) == cell], dtype=np.int64)
-        if not len(starts):
-            raise InputError("trace.start", list(cell), "a cell where traces start")
-    whole_number("trace.candidates", trace["candidates"], 1)
-    whole_number("trace.min_steps", trace["min_steps"], 1)
-
-    def draw(index: int) -> NDArray[np.int64]:
-        rng = stream(seed, "trace", index)
-        return sample_trace(setting.models[0], setting.optimal[0], starts, rng, max_steps)
-
-    def worth(transitions: NDArray[np.int64]) -> tuple[int, int]:
-        labels = setting.label_table(transitions)
-        facts = sum(content.needed(of_type).bit_count() for of_type in labels)
-        return facts, -len(transitions)
-
-    drawn = [draw(index) for index in range(trace["candidates"])]
-    long = [one for one in drawn if len(one) >= trace["min_steps"]]
-    if not long:
-        longest = max(len(one) for one in drawn)
-        raise InputError("trace.min_steps", trace["min_steps"], f"{longest} steps or fewer here")
-    distinct = {one.tobytes(): one for one in long}
-    return sorted(distinct.values(), key=worth, reverse=True)
+    if cfg.transitions is None:
+        if cfg.facts is not None:
+            raise InputError("facts", cfg.facts, "only with transitions=TABLE")
+        setting, learned = learned_types(cfg)
+        if config["briefing"] == "assigned" and learned.key:
+            learned = learned.ordered(matched(setting, learned, cfg.seed))
+        return OfDomain(setting), learned
+    if config["briefing"] != "none":
+        wanted = "none, for people as they are: one's own transitions name no types"
+        raise InputError("briefing", config["briefing"], wanted)
+    if cfg.types is None:
+        wanted = "types.npz of xplain discover, from labels of these transitions"
+        raise InputError("types", None, wanted)
+    own = own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
+    known = own.hypotheses
+    return OfTable(own), fitting(cfg.types, own.name, known.messages, known.feature_names)
 
 
 def stored(plan: StudyPlan) -> StudyPlan:
@@ -127,8 +98,7 @@ def stored(plan: StudyPlan) -> StudyPlan:
 
 
 def drafted(
-    setting: Setting,
-    transitions: NDArray[np.int64],
+    seen: Seen,
     table: LabelTable,
     config: Mapping[str, Any],
     learned: Learned | None = None,
@@ -136,53 +106,67 @@ def drafted(
     """A plan from its parts, without probes.
 
     Args:
-        setting: domain and types.
-        transitions: [m, 3] the evaluation trace.
+        seen: the task and the evaluation trace.
         table: of the labelers.
         config: the study's resolved configuration (the keys of conf/study.yaml).
-        learned: names and shares of the types of the table; None: those of the setting.
+        learned: names and shares of the types of the table; None: those of the task.
 
     Raises:
         XplainError: a part contradicts another.
     """
-    domain, types, natural = setting.domain, setting.types, config["briefing"] == "none"
-    wording = _worded(config["wording"], natural)
-    own, in_words = parts("study", config, wording, domain.scene)
-    parameters = worded(domain.parameters, wording["facts"], in_words)
-    labels = setting.label_table(transitions)
+    types, natural = seen.types, config["briefing"] == "none"
+    wording = _worded(config["wording"], natural, config.get("transitions") is not None)
+    own, in_words = parts("study", config, wording, seen.scene)
+    parameters = worded(seen.parameters, wording["facts"], in_words)
+    does = wording["words"]["robot_does"]
     costs = Costs(trade_off=config["lambda"], **{key: config[key] for key in COSTS})
     # Roles and types have the same names; people as they are may be of any types that were found.
     names = tuple(one.name for one in types) if learned is None or not natural else learned.names
     shares = np.full(len(names), 1 / len(names)) if learned is None else learned.shares
     facts, known = facts_of(parameters), tuple(Known(**one) for one in wording["known"])
-    roles = content.roles_of(parameters, types, labels, wording)
-    states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]
-    changes = () if domain.scene else changes_of(domain, transitions)
+    roles = content.roles_of(parameters, types, seen.labels, wording)
+    ahead = seen.ahead
+    if ahead:
+        said = tuple(does.format(phrase=in_words(phrase)) for phrase in ahead.steps)
+        ahead = replace(ahead, steps=said)
     return StudyPlan(
         **own,
-        domain=domain.name,
+        domain=seen.name,
         known=known,
         training=Training(**wording["training"]),
         rules=Rules(**config["rules"]),
         before=tuple(map(Asked.of, config["before"])),
         asked=tuple(map(Asked.of, config["questions"])),
         facts=facts,
-        roles=(content.natural_role(facts, known, labels),) if natural else roles,
+        roles=(content.natural_role(facts, known, seen.labels),) if natural else roles,
         kinds=tuple(role.wrong for role in roles) if natural else (),
-        trace=tuple(in_words(domain.describe(transition)) for transition in transitions),
-        path=_path(domain, states),
-        problem=costs.problem(table, setting.message_names, names, shares),
-        true_labels=labels,
+        trace=tuple(map(in_words, seen.trace)),
+        path=seen.path,
+        problem=costs.problem(table, tuple(fact.name for fact in facts), names, shares),
+        true_labels=seen.labels,
         conditions=config["conditions"],
         belief=config["belief"],
         probes={},
-        changes=each(changes, in_words),
-        taken=each(of_states(domain, "gone", states), in_words),
+        changes=each(seen.changes, in_words),
+        taken=each(seen.taken, in_words),
+        pictures=seen.pictures,
+        ahead=ahead,
     )
 
 
-def _worded(wording: Mapping[str, Any], natural: bool) -> Mapping[str, Any]:
-    """The texts for people who are briefed, or for people as they are."""
+def _worded(wording: Mapping[str, Any], natural: bool, table: bool) -> Mapping[str, Any]:
+    """The texts for people who are briefed, or as they are; the steps of one's own table are whole
+    sentences.
+
+    Raises:
+        InputError: texts of a map that own transitions do not have.
+    """
+    if table:
+        no_map(wording)
+        words, example = wording["words"], wording["training"]
+        said = {**example, "action": words["robot_does"].format(phrase=example["action"])}
+        words = {**words, "robot_does": "{phrase}"}
+        wording = {**wording, "training": said, "words": words}
     if natural:
         return {
             **wording,
@@ -190,9 +174,3 @@ def _worded(wording: Mapping[str, Any], natural: bool) -> Mapping[str, Any]:
         }
     told = {key: [*wording[key], *wording["briefed"][key]] for key in ("consent", "debriefing")}
     return {**wording, **told}
-
-
-def _path(domain: Domain, states: Sequence[int]) -> Way | None:
-    """The robot's way; None where there is no map."""
-    cells = [cell for state in states if (cell := domain.position(state)) is not None]
-    return tuple(pairwise(cells)) if domain.scene and len(cells) == len(states) else None

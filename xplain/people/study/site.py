@@ -61,6 +61,7 @@ class StudySite(site.Site[Study]):
     PLAN = StudyPlan
     TEMPLATES = Path(__file__).parent / "templates"
     OVERVIEW = "researcher.html"
+    BLIND = True
     export = staticmethod(export)
 
     @classmethod
@@ -71,8 +72,15 @@ class StudySite(site.Site[Study]):
         return study_plan(cfg)
 
     @classmethod
-    def of(cls, plan: StudyPlan) -> StudySite:
+    def as_planned(cls, plan: StudyPlan) -> StudySite:
         """With its policies."""
+        from xplain.people.study.policies import at_work
+
+        return cls(at_work(plan))
+
+    @classmethod
+    def of(cls, plan: StudyPlan) -> StudySite:
+        """The same, where they decide as they did."""
         from xplain.people.study.policies import study_of
 
         return cls(study_of(plan))

@@ -26,6 +26,7 @@ def at_evaluation(study: Study, user_type: int, condition: str) -> State:
         ("read", {}),
         ("example", {"label": 0}),
         ("example", {"label": 1}),
+        ("ahead", {"label": 1}),
         ("eligibility", {"answers": right}),
     ):
         assert (state.given, state.new, state.heard) == (0, 0, ())  # nothing was told yet

@@ -1,0 +1,171 @@
+"""A study on a lab's own table of transitions: no map, images, types that were found in labels."""
+
+from __future__ import annotations
+
+import base64
+import re
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.people.study.stand_in import FAULTLESS
+from tests.people.visitors import GENEROUS, Visitor, pages
+from xplain.cli.people import configured
+from xplain.errors import InputError
+from xplain.learning.labelers import Labeler
+from xplain.learning.saved_types import LearnedTypes, SavedTable
+from xplain.message_sets import mask_of
+from xplain.people.server.app import create_app
+from xplain.people.server.store import Store
+from xplain.people.study.bot import Person
+from xplain.people.study.plan import StudyPlan
+from xplain.people.study.policies import study_of
+from xplain.people.study.prepare import study_plan
+from xplain.people.study.site import StudySite
+
+PIXEL = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+)
+WHEN = ("cable", "lift", "queue", "cable;lift", "queue", "")
+FACTS = ("cable", "lift", "queue")
+TRACE = [6, 1, 3, 4, 5]
+GIVEN = {
+    "transitions": "own.csv",
+    "facts": "facts.csv",
+    "types": "types.npz",
+    "briefing": "none",
+    "trace.rows": f"[[1,2,1,2,1],{TRACE}]".replace(" ", ""),
+    "trace.min_steps": "5",
+    "seed": "1",
+}
+
+
+def sense(row: int, wrong: set[str]) -> int:
+    """The label of somebody who holds these facts wrong, by the table."""
+    return int(not wrong & {*WHEN[row].split(";")})
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two tables, an image, and the types of people who hold one fact wrong each."""
+    rows = [f"Step {i} & <more>,{when},{i}," for i, when in enumerate(WHEN)]
+    rows[0] += "red.png,A red cable"
+    rows[1:] = [f"{row}," for row in rows[1:]]
+    own = "\n".join(["text,inexplicable_if,place,image,alt", *rows])
+    (tmp_path / "own.csv").write_text(f"{own}\n")
+    said = [f"{fact},The {fact} is so.,The {fact} is not so." for fact in FACTS]
+    (tmp_path / "facts.csv").write_text("\n".join(["fact,message,belief", *said]) + "\n")
+    (tmp_path / "red.png").write_bytes(PIXEL)
+    save_types(tmp_path / "types.npz", "place")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def save_types(path: Path, feature: str, messages: tuple[str, ...] = FACTS) -> None:
+    features = np.arange(len(WHEN), dtype=np.float32)[:, None]
+    told = [{f for j, f in enumerate(FACTS) if mask >> j & 1} for mask in range(8)]
+    labelers = [
+        Labeler(
+            SavedTable(
+                features,
+                np.array(
+                    [[0.01 + 0.98 * sense(row, {fact} - one) for one in told] for row in range(6)]
+                ),
+            ),
+            3,
+            **{"confidence": 0.9, "accuracy": 0.9, "n_train": 9, "n_test": 9, "calibrated": True},
+        )
+        for fact in FACTS
+    ]
+    names = tuple(f"{fact}?" for fact in FACTS)
+    LearnedTypes(tuple(labelers), names, np.full(3, 1 / 3), messages, (feature,)).save(path)
+
+
+def plan_of(**changes: Any) -> StudyPlan:
+    given = {key: value for key, value in {**GIVEN, **changes}.items() if value is not None}
+    return study_plan(configured("study", [f"{key}={value}" for key, value in given.items()]))
+
+
+def test_the_plan_is_what_the_table_says(lab: Path) -> None:
+    plan = plan_of()
+    rows = [row - 1 for row in TRACE]
+    assert plan.trace == tuple(f"Step {row} & <more>" for row in rows)
+    assert (plan.scene, plan.path, plan.ahead, plan.changes) == (None, None, None, ())
+    assert plan.problem.type_names == ("cable?", "lift?", "queue?")
+    assert [picture and picture.alt for picture in plan.pictures] == [
+        "A red cable" if row == 0 else None for row in rows
+    ]
+    assert [fact.message for fact in plan.facts] == [f"The {fact} is so." for fact in FACTS]
+    for kind, wrong in enumerate(plan.kinds):
+        held = {FACTS[j] for j in wrong}
+        for (k, row), told in product(enumerate(rows), ([], ["lift"], ["cable", "queue"])):
+            label = plan.true_labels[kind, k, mask_of(told, FACTS)]
+            assert label == sense(row, held - {*told})
+    for number, fact in enumerate(FACTS):
+        p = plan.problem.p_explicable[number]
+        assert [int(one) for one in p[:, 0] > 0.5] == [sense(row, {fact}) for row in rows]
+    # Whole sentences, the practice's too.
+    assert plan.training.action.startswith("The robot ")
+    assert plan.texts.words["robot_does"] == "{phrase}"
+
+
+def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, tmp_path: Path) -> None:
+    site = StudySite(study_of(plan_of()))
+    store = Store(tmp_path / "s.sqlite", site)
+    visitor = Visitor(create_app(store, GENEROUS).test_client())
+    (token,) = store.invite(1, "person")
+    person = Person(site.plan, FAULTLESS, np.random.default_rng(0))
+    seen = list(pages(visitor, person, token))
+    assert [page.stage for _, page in seen] == [
+        *("consent", "briefing", "training", "training", *["evaluation"] * 5),
+        *("quiz", "done"),
+    ]
+    steps = [html for html, page in seen if page.stage == "evaluation"]
+    for k, (row, html) in enumerate(zip(TRACE, steps, strict=True)):
+        assert f"Step {row - 1} &amp; &lt;more&gt;" in html
+        assert "The robot Step" not in html
+        images = re.findall(r'<img class="clip" src="([^"]*)" alt="([^"]*)"', html)
+        assert images == ([(f"/picture/{k}", "A red cable")] if row == 1 else [])
+        for address, _ in images:
+            reply = visitor.client.get(address)
+            assert (reply.data, reply.mimetype) == (PIXEL, "image/png")
+    assert site.replay(store._connection).differences == []
+    store.close()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"briefing": "assigned"}, r"briefing='assigned': none, for people as they are"),
+        ({"types": None}, r"types=None: types\.npz of xplain discover"),
+        ({"facts": None}, r"facts=None: a \.csv file"),
+        ({"transitions": None}, r"facts='facts\.csv': only with transitions"),
+        ({"transitions": None, "facts": None, "types": None}, r"trace\.rows=.*: only with trans"),
+        ({"trace.rows": None}, r"trace\.rows=\[\]: lists of rows of the table.* from 1 to 6"),
+        ({"trace.rows": "[[1,0]]"}, r"trace\.rows=0: lists of rows"),
+        ({"trace.rows": "[[1,7]]"}, r"trace\.rows=7: lists of rows"),
+        ({"trace.rows": "[1,2]"}, r"trace\.rows=.*: lists of rows"),
+        ({"trace.rows": "[[1,2]]"}, r"trace\.min_steps=5: 2 steps or fewer"),
+        ({"trace.rows": "[[6,6,6,6,6]]"}, r"conditions=.* differ by a message"),
+        ({"types": "others.npz"}, r"types='others\.npz: lane': types whose features"),
+        ({"types": "fewer.npz"}, r"types='fewer\.npz: a, b, c': types whose messages"),
+        ({"domain": "rescue"}, r"domain='rescue': null with transitions"),
+        ({"wording.hide": "[S]"}, r"wording\.hide=.*these steps have no map"),
+    ],
+)
+def test_what_does_not_go_together_is_refused_with_what_to_do(
+    lab: Path, changes: dict[str, Any], said: str
+) -> None:
+    save_types(lab / "others.npz", "lane")
+    save_types(lab / "fewer.npz", "place", ("a", "b", "c"))
+    with pytest.raises(InputError, match=said):
+        plan_of(**changes)
+
+
+def test_a_trace_that_tells_more_goes_first_and_is_cut_where_traces_end(lab: Path) -> None:
+    rows = "[[6,6,6,6,6,6],[6,1,3,4,5,2],[1,6,6,6,6]]"
+    assert len(plan_of(**{"trace.rows": rows, "max_steps": 5}).trace) == 5
+    assert plan_of(**{"trace.rows": rows}).trace[1] == "Step 0 & <more>"

@@ -1,0 +1,189 @@
+"""The way of docs/collect.md in a real Chromium: from an empty folder with a lab's own images to
+labels, types, a robot, and a study of these types. Every page is seen by axe-core and kept as a
+picture (``outputs/study/screenshots/lab``; ``XPLAIN_SCREENSHOTS`` names another folder)."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.people import test_browser
+from tests.people.collect.stand_in import FAULTLESS as OBSERVING
+from tests.people.server_process import ServerProcess
+from tests.people.study.stand_in import FAULTLESS
+from tests.people.test_browser import By, complaints, look_at, out_of_sight
+from tests.people.test_browser import axe as axe
+from tests.people.test_browser import driver as driver
+from xplain import Explainer, LearnedTypes
+from xplain.cli.main import main
+from xplain.people.collect.bot import bot
+from xplain.people.collect.plan import CollectPlan
+from xplain.people.simulation.bots import Researcher
+from xplain.people.simulation.browser import Page
+from xplain.people.simulation.chromium import Driver, go_in, press, take_part, wait
+from xplain.people.study.bot import Person
+from xplain.people.study.plan import StudyPlan
+
+pytestmark = pytest.mark.browser
+
+STEPS = """\
+Drives over the cable,cable,0,A cable on the floor
+Takes the lift to the next floor,lift,1,An open lift
+Waits at the door although it is open,queue,2,An open door
+Drives over the cable to the lift,cable;lift,3,A cable before a lift
+Lets everybody pass before it,queue,4,People in a corridor
+Drives along the empty corridor,,5,An empty corridor
+"""
+FACTS = """\
+fact,message,belief
+cable,The robot may drive over cables.,Cables stop the robot.
+lift,The lift is faster than the ramp.,The ramp is faster than the lift.
+queue,People always come first.,The robot need not wait for people.
+"""
+OURS = """\
+introduction:
+  - "A delivery robot drives through our house. It takes parcels from door to door."
+"""
+ATTENTION = 'attention: "The robot turns on the spot for an hour, while the parcels wait."\n'
+LIMITS = ("server.burst=1e6", "server.visitor_burst=1e6", "server.blinded=false")
+
+
+def png(number: int, width: int = 320, height: int = 240) -> bytes:
+    """A picture of so many bars."""
+    y, x = np.mgrid[:height, :width]
+    bars = (x // 24 % 2 == 1) & (x < 48 * (number + 1)) & (abs(y - height // 2) < 70)
+    grey = np.where(bars, 60, 200 + 8 * number).astype(np.uint8)
+    rows = np.hstack([np.zeros((height, 1), np.uint8), grey]).tobytes()
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        check = struct.pack(">I", zlib.crc32(kind + content))
+        return struct.pack(">I", len(content)) + kind + content + check
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    parts = (chunk(b"IHDR", head), chunk(b"IDAT", zlib.compress(rows)), chunk(b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with two tables, images, and the lab's own texts."""
+    rows = [f"{line},{i}.png" for i, line in enumerate(STEPS.splitlines())]
+    own = "\n".join(["text,inexplicable_if,step,alt,image", *rows])
+    (tmp_path / "own.csv").write_text(f"{own}\n", encoding="utf-8")
+    (tmp_path / "facts.csv").write_text(FACTS, encoding="utf-8")
+    for i in range(len(rows)):
+        (tmp_path / f"{i}.png").write_bytes(png(i))
+    from xplain.config import CONF
+
+    for kind, more in (("collect", ATTENTION), ("study", "")):
+        texts = tmp_path / "texts" / kind / "texts"
+        texts.mkdir(parents=True)
+        shipped = (CONF / kind / "texts" / "en.yaml").read_text(encoding="utf-8")
+        (texts / "ours.yaml").write_text(OURS + more + shipped, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(test_browser, "SCREENSHOTS", test_browser.SCREENSHOTS / "lab")
+    return tmp_path
+
+
+def serving(command: str, database: Path, *words: str) -> ServerProcess:
+    own = ("transitions=own.csv", "facts=facts.csv", "hydra.searchpath=[texts]")
+    return ServerProcess(
+        database, *own, f"{command}/texts@wording=ours", *words, *LIMITS, command=command
+    )
+
+
+class Looking:
+    """Looks at the first two pages of every stage, at both widths."""
+
+    def __init__(self, driver: Driver, axe: str, of: str) -> None:
+        self.driver, self.axe, self.of = driver, axe, of
+        self.seen: dict[str, int] = {}
+        self.alts: set[str] = set()
+        self.below: dict[str, float] = {}
+
+    def __call__(self, page: Page) -> None:
+        count = self.seen[page.stage] = self.seen.get(page.stage, 0) + 1
+        images = self.driver.find_elements(By.CSS_SELECTOR, "img.clip")
+        loaded = "return arguments[0].complete && arguments[0].naturalWidth"
+        for image in images:
+            wait(lambda one=image: self.driver.execute_script(loaded, one) == 320)  # type: ignore[misc]
+            self.alts.add(str(image.get_attribute("alt")))
+        if page.stage in ("clips", "practice", "training", "ahead", "evaluation"):
+            self.below[page.stage] = max(*out_of_sight(self.driver), self.below.get(page.stage, 0))
+        if count <= 2:
+            look_at(self.driver, self.axe, f"{self.of}-{page.stage}-{count}")
+
+
+def played_back(driver: Driver, axe: str, server: ServerProcess, of: str) -> None:
+    """The researcher goes through the first session in the list."""
+    driver.get(f"{server.url}/researcher")
+    driver.find_element(By.ID, "key").send_keys(server.key)
+    press(driver)
+    wait(lambda: "Who is where" in driver.page_source)
+    driver.find_element(By.CSS_SELECTOR, "td a").click()
+    wait(lambda: bool(driver.find_elements(By.CSS_SELECTOR, ".playback")))
+    titles = [driver.title]
+    driver.implicitly_wait(0)
+    while onward := driver.find_elements(By.CSS_SELECTOR, ".playback a[rel=next]"):
+        address = driver.current_url
+        onward[0].click()
+        wait(lambda before=address: driver.current_url != before)  # type: ignore[misc]
+        titles.append(driver.title)
+        if titles.count(driver.title) == 2:
+            look_at(driver, axe, f"{of}-playback-{len(titles):02d}")
+    driver.implicitly_wait(3)
+    assert "Thank you" in titles[-1]
+
+
+def test_a_lab_goes_from_an_empty_folder_to_a_robot_and_a_study(
+    driver: Driver, axe: str, lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    people, database = lab / "people.sqlite", lab / "study.sqlite"
+    driver.implicitly_wait(0)
+    with serving("collect", people, "points=8", "rules.people=8") as server:
+        researcher = Researcher(server.url, server.key)
+        look = Looking(driver, axe, "collect")
+        go_in(driver, server.url, researcher.invite(1, "person")[0])
+        assert (
+            take_part(driver, bot(researcher.plan(CollectPlan), OBSERVING, 0, 0), look=look)
+            == "done"
+        )
+        assert look.seen["clips"] == 8 + 2 + 1
+        assert look.alts <= {line.rsplit(",", 1)[1] for line in STEPS.splitlines()}
+        assert len(look.alts) > 2
+        assert max(look.below.values()) <= 0, look.below
+        played_back(driver, axe, server, "collect")
+        main(["collect", "bots", "--url", server.url, "--key", server.key, "--count", "8"])
+    main(["collect", "export", str(people), "data"])
+    main(["collect", "replay", str(people)])
+    assert "all equal" in capsys.readouterr().out
+    known = [
+        "labeler=hypotheses",
+        "hypotheses=data/hypotheses.npz",
+        "sentences=data/sentences.yaml",
+    ]
+    main(["discover", "data=data/labels_bot.csv", *known])
+
+    types = LearnedTypes.load("outputs/discover/types.npz")
+    session = Explainer(types, trade_off=0.5).session([[0.0], [3.0]])
+    assert set(session.messages()) <= {"cable", "lift", "queue"}
+
+    found = ("types=outputs/discover/types.npz", "briefing=none")
+    trace = ("trace.rows=[[6,1,3,4,5]]", "trace.min_steps=5")
+    with serving("study", database, *found, *trace) as server:
+        researcher = Researcher(server.url, server.key)
+        look = Looking(driver, axe, "study")
+        go_in(driver, server.url, researcher.invite(1, "person")[0])
+        person = Person(researcher.plan(StudyPlan), FAULTLESS, np.random.default_rng(0))
+        assert take_part(driver, person, look=look) == "done"
+        assert look.seen["evaluation"] == 5
+        assert len(look.alts) == 5
+        assert max(look.below.values()) <= 0, look.below
+        played_back(driver, axe, server, "study")
+    assert complaints(driver) == []
+    main(["study", "replay", str(database)])
+    assert "all equal" in capsys.readouterr().out

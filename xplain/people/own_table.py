@@ -1,0 +1,126 @@
+"""A lab's own transitions for people: a table of steps with images, and the sentences of its facts.
+
+See :mod:`xplain.questions.own_transitions` for the table itself.
+"""
+
+from __future__ import annotations
+
+import base64
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xplain.errors import InputError
+from xplain.message_sets import names_of
+from xplain.people.plan import Fact, Picture
+from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.own_transitions import read_transitions, with_features
+from xplain.randomness import stream
+
+MEDIA = {
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".jpeg": "image/jpeg",
+    ".webp": "image/webp",
+    ".gif": "image/gif",
+}
+MAX_IMAGE = 2 << 20
+"""Bytes of one image."""
+DRAWN_ROLES = 4
+"""Kinds of simulated people where nobody wrote down which there may be."""
+
+
+@dataclass(frozen=True)
+class OwnTable:
+    """A task that a lab wrote down.
+
+    Attributes:
+        name: of the table.
+        hypotheses: of T transitions, with texts and features.
+        facts: [n] sentences.
+        roles: {name: bitmask of what it holds wrong}, of simulated people.
+        pictures: [T], None where a transition has no image; or none.
+    """
+
+    name: str
+    hypotheses: Hypotheses
+    facts: tuple[Fact, ...]
+    roles: Mapping[str, int]
+    pictures: tuple[Picture | None, ...]
+
+
+def own_table(table: Path, facts: str | None, seed: int) -> OwnTable:
+    """One's own transitions, and the sentences of the facts.
+
+    Raises:
+        InputError: a table cannot be read, a fact has no sentences, or an image cannot be shown.
+    """
+    own = read_transitions(table)
+    known = with_features(own.hypotheses)
+    shown = zip(own.images, own.alts, strict=True)
+    pictures = tuple(_picture(table.parent, image, alt) for image, alt in shown)
+    return OwnTable(
+        name=table.stem,
+        hypotheses=known,
+        facts=read_facts(facts, known.messages),
+        roles=drawn_roles(known, seed),
+        pictures=pictures if any(pictures) else (),
+    )
+
+
+def read_facts(path: str | None, names: Sequence[str]) -> tuple[Fact, ...]:
+    """The sentences of facts, from a CSV table with the columns fact, message and belief.
+
+    Raises:
+        InputError: no such table, or a fact without a sentence in it.
+    """
+    wanted = "a .csv file with the columns fact, message, belief: the robot's value, and what "
+    wanted += f"somebody who holds it wrong would say, of {', '.join(names)}"
+    if path is None:
+        raise InputError("facts", None, wanted)
+    try:
+        with Path(path).open(encoding="utf-8-sig", newline="") as file:
+            rows = {(row.get("fact") or "").strip(): row for row in csv.DictReader(file)}
+    except (OSError, UnicodeDecodeError, csv.Error):
+        raise InputError("facts", str(path), wanted) from None
+    found = []
+    for name in names:
+        row = rows.get(name, {})
+        message, belief = ((row.get(key) or "").strip() for key in ("message", "belief"))
+        if not message or not belief:
+            raise InputError("facts", name, f"a message and a belief in {path}")
+        found.append(Fact(name, message, belief))
+    return tuple(found)
+
+
+def drawn_roles(known: Hypotheses, seed: int) -> dict[str, int]:
+    """Some fact sets that behave differently, none of them empty, for simulated people."""
+    sets = np.unique(known.essential[known.essential > 0])
+    chosen = stream(seed, "roles").permutation(sets)[:DRAWN_ROLES].tolist()
+    return {"+".join(names_of(held, known.messages)): held for held in chosen}
+
+
+def _picture(folder: Path, image: str, alt: str) -> Picture | None:
+    if not image:
+        return None
+    path = folder / image
+    if path.suffix.lower() not in MEDIA:
+        raise InputError("transitions.image", image, f"a file that ends in {', '.join(MEDIA)}")
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError("transitions.image", image, f"a file in {folder} ({error})") from None
+    if len(content) > MAX_IMAGE:
+        raise InputError("transitions.image", image, f"at most {MAX_IMAGE >> 20} MB")
+    return Picture(MEDIA[path.suffix.lower()], base64.b64encode(content).decode(), alt)
+
+
+def no_map(wording: Mapping[str, Any]) -> None:
+    """Raises InputError: texts of a map that own transitions do not have."""
+    for key in ("icons", "hide"):
+        if wording[key]:
+            raise InputError(f"wording.{key}", [*wording[key]], "none: these steps have no map")

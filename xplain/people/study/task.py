@@ -1,0 +1,214 @@
+"""What a study explains: a domain with its user types, or a lab's own table of transitions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.data.rollouts import sample_trace
+from xplain.domains.base import Domain, Parameter, Scene, changes_of, transition_features
+from xplain.errors import InputError, whole_number
+from xplain.explanation.label_table import LabelTable
+from xplain.learning.user_types import label_table
+from xplain.message_sets import indices
+from xplain.people.ahead import ahead_of
+from xplain.people.own_table import OwnTable
+from xplain.people.plan import Ahead, Picture, Told, Way
+from xplain.people.study import content
+from xplain.people.study.known_types import Learned
+from xplain.people.wording import of_states
+from xplain.randomness import stream
+from xplain.users.setting import Setting, UserType
+
+Rules = Mapping[str, Any]
+"""The configuration's ``trace``."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A task, and one trace of it, as participants meet them; phrases not yet in a lab's words.
+
+    Attributes:
+        name: of the task.
+        parameters: n facts.
+        types: M kinds of (simulated) people.
+        labels: [M, m, 2^n] their true labels of the trace.
+        trace: [m] what the robot does.
+        scene, path, changes, taken, pictures, ahead: see the plan.
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    types: tuple[UserType, ...]
+    labels: NDArray[np.uint8]
+    trace: tuple[str, ...]
+    scene: Scene | None = None
+    path: Way | None = None
+    changes: Told = ()
+    taken: Told = ()
+    pictures: tuple[Picture | None, ...] = ()
+    ahead: Ahead | None = None
+
+
+class Task(Protocol):
+    """What a study explains; traces are arrays as its methods hand them on."""
+
+    def traces(self, rules: Rules, max_steps: int, seed: int) -> list[NDArray[np.int64]]:
+        """Traces that every participant could evaluate, the best first, none twice.
+
+        Raises:
+            InputError: there is none as ``rules`` want it.
+        """
+        ...
+
+    def table(self, learned: Learned, trace: NDArray[np.int64]) -> LabelTable:
+        """What the labelers say of a trace."""
+        ...
+
+    def seen(self, trace: NDArray[np.int64]) -> Seen:
+        """What participants see of it."""
+        ...
+
+
+@dataclass(frozen=True)
+class OfDomain:
+    """Traces [m, 3] of transitions of a domain's robot."""
+
+    setting: Setting
+
+    def traces(self, rules: Rules, max_steps: int, seed: int) -> list[NDArray[np.int64]]:
+        """Of ``candidates`` random ones from ``start`` (a cell of the map, or None for any)."""
+        setting = self.setting
+        domain, starts = setting.domain, setting.domain.starts
+        if rules["rows"]:
+            raise InputError("trace.rows", rules["rows"], "only with transitions=TABLE")
+        if rules["start"] is not None:
+            cell = tuple(rules["start"])
+            starts = np.array([s for s in starts if domain.position(int(s)) == cell], np.int64)
+            if not len(starts):
+                raise InputError("trace.start", list(cell), "a cell where traces start")
+        whole_number("trace.candidates", rules["candidates"], 1)
+
+        def draw(index: int) -> NDArray[np.int64]:
+            rng = stream(seed, "trace", index)
+            return sample_trace(setting.models[0], setting.optimal[0], starts, rng, max_steps)
+
+        return ranked(map(draw, range(rules["candidates"])), rules, setting.label_table)
+
+    def table(self, learned: Learned, trace: NDArray[np.int64]) -> LabelTable:
+        """See the protocol."""
+        features = transition_features(self.setting.domain, trace)[:, learned.columns]
+        return label_table(learned.labelers, features, trace)
+
+    def seen(self, trace: NDArray[np.int64]) -> Seen:
+        """On the domain's map, if it has one."""
+        domain, states = self.setting.domain, [*trace[:, 0].tolist(), int(trace[-1, 2])]
+        return Seen(
+            name=domain.name,
+            parameters=domain.parameters,
+            types=self.setting.types,
+            labels=self.setting.label_table(trace),
+            trace=tuple(domain.describe(transition) for transition in trace),
+            scene=domain.scene,
+            path=_path(domain, states),
+            changes=() if domain.scene else changes_of(domain, trace),
+            taken=of_states(domain, "gone", states),
+            ahead=self._ahead,
+        )
+
+    @cached_property
+    def _ahead(self) -> Ahead | None:
+        domain, made = self.setting.domain, self.setting.reachable
+        labels = self.setting.label_by_model(made)
+        return ahead_of(domain, made[:, [0, 2]], labels, lambda row: domain.describe(made[row]))
+
+
+@dataclass(frozen=True)
+class OfTable:
+    """Traces [m] of rows of a lab's own table, from 0."""
+
+    own: OwnTable
+
+    def traces(self, rules: Rules, max_steps: int, seed: int) -> list[NDArray[np.int64]]:
+        """Those of ``rows``: lists of rows of the table, from 1."""
+        last, wanted = self.own.hypotheses.n_transitions, rules["rows"]
+        allowed = f"lists of rows of the table, such as [[1, 2], [3, 1]], from 1 to {last}"
+        if not wanted or not all(isinstance(one, list) and one for one in wanted):
+            raise InputError("trace.rows", wanted, allowed)
+        for row in (row for one in wanted for row in one):
+            if not isinstance(row, int) or not 1 <= row <= last:
+                raise InputError("trace.rows", row, allowed)
+        given = [np.array(one, dtype=np.int64)[:max_steps] - 1 for one in wanted]
+        return ranked(given, rules, self._labels)
+
+    def table(self, learned: Learned, trace: NDArray[np.int64]) -> LabelTable:
+        """See the protocol."""
+        features = self.own.hypotheses.features
+        assert features is not None, "own tables have features"
+        return label_table(learned.labelers, features[trace][:, learned.columns])
+
+    def seen(self, trace: NDArray[np.int64]) -> Seen:
+        """With its images, without a map."""
+        own, names = self.own, self.own.hypotheses.messages
+        facts = (Parameter(one.name, True, False, one.message, one.belief) for one in own.facts)
+        pictures = tuple(own.pictures[row] for row in trace) if own.pictures else ()
+        return Seen(
+            name=own.name,
+            parameters=tuple(facts),
+            types=tuple(
+                UserType(name, {names[j]: False for j in indices(held)})
+                for name, held in own.roles.items()
+            ),
+            labels=self._labels(trace),
+            trace=tuple(own.hypotheses.phrases[row] for row in trace),
+            pictures=pictures if any(pictures) else (),
+        )
+
+    def _labels(self, trace: NDArray[np.int64]) -> NDArray[np.uint8]:
+        known = self.own.hypotheses
+        told = np.arange(1 << len(known.messages))
+        rows = [known.row(held & ~told) for held in self.own.roles.values()]
+        return np.stack([known.labels[of_kind][:, trace].T for of_kind in rows])
+
+
+def ranked(
+    traces: Iterable[NDArray[np.int64]],
+    rules: Rules,
+    labels: Callable[[NDArray[np.int64]], NDArray[np.uint8]],
+) -> list[NDArray[np.int64]]:
+    """The shortest of the traces for which the types need the most facts corrected, first: one that
+    most types understand anyway would measure nothing, and one of two or three steps hardly
+    anything.
+
+    Args:
+        traces: of any kind.
+        rules: ``min_steps``.
+        labels: gives the true labels [M, m, 2^n] of a trace.
+
+    Raises:
+        InputError: none is as long.
+    """
+    least, drawn = whole_number("trace.min_steps", rules["min_steps"], 1), list(traces)
+    long = [one for one in drawn if len(one) >= least]
+    if not long:
+        longest = max(len(one) for one in drawn)
+        raise InputError("trace.min_steps", least, f"{longest} steps or fewer here")
+
+    def worth(trace: NDArray[np.int64]) -> tuple[int, int]:
+        facts = sum(content.needed(of_type).bit_count() for of_type in labels(trace))
+        return facts, -len(trace)
+
+    distinct = {one.tobytes(): one for one in long}
+    return sorted(distinct.values(), key=worth, reverse=True)
+
+
+def _path(domain: Domain, states: Sequence[int]) -> Way | None:
+    """The robot's way; None where there is no map."""
+    cells = [cell for state in states if (cell := domain.position(state)) is not None]
+    return tuple(pairwise(cells)) if domain.scene and len(cells) == len(states) else None
