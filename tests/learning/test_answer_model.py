@@ -64,13 +64,13 @@ def test_errors_that_all_share_are_slips(error):
     model, _ = simulated(1, [error], [0.0] * 60, people=60)
     assert model.errors.prior.argmax() == 0
     assert (model.slip[-1] + model.guess[-1]) / 2 == pytest.approx(error, abs=0.03)
-    assert model.overall.mean == pytest.approx(error, abs=0.03)
+    assert model.habits.error @ model.habits.prior == pytest.approx(error, abs=0.03)
     assert mean_rate(model).mean() < 0.02
 
 
 def test_faultless_people_are_taken_to_be_so():
     model, _ = simulated(2, [0.0], [0.0] * 60, people=60)
-    assert model.overall.mean < 0.02
+    assert model.habits.error @ model.habits.prior < 0.02
     assert mean_rate(model).max() < 0.01
 
 

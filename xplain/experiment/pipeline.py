@@ -159,6 +159,7 @@ def prepare(components: Components, track: Track[Any] = untracked) -> Prepared:
         curve=known.curve,
         rule=known.rule,
         scene=domain.scene,
+        habits=known.habits,
         cases=tuple(
             build_case(
                 setting, draw_trace(setting, components.max_steps, seed, index), known.tables

@@ -94,12 +94,12 @@ PAPER = Habits(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))
 
 Grid = tuple[tuple[float, ...], tuple[float, ...]]
 UNKNOWN: dict[str, Grid] = {
-    "error": ((0.0, 0.05, 0.1, 0.2, 0.3), (0.4, 0.2, 0.2, 0.1, 0.1)),
+    "error": ((0.0, 0.04, 0.1, 0.2, 0.35), (0.5, 0.25, 0.15, 0.07, 0.03)),
     "accept": ((1.0, 0.8, 0.6), (0.6, 0.25, 0.15)),
     "forget": ((0.0, 0.05, 0.1), (0.6, 0.25, 0.15)),
 }
-"""Where no answers were learned from: rates and how likely they are. Most people seldom fail, some
-often."""
+"""Where no answers were learned from: rates and how likely they are. Half of
+the people make no mistake of their own, their mean error rate is .05."""
 
 
 def habits_of(

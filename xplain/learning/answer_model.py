@@ -25,12 +25,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaln, softmax
 
 from xplain.errors import InputError
+from xplain.explanation.habits import UNKNOWN, Habits
 
-RATES = np.array([0.0, 0.04, 0.1, 0.2, 0.35])
-"""The error rates e that are told apart."""
-RATE_PRIOR = np.array([0.5, 0.25, 0.15, 0.07, 0.03])
-"""Their probabilities where no answers were learned from: half of the people make no mistake of
-their own, the mean rate is .05."""
+RATES, RATE_PRIOR = map(np.array, UNKNOWN["error"])
+"""The error rates e that are told apart, those that explanations tell apart, and their probabilities
+where no answers were learned from."""
 PEOPLE = 2.0
 """This prior counts as so many people."""
 MEAN = 0.02
@@ -129,11 +128,17 @@ class AnswerModel:
         return float((slip + rate * (1 - 2 * slip)).mean())
 
     @property
-    def overall(self) -> ErrorRates:
-        """Error rates of the next person with slips and guesses in them: for who knows of one
-        symmetric rate alone, of a question that nobody answered."""
-        slip = (self.slip[-1] + self.guess[-1]) / 2
-        return ErrorRates(slip + self.errors.rates * (1 - 2 * slip), self.errors.prior)
+    def habits(self) -> Habits:
+        """Of the next person."""
+        return _habits(self.slip, self.guess, self.errors)
+
+
+def _habits(slip: NDArray[np.float64], guess: NDArray[np.float64], errors: ErrorRates) -> Habits:
+    """How the next person errs at a question that nobody answered, slips and guesses being in one
+    symmetric rate; the answers tell nothing of messages that do not land."""
+    mean = (slip[-1] + guess[-1]) / 2
+    whole = np.ones(len(errors.rates))
+    return Habits(mean + errors.rates * (1 - 2 * mean), whole, 0 * whole, errors.prior)
 
 
 @dataclass(frozen=True)
@@ -159,6 +164,11 @@ class QuestionErrors:
                 raise InputError(key, row.shape, f"{count} probabilities inside (0, 1)")
         if not (self.slip + self.guess < 1).all():
             raise InputError("slip", float((self.slip + self.guess).max()), "slip + guess < 1")
+
+    @property
+    def habits(self) -> Habits:
+        """Of the next person."""
+        return _habits(self.slip, self.guess, self.errors)
 
     def rates_of(
         self, features: NDArray[np.float64]

@@ -16,6 +16,7 @@ from xplain.data.dataset import Dataset
 from xplain.data.observers import Observed
 from xplain.domains.base import Domain, transition_feature_names, transition_features
 from xplain.errors import InputError, TooLargeError, XplainError
+from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.clustering import Clusterer, Perfect
 from xplain.learning.cross_validation import fresh_accuracy
@@ -59,6 +60,7 @@ class Known:
         curve: disagreements for k = 1 … (empty where there are none).
         rule: what decided the number of types.
         tables: what follows for a trace [m, 3].
+        habits: how people err, as far as their answers tell.
     """
 
     names: tuple[str, ...]
@@ -68,6 +70,7 @@ class Known:
     curve: NDArray[np.float64]
     rule: str
     tables: Callable[[NDArray[np.int64]], Tables]
+    habits: Habits | None = None
 
 
 @runtime_checkable
@@ -162,6 +165,7 @@ def find_types(
         curve=np.asarray(curve, dtype=float),
         rule=clustering.rule,
         tables=tables,
+        habits=None if types.answers is None else types.answers.habits,
     )
 
 

@@ -19,6 +19,7 @@ from xplain.data.dataset import Dataset
 from xplain.data.encoding import encoded
 from xplain.data.label_file import MAX_MASK
 from xplain.errors import InputError
+from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.answer_model import ErrorRates, QuestionErrors
 from xplain.learning.labelers import Labeler
@@ -77,6 +78,11 @@ class LearnedTypes:
             if learned is None
             else QuestionErrors(dataset.features, learned.slip, learned.guess, learned.errors),
         )
+
+    @property
+    def habits(self) -> Habits | None:
+        """How people err, as an explainer takes it; None where nobody learned it."""
+        return None if self.errors is None else self.errors.habits
 
     def encode(self, transition: Mapping[str, float | str]) -> tuple[float, ...]:
         """A transition as sessions take it, from its columns in the table of labels:

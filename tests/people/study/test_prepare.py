@@ -199,3 +199,13 @@ def test_each_study_draws_a_seed_of_its_own() -> None:
     cfg = composed("study", ["observers.points=50", "trace.candidates=20"])
     assert cfg.seed is None
     assert len({study_plan(cfg).seed for _ in range(2)}) == 2
+
+
+def test_people_are_taken_to_err_as_the_belief_says() -> None:
+    """The plan that comes back from its text has them; what a study cannot do it says."""
+    belief = {"_target_": "xplain.explanation.belief.Persistent", "error": 0.1}
+    problem = street_plan(belief=belief).problem
+    assert problem.habits.error.tolist() == [0.1]
+    assert np.allclose(problem.table.answers, 0.9 * problem.table.p + 0.1 * (1 - problem.table.p))
+    with pytest.raises(InputError, match="1 and 0 in a study"):
+        street_plan(belief=belief | {"forget": 0.1})

@@ -9,7 +9,7 @@ People who come as they are have no eligibility test, for they are told nothing 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -201,11 +201,15 @@ class Evaluation(Stage["Study", State]):
         before = np.array(state.belief)
         after = beliefs.update(flow.plan.problem, before, state.given, labels, evidence)
         belief = tuple(after.tolist())
-        answer = Answer(state.step, chosen, belief)
+        answer = Answer(state.step, chosen, self._of_types(flow, belief))
         state = replace(state, labels=chosen, belief=belief, previous=state.given)
         if state.step + 1 == flow.plan.n_steps:
             return replace(flow.after(state, new=0), answer=answer)
         return self._decide(flow, replace(state, step=state.step + 1), answer)
+
+    def _of_types(self, flow: Study, belief: Sequence[float]) -> tuple[float, ...]:
+        """What is logged: over user types, whatever error rates go with them."""
+        return tuple(flow.plan.problem.type_belief(np.array(belief)).tolist())
 
     def _decide(self, flow: Study, state: State, answer: Answer | None) -> Outcome:
         """The policy's messages at the state's step."""
@@ -213,7 +217,8 @@ class Evaluation(Stage["Study", State]):
         new = int(policy.messages(state.step, state.given, belief))
         values = policy.values(state.step, state.given, belief)
         shown = {str(int(mask)): float(value) for mask, value in values.items()}
-        decision = Decision(state.step, state.belief, state.given, new, shown)
+        told = self._of_types(flow, state.belief)
+        decision = Decision(state.step, told, state.given, new, shown)
         heard = (*state.heard, *indices(new & ~state.given))
         outcome = state.to(stage=self.name, given=state.given | new, new=new, heard=heard)
         return replace(outcome, decision=decision, answer=answer)

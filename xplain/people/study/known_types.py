@@ -14,6 +14,7 @@ from xplain.data.rollouts import sample_trace
 from xplain.domains.base import transition_feature_names, transition_features
 from xplain.errors import InputError
 from xplain.experiment.pipeline import observe
+from xplain.explanation.habits import Habits
 from xplain.learning.clustering import Perfect
 from xplain.learning.known_types import learn
 from xplain.learning.labelers import Labeler
@@ -39,6 +40,7 @@ class Learned:
         columns: positions of the features that the labelers know among the domain's.
         key: of the configuration, which names them; "" where they are the study's own types in
             their order.
+        habits: how people err, as far as their labels tell.
     """
 
     names: tuple[str, ...]
@@ -46,6 +48,7 @@ class Learned:
     shares: NDArray[np.float64]
     columns: tuple[int, ...]
     key: str
+    habits: Habits | None = None
 
     def ordered(self, order: Sequence[int]) -> Learned:
         """The same in another order."""
@@ -76,7 +79,9 @@ def learned_types(cfg: DictConfig) -> tuple[Setting, Learned]:
         # Perfect clustering finds the types in their order.
         key = "" if isinstance(clusterer, Perfect) else "observers"
         columns = tuple(range(len(names)))
-        return observed.setting, Learned(types.names, types.labelers, types.prior, columns, key)
+        habits = None if types.answers is None else types.answers.habits
+        learned = Learned(types.names, types.labelers, types.prior, columns, key, habits)
+        return observed.setting, learned
     setting = Setting.build(domain, users.types(domain, stream(cfg.seed, "users")))
     return setting, fitting(cfg.types, domain.name, setting.message_names, names)
 
@@ -96,7 +101,7 @@ def fitting(path: str, name: str, messages: Sequence[str], features: Sequence[st
             wanted = f"types whose {what} are those of {name}: {', '.join(own)}"
             raise InputError("types", f"{path}: {', '.join(theirs)}", wanted)
     columns = tuple(features.index(one) for one in known.feature_names)
-    return Learned(known.names, known.labelers, known.prior, columns, "types")
+    return Learned(known.names, known.labelers, known.prior, columns, "types", known.habits)
 
 
 def matched(setting: Setting, learned: Learned, seed: int) -> list[int]:

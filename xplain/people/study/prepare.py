@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from hydra.utils import instantiate
 
 from xplain.errors import InputError
 from xplain.experiment.explanations import Costs
@@ -124,6 +125,9 @@ def drafted(
     names = tuple(one.name for one in types) if learned is None or not natural else learned.names
     shares = np.full(len(names), 1 / len(names)) if learned is None else learned.shares
     facts, known = facts_of(parameters), tuple(Known(**one) for one in wording["known"])
+    habits = instantiate(config["belief"]).habits(learned and learned.habits)
+    if not habits.take_all_in:
+        raise InputError("belief.accept, belief.forget", "set", "1 and 0 in a study")
     roles = content.roles_of(parameters, types, seen.labels, wording)
     ahead = seen.ahead
     if ahead:
@@ -142,7 +146,9 @@ def drafted(
         kinds=tuple(role.wrong for role in roles) if natural else (),
         trace=tuple(map(in_words, seen.trace)),
         path=seen.path,
-        problem=costs.problem(table, tuple(fact.name for fact in facts), names, shares),
+        problem=costs.problem(table, tuple(fact.name for fact in facts), names, shares).with_habits(
+            habits
+        ),
         true_labels=seen.labels,
         conditions=config["conditions"],
         belief=config["belief"],

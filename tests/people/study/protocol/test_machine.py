@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.belief import Independent, Persistent
 from xplain.people.study.bot import take_part
 from xplain.people.study.flow import State, Study
+from xplain.solvers.qmdp import QMDP
 
 ORDERS = {"eligibility": (2, 0, 1, 3), "quiz": (3, 2, 1, 0)}
 
@@ -51,6 +54,34 @@ def test_participants_meet_what_the_offline_experiment_computes(
     assert state.stage == "quiz"
     assert state.new == 0  # nothing is marked as new after the last step
     assert state.belief == tuple(offline.beliefs[-1].tolist())
+
+
+@pytest.mark.parametrize("user_type", range(3))
+def test_people_who_may_err_are_explained_to_as_offline_and_logged_by_type(
+    study: Study, user_type: int
+) -> None:
+    """The belief that a state carries is over types and error rates, that of the log over types."""
+    update = Persistent("learned")
+    problem = study.plan.problem.with_habits(update.habits())
+    policy = QMDP().plan(problem)
+    erring = replace(
+        study,
+        plan=replace(study.plan, problem=problem),
+        policies=dict.fromkeys(study.policies, policy),
+        belief=update,
+    )
+    user = SimulatedUser.of(study.plan.true_labels[user_type])
+    offline = explain(problem, policy, user, update)
+    state = at_evaluation(erring, user_type, "personalized")
+    for k in range(problem.n_steps):
+        assert (state.new, len(state.belief)) == (offline.messages[k], problem.n_types)
+        labels = study.plan.true_labels[user_type, : k + 1, state.given].tolist()
+        outcome = erring.advance(state, "labels", {"labels": labels})
+        assert outcome.answer is not None
+        assert outcome.answer.belief == pytest.approx(offline.beliefs[k + 1].tolist())
+        if outcome.decision is not None:
+            assert outcome.decision.belief == outcome.answer.belief
+        state = outcome.state
 
 
 def test_conformant_does_not_listen_and_personalized_does(study: Study) -> None:
