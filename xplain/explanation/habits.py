@@ -98,8 +98,8 @@ UNKNOWN: dict[str, Grid] = {
     "accept": ((1.0, 0.8, 0.6), (0.6, 0.25, 0.15)),
     "forget": ((0.0, 0.05, 0.1), (0.6, 0.25, 0.15)),
 }
-"""Where no answers were learned from: rates and how likely they are. Half of
-the people make no mistake of their own, their mean error rate is .05."""
+"""Where no answers were learned from: rates and how likely they are. Half of the people
+make no mistake of their own; the mean error rate is .05."""
 
 
 def habits_of(

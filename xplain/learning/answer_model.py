@@ -28,8 +28,8 @@ from xplain.errors import InputError
 from xplain.explanation.habits import UNKNOWN, Habits
 
 RATES, RATE_PRIOR = map(np.array, UNKNOWN["error"])
-"""The error rates e that are told apart, those that explanations tell apart, and their probabilities
-where no answers were learned from."""
+"""The error rates e that are told apart, here as in explanations, and their probabilities where no
+answers were learned from."""
 PEOPLE = 2.0
 """This prior counts as so many people."""
 MEAN = 0.02
