@@ -1,11 +1,12 @@
 """Explaining to people who err, miss messages or forget them (docs/people-who-err.md).
 
     python benchmarks/explainees.py errors     answers that are the opposite of what is thought
+    python benchmarks/explainees.py learned    the same, with types and rates learned from answers
     python benchmarks/explainees.py messages   messages that are not taken in, or forgotten
     python benchmarks/explainees.py --quick    a smoke run
 
-True types and labels, no discount, λ = 1, both of the paper's domains; costs by what users truly
-think. Every row meets the same people, and differences are paired by seed.
+True types and labels (but in "learned"), no discount, λ = 1, both of the paper's domains; costs by
+what users truly think. Every row meets the same people, and differences are paired by seed.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from xplain.experiment.explanations import Costs, evaluate
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, prepare
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
-from xplain.explanation.habits import PAPER, Habits, habits_of
+from xplain.explanation.habits import PAPER, Assumed, Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.solvers.base import Solver
 from xplain.solvers.known_type import KnownType
@@ -68,11 +69,12 @@ class World(NamedTuple):
         return evaluate(self.prepared, self.costs, own, belief, explainee, self.seed)
 
 
-def worlds(domain: str, seeds: Iterable[int], traces: int) -> Iterator[World]:
-    """True types and labels, by seed."""
-    fixed = ("labeler=true", "clusterer=perfect", "discount=1", f"traces={traces}")
+def worlds(domain: str, seeds: Iterable[int], traces: int, *overrides: str) -> Iterator[World]:
+    """True types and labels, or what the overrides say, by seed."""
+    source = overrides or ("labeler=true", "clusterer=perfect")
     for seed in seeds:
-        cfg = composed("config", [f"domain={domain}", *fixed, f"seed={seed}"])
+        fixed = (f"domain={domain}", "discount=1", f"traces={traces}", f"seed={seed}")
+        cfg = composed("config", [*fixed, *source])
         yield World(prepare(components_of(cfg)), costs_of(cfg), seed)
 
 
@@ -151,6 +153,29 @@ def errors(seeds: Iterable[int], traces: int) -> None:
                 print(f"| {name} | {kind} | {' | '.join([*costs, against, *score])} |", flush=True)
 
 
+def learned(seeds: Iterable[int], traces: int) -> None:
+    """The table of types from 20 chosen questions, answered with as many errors."""
+    print("| answers wrong | as the paper | told | learned | learned / told | rate learned |")
+    print("|---|---|---|---|---|---|")
+    for domain in DOMAINS:
+        print(f"| **{domain.replace('_', ' ')}** |" + " |" * 5)
+        for rate in (0.0, 0.1, 0.3):
+            found: dict[str, list[float]] = defaultdict(list)
+            asked = ("labeler=hypotheses", "queries=adaptive", "points=20")
+            for world in worlds(domain, seeds, traces, *asked, f"observers.label_noise={rate}"):
+                explainee = Slips(rate, repeats=True)
+                ways: dict[str, Assumed] = {"paper": 0.0, "told": rate, "learned": "learned"}
+                for way, error in ways.items():
+                    records = world.meets(explainee, Persistent(error), QMDP())
+                    found[way].append(cost(records))
+                habits = world.prepared.habits
+                assert habits is not None
+                found["rate"].append(float(habits.error @ habits.prior))
+            cells = [figure(found[way]) for way in ways]
+            cells += [ratio(found["learned"], found["told"]), f"{np.mean(found['rate']):.3f}"]
+            print(f"| {rate:.0%} | {' | '.join(cells)} |", flush=True)
+
+
 def messages(seeds: Iterable[int], traces: int) -> None:
     """The table of messages that do not land."""
     print(
@@ -186,11 +211,11 @@ def messages(seeds: Iterable[int], traces: int) -> None:
 def main() -> None:
     """Prints the table asked for, as Markdown."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", nargs="?", choices=("errors", "messages"))
+    parser.add_argument("what", nargs="?", choices=("errors", "learned", "messages"))
     parser.add_argument("--quick", action="store_true", help="only that it runs")
     options = parser.parse_args()
     seeds, traces = (SEEDS[:2], 1) if options.quick else (SEEDS, 8)
-    for name, table in (("errors", errors), ("messages", messages)):
+    for name, table in (("errors", errors), ("learned", learned), ("messages", messages)):
         if options.quick or options.what == name:
             table(seeds, traces)
 

@@ -316,6 +316,7 @@ NO_OPTION = {
     "name": "of a domain: the task is what it is called",
     "knows": "of a solver: which problem it is made for; the oracle's file does say it",
     "hypotheses": "of labeler=hypotheses: the observers' domain's, worked out once",
+    "answers": "of labeler=hypotheses: how people err, learned with the types",
 }
 """Parameters of shipped components that a file of conf/ may leave out, and why."""
 

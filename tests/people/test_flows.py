@@ -15,9 +15,10 @@ from werkzeug.datastructures import MultiDict
 
 from tests.people.kinds import KINDS, bot_of, site_of
 from xplain.errors import Refused
-from xplain.people.flow import State, check, small
+from xplain.people.flow import State
 from xplain.people.plan import Asked
 from xplain.people.simulation.bots import answer
+from xplain.people.stages import check, small
 
 ADMITTED: dict[str, dict[str, Any]] = {
     "study": {"user_type": 0, "condition": "personalized"}
