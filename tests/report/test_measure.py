@@ -140,6 +140,20 @@ def test_trade_offs_and_domains_pose_problems_of_their_own(tmp_path):
     assert view["orderByKey"] == "params.`lambda`"
 
 
+def test_simulated_users_pose_problems_of_their_own(tmp_path):
+    """Who errs costs more, whatever the explainer: nobody is crowned for having easy users."""
+    jobs = product(explainee="exact,slips", belief__error="0,learned", seed="0,1,2")
+
+    def regret(values):
+        users = 4.0 if values["explainee"] == "slips" else 0.0
+        return 1.0 + users * (1.0 if values["belief.error"] == "0" else 0.5)
+
+    summary = made(tmp_path, jobs, lambda v: 3.0, regret)
+    assert len(verdicts(summary)) == 2
+    assert "in 1 of 2 problems" in answer(summary)
+    assert {name.split("/")[1] for name in bests(summary)} == {"explainee exact", "explainee slips"}
+
+
 def test_where_the_clairvoyant_differs_as_well_the_cost_decides(tmp_path):
     """As with discounts: plans that discount otherwise have other references."""
     jobs = product(discount="0.9,0.95", seed="0,1")

@@ -17,6 +17,7 @@ from xplain.errors import InputError
 PROBLEM = (
     "domain",
     "users",
+    "explainee",
     "lambda",
     "traces",
     "max_steps",
