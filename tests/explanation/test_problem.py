@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,7 @@ def plain(problem: Problem) -> dict[str, Any]:
     values = {field.name: getattr(problem, field.name) for field in fields(problem)}
     table, habits = problem.table, problem.habits
     values |= {"relevant": table.relevant, "table": table.p, "answers": table.answers}
-    values |= {f"habits.{name}": rates for name, rates in vars(habits).items()}
+    values |= {f"habits.{name}": rates for name, rates in asdict(habits).items()}
     values["habits"] = len(habits)
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
 

@@ -57,12 +57,14 @@ def prepared_once(folder: Path, key: str, make: Callable[[], Prepared]) -> Prepa
         lock.acquire()
     except OSError:
         return make()
-    with lock:
+    try:
         kept = _read(path)
         if kept is None:
             kept = make()
             _write(path, kept)
         return kept
+    finally:
+        lock.release()
 
 
 def _read(path: Path) -> Prepared | None:

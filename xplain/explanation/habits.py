@@ -9,6 +9,7 @@ user type, on a small grid. Costs depend on what a user thinks, evidence on what
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import Literal
 
@@ -70,12 +71,12 @@ class Habits:
     def __len__(self) -> int:
         return len(self.prior)
 
-    @property
+    @cached_property
     def never_err(self) -> bool:
         """Whether everybody answers what they think."""
         return not self.error.any()
 
-    @property
+    @cached_property
     def take_all_in(self) -> bool:
         """Whether everybody takes every message in and keeps it: what was said is what a user
         knows."""
