@@ -39,8 +39,11 @@ SEEDS = range(9300, 9312)
 FLOOR = 0.002
 """The least probability of an answer, where an explainer knows nothing of errors but that they
 are."""
-TABLE = ((1.0, 0.0), (0.9, 0.0), (0.8, 0.0), (1.0, 0.05), (1.0, 0.1), (0.8, 0.1))
-"""α and φ."""
+TABLE = (
+    *((1.0, 0.0), (0.9, 0.0), (0.8, 0.0), (1.0, 0.05), (1.0, 0.1), (0.8, 0.1)),
+    *((0.7, 0.03), (0.5, 0.15)),
+)
+"""α and φ; the last two are on no grid point of those who weigh them, the last is beyond them."""
 
 
 @dataclass(frozen=True)
