@@ -117,19 +117,17 @@ def update(
     normalised: NDArray[np.float64] = posterior if top == -np.inf else posterior / posterior.sum()
     if not problem.tracks_knowledge:
         return normalised
-    lose = np.tile(problem.habits.forget, problem.n_user_types)
     known = normalised.reshape(-1, problem.n_types)
-    return knowledge.forget(known, problem.table.relevant, lose).ravel()
+    return knowledge.forget(known, problem.table.relevant, problem.forget).ravel()
 
 
 def told(problem: Problem, belief: NDArray[np.float64], new: int) -> NDArray[np.float64]:
     """The belief after these messages were said: the same, unless users may miss some."""
     if not problem.tracks_knowledge:
         return belief
-    accept = np.tile(problem.habits.accept, problem.n_user_types)
     known = belief.reshape(-1, problem.n_types)
     for message in indices(new):
-        known = knowledge.say(known, problem.table.relevant, message, accept)
+        known = knowledge.say(known, problem.table.relevant, message, problem.accept)
     return known.ravel()
 
 

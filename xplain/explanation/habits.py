@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, number
+from xplain.errors import InputError, Range
 
 Assumed = float | Literal["learned"]
 """A rate that all users share, or ``learned``: the rates that observers' answers tell, and where
@@ -25,13 +25,8 @@ MOST = 45
 """Habits on a grid, at most: tables and beliefs grow by so much."""
 
 
-def check_rate(key: str, rate: float, otherwise: str = "") -> None:
-    """Raises InputError: no rate of its kind, the last word of the key."""
-    kind, value = key.split(".")[-1], number(key, rate)
-    right = {"error": 0 <= value < 0.5, "accept": 0 < value <= 1, "forget": 0 <= value < 1}
-    ranges = {"error": "≥ 0 and < 0.5", "accept": "> 0 and ≤ 1", "forget": "≥ 0 and < 1"}
-    if not right[kind]:
-        raise InputError(key, rate, f"a rate {ranges[kind]}{otherwise}")
+RANGES = {"error": Range(0, 0.5, "[)"), "accept": Range(0, 1, "(]"), "forget": Range(0, 1, "[)")}
+"""Rates that users may have. Whoever errs more often than not means the opposite."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +54,7 @@ class Habits:
             raise InputError("habits", count, f"1 to {MOST} of them, each with all rates")
         for key, value in zip(("error", "accept", "forget"), self._arrays[:3], strict=True):
             for rate in value.tolist():
-                check_rate(key, rate)
+                RANGES[key].check(f"habits.{key}", rate)
         if not (self.prior >= 0).all() or abs(self.prior.sum() - 1) > 1e-6:
             raise InputError("habits.prior", self.prior.tolist(), "probabilities that sum to 1")
         object.__setattr__(self, "prior", self.prior / self.prior.sum())
@@ -135,5 +130,9 @@ def habits_of(
 
 def check_assumed(key: str, assumed: Assumed) -> None:
     """Raises InputError: neither ``learned`` nor a rate in its range."""
-    if assumed != "learned":
-        check_rate(f"belief.{key}", assumed, ", or learned")
+    if assumed == "learned":
+        return
+    try:
+        RANGES[key].check(f"belief.{key}", assumed)
+    except InputError as error:
+        raise InputError(error.key, error.value, f"{error.allowed}, or learned") from None

@@ -179,12 +179,14 @@ class LabelTable:
 
     def label_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
         """[N, count] P(label 1) of the first so many transitions, with message set H given."""
-        own = self.p[:count, self.subset(given), np.arange(self.n_types)]
-        return np.ascontiguousarray(own.T)
+        return self._of_set(self.p, count, given)
 
     def answer_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
         """[N, count] P(answer 1) of the first so many transitions, with message set H given."""
-        own = self.answered[:count, self.subset(given), np.arange(self.n_types)]
+        return self._of_set(self.answered, count, given)
+
+    def _of_set(self, p: NDArray[np.float64], count: int, given: int) -> NDArray[np.float64]:
+        own = p[:count, self.subset(given), np.arange(self.n_types)]
         return np.ascontiguousarray(own.T)
 
     def over(self, rows: Rows) -> LabelTable:

@@ -67,7 +67,7 @@ class LiteralPOMDP:
         if action != EXPLAIN:
             reward = -problem.trade_off * float(problem.message_cost[action])
             said = state._replace(pending=state.pending | {action})
-            accept = problem.habits.accept[state.user_type % len(problem.habits)]
+            accept = problem.accept[state.user_type]
             yield float(accept), said._replace(known=state.known | {action}), None, reward
             if accept < 1:
                 yield float(1 - accept), said, None, reward
@@ -92,7 +92,7 @@ class LiteralPOMDP:
 
     def _not_forgotten(self, state: State) -> Iterator[tuple[float, frozenset[int]]]:
         """What may be left of K after a step, and how likely it is."""
-        forget = float(self.problem.habits.forget[state.user_type % len(self.problem.habits)])
+        forget = float(self.problem.forget[state.user_type])
         if not forget:
             yield 1.0, state.known
             return

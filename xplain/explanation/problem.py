@@ -188,6 +188,16 @@ class Problem:
         return not self.habits.take_all_in
 
     @property
+    def accept(self) -> NDArray[np.float64]:
+        """[N] α of each hidden type."""
+        return np.tile(self.habits.accept, self.n_user_types)
+
+    @property
+    def forget(self) -> NDArray[np.float64]:
+        """[N] φ of each hidden type."""
+        return np.tile(self.habits.forget, self.n_user_types)
+
+    @property
     def start(self) -> NDArray[np.float64]:
         """The belief before the first step: the prior, and nobody knows anything."""
         if not self.tracks_knowledge:

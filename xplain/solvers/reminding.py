@@ -90,7 +90,7 @@ class Reminding:
 
     @cached_property
     def _accept(self) -> NDArray[np.float64]:
-        return np.tile(self.problem.habits.accept, self.problem.n_user_types)
+        return self.problem.accept
 
     @property
     def _delay(self) -> float:
@@ -102,13 +102,14 @@ class Reminding:
         problem, table = self.problem, self.problem.table
         steps, rows, types = table.p.shape
         costs = problem.inexplicability_cost * np.cumsum(1 - table.p, axis=0)
-        lose = np.tile(problem.habits.forget, problem.n_user_types)
         price = problem.trade_off * problem.message_cost
         optimal, explain = np.zeros((steps + 1, rows, types)), np.empty((steps, rows, types))
         bits = list(knowledge.bits_of(table.relevant))
         again = 1 - self._delay * (1 - self._accept)
         for k in reversed(range(steps)):
-            later = knowledge.expected_after_forgetting(optimal[k + 1], table.relevant, lose)
+            later = knowledge.expected_after_forgetting(
+                optimal[k + 1], table.relevant, problem.forget
+            )
             explain[k] = problem.discount * later - costs[k]
             optimal[k] = explain[k]
             # One round for each message of a set that is said, whatever their order.
