@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from xplain.message_sets import bits_of
 
@@ -62,6 +62,14 @@ class Dataset:
             self.message_set[rows],
             self.label[rows],
         )
+
+
+def places(rows: ArrayLike, known: ArrayLike) -> NDArray[np.int64]:
+    """[P] where rows of features [P, F] stand among known ones [U, F], of which no two are equal;
+    −1 where they do not. 0 and −0 are one."""
+    number = {row.tobytes(): u for u, row in enumerate(np.asarray(known, np.float64) + 0.0)}
+    found = [number.get(row.tobytes(), -1) for row in np.asarray(rows, np.float64) + 0.0]
+    return np.array(found, dtype=np.int64)
 
 
 def query_index(dataset: Dataset) -> NDArray[np.int64]:

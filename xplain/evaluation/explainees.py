@@ -208,12 +208,7 @@ class _Heedless:
         return bool(stream(self.seed, what, message, time).random() < chance)
 
 
-@dataclass(frozen=True)
-class Stranger:
+class Stranger(Exact):
     """Users as in the paper, but of types that were not among the observers: their facts behave
     unlike those of every observed type. Who they are, the experiment draws
     (:mod:`xplain.experiment.strangers`)."""
-
-    def meet(self, labels: LabelTable, same: NDArray[np.int64], seed: int) -> Person:
-        """As :class:`Explainee` has it."""
-        return SimulatedUser(labels)

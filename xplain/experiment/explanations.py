@@ -173,6 +173,7 @@ def evaluate(
     records = []
     seen = explainee.habits if isinstance(explainee, Habitual) else PAPER
     for index, case in track(enumerate(prepared.cases), what, len(prepared.cases)):
+        same = copies(case.transitions)
         for name, solver in solvers.items():
             shared = solver.knows in ("types", "everyone")
             # The clairvoyant sees what was taken in and lost, too.
@@ -189,7 +190,7 @@ def evaluate(
                     policy = CachedPolicy(planned)
                 person = explainee.meet(
                     case.labels.of_types([user]),
-                    copies(case.transitions),
+                    same,
                     derived_seed(seed, "explainee", index, user),
                 )
                 episode = explain(problem, policy, person, belief_update, solver.knows == "labels")

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaln, softmax
 
+from xplain.data.dataset import places
 from xplain.errors import InputError
 from xplain.explanation.habits import UNKNOWN, Habits
 
@@ -174,8 +175,7 @@ class QuestionErrors:
         self, features: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Slip and guess of transitions with these features [m, F]: [m] each."""
-        rows = {row.tobytes(): t for t, row in enumerate(self.features.astype(np.float64) + 0.0)}
-        place = [rows.get(row.tobytes(), -1) for row in features.astype(np.float64) + 0.0]
+        place = places(features, self.features)
         return self.slip[place], self.guess[place]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from xplain.data.dataset import Dataset, query_index
+from xplain.data.dataset import Dataset, places, query_index
 from xplain.learning.answer_model import truth
 from xplain.learning.clustering import Clusterer, Clustering, Single
 from xplain.learning.labelers import Labeler, LabelerTrainer, split
@@ -38,9 +38,7 @@ def predicted(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray
     place = {name: o for o, name in enumerate(dataset.observers)}
     known = np.array([place.get(name, -1) for name in questions.observers], dtype=np.int64)
     who = known[questions.observer]
-    rows = {row.tobytes(): t for t, row in enumerate(dataset.features + 0.0)}
-    found = [rows.get(row.tobytes(), -1) for row in questions.features + 0.0]
-    transition = np.array(found, dtype=np.int64)[questions.transition]
+    transition = places(questions.features, dataset.features)[questions.transition]
     weight = _posterior(dataset, types)[who]
     one = _answered(types, questions, transition)
     result = np.einsum("pne,pne->p", weight, one)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit, logsumexp
 
-from xplain.data.dataset import Dataset, inputs
+from xplain.data.dataset import Dataset, inputs, places
 from xplain.data.queries import Answer, Answered
 from xplain.data.rollouts import expected_visits
 from xplain.domains.base import transition_feature_names, transition_features
@@ -246,14 +246,12 @@ class Pool:
         Raises:
             InputError: a label is of no transition of the pool.
         """
-        place = {row.tobytes(): u for u, row in enumerate(self.features)}
-        found = [place.get(row.tobytes(), -1) for row in dataset.features + 0.0]
-        if -1 in found:
-            values = dataset.features[found.index(-1)].tolist()
+        found = places(dataset.features, self.features)
+        if (found < 0).any():
+            values = dataset.features[found.argmin()].tolist()
             wrong = dict(zip(dataset.feature_names, values, strict=True))
             raise InputError("data", wrong, "features of a transition that can be asked about")
-        number = np.array(found, dtype=np.int64)
-        return replace(dataset, features=self.features, transition=number[dataset.transition])
+        return replace(dataset, features=self.features, transition=found[dataset.transition])
 
 
 def next_screen_of(

@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.data.dataset import places
 from xplain.data.queries import Answer, Answered
 from xplain.data.rollouts import expected_visits
 from xplain.domains.base import Domain, transition_features
@@ -65,11 +66,10 @@ def transitions_of(hypotheses: Hypotheses, setting: Setting) -> NDArray[np.int64
     features = transition_features(setting.domain, reachable)
     if features.shape == hypotheses.features.shape and (features == hypotheses.features).all():
         return reachable
-    place = {row.tobytes(): i for i, row in enumerate(features)}
-    rows = [place.get(row.tobytes(), -1) for row in hypotheses.features.astype(np.float64)]
-    if -1 in rows:
+    rows = places(hypotheses.features, features)
+    if (rows < 0).any():
         allowed = f"transitions that the robot can make in {setting.domain.name}"
-        raise InputError("hypotheses.features", hypotheses.features[rows.index(-1)], allowed)
+        raise InputError("hypotheses.features", hypotheses.features[rows.argmin()], allowed)
     return reachable[rows]
 
 
