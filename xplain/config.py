@@ -42,7 +42,7 @@ SWEEPS = _shipped("sweeps")
 
 SOURCE_GROUPS = ("domain", "users", "observers", "queries", "labeler", "clusterer")
 """Groups of components that decide data and types."""
-GROUPS = (*SOURCE_GROUPS, "solver", "belief", "explainee")
+GROUPS = (*SOURCE_GROUPS, "solver", "belief", "explainee", "ask")
 """Groups of components that decide a number; a choice says what it is without its key."""
 MOVED = {
     "observers.queries": "queries=independent, queries=shared, queries=battery or queries=adaptive",

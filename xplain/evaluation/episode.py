@@ -5,12 +5,14 @@ docs/method.md, sections 5 and 7.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.evaluation.explainees import Knower, Person
+from xplain.errors import InputError
+from xplain.evaluation.explainees import Knower, Person, Respondent
+from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
 from xplain.message_sets import indices
@@ -28,10 +30,13 @@ class Episode:
         labels: [m, m] int8, row k the answers given at step k; −1 right of the diagonal.
         thoughts: [m, m] int8, row k the labels that the user truly holds; costs are by these.
         beliefs: [m + 1, M] over user types, before the first step and after each.
-        seconds: [m], time the policy took to decide, when it was first asked that.
+        seconds: [m], time the policy took to decide on questions and messages, when it was first
+            asked that.
         communication: Σ C_e of all messages given (not multiplied by λ).
         inexplicability: Σ C_inexp over every transition found inexplicable at every step.
-        cost: Definition 2, λ · communication + inexplicability, undiscounted.
+        cost: Definition 2, λ · communication + inexplicability, undiscounted; with κ for each
+            question.
+        questions: [J, 3] the step at which each was asked, its number, and the answer.
     """
 
     messages: NDArray[np.int64]
@@ -42,6 +47,12 @@ class Episode:
     communication: float
     inexplicability: float
     cost: float
+    questions: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 3), np.int64))
+
+    @property
+    def n_questions(self) -> int:
+        """Number of questions asked."""
+        return len(self.questions)
 
     @property
     def n_messages(self) -> int:
@@ -76,6 +87,7 @@ def explain(
         sees_knowledge: whether the agent sees what a user of known type has right now.
 
     Raises:
+        InputError: the problem has questions, and the policy or the user knows none.
         ValueError: the policy gives a message again, or one that does not exist.
     """
     m = problem.n_steps
@@ -85,22 +97,44 @@ def explain(
     labels, thoughts = np.full((2, m, m), -1, dtype=np.int8)
     beliefs = np.empty((m + 1, problem.n_user_types))
     beliefs[0] = problem.type_belief(talk.belief)
-    seconds = np.empty(m)
+    seconds = np.zeros(m)
+    questions = []
     for k in range(m):
         if sees_knowledge and isinstance(user, Knower):
             talk.belief = problem.sure(0, user.knows)
+        while (question := talk.ask()) != NO_QUESTION:
+            seconds[k] += asked.seconds
+            answer = _respondent(user).answer(m + question, talk.given)
+            talk.hear_answer(question, answer)
+            questions.append((k, question, answer))
+        if problem.questions is not None:
+            seconds[k] += asked.seconds
         messages[k] = talk.say()
         user.hear(int(messages[k]))
-        seconds[k] = asked.seconds
-        thought, answer = user.react(talk.given, k + 1)
-        thoughts[k, : k + 1], labels[k, : k + 1] = thought, answer
-        talk.hear(answer)
+        seconds[k] += asked.seconds
+        thought, given = user.react(talk.given, k + 1)
+        thoughts[k, : k + 1], labels[k, : k + 1] = thought, given
+        talk.hear(given)
         beliefs[k + 1] = problem.type_belief(talk.belief)
     communication = float(
         sum(problem.message_cost[j] for said in messages.tolist() for j in indices(said))
     )
     inexplicability = problem.inexplicability_cost * int((thoughts == 0).sum())
-    cost = problem.trade_off * communication + inexplicability
+    asking = problem.questions.limits.cost * len(questions) if problem.questions else 0.0
     return Episode(
-        messages, labels, thoughts, beliefs, seconds, communication, inexplicability, cost
+        messages,
+        labels,
+        thoughts,
+        beliefs,
+        seconds,
+        communication,
+        inexplicability,
+        problem.trade_off * communication + inexplicability + asking,
+        np.array(questions, np.int64).reshape(-1, 3),
     )
+
+
+def _respondent(user: Person) -> Respondent:
+    if not isinstance(user, Respondent):
+        raise InputError("explainee", type(user).__name__, "one who answers questions; ask=never")
+    return user

@@ -48,6 +48,20 @@ class Person(Protocol):
 
 
 @runtime_checkable
+class Respondent(Protocol):
+    """A person who can be asked questions."""
+
+    def answer(self, row: int, given: int) -> int:
+        """0 or 1, with the messages ``given`` so far.
+
+        Args:
+            row: of the person's labels, after those of the trace.
+            given: bitmask of the messages.
+        """
+        ...
+
+
+@runtime_checkable
 class Knower(Protocol):
     """A person who may not know all that was said."""
 
@@ -74,8 +88,9 @@ class Explainee(Protocol):
         """Somebody new.
 
         Args:
-            labels: of one type, of zeros and ones: what the person thinks of m transitions.
-            same: [m] the first transition that each is a copy of: a person thinks and errs alike
+            labels: of one type, of zeros and ones: what the person thinks of m transitions, and
+                then of what they may be asked.
+            same: the first of all these that each is a copy of: a person thinks and errs alike
                 about copies.
             seed: the person's.
         """
@@ -110,6 +125,10 @@ class SimulatedUser:
         """As :class:`Person` has it."""
         labels = self.labels(count, given)
         return Reaction(labels, labels)
+
+    def answer(self, row: int, given: int) -> int:
+        """As :class:`Respondent` has it."""
+        return int(self.table.of_steps([row]).label_probabilities(1, given)[0, 0])
 
 
 @dataclass(frozen=True)
@@ -157,6 +176,11 @@ class _Slipping:
         mistaken = drawn[self.same[:count]] < self.how.rate
         return Reaction(thoughts, thoughts ^ mistaken.astype(np.uint8))
 
+    def answer(self, row: int, given: int) -> int:
+        when = () if self.how.repeats else ("asked", row)
+        drawn = stream(self.seed, "slips", given, *when).random(len(self.same))
+        return self.user.answer(row, given) ^ int(drawn[self.same[row]] < self.how.rate)
+
 
 @checks("explainee")
 @dataclass(frozen=True)
@@ -203,6 +227,9 @@ class _Heedless:
             if self._by_chance("forget", j, count, self.how.forget):
                 self.knows &= ~(1 << j)
         return reaction
+
+    def answer(self, row: int, given: int) -> int:
+        return self.user.answer(row, self.knows)
 
     def _by_chance(self, what: str, message: int, time: int, chance: float) -> bool:
         return bool(stream(self.seed, what, message, time).random() < chance)

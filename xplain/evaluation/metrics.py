@@ -98,6 +98,8 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
     }
     if any(episode.n_again for episode in episodes):
         columns["messages_again"] = [episode.n_again for episode in episodes]
+    if any(episode.n_questions for episode in episodes):
+        columns["questions"] = [episode.n_questions for episode in episodes]
     # Of labels from a file nobody knows which learned type stands for which true one.
     if any(record.right.any() for record in own.values()):
         columns["steps_until_sure"] = [record.steps_until_sure for record in own.values()]

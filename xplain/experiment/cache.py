@@ -31,7 +31,8 @@ SOURCE = (*SOURCE_GROUPS, "traces", "max_steps", "seed")
 
 def source_fingerprint(config: dict[str, Any]) -> str:
     """The key of a resolved configuration: the same for all that share data and types."""
-    return fingerprint({key: config[key] for key in SOURCE})
+    pool = {key: config["ask"][key] for key in ("kinds", "clips")}
+    return fingerprint({key: config[key] for key in SOURCE} | {"ask": pool})
 
 
 def prepared_once(folder: Path, key: str, make: Callable[[], Prepared]) -> Prepared:

@@ -6,7 +6,7 @@ Case ── Problem ── Policy ── Episode ── Record
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -17,12 +17,13 @@ from xplain.evaluation.episode import explain
 from xplain.evaluation.explainees import Explainee, Habitual
 from xplain.evaluation.metrics import Record
 from xplain.experiment.pipeline import Case, Prepared, Track, untracked
+from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.habits import PAPER
-from xplain.explanation.label_table import LabelTable
+from xplain.explanation.label_table import LabelTable, joined
 from xplain.explanation.problem import DiscountPer, Problem
 from xplain.randomness import derived_seed
-from xplain.solvers.base import Solver
+from xplain.solvers.base import Solver, asking
 from xplain.solvers.cached_policy import CachedPolicy
 
 
@@ -37,6 +38,7 @@ class Costs:
         message_cost: C_e, one number for all messages, or one of each message by its name.
         inexplicability_cost, discount, discount_per: see :class:`Problem`.
         prior: ``uniform``, or ``observers``: their shares.
+        asking: what questions cost, and how many may be asked.
     """
 
     trade_off: float
@@ -45,6 +47,7 @@ class Costs:
     discount: float
     discount_per: DiscountPer
     prior: Literal["uniform", "observers"]
+    asking: Limits = field(default_factory=Limits)
 
     def __post_init__(self) -> None:
         """Checks what :class:`Problem` would refuse, before any work is done."""
@@ -108,6 +111,10 @@ def problem_of_types(
     user who listens and answers as the belief update assumes."""
     names, shares = prepared.learned_types, prepared.type_shares
     problem = costs.problem(case.learned, prepared.messages, names, shares)
+    if case.questions is not None:
+        asked = case.questions
+        questions = Questions(asked.learned, costs.asking, asked.shows, asked.texts)
+        problem = replace(problem, questions=questions)
     return problem.with_habits(belief_update.habits(prepared.habits))
 
 
@@ -173,7 +180,7 @@ def evaluate(
     records = []
     seen = explainee.habits if isinstance(explainee, Habitual) else PAPER
     for index, case in track(enumerate(prepared.cases), what, len(prepared.cases)):
-        same = copies(case.transitions)
+        truth, same = what_is_thought(case)
         for name, solver in solvers.items():
             shared = solver.knows in ("types", "everyone")
             # The clairvoyant sees what was taken in and lost, too.
@@ -185,13 +192,13 @@ def evaluate(
                     problem = problem_for(prepared, case, costs, solver, belief_update, user)
                     problem = problem.with_habits(habits)
                     planned = solver.plan(problem, trace_seed(seed, index))
+                    if problem.questions is not None:
+                        asking(planned)
                     if index == 0:  # kernels load at the first question: no decision's time
                         planned.messages(0, 0, problem.start)
                     policy = CachedPolicy(planned)
                 person = explainee.meet(
-                    case.labels.of_types([user]),
-                    same,
-                    derived_seed(seed, "explainee", index, user),
+                    truth.of_types([user]), same, derived_seed(seed, "explainee", index, user)
                 )
                 episode = explain(problem, policy, person, belief_update, solver.knows == "labels")
                 right = np.ones(problem.n_user_types, dtype=bool)
@@ -210,8 +217,24 @@ def with_true_labels(prepared: Prepared) -> Prepared:
         learned_types=prepared.types,
         matched_true_type=prepared.distinct,
         type_shares=np.full(count, 1 / count),
-        cases=tuple(replace(case, learned=case.labels) for case in prepared.cases),
+        cases=tuple(_known(case) for case in prepared.cases),
     )
+
+
+def _known(case: Case) -> Case:
+    asked = case.questions and replace(case.questions, learned=case.questions.labels)
+    return replace(case, learned=case.labels, questions=asked)
+
+
+def what_is_thought(case: Case) -> tuple[LabelTable, NDArray[np.int64]]:
+    """The true labels of a trace's transitions and then of its questions, and for each the first
+    that it is a copy of: people err alike about copies."""
+    if case.questions is None:
+        return case.labels, copies(case.transitions)
+    asked = case.questions
+    about = np.where(asked.facts[:, None] < 0, asked.transitions, -1 - asked.facts[:, None])
+    same = copies(np.concatenate([case.transitions, about]))
+    return joined([case.labels, asked.labels]), same
 
 
 def copies(transitions: NDArray[np.int64]) -> NDArray[np.int64]:

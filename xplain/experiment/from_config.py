@@ -14,6 +14,7 @@ from xplain.experiment.cache import SOURCE
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import Components
+from xplain.explanation.asking import Limits, Pool
 from xplain.randomness import stream
 from xplain.users.setting import Setting
 
@@ -34,6 +35,7 @@ def components_of(cfg: DictConfig) -> Components:
         traces=cfg.traces,
         max_steps=cfg.max_steps,
         seed=cfg.seed,
+        ask=Pool(tuple(cfg.ask.kinds), cfg.ask.clips) if cfg.ask.kinds else None,
     )
 
 
@@ -53,13 +55,22 @@ def costs_of(cfg: DictConfig) -> Costs:
         discount=cfg.discount,
         discount_per=cfg.discount_per,
         prior=cfg.prior,
+        asking=Limits(cfg.ask.cost, cfg.ask.most, cfg.ask.when),
     )
     if by_name:  # before anything is learned
         costs.message_costs(tuple(p.name for p in instantiate(cfg.domain).parameters))
     return costs
 
 
-COSTS = ("lambda", "message_cost", "inexplicability_cost", "discount", "discount_per", "prior")
+COSTS = (
+    "ask",
+    "lambda",
+    "message_cost",
+    "inexplicability_cost",
+    "discount",
+    "discount_per",
+    "prior",
+)
 """Keys that :func:`costs_of` reads, beside the domain's messages."""
 
 
@@ -74,7 +85,7 @@ def check(configurations: Iterable[Mapping[str, Any]]) -> None:
     seen: set[str] = set()
     for config in configurations:
         for part, make in (
-            (SOURCE, components_of),
+            ((*SOURCE, "ask"), components_of),
             (("solver",), lambda cfg: instantiate(cfg.solver)),
             (("belief",), lambda cfg: instantiate(cfg.belief)),
             (("explainee",), lambda cfg: instantiate(cfg.explainee)),

@@ -24,8 +24,10 @@ from xplain.domains.base import (
     Domain,
     Scene,
     changes_of,
+    transition_features,
 )
 from xplain.errors import whole_number
+from xplain.explanation.asking import Pool, alike_first, nearest_first
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.clustering import Clusterer
@@ -54,6 +56,7 @@ class Components:
         traces: how many traces to explain.
         max_steps: a trace ends at a terminal state or here.
         seed: of every stream.
+        ask: what may be asked in an explanation; None for nothing.
     """
 
     domain: Domain
@@ -65,12 +68,34 @@ class Components:
     traces: int
     max_steps: int
     seed: int
+    ask: Pool | None = None
 
     def __post_init__(self) -> None:
         """Raises InputError for a number out of its range."""
         for key in ("traces", "max_steps"):
             whole_number(key, getattr(self, key), 1)
         run_seed(self.seed)
+
+
+@dataclass(frozen=True)
+class CaseQuestions:
+    """Q questions that may be asked while a trace of m transitions is explained, nearest first.
+
+    Attributes:
+        transitions: [Q, 3] of clips; −1 where a question is about a belief.
+        facts: [Q] the fact that a belief is about; −1 of clips.
+        learned: P(label is 1) by the N types that were found.
+        labels: the true labels of each of M true types.
+        shows: [Q, m] whether a clip is of this transition of the trace.
+        texts: Q, for people.
+    """
+
+    transitions: NDArray[np.int64]
+    facts: NDArray[np.int64]
+    learned: LabelTable
+    labels: LabelTable
+    shows: NDArray[np.bool_]
+    texts: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -88,6 +113,7 @@ class Case:
             are unknown, or a type has no observer.
         labels: the true labels of each of M true types.
         changes: what each transition changes, as short phrases; empty where the domain tells none.
+        questions: that may be asked meanwhile, if any.
     """
 
     transitions: NDArray[np.int64]
@@ -98,6 +124,7 @@ class Case:
     perfect: LabelTable | None
     labels: LabelTable
     changes: tuple[tuple[str, ...], ...] = ()
+    questions: CaseQuestions | None = None
 
 
 @dataclass(frozen=True)
@@ -146,6 +173,7 @@ def prepare(components: Components, track: Track[Any] = untracked) -> Prepared:
     assert setting is not None
     known = find_types(observed, components.labeler, components.clusterer, seed)
     traces = track(range(components.traces), "labelling traces", components.traces)
+    clips = Clips.of(setting, known.tables, components.ask) if components.ask else None
     return Prepared(
         domain=domain.name,
         messages=setting.message_names,
@@ -162,7 +190,7 @@ def prepare(components: Components, track: Track[Any] = untracked) -> Prepared:
         habits=known.habits,
         cases=tuple(
             build_case(
-                setting, draw_trace(setting, components.max_steps, seed, index), known.tables
+                setting, draw_trace(setting, components.max_steps, seed, index), known.tables, clips
             )
             for index in traces
         ),
@@ -188,10 +216,53 @@ def draw_trace(setting: Setting, max_steps: int, seed: int, index: int) -> NDArr
     return sample_trace(robot, optimal, setting.domain.starts, rng, max_steps)
 
 
+@dataclass(frozen=True)
+class Clips:
+    """Every transition that the robot can make, as what may be asked about.
+
+    Attributes:
+        pool: how many to keep for a trace.
+        setting: of the true types.
+        features: [T, F] of ``setting.reachable``.
+        learned, labels: as :class:`CaseQuestions` has them, of all T.
+    """
+
+    pool: Pool
+    setting: Setting
+    features: NDArray[np.float64]
+    learned: LabelTable
+    labels: LabelTable
+
+    @classmethod
+    def of(
+        cls, setting: Setting, tables: Callable[[NDArray[np.int64]], Tables], pool: Pool
+    ) -> Clips:
+        """Asks the labelers about each transition once."""
+        every = setting.reachable
+        features = transition_features(setting.domain, every)
+        return cls(pool, setting, features, tables(every).learned, setting.true_labels(every))
+
+    def near(self, transitions: NDArray[np.int64]) -> CaseQuestions:
+        """Those to choose from while a trace [m, 3] is explained."""
+        every, domain = self.setting.reachable, self.setting.domain
+        order = nearest_first(self.features, transition_features(domain, transitions))
+        order = order[alike_first(self.learned.of_steps(order.tolist()), self.pool.clips)]
+        chosen = every[order]
+        return CaseQuestions(
+            transitions=chosen,
+            facts=np.full(len(chosen), -1),
+            learned=self.learned.of_steps(order.tolist()),
+            labels=self.labels.of_steps(order.tolist()),
+            shows=(chosen[:, None] == transitions).all(axis=-1),
+            texts=tuple(domain.describe(transition) for transition in chosen),
+        )
+
+
 def build_case(
     setting: Setting,
     transitions: NDArray[np.int64],
     tables: Callable[[NDArray[np.int64]], Tables],
+    clips: Clips | None = None,
 ) -> Case:
     """Lays out what every agent and every user thinks of a trace [m, 3]."""
     domain = setting.domain
@@ -204,4 +275,5 @@ def build_case(
         **tables(transitions)._asdict(),
         labels=setting.true_labels(transitions),
         changes=changes_of(domain, transitions),
+        questions=clips.near(transitions) if clips else None,
     )

@@ -14,8 +14,12 @@ from numpy.typing import NDArray
 
 from xplain.explanation import knowledge
 from xplain.explanation.habits import Assumed, Habits, check_assumed, habits_of
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.message_sets import indices
+
+Evidence = slice | NDArray[np.bool_]
+"""Which labels of an answer are evidence: [k + 1] by place."""
 
 
 class BeliefUpdate(Protocol):
@@ -89,7 +93,7 @@ def update(
     belief: NDArray[np.float64],
     message_set: int,
     labels: NDArray[np.uint8],
-    evidence: slice = slice(None),
+    evidence: Evidence = slice(None),
 ) -> NDArray[np.float64]:
     """b'(t) ∝ b(t) · Π_i P(l_i | τ_i, H, t) over the answers that are evidence; then facts that
     users knew may be forgotten.
@@ -105,20 +109,48 @@ def update(
         As the belief. Labels that no type with positive belief can give (only with probabilities of
         exactly 0 or 1) tell nothing about the type: the belief stays as it was.
     """
+    posterior = _after(problem, problem.table, belief, message_set, labels, evidence)
+    if not problem.tracks_knowledge:
+        return posterior
+    known = posterior.reshape(-1, problem.n_types)
+    return knowledge.forget(known, problem.table.relevant, problem.forget).ravel()
+
+
+def answered(
+    problem: Problem, belief: NDArray[np.float64], message_set: int, question: int, answer: int
+) -> NDArray[np.float64]:
+    """The belief, as in :func:`update`, after the answer 0 or 1 to one of the problem's questions.
+
+    Nothing is forgotten meanwhile.
+    """
+    assert problem.questions is not None
+    table = problem.questions.table.of_steps([question])
+    labels = np.array([answer], np.uint8)
+    return _after(problem, table, belief, message_set, labels, slice(None))
+
+
+def _after(
+    problem: Problem,
+    table: LabelTable,
+    belief: NDArray[np.float64],
+    message_set: int,
+    labels: NDArray[np.uint8],
+    evidence: Evidence,
+) -> NDArray[np.float64]:
+    """The belief after answers about the first so many transitions of a table."""
     if problem.tracks_knowledge:
-        p = problem.table.answered[: len(labels)].reshape(len(labels), -1).T[:, evidence]
+        p = table.answered[: len(labels)].reshape(len(labels), -1).T[:, evidence]
     else:
-        p = problem.answer_probabilities(len(labels), message_set)[:, evidence]
+        p = table.answer_probabilities(len(labels), message_set)[:, evidence]
     likelihood = np.where(labels[evidence] == 1, p, 1 - p)
     with np.errstate(divide="ignore"):
         log_posterior = np.log(belief) + np.log(likelihood).sum(axis=1)
     top = log_posterior.max()
-    posterior = belief.copy() if top == -np.inf else np.exp(log_posterior - top)
-    normalised: NDArray[np.float64] = posterior if top == -np.inf else posterior / posterior.sum()
-    if not problem.tracks_knowledge:
-        return normalised
-    known = normalised.reshape(-1, problem.n_types)
-    return knowledge.forget(known, problem.table.relevant, problem.forget).ravel()
+    if top == -np.inf:
+        return belief.copy()
+    posterior = np.exp(log_posterior - top)
+    normalised: NDArray[np.float64] = posterior / posterior.sum()
+    return normalised
 
 
 def told(problem: Problem, belief: NDArray[np.float64], new: int) -> NDArray[np.float64]:

@@ -16,14 +16,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from xplain.explanation.asking import bits_of
 from xplain.explanation.problem import Problem
 
 EXPLAIN = -1
-"""The action that is no message."""
+"""The action that is no message. Below it are the questions: −2 is the first."""
 
 
 class State(NamedTuple):
-    """⟨k, L, E_given, E_next, t⟩, and K where messages may be missed or forgotten."""
+    """⟨k, L, E_given, E_next, t⟩, K where messages may be missed or forgotten, and the questions
+    asked."""
 
     step: int
     labels: tuple[int, ...]
@@ -31,10 +33,11 @@ class State(NamedTuple):
     pending: frozenset[int]
     user_type: int
     known: frozenset[int] = frozenset()
+    asked: frozenset[int] = frozenset()
 
 
 Observation = tuple[int, ...] | None
-"""The labels of the prefix; None is l_φ, nothing seen."""
+"""The labels of the prefix, or the answer to a question; None is l_φ, nothing seen."""
 
 
 @dataclass(frozen=True)
@@ -53,17 +56,25 @@ class LiteralPOMDP:
 
     def actions(self, state: State) -> list[int]:
         """*Explain*, and the messages neither given nor pending (where they may be missed or
-        forgotten, all that are not pending); none at the end of the trace."""
+        forgotten, all that are not pending), and questions while nothing is pending; none at the
+        end of the trace."""
         if state.step == self.problem.n_steps:
             return []
         used = state.pending if self.problem.tracks_knowledge else state.given | state.pending
-        return [EXPLAIN, *(j for j in range(self.problem.n_messages) if j not in used)]
+        free = [EXPLAIN, *(j for j in range(self.problem.n_messages) if j not in used)]
+        if self.problem.questions is not None and not state.pending:
+            given, asked = bits_of(state.given), bits_of(state.asked)
+            free += [EXPLAIN - 1 - q for q in self.problem.questions.open(state.step, given, asked)]
+        return free
 
     def outcomes(
         self, state: State, action: int
     ) -> Iterator[tuple[float, State, Observation, float]]:
         """What may follow: (probability, next state, observation, reward)."""
         problem = self.problem
+        if action < EXPLAIN:
+            yield from self._answers(state, EXPLAIN - 1 - action)
+            return
         if action != EXPLAIN:
             reward = -problem.trade_off * float(problem.message_cost[action])
             said = state._replace(pending=state.pending | {action})
@@ -73,7 +84,7 @@ class LiteralPOMDP:
                 yield float(1 - accept), said, None, reward
             return
         given = state.given | state.pending
-        mask = sum(1 << j for j in (state.known if problem.tracks_knowledge else given))
+        mask = bits_of(state.known if problem.tracks_knowledge else given)
         count = state.step + 1
         every = problem.answer_probabilities(count, mask)[state.user_type].tolist()
         thought = problem.label_probabilities(count, mask)[state.user_type]
@@ -82,13 +93,28 @@ class LiteralPOMDP:
             for p, label in zip(every, labels, strict=True):
                 probability *= p if label == 1 else 1 - p
             if probability > 0:
-                after = State(state.step + 1, labels, given, frozenset(), state.user_type)
+                after = state._replace(
+                    step=state.step + 1, labels=labels, given=given, pending=frozenset()
+                )
                 # Where users err, what they think costs, on average; not what they answer.
                 errs = problem.table.answers.size
                 zeros = float((1 - thought).sum()) if errs else labels.count(0)
                 reward = -problem.inexplicability_cost * zeros
                 for kept, known in self._not_forgotten(state):
                     yield probability * kept, after._replace(known=known), labels, reward
+
+    def _answers(
+        self, state: State, question: int
+    ) -> Iterator[tuple[float, State, Observation, float]]:
+        """What a question may be answered."""
+        questions = self.problem.questions
+        assert questions is not None
+        mask = bits_of(state.known if self.problem.tracks_knowledge else state.given)
+        yes = float(questions.table.answer_probabilities(question + 1, mask)[state.user_type, -1])
+        after = state._replace(asked=state.asked | {question})
+        for answer, probability in ((1, yes), (0, 1 - yes)):
+            if probability > 0:
+                yield probability, after, (answer,), -questions.limits.cost
 
     def _not_forgotten(self, state: State) -> Iterator[tuple[float, frozenset[int]]]:
         """What may be left of K after a step, and how likely it is."""
@@ -102,8 +128,8 @@ class LiteralPOMDP:
             yield probability, frozenset(compress(facts, kept))
 
     def discount(self, action: int) -> float:
-        """γ_E, or 1 for a message where only steps discount."""
-        if action != EXPLAIN and self.problem.discount_per == "step":
+        """γ_E; 1 for a question, and for a message where only steps discount."""
+        if action < EXPLAIN or (action != EXPLAIN and self.problem.discount_per == "step"):
             return 1.0
         return self.problem.discount
 

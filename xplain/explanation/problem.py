@@ -8,7 +8,7 @@ probabilities (:mod:`xplain.explanation.label_table`) is the whole model.
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, number
+from xplain.explanation.asking import PREFIX, Questions
 from xplain.explanation.habits import PAPER, Habits
-from xplain.explanation.label_table import MAX_MESSAGES, LabelTable
+from xplain.explanation.label_table import MAX_MESSAGES, LabelTable, joined
 
 DiscountPer = Literal["action", "step"]
 
@@ -45,6 +46,7 @@ class Problem:
         message_names, type_names: for people; n and M names.
         habits: the F habits, side by side within a user type. The table's answers have their
             errors already.
+        questions: that may be asked, of the same hidden types; None for none (the paper).
     """
 
     table: LabelTable
@@ -57,6 +59,7 @@ class Problem:
     message_names: tuple[str, ...] = ()
     type_names: tuple[str, ...] = ()
     habits: Habits = PAPER
+    questions: Questions | None = None
 
     def __post_init__(self) -> None:
         """Checks every field: one clear line each."""
@@ -88,6 +91,8 @@ class Problem:
         # made of another: decisions and replays must not hang on it.
         if abs(prior.sum() - 1) > 1e-12:
             prior = prior / prior.sum()
+        if self.questions is not None:
+            self.questions.check(types, n, steps)
         known, left = divmod(types, len(self.habits))
         if left:
             wanted = f"a divisor of {types}, the columns of the table"
@@ -152,7 +157,8 @@ class Problem:
     @property
     def is_dense(self) -> bool:
         """Whether every type's probabilities stand over all n messages."""
-        return self.table.is_dense(self.n_messages)
+        tables = (self.table, self.questions.table) if self.questions else (self.table,)
+        return all(table.is_dense(self.n_messages) for table in tables)
 
     @property
     def p_explicable(self) -> NDArray[np.float64]:
@@ -220,13 +226,19 @@ class Problem:
         """
         if habits.never_err and habits.take_all_in:
             return self
-        table = self.table.repeated(len(habits))
-        if not habits.never_err:
-            table = replace(table, answers=habits.answered(self.table.answered))
+        tables = self._tables(lambda table: _erring(table, habits))
+        table, asking = tables["table"], tables["questions"]
         if not habits.take_all_in:
-            table = table.over(table.effective())  # of other facts it does not matter who knows
+            # A row is what somebody knows: of facts that change nothing it does not matter who
+            # does. Labels and answers to questions come of the same knowledge.
+            whole = joined([table, asking.table]) if asking else table
+            whole = whole.over(whole.effective())
+            table = whole.of_steps(range(self.n_steps))
+            if asking:
+                rows = range(self.n_steps, self.n_steps + len(asking))
+                asking = replace(asking, table=whole.of_steps(rows))
         prior = np.outer(self.prior, habits.prior).ravel()
-        return replace(self, table=table, prior=prior, habits=habits)
+        return replace(self, table=table, prior=prior, habits=habits, questions=asking)
 
     def dense(self) -> Problem:
         """The same problem with one dense table.
@@ -234,15 +246,22 @@ class Problem:
         Raises:
             TooLargeError: more than MAX_RELEVANT messages.
         """
-        if self.is_dense:
-            return self
-        return replace(self, table=self.table.over([range(self.n_messages)] * self.n_types))
+        rows = [range(self.n_messages)] * self.n_types
+        return self if self.is_dense else replace(self, **self._tables(lambda t: t.over(rows)))
+
+    def _tables(self, change: Callable[[LabelTable], LabelTable]) -> dict[str, Any]:
+        """The fields ``table`` and ``questions``, both changed alike."""
+        asking = self.questions
+        changed = asking and replace(asking, table=change(asking.table))
+        return {"table": change(self.table), "questions": changed}
 
     def with_types(self, table: LabelTable, type_names: tuple[str, ...]) -> Problem:
         """The same trace and costs with other user types, equally likely a priori."""
         count = len(type_names)
         prior = np.full(count, 1 / count)
-        return replace(self, table=table, type_names=type_names, prior=prior, habits=PAPER)
+        return replace(
+            self, table=table, type_names=type_names, prior=prior, habits=PAPER, questions=None
+        )
 
     def only_types(self, types: Sequence[int]) -> Problem:
         """The same trace and costs with some of the hidden types, equally likely a priori."""
@@ -278,7 +297,7 @@ class Problem:
             return self
         return replace(
             self,
-            table=self.table.with_messages(kept),
+            **self._tables(lambda table: table.with_messages(kept)),
             message_cost=self.message_cost[list(kept)],
             message_names=tuple(self.message_names[j] for j in kept),
         )
@@ -287,7 +306,9 @@ class Problem:
         """Writes an ``.npz`` file that :meth:`load` reads; arrays of numbers and text only. The
         table is ``p_explicable`` [N, m, 2^n] where messages are few, else ``relevant`` [N, r] and
         ``p_relevant`` [N, m, 2^r]. Where users fail there are ``p_answered``, of the same shape,
-        and ``habits`` [4, F], the fields of :class:`~xplain.explanation.habits.Habits`."""
+        and ``habits`` [4, F], the fields of :class:`~xplain.explanation.habits.Habits`; where
+        something may be asked, the arrays of :meth:`~xplain.explanation.asking.Questions.arrays`.
+        """
         table = self.table.compact(self.n_messages)
         p = table.p.transpose(2, 0, 1)
         dense = table.is_dense(self.n_messages)
@@ -309,6 +330,7 @@ class Problem:
             prior=self.prior,
             message_names=np.array(self.message_names, dtype=np.str_),
             type_names=np.array(self.type_names, dtype=np.str_),
+            **(self.questions.arrays() if self.questions else {}),
         )
 
     @classmethod
@@ -328,8 +350,15 @@ class Problem:
             # TypeError, that it holds one array.
             reason = getattr(error, "strerror", None) or "it must hold named arrays of numbers"
             raise InputError("problem", str(path), f"not a readable .npz file ({reason})") from None
+        questions = Questions.of_arrays(arrays)
+        arrays = {key: value for key, value in arrays.items() if not key.startswith(PREFIX)}
         by_type, dense = {"relevant", "p_relevant"}, {"p_explicable"}
-        fields = set(cls.__dataclass_fields__) - {"table"} | by_type | dense | {"p_answered"}
+        fields = (
+            set(cls.__dataclass_fields__) - {"table", "questions"}
+            | by_type
+            | dense
+            | {"p_answered"}
+        )
         tables = by_type if arrays.keys() & by_type else dense
         missing = ({"message_cost"} | tables) - arrays.keys()
         if missing:
@@ -357,7 +386,15 @@ class Problem:
             table = LabelTable.by_type(own[0], own[1], answers)
         elif answers is not None:
             table = LabelTable.dense(table, answers)
-        return cls(table, **values)
+        return cls(table, questions=questions, **values)
+
+
+def _erring(table: LabelTable, habits: Habits) -> LabelTable:
+    """A table of users with these habits, side by side within a type."""
+    erring = table.repeated(len(habits))
+    if habits.never_err:
+        return erring
+    return replace(erring, answers=habits.answered(table.answered))
 
 
 def _numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:

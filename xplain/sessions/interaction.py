@@ -1,4 +1,4 @@
-"""One step of an explanation after the other: decide, say, hear, believe.
+"""One step of an explanation after the other: ask, decide, say, hear, believe.
 
 The experiments and the sessions that people embed run this same loop.
 """
@@ -10,9 +10,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.explanation.belief import BeliefUpdate, told, update
+from xplain.explanation.asking import NO_QUESTION, bits_of
+from xplain.explanation.belief import BeliefUpdate, Evidence, answered, told, update
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import Policy
+from xplain.message_sets import indices
+from xplain.solvers.base import Policy, asking
 
 
 @dataclass
@@ -27,6 +29,7 @@ class Interaction:
         belief: over what is hidden, at first the prior.
         step: k, transitions shown so far.
         given: bitmask of the messages given so far.
+        asked: bitmask of the questions asked so far.
     """
 
     problem: Problem
@@ -35,14 +38,48 @@ class Interaction:
     belief: NDArray[np.float64] = field(init=False)
     step: int = field(init=False)
     given: int = field(init=False)
+    asked: int = field(init=False)
     _answered: int | None = field(init=False)
+    _clips: int = field(init=False)
 
     def __post_init__(self) -> None:
         self.begin()
 
     def begin(self) -> None:
         """Nothing was said or shown yet."""
-        self.belief, self.step, self.given, self._answered = self.problem.start, 0, 0, None
+        self.belief, self.step, self.given, self.asked = self.problem.start, 0, 0, 0
+        self._listen_anew()
+
+    def _listen_anew(self) -> None:
+        """From now on whatever is answered is news."""
+        self._answered: int | None = None
+        self._clips = 0  # asked since, whose answers are labels of the trace
+
+    def ask(self) -> int:
+        """The question to ask now, before this step's messages; NO_QUESTION for none."""
+        if self.problem.questions is None:
+            return NO_QUESTION
+        return asking(self.policy).question(self.step, self.given, self.belief, self._no_news)
+
+    @property
+    def _no_news(self) -> int:
+        """Bitmask of the questions asked, and of those whose answers were heard as labels."""
+        questions = self.problem.questions
+        if questions is None or self._answered is None or not self._repeat:
+            return self.asked
+        heard = questions.shows[:, : self.step].any(axis=1)
+        return self.asked | bits_of(np.flatnonzero(heard).tolist())
+
+    def hear_answer(self, question: int, answer: int) -> None:
+        """The user's answer, 0 or 1, to a question."""
+        self.belief = answered(self.problem, self.belief, self.given, question, answer)
+        self.asked |= 1 << question
+        self._clips |= 1 << question
+
+    @property
+    def _repeat(self) -> bool:
+        """Whether people who learned nothing new are taken to repeat themselves."""
+        return 0 not in range(2)[self.belief_update.evidence(0, 0, 2)]
 
     def say(self) -> int:
         """Decides which messages come before the next *explain*: a bitmask, given from now on.
@@ -50,7 +87,11 @@ class Interaction:
         Raises:
             ValueError: as :meth:`give`.
         """
-        new = self.policy.messages(self.step, self.given, self.belief)
+        if self.problem.questions is None:
+            new = self.policy.messages(self.step, self.given, self.belief)
+        else:
+            no_news = self._no_news
+            new = asking(self.policy).messages(self.step, self.given, self.belief, no_news)
         self.give(new)
         return new
 
@@ -69,13 +110,17 @@ class Interaction:
         self.given |= new
         self.belief = told(problem, self.belief, new)
         if new:
-            self._answered = None  # who heard something new is asked something new
+            self._listen_anew()  # who heard something new is asked something new
 
     def hear(self, labels: NDArray[np.uint8]) -> None:
         """*Explain* showed the first ``step + 1`` transitions; these are the user's labels."""
         count = self.step + 1
-        evidence = self.belief_update.evidence(self.given, self._answered, count)
+        evidence: Evidence = self.belief_update.evidence(self.given, self._answered, count)
+        if self._clips and self._repeat and self.problem.questions:
+            shows = self.problem.questions.shows[indices(self._clips), :count]
+            evidence = ~shows.any(axis=0) & np.isin(np.arange(count), np.arange(count)[evidence])
         self.belief = update(self.problem, self.belief, self.given, labels, evidence)
-        # Who may have forgotten something is asked something new, too.
-        self._answered = None if self.problem.habits.forget.any() else self.given
+        self._answered = self.given
+        if self.problem.habits.forget.any():
+            self._listen_anew()  # who may have forgotten something is asked something new, too
         self.step = count

@@ -18,7 +18,7 @@ from xplain.explanation.belief import BeliefUpdate, Independent
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import MAX_MESSAGES, LabelTable
 from xplain.explanation.problem import DiscountPer, Problem
-from xplain.solvers.base import Policy, Solver
+from xplain.solvers.base import Policy, Solver, asking
 from xplain.solvers.qmdp import QMDP
 
 
@@ -147,10 +147,20 @@ class LazyPolicy:
     def _policy(self) -> Policy:
         return self.solver.plan(self.problem, self.seed)
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """Messages of the plan; see :meth:`xplain.solvers.base.Policy.messages`."""
-        return self._policy.messages(step, given, belief)
+    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """See :meth:`xplain.solvers.base.Asks.messages`."""
+        if self.problem.questions is None:
+            return self._policy.messages(step, given, belief)
+        return asking(self._policy).messages(step, given, belief, asked)
 
-    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
-        """Values of the plan; see :meth:`xplain.solvers.base.Policy.values`."""
-        return self._policy.values(step, given, belief)
+    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """See :meth:`xplain.solvers.base.Asks.question`."""
+        return asking(self._policy).question(step, given, belief, asked)
+
+    def values(
+        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
+    ) -> Mapping[int, float]:
+        """See :meth:`xplain.solvers.base.Asks.values`."""
+        if self.problem.questions is None:
+            return self._policy.values(step, given, belief)
+        return asking(self._policy).values(step, given, belief, asked)

@@ -14,6 +14,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.errors import InputError
 from xplain.explanation.problem import Problem
 
 Knowledge = Literal["types", "everyone", "type", "labels"]
@@ -47,6 +48,40 @@ class Policy(Protocol):
         """The values behind the choice: estimated discounted return by the message set
         given next (bitmask; 0 is *explain* at once). Larger is better. May be empty."""
         ...
+
+
+@runtime_checkable
+class Asks(Policy, Protocol):
+    """A policy of a problem with questions.
+
+    ``asked`` is a bitmask of the questions asked so far, or of which no news is to be had.
+    """
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """As :meth:`Policy.messages`, when nothing is asked any more before this step."""
+        ...
+
+    def values(
+        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
+    ) -> Mapping[int, float]:
+        """As :meth:`Policy.values`, by ``~q`` for question q as well."""
+        ...
+
+    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """What to ask before this step's messages: a question's number, or NO_QUESTION."""
+        ...
+
+
+def asking(policy: Policy) -> Asks:
+    """The policy as one that asks.
+
+    Raises:
+        InputError: it does not.
+    """
+    if not isinstance(policy, Asks):
+        wanted = "one that asks, as qmdp, pomcp and certified do; or ask=never"
+        raise InputError("solver", type(policy).__name__, wanted)
+    return policy
 
 
 @runtime_checkable

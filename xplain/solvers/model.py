@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, lean_kernel, tell_when_compiling
+from xplain.solvers.inquiry import Inquiry, make_inquiry
 from xplain.solvers.rows import Rows, delaying, make_rows, row, rows_at
 
 TIE = 1e-9
@@ -45,6 +46,7 @@ class Model(NamedTuple):
         discount: γ, of *explain*.
         message_discount: γ', of a message.
         rows: where a type's row of H is.
+        inquiry: the questions that may be asked.
     """
 
     p: NDArray[np.float64]
@@ -54,6 +56,7 @@ class Model(NamedTuple):
     discount: float
     message_discount: float
     rows: Rows
+    inquiry: Inquiry
 
     @property
     def n_steps(self) -> int:
@@ -91,6 +94,7 @@ def model_of(problem: Problem) -> Model:
         problem.discount,
         problem.discount if problem.discount_per == "action" else 1.0,
         make_rows(table, price),
+        make_inquiry(problem),
     )
     delay = 1 - model.message_discount
     if problem.is_dense or delay <= 0:

@@ -28,6 +28,7 @@ from xplain.solvers.model import (
 from xplain.solvers.reminding import reminding_policy
 from xplain.solvers.restriction import Restricted, messages_worth_giving
 from xplain.solvers.rows import rows_at
+from xplain.solvers.value_of_information import asks_by_value
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,8 @@ class QMDP:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
-        return greedy_policy(problem, "qmdp", self.memory_gib, "qhr plans without tables")
+        policy = greedy_policy(problem, "qmdp", self.memory_gib, "qhr plans without tables")
+        return asks_by_value(policy, problem, seed, self.memory_gib)
 
 
 @dataclass(frozen=True)

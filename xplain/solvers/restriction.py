@@ -12,7 +12,7 @@ from xplain.errors import TooLargeError
 from xplain.explanation.label_table import DENSE, MAX_RELEVANT
 from xplain.explanation.problem import Problem
 from xplain.message_sets import compress, expand
-from xplain.solvers.base import Policy
+from xplain.solvers.base import Asks, Policy
 from xplain.solvers.model import model_of, optimal_values
 
 
@@ -98,3 +98,32 @@ class Restricted:
         :class:`xplain.solvers.base.Policy` says."""
         values = self.policy.values(step, compress(given, self.kept), belief)
         return {expand(mask, self.kept): value for mask, value in values.items()}
+
+
+@dataclass(frozen=True)
+class RestrictedAsking(Restricted):
+    """A restricted policy that asks; questions are the same in both problems.
+
+    Attributes:
+        policy: over the kept messages.
+    """
+
+    policy: Asks
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """As :class:`xplain.solvers.base.Asks` says."""
+        small = compress(given, self.kept)
+        return expand(self.policy.messages(step, small, belief, asked), self.kept)
+
+    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """As :class:`xplain.solvers.base.Asks` says."""
+        return self.policy.question(step, compress(given, self.kept), belief, asked)
+
+    def values(
+        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
+    ) -> Mapping[int, float]:
+        """As :class:`xplain.solvers.base.Asks` says."""
+        values = self.policy.values(step, compress(given, self.kept), belief, asked)
+        return {
+            mask if mask < 0 else expand(mask, self.kept): value for mask, value in values.items()
+        }

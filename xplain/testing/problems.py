@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
@@ -57,3 +58,25 @@ def random_problem(
     erring = replace(problem, table=LabelTable.dense(p, answers))
     habits = Habits(rates, np.ones(2), np.zeros(2), rng.dirichlet(np.ones(2)))
     return erring.with_habits(habits)
+
+
+def with_questions(rng: np.random.Generator, problem: Problem, most: int = 3) -> Problem:
+    """The problem with up to so many questions, some of them alike, some certain, which may be
+    asked a few times or once."""
+    count = int(rng.integers(1, most + 1))
+    p = rng.random((problem.n_user_types, count, 1 << problem.n_messages))
+    if rng.random() < 0.5:
+        p = np.round(p)
+    if rng.random() < 0.3:
+        p[:, -1] = p[:, 0] ** 2
+    limits = Limits(
+        cost=float(rng.choice([0.0, 0.02, 0.1, 0.3])),
+        most=int(rng.integers(1, count + 1)),
+        when="anytime" if rng.random() < 0.7 else "first",
+    )
+    table = LabelTable.dense(p).repeated(len(problem.habits))
+    if not problem.habits.never_err:
+        meant = LabelTable.dense(p).answered
+        table = replace(table, answers=problem.habits.answered(meant))
+    shows = np.zeros((count, problem.n_steps), np.bool_)
+    return replace(problem, questions=Questions(table, limits, shows))

@@ -1,0 +1,197 @@
+"""Questions to the user, as actions of the explanation POMDP (docs/method.md, section 5).
+
+A question is answered by 1 or 0, costs κ whatever the answer, and changes nothing but the belief.
+It never discounts: an action that did would pay for itself by putting off what is to come. It is
+asked before the messages of a step, once at most. There are two kinds:
+
+- a *clip*, (τ, H): "does this step make sense to you?", of a transition of the task that need not
+  be on the trace, with the messages H given so far. The answer is the label of τ under H;
+- a *belief*: "which do you think?", of the two sentences of a fact. The answer is 1 where the user
+  has it right.
+
+Clips are alike where their columns, thresholded, are. The one nearest to the trace stands for
+them; once it was asked, the next nearest does: a second opinion, where answers err.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.errors import Count, InputError, Range, checks, one_of
+from xplain.explanation.label_table import LabelTable
+
+When = Literal["anytime", "first"]
+Kind = Literal["clips", "beliefs"]
+NO_QUESTION = -1
+"""Instead of a question's number."""
+PREFIX = "question_"
+"""Of the names of arrays in a problem's file."""
+
+
+@checks("ask")
+@dataclass(frozen=True)
+class Limits:
+    """What asking costs, how often it is done, and when.
+
+    Args:
+        cost: κ ≥ 0 of a question, in units of cost.
+        most: questions in one explanation.
+        when: ``anytime``, before the messages of any step; or ``first``, before the first step.
+    """
+
+    cost: Annotated[float, Range(0)] = 0.1
+    most: Count = 10
+    when: When = "anytime"
+
+
+@checks("ask")
+@dataclass(frozen=True)
+class Pool:
+    """Which questions an explanation may choose from.
+
+    Args:
+        kinds: ``clips``, ``beliefs``, or both.
+        clips: kept for a trace, the nearest of each kind first.
+    """
+
+    kinds: tuple[Kind, ...] = ("clips",)
+    clips: Count = 150
+
+    def __post_init__(self) -> None:
+        """Raises InputError for another kind, or none."""
+        object.__setattr__(self, "kinds", tuple(self.kinds))
+        for kind in self.kinds or ("none",):
+            one_of("ask.kinds", kind, ("clips", "beliefs"), "kind")
+
+
+@dataclass(frozen=True)
+class Questions:
+    """Q questions that one trace's explanation may ask, the nearest to the trace first.
+
+    Attributes:
+        table: Q transitions or beliefs in the place of transitions: P(label is 1), and what is
+            answered where users err.
+        limits: of asking.
+        shows: [Q, m] whether a question is a clip of this transition of the trace.
+        texts: Q, for people; or none.
+    """
+
+    table: LabelTable
+    limits: Limits = field(default_factory=Limits)
+    shows: NDArray[np.bool_] = field(default_factory=lambda: np.empty((0, 0), np.bool_))
+    texts: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raises InputError: tables of other lengths."""
+        count = len(self.table.p)
+        if not self.shows.size:
+            object.__setattr__(self, "shows", np.zeros((count, self.shows.shape[1]), np.bool_))
+        if len(self.shows) != count or (self.texts and len(self.texts) != count):
+            raise InputError("questions", len(self.shows), f"{count}, as the table has")
+
+    def __len__(self) -> int:
+        return len(self.table.p)
+
+    def check(self, types: int, messages: int, steps: int) -> None:
+        """Raises InputError where they are not of so many hidden types, messages, steps."""
+        if self.table.n_types != types:
+            raise InputError("questions", self.table.n_types, f"{types} types, as the trace's")
+        unknown = self.table.relevant[self.table.relevant >= messages]
+        if unknown.size:
+            raise InputError("questions.relevant", int(unknown[0]), f"a message below {messages}")
+        if self.shows.shape[1] not in (0, steps):
+            raise InputError("questions.shows", self.shows.shape, f"{steps} columns, or none")
+
+    def open(self, step: int, given: int, asked: int) -> list[int]:
+        """The questions that may be asked at (k, H): of those that are alike the nearest not
+        ``asked`` (a bitmask) yet. The rule by which :mod:`xplain.solvers.inquiry` goes as well."""
+        if asked.bit_count() >= self.limits.most:
+            return []
+        if self.limits.when == "first" and (step or given):
+            return []
+        columns = self.table.label_probabilities(len(self), given) >= 0.5
+        found: dict[bytes, int] = {}
+        for q, column in enumerate(columns.T):
+            if not asked >> q & 1:
+                found.setdefault(column.tobytes(), q)
+        return list(found.values())
+
+    def arrays(self) -> dict[str, Any]:
+        """What a file holds of them: arrays of numbers and text, by name."""
+        table = self.table
+        answered = {"p_answered": table.answers.transpose(2, 0, 1)} if table.answers.size else {}
+        found = {
+            "relevant": table.relevant,
+            "p_relevant": table.p.transpose(2, 0, 1),
+            **answered,
+            "shows": self.shows,
+            "texts": np.array(self.texts, dtype=np.str_),
+            **asdict(self.limits),
+        }
+        return {PREFIX + key: value for key, value in found.items()}
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, Any]) -> Questions | None:
+        """From :meth:`arrays`; None where there are none.
+
+        Raises:
+            InputError: arrays that make no questions.
+        """
+        own = {k.removeprefix(PREFIX): v for k, v in arrays.items() if k.startswith(PREFIX)}
+        if not own:
+            return None
+        if missing := {"relevant", "p_relevant", "cost", "most", "when"} - own.keys():
+            raise InputError("problem", PREFIX + sorted(missing)[0], "an array of the file")
+        limits = Limits(own["cost"].item(), own["most"].item(), own["when"].item())
+        table = LabelTable.by_type(own["relevant"], own["p_relevant"], own.get("p_answered"))
+        shows = own.get("shows", np.empty((0, 0), np.bool_)).astype(np.bool_)
+        return cls(table, limits, shows, tuple(map(str, own.get("texts", np.empty(0)).tolist())))
+
+
+def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:
+    """Which questions of a long list, the nearest first, are worth keeping: at most so many.
+
+    First the nearest of each kind of column before anything is said, then the nearest of those
+    that differ after some message, then second opinions, in turn. What all types answer alike,
+    whatever was said, is left out.
+    """
+    yes = table.p >= 0.5
+    same = (table.answered == table.answered[:, :, :1]).all(axis=(1, 2))
+    turn: dict[bytes, int] = {}
+    silent: dict[bytes, int] = {}
+    order: list[tuple[int, int, int]] = []
+    for q in np.flatnonzero(~same).tolist():
+        key, first = yes[q].tobytes(), yes[q, 0].tobytes()
+        round_, new = turn.get(key, 0), first not in silent
+        turn[key], silent[first] = round_ + 1, 1
+        order.append((round_, not new, q))
+    return np.sort(np.array([q for *_, q in sorted(order)[:most]], np.int64))
+
+
+def nearest_first(
+    features: NDArray[np.float64], of_trace: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """[Q] the order of transitions with these features [Q, F] by how near they are to a trace's
+    [m, F]: by the number of features that differ from the nearest transition's, the sum of the
+    differences among equals."""
+    if not len(features):
+        return np.empty(0, np.int64)
+    scale = np.ptp(np.concatenate([features, of_trace]), axis=0)
+    scale[scale == 0] = 1
+    differ = np.empty((len(features), len(of_trace)))
+    sizes = np.empty_like(differ)
+    for i, row in enumerate(of_trace):
+        apart = np.abs(features - row) / scale
+        differ[:, i], sizes[:, i] = (apart > 0).sum(axis=1), apart.sum(axis=1)
+    nearest = np.lexsort((sizes.min(axis=1), differ.min(axis=1)))
+    return nearest.astype(np.int64)
+
+
+def bits_of(asked: Iterable[int]) -> int:
+    """The bitmask of these numbers."""
+    return sum(1 << q for q in set(asked))

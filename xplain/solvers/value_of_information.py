@@ -1,0 +1,174 @@
+"""What a question is worth to a policy that never asks for an answer's sake: value of information.
+
+    VOI(q) = Σ_y P(y | b) V(b_y) − V(b) − κ
+
+(Howard 1966; one question ahead, "myopic"). V is not QMDP's bound, in which the type becomes known
+for nothing, but what QMDP's own decisions earn from a belief: their return by simulation, for
+each type that a user may be of, with the same random numbers for all beliefs. Where labels are
+certain one simulation a type is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.asking import NO_QUESTION
+from xplain.explanation.problem import Problem
+from xplain.message_sets import compress
+from xplain.numba_kernels import inlined, lean_kernel
+from xplain.randomness import derived_seed
+from xplain.solvers.base import Policy
+from xplain.solvers.inquiry import Inquiry, Room, answer_probability, make_room, open_questions
+from xplain.solvers.memory import check_memory
+from xplain.solvers.model import TIE
+from xplain.solvers.pomcp.rollout import roll_qmdp
+from xplain.solvers.pomcp.search_model import SearchModel, model_bytes, model_of
+from xplain.solvers.pomcp.tree import Tree
+from xplain.solvers.restriction import restricted
+
+LOOKED_INTO = 12
+"""Questions whose worth a decision looks into: the most telling."""
+ROLLS = 40
+"""Simulations from a belief, spread evenly over its types; one a type at least."""
+FAINT = 1e-6
+"""A type less likely than this is not simulated."""
+SPREAD = np.uint64(0xD1342543DE82EF95)
+"""Between the streams of two simulations."""
+
+
+def asks_by_value(policy: Policy, problem: Problem, seed: int, memory_gib: float) -> Policy:
+    """The policy, which asks where the problem has questions.
+
+    Raises:
+        TooLargeError: tables to simulate with would take more than ``memory_gib``.
+    """
+    if problem.questions is None:
+        return policy
+    small, kept = restricted(problem)
+    check_memory("asking", model_bytes(small), memory_gib, "ask=never needs no such tables")
+    return Inquiring(policy, Simulated(model_of(small), kept, seed))
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What QMDP's decisions earn.
+
+    Attributes:
+        model: of the restricted problem.
+        kept: its messages.
+        seed: of the simulations.
+    """
+
+    model: SearchModel
+    kept: tuple[int, ...]
+    seed: int
+
+    @property
+    def inquiry(self) -> Inquiry:
+        """The problem's questions."""
+        return self.model.reduced.inquiry
+
+    @cached_property
+    def _tree(self) -> Tree:
+        """Room for simulations."""
+        steps, types = self.model.reduced.n_steps, self.model.reduced.n_types
+        return Tree.rooted(1, len(self.kept), steps, 0, 0, np.zeros(types), 0)
+
+    @cached_property
+    def _stream(self) -> int:
+        return derived_seed(self.seed, "value of information")
+
+    def gains(self, step: int, given: int, belief: NDArray[np.float64], asked: int) -> Room:
+        """``found`` [count] the questions looked into, and ``news`` what each is worth."""
+        room, after = make_room(self.inquiry, asked, LOOKED_INTO), np.empty_like(belief)
+        count = _look(
+            self.model,
+            self._tree,
+            step,
+            compress(given, self.kept),
+            np.ascontiguousarray(belief),
+            after,
+            room,
+            ROLLS,
+            self._stream,
+        )
+        return room._replace(found=room.found[:count], news=room.news[:count])
+
+
+@dataclass(frozen=True)
+class Inquiring:
+    """Asks the question that is worth the most, while one is worth anything.
+
+    Attributes:
+        policy: decides on messages.
+        simulated: the worth of questions.
+    """
+
+    policy: Policy
+    simulated: Simulated
+
+    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """As :class:`xplain.solvers.base.Asks` says."""
+        looked = self.simulated.gains(step, given, belief, asked)
+        if not looked.news.size or looked.news.max() <= TIE:
+            return NO_QUESTION
+        return int(looked.found[looked.news.argmax()])
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """As :class:`xplain.solvers.base.Asks` says."""
+        return self.policy.messages(step, given, belief)
+
+    def values(
+        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
+    ) -> Mapping[int, float]:
+        """Of messages what the policy says; of a question, that of the best of these and what it
+        is worth."""
+        values = dict(self.policy.values(step, given, belief))
+        best = max(values.values(), default=0.0)
+        looked = self.simulated.gains(step, given, belief, asked)
+        pairs = zip(looked.found.tolist(), looked.news.tolist(), strict=True)
+        return values | {~q: best + gain for q, gain in pairs}
+
+
+@lean_kernel
+def _look(model, tree, step, given, belief, after, room, rolls, seed):  # type: ignore[no-untyped-def]
+    """Finds questions, and fills ``room.news`` with what they are worth. Returns how many."""
+    inquiry = model.reduced.inquiry
+    count = open_questions(inquiry, step, given, belief, room)
+    if count == 0:
+        return 0
+    now = _earned(model, tree, step, given, belief, rolls, seed)
+    for i in range(count):
+        value, q = -inquiry.cost, room.found[i]
+        for answer in range(2):
+            total = 0.0
+            for t in range(len(belief)):
+                p = answer_probability(inquiry, q, given, t)
+                after[t] = belief[t] * (p if answer else 1.0 - p)
+                total += after[t]
+            if total > 0.0:
+                for t in range(len(belief)):
+                    after[t] /= total
+                value += total * _earned(model, tree, step, given, after, rolls, seed)
+        room.news[i] = value - now
+    return count
+
+
+@inlined
+def _earned(model, tree, step, given, belief, rolls, seed):  # type: ignore[no-untyped-def]
+    """QMDP's mean return from a belief."""
+    types = 0
+    for t in range(len(belief)):
+        types += belief[t] > FAINT
+    each, total = max(1, rolls // types), 0.0
+    for t in range(len(belief)):
+        if belief[t] > FAINT:
+            for i in range(each):
+                tree.counter[0] = seed + np.uint64(t * rolls + i) * SPREAD
+                total += belief[t] / each * roll_qmdp(model, tree, step, given, t, belief)
+    return total
