@@ -30,7 +30,8 @@ class Answers(NamedTuple):
 
     Attributes:
         weight: [capacity, N] joint probability of the past, each type, and the answer.
-        evidence: [capacity, N] log-likelihoods after it, 0 for the likeliest type.
+        evidence: [capacity, N + words] log-likelihoods after it, 0 for the likeliest type; and the
+            words that go with them.
         tail: [N] the joint weight of all that was not listed.
         column: [m, N] P(answer 1) of the transitions shown.
         groups: [4, m + 1] first transition, size, first row and count of a group.
@@ -49,11 +50,11 @@ class Answers(NamedTuple):
     logs: NDArray[np.int64]
 
 
-def make_answers(capacity: int, steps: int, types: int) -> Answers:
-    """Room for so many answers."""
+def make_answers(capacity: int, steps: int, types: int, words: int = 0) -> Answers:
+    """Room for so many answers, each with ``words`` integers that answers do not change."""
     return Answers(
         np.empty((capacity, types)),
-        np.empty((capacity, types), np.int64),
+        np.empty((capacity, types + words), np.int64),
         np.empty(types),
         np.empty((steps, types)),
         np.empty((4, steps + 1), np.int64),
@@ -73,7 +74,7 @@ def branch(model, step, given, weight, evidence, negligible, answers):  # type: 
         step: k; k + 1 transitions are shown.
         given: H.
         weight: [N] joint probability of the past and each type; needs not sum to 1.
-        evidence: [N] int64 log-likelihoods of the past, 0 for the likeliest type.
+        evidence: [N + words] int64 log-likelihoods of the past, 0 for the likeliest type.
         negligible: answers (and whole families of them) with less joint probability than this
             are not listed.
         answers: is filled.
@@ -135,7 +136,9 @@ def _list_counts(groups, weight, evidence, negligible, answers):  # type: ignore
             if found == len(answers.weight):
                 return -1
             copy(weights[level], answers.weight[found])
-            _normalise(weights[level], logs[level], answers.evidence[found])
+            normalise(weights[level], logs[level], answers.evidence[found])
+            for w in range(types, len(evidence)):
+                answers.evidence[found, w] = evidence[w]
             found += 1
             level -= 1
         elif count[level] > size[level]:
@@ -195,7 +198,8 @@ def _binomial(yes, size, start, t, likelihood, news):  # type: ignore[no-untyped
 
 
 @inlined
-def _normalise(weight, logs, out):  # type: ignore[no-untyped-def]
+def normalise(weight, logs, out):  # type: ignore[no-untyped-def]
+    """Fills in the evidence [N] of log-likelihoods: 0 for the likeliest type."""
     top = IMPOSSIBLE
     for t in range(len(weight)):
         if weight[t] > 0.0 and logs[t] > top:

@@ -36,6 +36,7 @@ from xplain.solvers.hsvi.tree import (
     make_store,
     store_bytes,
 )
+from xplain.solvers.inquiry import make_room
 from xplain.solvers.memory import GIB, check_memory_gib
 
 log = logging.getLogger(__name__)
@@ -138,12 +139,17 @@ class _Search:
     def __init__(self, tables: Tables, start: Start, effort: Effort, problem: Problem | None):
         self.began = time.perf_counter()
         self.effort = effort
-        self.tables = tables._replace(pairs=with_own_room(tables.pairs))
-        self.start = start._replace(belief=start.belief.copy())
-        self.pairs = PairTables(problem) if problem else None
+        inquiry = tables.model.inquiry
+        room = make_room(inquiry)
+        self.tables = tables._replace(pairs=with_own_room(tables.pairs), room=room)
+        words = start.asked if start.asked.size else np.zeros(inquiry.words, np.int64)
+        self.start = start._replace(belief=start.belief.copy(), asked=words)
+        # Pairs of types are solved without questions: no bounds where some may be asked.
+        self.pairs = PairTables(problem) if problem and not len(room.asked) else None
         steps, _, types = tables.explain.shape
         self.store = make_store(tables)
-        self.path, self.answers = make_path(steps), make_answers(256, steps, types)
+        self.path = make_path(steps + min(inquiry.most, len(room.asked)))
+        self.answers = make_answers(256, steps, types, inquiry.words)
         self.backed_up = 1  # nodes, when all were
         self.asked = math.inf
         self.sample()  # the root
@@ -158,7 +164,7 @@ class _Search:
 
     def sample(self) -> None:
         """Trials, for a while."""
-        tail_gap = self.effort.gap * TAIL / len(self.path.nodes)
+        tail_gap = self.effort.gap * TAIL / len(self.tables.explain)
         limits = Limits(self.asked, tail_gap, self.effort.nodes, CHUNK)
         while True:
             self.status = sample(
@@ -184,7 +190,11 @@ class _Search:
     def back_up_all(self, new_pairs: bool = False) -> None:
         """Backs up all nodes."""
         self.backed_up = int(self.store.used[NODES])
-        order = np.argsort(-self.store.nodes["step"][: self.backed_up], kind="stable")
+        nodes = self.store.nodes[: self.backed_up]
+        order = np.argsort(-nodes["step"], kind="stable")
+        if len(self.tables.room.asked):  # what follows a question has fewer types, or asked more
+            left = (self.store.belief[: self.backed_up] > 0).sum(axis=1)
+            order = np.lexsort((left, -nodes["asked"], -nodes["step"]))
         back_up_all(self.tables, self.store, order, NEWS * self.effort.gap, new_pairs)
 
     @property
@@ -198,7 +208,8 @@ class _Search:
             return False
         self.store = grown(self.store)
         capacity, types = self.answers.weight.shape
-        self.answers = make_answers(2 * capacity, len(self.path.nodes), types)
+        steps, words = len(self.tables.explain), self.tables.model.inquiry.words
+        self.answers = make_answers(2 * capacity, steps, types, words)
         return True
 
     def _make_pairs(self) -> bool:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.hsvi.pair_bounds import Pairs, no_pairs
+from xplain.solvers.inquiry import Room, make_room
 from xplain.solvers.model import (
     Model,
     SetPrices,
@@ -37,6 +38,7 @@ class Tables(NamedTuple):
         plans: [m + 1, 2^n, N + 1, N] value of plan u (the last is silence) for type t.
         sets: prices and discounts of sets of messages.
         pairs: tighter above than ``optimal``, where a search found them worth making.
+        room: to look at questions in.
     """
 
     model: Model
@@ -45,6 +47,7 @@ class Tables(NamedTuple):
     plans: NDArray[np.float64]
     sets: SetPrices
     pairs: Pairs
+    room: Room
 
 
 def table_bytes(problem: Problem) -> int:
@@ -61,7 +64,8 @@ def make_tables(problem: Problem) -> Tables:
     plans = np.zeros((model.n_steps + 1, model.n_rows, types + 1, types))
     for first, end in backwards(model):
         _plan(model, costs, optimal, explain, plans, first, end)
-    return Tables(model, optimal, explain, plans, set_prices(model), no_pairs(model))
+    room = make_room(model.inquiry)
+    return Tables(model, optimal, explain, plans, set_prices(model), no_pairs(model), room)
 
 
 @kernel

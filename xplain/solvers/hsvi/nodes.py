@@ -11,10 +11,12 @@ from __future__ import annotations
 import numpy as np
 
 from xplain.numba_kernels import inlined
-from xplain.solvers.count_lattice import branch, copy
+from xplain.solvers.bits import count_bits
+from xplain.solvers.count_lattice import SCALE, branch, copy, normalise
 from xplain.solvers.hsvi.pair_bounds import NO_SWEEP, SWEEPS, mix, mixed
 from xplain.solvers.hsvi.shared_bounds import list_candidates, tighten_by_shared
 from xplain.solvers.hsvi.tree import ACTIONS, ANSWERS, HASHED, NODES, NONE, OPENED, WORK, find
+from xplain.solvers.inquiry import WORD, answer_probability, open_questions
 from xplain.solvers.model import expected
 
 
@@ -31,6 +33,9 @@ def make_node(tables, store, slot, step, given, answers, o):  # type: ignore[no-
     node, belief = store.nodes[index], store.belief[index]
     node.step, node.given, node.first_action, node.n_actions = step, given, NONE, 0
     copy(answers.evidence[o], store.evidence[index])
+    node.asked = 0
+    for w in range(len(belief), store.evidence.shape[1]):
+        node.asked += count_bits(store.evidence[index, w])
     total = 0.0
     for t in range(len(belief)):
         total += answers.weight[o, t]
@@ -42,6 +47,9 @@ def make_node(tables, store, slot, step, given, answers, o):  # type: ignore[no-
         if more != given:
             later = tables.model.message_discount * expected(belief, tables.optimal[step, more])
             upper = max(upper, later - tables.model.price[j])
+    if len(tables.room.asked) > 0:
+        told = expected(belief, tables.optimal[step, given])
+        upper = max(upper, told - tables.model.inquiry.cost)
     if len(tables.pairs.cell) > 0 and mix(tables.pairs, step, given, belief, NO_SWEEP):
         upper = min(upper, mixed(tables.pairs, tables.pairs.optimal[step], given))
     plans = tables.plans[step, given]
@@ -71,17 +79,23 @@ def open_node(tables, store, index):  # type: ignore[no-untyped-def]
     if place.shared < 0 and not list_candidates(tables, store, node.step, node.given):
         return False
     begin = store.used[ACTIONS]
-    if begin + place.n_candidates > len(store.actions):
+    if begin + place.n_candidates + len(tables.room.asked) > len(store.actions):
         return False
     best, end = _list_actions(tables, store, index, begin)
+    said = best
+    if len(tables.room.asked) > 0:
+        best, end = _list_questions(tables, store, index, best, end)
     lower = node.lower
     for a in range(begin, end):
         lower = max(lower, store.actions[a].lower)
     kept = begin
     for a in range(begin, end):
         action = store.actions[a]
-        if action.upper >= lower or action.upper == best:
+        # Some messages, or none, are always among them: for who may not ask any more.
+        spoken = action.messages >= 0 and action.upper == said
+        if action.upper >= lower or action.upper == best or spoken:
             store.actions[kept].messages = action.messages
+            store.actions[kept].later = action.later
             store.actions[kept].base = action.base
             store.actions[kept].lower = action.lower
             store.actions[kept].upper = action.upper
@@ -118,7 +132,7 @@ def _list_actions(tables, store, index, begin):  # type: ignore[no-untyped-def]
         # The best is kept even where rounding puts it below the best plan.
         if upper >= node.lower or upper > best:
             action = store.actions[end]
-            action.messages, action.base = chosen, base
+            action.messages, action.base, action.later = chosen, base, later
             action.upper, action.lower = upper, upper
             if step < len(tables.explain) - 1:
                 plans = tables.plans[step + 1, shown]
@@ -127,6 +141,38 @@ def _list_actions(tables, store, index, begin):  # type: ignore[no-untyped-def]
             end += 1
         best = max(best, upper)
     return best, end
+
+
+@inlined
+def _list_questions(tables, store, index, best, end):  # type: ignore[no-untyped-def]
+    """As :func:`_list_actions`, the questions: at most worth being told the type, at least the best
+    plan that heeds no answer."""
+    node, belief = store.nodes[index], store.belief[index]
+    _recall(store, index, tables.room.asked)
+    cost = tables.model.inquiry.cost
+    upper = expected(belief, tables.optimal[node.step, node.given]) - cost
+    plans = tables.plans[node.step, node.given]
+    lower = min(expected(belief, plans[_best_plan(plans, belief)]) - cost, upper)
+    if upper < node.lower:
+        return best, end
+    count = open_questions(tables.model.inquiry, node.step, node.given, belief, tables.room)
+    for i in range(count):
+        action = store.actions[end]
+        action.messages, action.base, action.later = ~tables.room.found[i], -cost, 1.0
+        action.upper, action.lower = upper, lower
+        best = max(best, upper)
+        end += 1
+    return best, end
+
+
+@inlined
+def _recall(store, index, asked):  # type: ignore[no-untyped-def]
+    """Fills in which questions were asked on the way to a node."""
+    types = store.belief.shape[1]
+    for q in range(len(asked)):
+        asked[q] = False
+        if store.evidence.shape[1] > types:
+            asked[q] = store.evidence[index, types + q // WORD] >> (q % WORD) & 1 == 1
 
 
 @inlined
@@ -140,23 +186,25 @@ def upper_in_pairs(tables, step, given, chosen):  # type: ignore[no-untyped-def]
 def expand(tables, store, index, a, gap, answers):  # type: ignore[no-untyped-def]
     """Makes the nodes of an action's answers, but for a tail of unlikely ones that widens the
     gap by no more than ``gap``. False where the store or ``answers`` is full."""
-    step, action = store.nodes[index].step, store.actions[a]
-    shown = store.nodes[index].given | action.messages
-    later = tables.sets.discount[action.messages] * tables.model.discount
-    count = _list_answers(tables, store, index, a, gap, answers)
+    step, given, action = store.nodes[index].step, store.nodes[index].given, store.actions[a]
+    if action.messages < 0:
+        count = _list_replies(tables, store, index, a, answers)
+    else:
+        step, given = step + 1, given | action.messages
+        count = _list_answers(tables, store, index, a, gap, answers)
     begin = store.used[ANSWERS]
     if count < 0 or begin + count > len(store.answers):
         return False
     for o in range(count):
-        slot = find(store, step + 1, shown, answers.evidence[o])
+        slot = find(store, step, given, answers.evidence[o])
         known = store.hash_table[slot] >= 0
-        if not known and not make_node(tables, store, slot, step + 1, shown, answers, o):
+        if not known and not make_node(tables, store, slot, step, given, answers, o):
             return False
         total = 0.0
         for t in range(len(answers.tail)):
             total += answers.weight[o, t]
         store.answers[begin + o].node = store.hash_table[slot]
-        store.answers[begin + o].weight = later * total
+        store.answers[begin + o].weight = action.later * total
     store.used[ANSWERS] += count
     store.used[WORK] += 4 * count
     action.first_answer, action.n_answers = begin, count
@@ -168,8 +216,7 @@ def _list_answers(tables, store, index, a, gap, answers):  # type: ignore[no-unt
     """Lists an action's answers, and bounds the tail of those that are not; −1 where they are more
     than there is room for."""
     step, action = store.nodes[index].step, store.actions[a]
-    shown = store.nodes[index].given | action.messages
-    later = tables.sets.discount[action.messages] * tables.model.discount
+    shown, later = store.nodes[index].given | action.messages, action.later
     belief, evidence, tail = store.belief[index], store.evidence[index], answers.tail
     negligible = 0.1 * gap
     while True:
@@ -186,6 +233,34 @@ def _list_answers(tables, store, index, a, gap, answers):  # type: ignore[no-unt
     for t in range(len(tail)):
         store.tail_alpha[a, t] = later * tail[t] * plan[t]
     return count
+
+
+@inlined
+def _list_replies(tables, store, index, a, answers):  # type: ignore[no-untyped-def]
+    """Lists the answers to a question, of which none is left out."""
+    q, belief, evidence = ~store.actions[a].messages, store.belief[index], store.evidence[index]
+    types, given, found = len(belief), store.nodes[index].given, 0
+    store.actions[a].tail_upper, store.actions[a].tail_lower = 0.0, 0.0
+    for t in range(types):
+        store.tail_alpha[a, t] = 0.0
+    for answer in range(2):
+        weights, logs, total = answers.weights[0], answers.logs[0], 0.0
+        for t in range(types):
+            p = answer_probability(tables.model.inquiry, q, given, t)
+            weights[t] = belief[t] * (p if answer else 1.0 - p)
+            logs[t] = evidence[t]
+            if weights[t] > 0.0:
+                logs[t] += round((np.log(p) if answer else np.log1p(-p)) * SCALE)
+            total += weights[t]
+        if total > 0.0:
+            copy(weights, answers.weight[found])
+            normalise(weights, logs, answers.evidence[found])
+            for w in range(types, len(evidence)):
+                answers.evidence[found, w] = evidence[w]
+            if len(evidence) > types:
+                answers.evidence[found, types + q // WORD] |= 1 << (q % WORD)
+            found += 1
+    return found
 
 
 @inlined

@@ -51,11 +51,12 @@ NEWS = 0.01
 
 
 class Start(NamedTuple):
-    """Where a search starts: k, H, and a belief [N]."""
+    """Where a search starts: k, H, a belief [N], and words that tell which questions were asked."""
 
     step: int
     given: int
     belief: NDArray[np.float64]
+    asked: NDArray[np.int64] = np.empty(0, np.int64)
 
 
 class Limits(NamedTuple):
@@ -78,9 +79,9 @@ class Path(NamedTuple):
     """A trial, level by level.
 
     Attributes:
-        nodes: [m] visited.
-        gaps: [m] of these nodes, before.
-        actions: [m] taken; CLOSED or NO_ROOM at the last.
+        nodes: [levels] visited.
+        gaps: [levels] of these nodes, before.
+        actions: [levels] taken; CLOSED or NO_ROOM at the last.
     """
 
     nodes: NDArray[np.int64]
@@ -88,9 +89,9 @@ class Path(NamedTuple):
     actions: NDArray[np.int64]
 
 
-def make_path(steps: int) -> Path:
-    """Room for a trial."""
-    return Path(np.empty(steps, np.int64), np.empty(steps), np.empty(steps, np.int64))
+def make_path(levels: int) -> Path:
+    """Room for a trial of so many levels."""
+    return Path(np.empty(levels, np.int64), np.empty(levels), np.empty(levels, np.int64))
 
 
 @lean_kernel
@@ -106,6 +107,8 @@ def sample(tables, store, start, limits, path, answers):  # type: ignore[no-unty
         copy(start.belief, answers.weight[0])
         for t in range(len(start.belief)):
             answers.evidence[0, t] = 0
+        for w in range(len(start.asked)):
+            answers.evidence[0, len(start.belief) + w] = start.asked[w]
         slot = find(store, start.step, start.given, answers.evidence[0])
         make_node(tables, store, slot, start.step, start.given, answers, ROOT)
         return WORKING
@@ -140,7 +143,7 @@ def _walk_down(tables, store, limits, path, answers):  # type: ignore[no-untyped
         action = store.actions[a]
         # What the answers may leave open: all that the tail does not.
         allowed -= action.tail_upper - action.tail_lower
-        allowed /= tables.sets.discount[action.messages] * tables.model.discount
+        allowed /= action.later
         index = _widest_answer(store, a, allowed)
         if index < 0:
             return level
@@ -177,10 +180,13 @@ def _settle(tables, store, index, allowed, tail_gap, answers):  # type: ignore[n
     if node.first_action < 0 and not open_node(tables, store, index):
         return NO_ROOM
     tighten_by_shared(tables.optimal, store, index)
-    while gap_of(node) > allowed + ROUNDING and node.step < len(tables.explain) - 1:
+    last = node.step == len(tables.explain) - 1
+    while gap_of(node) > allowed + ROUNDING and (not last or len(tables.room.asked) > 0):
         a = _best_action(store, index)
         if store.actions[a].first_answer >= 0:
             return a
+        if last and store.actions[a].messages >= 0:
+            return CLOSED  # nothing comes after it
         if not expand(tables, store, index, a, tail_gap, answers):
             return NO_ROOM
         back_up(store.used, store.nodes, store.actions, store.answers, index, a)

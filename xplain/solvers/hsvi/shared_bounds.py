@@ -27,6 +27,8 @@ def tighten_by_shared(optimal, store, index):  # type: ignore[no-untyped-def]
     if row < 0:
         return
     for i in range(min(store.shared_count[row, 0], KEPT)):
+        if not _asked_alike(store, index, store.shared_node[row, i, 0]):
+            continue
         value = expected(belief, store.shared_alpha[row, i])
         if value > node.lower:
             node.lower = min(value, node.upper)
@@ -39,6 +41,8 @@ def tighten_by_shared(optimal, store, index):  # type: ignore[no-untyped-def]
                     action.lower = max(action.lower, value)
     known = optimal[node.step, node.given]
     for i in range(min(store.shared_count[row, 1], KEPT)):
+        if not _asked_alike(store, index, store.shared_node[row, i, 1]):
+            continue
         other = store.shared_belief[row, i]
         share = 1.0
         for t in range(len(belief)):
@@ -61,6 +65,7 @@ def publish(tables, store, index, upper, lower, least):  # type: ignore[no-untyp
         i = store.shared_count[row, 1] % KEPT
         copy(store.belief[index], store.shared_belief[row, i])
         store.shared_upper[row, i] = node.upper
+        store.shared_node[row, i, 1] = index
         store.shared_count[row, 1] += 1
     if node.lower > lower + least:
         best = node.first_action
@@ -73,7 +78,18 @@ def publish(tables, store, index, upper, lower, least):  # type: ignore[no-untyp
         i = store.shared_count[row, 0] % KEPT
         copy(store.alpha[index], store.shared_alpha[row, i])
         store.shared_messages[row, i] = store.actions[best].messages
+        store.shared_node[row, i, 0] = index
         store.shared_count[row, 0] += 1
+
+
+@inlined
+def _asked_alike(store, index, other):  # type: ignore[no-untyped-def]
+    """Whether the same questions were asked on the way to two nodes: what is left to be asked is
+    part of what a node is worth."""
+    for w in range(store.belief.shape[1], store.evidence.shape[1]):
+        if store.evidence[index, w] != store.evidence[other, w]:
+            return False
+    return True
 
 
 @inlined
@@ -82,7 +98,6 @@ def _make_alpha(tables, store, index, a):  # type: ignore[no-untyped-def]
     the answers' nodes' alpha vectors stand for."""
     node, belief, alpha = store.nodes[index], store.belief[index], store.alpha[index]
     action = store.actions[a]
-    shown = node.given | action.messages
     copy(store.tail_alpha[a], alpha)
     for o in range(action.first_answer, action.first_answer + action.n_answers):
         answer = store.answers[o]
@@ -90,15 +105,23 @@ def _make_alpha(tables, store, index, a):  # type: ignore[no-untyped-def]
             if store.belief[answer.node, t] > 0.0:
                 weight = answer.weight * store.belief[answer.node, t]
                 alpha[t] += weight * store.alpha[answer.node, t]
-    price, discount = tables.sets.price[action.messages], tables.sets.discount[action.messages]
     for t in range(len(belief)):
         if belief[t] > 0.0:
-            later = tables.model.discount * tables.optimal[node.step + 1, shown, t]
-            now = tables.explain[node.step, shown, t] - later
-            alpha[t] = alpha[t] / belief[t] + discount * now - price
+            alpha[t] = alpha[t] / belief[t] + _reward(tables, node, action.messages, t)
         else:
             alpha[t] = IRRELEVANT
     store.used[WORK] += action.n_answers
+
+
+@inlined
+def _reward(tables, node, messages, t):  # type: ignore[no-untyped-def]
+    """What an action brings at once, of type t."""
+    if messages < 0:
+        return -tables.model.inquiry.cost
+    shown = node.given | messages
+    later = tables.model.discount * tables.optimal[node.step + 1, shown, t]
+    now = tables.explain[node.step, shown, t] - later
+    return tables.sets.discount[messages] * now - tables.sets.price[messages]
 
 
 @inlined

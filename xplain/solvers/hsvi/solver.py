@@ -17,15 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
+from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.hsvi.explore import Effort, Found, explore
 from xplain.solvers.hsvi.initial_bounds import Tables, make_tables, table_bytes
 from xplain.solvers.hsvi.search import Start
 from xplain.solvers.hsvi.tree import NODES
+from xplain.solvers.inquiry import WORD
 from xplain.solvers.memory import check_memory
-from xplain.solvers.model import best_set
-from xplain.solvers.restriction import Restricted, coupled
+from xplain.solvers.model import TIE, best_set
+from xplain.solvers.restriction import RestrictedAsking, coupled
 
 SAME = 1e-9
 """Beliefs that differ by less in every entry are the same belief."""
@@ -81,7 +83,7 @@ def tables_within(problem: Problem, memory_gib: float) -> tuple[Problem, Tables]
 
 
 @dataclass(frozen=True)
-class CertifiedPolicy(Restricted):
+class CertifiedPolicy(RestrictedAsking):
     """A restricted policy that also tells the bounds at the root.
 
     Attributes:
@@ -113,20 +115,36 @@ class Searched:
     found: Found
     brief: Effort
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
         """The messages to give before the next *explain*, as
         :class:`xplain.solvers.base.Policy` says."""
-        return best_set(self.values(step, given, belief))
+        values = self.values(step, given, belief, asked)
+        return best_set({chosen: value for chosen, value in values.items() if chosen >= 0})
 
-    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
-        """Certified lower bounds by set of messages, of those not ruled out."""
+    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """The question to ask, as :class:`xplain.solvers.base.Asks` says; none where messages are
+        worth as much."""
+        values = self.values(step, given, belief, asked)
+        best = max(values, key=lambda action: (values[action], action))
+        said = max(value for action, value in values.items() if action >= 0)
+        worth_it = best < 0 and values[best] > said + TIE * (1 + abs(said))
+        return ~best if worth_it else NO_QUESTION
+
+    def values(
+        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
+    ) -> Mapping[int, float]:
+        """Certified lower bounds by set of messages, and by ~q, of those not ruled out."""
+        count = self.found.tables.model.inquiry.words
+        words = np.array([asked >> WORD * w & (1 << WORD) - 1 for w in range(count)], np.int64)
         nodes = self._opened.get((step, given), np.empty(0, dtype=np.int64))
         if len(nodes):
-            distance = np.abs(self.found.store.belief[nodes] - belief).max(axis=1)
+            store = self.found.store
+            distance = np.abs(store.belief[nodes] - belief).max(axis=1)
+            distance[(store.evidence[nodes, len(belief) :] != words).any(axis=1)] = np.inf
             nearest = int(distance.argmin())
             if distance[nearest] < SAME:
                 return self.found.values(int(nodes[nearest]))
-        start = Start(step, given, belief)
+        start = Start(step, given, belief, words)
         return explore(self.found.tables, start, self.brief).values()
 
     @cached_property

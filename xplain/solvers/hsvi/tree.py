@@ -26,11 +26,13 @@ NODE = np.dtype(
         ("given", np.int64),  # H
         ("first_action", np.int64),  # NONE until it is opened
         ("n_actions", np.int64),
+        ("asked", np.int64),  # questions, where that matters
     ]
 )
 ACTION = np.dtype(
     [
-        ("messages", np.int64),  # the set given, then *explain*
+        ("messages", np.int64),  # the set given, then *explain*; ~q to ask question q
+        ("later", np.float64),  # what discounts what comes after it
         ("upper", np.float64),
         ("lower", np.float64),
         ("base", np.float64),  # its expected reward: messages and *explain*
@@ -65,7 +67,8 @@ class Store(NamedTuple):
         used: [8] how much of the rest is in use.
         nodes: [.] NODE, a belief at (k, H).
         belief: [nodes, N].
-        evidence: [nodes, N] integers that are an exact key of the belief.
+        evidence: [nodes, N + words] integers that are an exact key of the belief and, in the last
+            words, of the questions asked.
         alpha: [nodes, N] values by type of the policy that earns the lower bound.
         actions: [.] ACTION; those of a node lie side by side.
         tail_alpha: [actions, N] what the answers not told apart add to alpha.
@@ -78,6 +81,7 @@ class Store(NamedTuple):
         shared_messages: [shared, KEPT] the set that earns each,
         shared_belief: [shared, KEPT, N] a belief, and
         shared_upper: [shared, KEPT] the upper bound there.
+        shared_node: [shared, KEPT, 2] the nodes that published a lower and an upper bound.
         hash_table: [.] nodes by (k, H, evidence), open addressing.
     """
 
@@ -96,6 +100,7 @@ class Store(NamedTuple):
     shared_messages: NDArray[np.int64]
     shared_belief: NDArray[np.float64]
     shared_upper: NDArray[np.float64]
+    shared_node: NDArray[np.int64]
     hash_table: NDArray[np.int32]
 
 
@@ -105,7 +110,7 @@ _KIND = {
     "answers": ANSWERS,
     "candidates": CANDIDATES,
     "shared_count": SHARED, "shared_alpha": SHARED, "shared_messages": SHARED,
-    "shared_belief": SHARED, "shared_upper": SHARED,
+    "shared_belief": SHARED, "shared_upper": SHARED, "shared_node": SHARED,
 }  # fmt: skip
 """What bounds the length of an array that grows."""
 
@@ -120,7 +125,7 @@ def make_store(tables: Tables, nodes: int = 1 << 10) -> Store:
         used=np.zeros(8, np.int64),
         nodes=np.zeros(nodes, NODE),
         belief=np.zeros((nodes, types)),
-        evidence=np.zeros((nodes, types), np.int64),
+        evidence=np.zeros((nodes, types + tables.model.inquiry.words), np.int64),
         alpha=np.zeros((nodes, types)),
         actions=np.zeros(actions, ACTION),
         tail_alpha=np.zeros((actions, types)),
@@ -132,6 +137,7 @@ def make_store(tables: Tables, nodes: int = 1 << 10) -> Store:
         shared_messages=np.zeros((shared, KEPT), np.int64),
         shared_belief=np.zeros((shared, KEPT, types)),
         shared_upper=np.zeros((shared, KEPT)),
+        shared_node=np.zeros((shared, KEPT, 2), np.int64),
         hash_table=np.full(4 * nodes, NONE, np.int32),
     )
 
