@@ -61,8 +61,30 @@ def make_inquiry(problem: Problem) -> Inquiry:
         float(asking.limits.cost),
         asking.limits.most,
         asking.limits.when == "first",
-        -(-len(asking) // WORD) if matters else 0,
+        words_for(len(asking)) if matters else 0,
     )
+
+
+def answers_at(inquiry: Inquiry, question: int, given: int) -> NDArray[np.float64]:
+    """[N] P(answer 1) to a question, with H given."""
+    types = inquiry.answered.shape[2]
+    at = [row(inquiry.part, given, t) for t in range(types)]
+    return inquiry.answered[question, at, np.arange(types)]
+
+
+def words_for(count: int) -> int:
+    """How many integers it takes to tell which of so many questions were asked."""
+    return -(-count // WORD)
+
+
+def words_of(asked: int, count: int) -> NDArray[np.int64]:
+    """A bitmask of questions in so many integers, the first questions first."""
+    return np.array([asked >> WORD * w & (1 << WORD) - 1 for w in range(count)], np.int64)
+
+
+def mask_of(words: NDArray[np.int64]) -> int:
+    """The bitmask of :func:`words_of`."""
+    return sum(word << WORD * w for w, word in enumerate(words.tolist()))
 
 
 @inlined

@@ -9,18 +9,28 @@ of H.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.explanation.belief import update
+from xplain.explanation.asking import NO_QUESTION
+from xplain.explanation.belief import answered, update
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
 from xplain.randomness import stream
 from xplain.solvers.base import Policy
 from xplain.solvers.cached_policy import CachedPolicy
-from xplain.solvers.count_lattice import branch, copy, hash_key, make_answers, same
+from xplain.solvers.count_lattice import (
+    SCALE,
+    branch,
+    copy,
+    hash_key,
+    make_answers,
+    normalise,
+    same,
+)
+from xplain.solvers.inquiry import answers_at, mask_of, words_for, words_of
 from xplain.solvers.model import (
     Model,
     explain_cost_at,
@@ -83,26 +93,34 @@ def evaluate(
 
 
 def _walk(
-    problem: Problem, policy: Policy, limit: int, precision: float = EXACT
+    problem: Problem, policy: CachedPolicy, limit: int, precision: float = EXACT
 ) -> PolicyValue | None:
     """None where more than ``limit`` beliefs are reachable, or will be: a layer is seldom smaller
     than the one before, so there must be room for as many of its size as there are steps to come.
     Decisions of a policy that searches are dear: none is asked for in vain."""
     given = np.zeros(1, dtype=np.int64)
     weight = problem.prior[None].copy()
-    evidence = np.zeros((1, problem.n_types), dtype=np.int64)
     asked, value, cost, left_out = 0, 0.0, 0.0, 0.0
     model = model_of(problem)
+    words = words_for(len(model.inquiry.answered))
+    evidence = np.zeros((1, problem.n_types + words), dtype=np.int64)
     worst = _worst_remaining(model)
     budget = precision / (2 * problem.n_steps * max(worst, 1))
     negligible = NEGLIGIBLE * precision / EXACT
     for k in range(problem.n_steps):
         if asked + (problem.n_steps - k) * len(given) > limit:
             return None
+        if words:
+            (given, weight, evidence), plain, price = _ask(
+                model, policy, k, Layer(given, weight, evidence)
+            )
+            cost += plain
+            value -= price
         asked += len(given)
         mass = weight.sum(axis=1)
         for b in range(len(given)):
-            new = policy.messages(k, int(given[b]), weight[b] / mass[b])
+            no_news = [mask_of(evidence[b, problem.n_types :])] if words else []
+            new = policy.messages(k, int(given[b]), weight[b] / mass[b], *no_news)
             factor, price, undiscounted = _give(model, int(given[b]), new)
             given[b] |= new
             value -= mass[b] * model.discount**k * factor * price
@@ -122,6 +140,36 @@ def _walk(
     if left_out > precision * (1 + abs(value)):
         return None
     return PolicyValue(float(value), float(cost), "exact", 0.0, 0.0, asked)
+
+
+def _ask(model: Model, policy: CachedPolicy, step: int, layer: Layer) -> tuple[Layer, float, float]:
+    """The beliefs from which nothing is asked any more before a step's messages, and the expected
+    price of the questions, plain and discounted."""
+    types, inquiry = model.n_types, model.inquiry
+    open_ = list(zip(*layer, strict=True))
+    settled: dict[tuple[int, bytes], list[Any]] = {}
+    plain, discounted = 0.0, 0.0
+    while open_:
+        given, weight, evidence = open_.pop()
+        mass, asked = weight.sum(), mask_of(evidence[types:])
+        q = policy.question(step, int(given), weight / mass, asked)
+        if q == NO_QUESTION:
+            here = settled.setdefault((int(given), evidence.tobytes()), [given, 0.0, evidence])
+            here[1] = here[1] + weight
+            continue
+        plain += mass * inquiry.cost
+        discounted += mass * inquiry.cost * float(_discounts(model, step, np.array([given]))[0])
+        yes = answers_at(inquiry, q, int(given))
+        for p in (yes, 1 - yes):
+            after, joint = evidence.copy(), weight * p
+            if joint.sum() > 0:
+                with np.errstate(divide="ignore"):
+                    logs = after[:types] + np.round(np.log(np.where(p > 0, p, 1)) * SCALE)
+                normalise(joint, logs.astype(np.int64), after)
+                after[types:] = words_of(asked | 1 << q, len(after) - types)
+                open_.append((given, joint, after))
+    rows = [*zip(*settled.values(), strict=True)]
+    return Layer(np.array(rows[0]), np.array(rows[1]), np.array(rows[2])), plain, discounted
 
 
 def _likely(weight: NDArray[np.float64], budget: float) -> tuple[NDArray[np.int64], float]:
@@ -167,9 +215,10 @@ def _next_layer(
     after = Layer(
         np.empty(limit + 1, np.int64),
         np.empty((limit + 1, model.n_types)),
-        np.empty((limit + 1, model.n_types), np.int64),
+        np.empty((limit + 1, evidence.shape[1]), np.int64),
     )
-    answers = make_answers(limit + 1, model.n_steps, model.n_types)
+    words = evidence.shape[1] - model.n_types
+    answers = make_answers(limit + 1, model.n_steps, model.n_types, words)
     slots = np.full(1 << (4 * limit + 3).bit_length(), -1, np.int64)
     found, tail = _expand_layer(
         model, step, Layer(given, weight, evidence), after, slots, answers, negligible
@@ -185,7 +234,7 @@ class Layer(NamedTuple):
     Attributes:
         given: [B] H.
         weight: [B, N] joint probability of the past and each type.
-        evidence: [B, N] an exact key of the belief.
+        evidence: [B, N + words] an exact key of the belief, and which questions were asked.
     """
 
     given: NDArray[np.int64]
@@ -226,7 +275,7 @@ def _expand_layer(model, step, layer, after, slots, answers, negligible):  # typ
                     found += 1
                     break
                 if after.given[node] == given and same(after.evidence[node], evidence):
-                    for t in range(len(evidence)):
+                    for t in range(after.weight.shape[1]):
                         after.weight[node, t] += answers.weight[a, t]
                     break
                 slot = (slot + 1) & (len(slots) - 1)
@@ -247,9 +296,19 @@ def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> Poli
     asked = policy if isinstance(policy, CachedPolicy) else CachedPolicy(policy)
     for episode in range(episodes):
         user_type = rng.choice(problem.n_types, p=problem.prior)
-        given, belief = 0, problem.prior
+        given, belief, no_news = 0, problem.prior, 0
         for k in range(problem.n_steps):
-            new = asked.messages(k, given, belief)
+            while problem.questions is not None:
+                q = asked.question(k, given, belief, no_news)
+                if q == NO_QUESTION:
+                    break
+                # Of W, below, it changes nothing: what it tells is expected there.
+                price = problem.questions.limits.cost
+                losses[0, episode] += price * float(_discounts(model, k, np.array([given]))[0])
+                losses[1, episode] += price
+                answer = int(rng.random() < answers_at(model.inquiry, q, given)[user_type])
+                belief, no_news = answered(problem, belief, given, q, answer), no_news | 1 << q
+            new = asked.messages(k, given, belief, no_news)
             for own, each, optimal in zip(losses, models, known, strict=True):
                 own[episode] += _loss(each, optimal, k, given, new, belief)
             given |= new

@@ -19,6 +19,9 @@ from xplain.solvers.hsvi.tree import ACTIONS, ANSWERS, HASHED, NODES, NONE, OPEN
 from xplain.solvers.inquiry import WORD, answer_probability, open_questions
 from xplain.solvers.model import expected
 
+HAIR = 1e-12
+"""Relative to 1 + its size, what rounding may change a value by."""
+
 
 @inlined
 def make_node(tables, store, slot, step, given, answers, o):  # type: ignore[no-untyped-def]
@@ -151,6 +154,7 @@ def _list_questions(tables, store, index, best, end):  # type: ignore[no-untyped
     _recall(store, index, tables.room.asked)
     cost = tables.model.inquiry.cost
     upper = expected(belief, tables.optimal[node.step, node.given]) - cost
+    upper += HAIR * (1.0 - upper)  # bounds from elsewhere may be above it by rounding
     plans = tables.plans[node.step, node.given]
     lower = min(expected(belief, plans[_best_plan(plans, belief)]) - cost, upper)
     if upper < node.lower:

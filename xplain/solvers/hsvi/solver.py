@@ -24,7 +24,7 @@ from xplain.solvers.hsvi.explore import Effort, Found, explore
 from xplain.solvers.hsvi.initial_bounds import Tables, make_tables, table_bytes
 from xplain.solvers.hsvi.search import Start
 from xplain.solvers.hsvi.tree import NODES
-from xplain.solvers.inquiry import WORD
+from xplain.solvers.inquiry import words_of
 from xplain.solvers.memory import check_memory
 from xplain.solvers.model import TIE, best_set
 from xplain.solvers.restriction import RestrictedAsking, coupled
@@ -134,8 +134,7 @@ class Searched:
         self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
     ) -> Mapping[int, float]:
         """Certified lower bounds by set of messages, and by ~q, of those not ruled out."""
-        count = self.found.tables.model.inquiry.words
-        words = np.array([asked >> WORD * w & (1 << WORD) - 1 for w in range(count)], np.int64)
+        words = words_of(asked, self.found.tables.model.inquiry.words)
         nodes = self._opened.get((step, given), np.empty(0, dtype=np.int64))
         if len(nodes):
             store = self.found.store
