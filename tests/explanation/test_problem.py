@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, asdict, fields
+from dataclasses import MISSING, asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from xplain.errors import InputError
+from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.habits import PAPER, Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
@@ -31,6 +32,11 @@ def unusual() -> Problem:
         message_names=("fuel", "fire"),
         type_names=("novice", "expert"),
     )
+    asked = LabelTable.dense(*rng.random((2, 2, 3, 4)))
+    limits = Limits(cost=0.3, most=2, when="first")
+    shows = np.array([[True, False, False], [False] * 3, [False, False, True]])
+    texts = "goes left", "goes right", "waits"
+    problem = replace(problem, questions=Questions(asked, limits, shows, texts))
     habits = Habits(*np.array([[0.1, 0.3], [1.0, 0.8], [0.0, 0.1], [0.4, 0.6]]))
     return problem.with_habits(habits)
 
@@ -42,6 +48,10 @@ def plain(problem: Problem) -> dict[str, Any]:
     values |= {"relevant": table.relevant, "table": table.p, "answers": table.answers}
     values |= {f"habits.{name}": rates for name, rates in asdict(habits).items()}
     values["habits"] = len(habits)
+    if asked := problem.questions:
+        values["questions"] = asked.limits, asked.shows.tolist(), asked.texts
+        values["asked"] = [a.tolist() for a in (asked.table.relevant, asked.table.p)]
+        values["asked_answers"] = asked.table.answers.tolist()
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
 
 
@@ -174,6 +184,7 @@ def test_other_types_keep_the_costs_and_are_equally_likely() -> None:
     table = LabelTable.dense(np.full((4, 3, 4), 0.25))
     other = problem.with_types(table, ("a", "b", "c", "d"))
     changed = {"table", "relevant", "answers", "prior", "type_names", "habits"}
+    changed |= {"questions", "asked", "asked_answers"}  # there are none of other types
     assert {k: v for k, v in plain(other).items() if k.split(".")[0] not in changed} == {
         k: v for k, v in plain(problem).items() if k.split(".")[0] not in changed
     }

@@ -15,7 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
+from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.problem import Problem
+
+TIE = 1e-9
+"""Values closer than this, relative to 1 + their size, are equal."""
 
 Knowledge = Literal["types", "everyone", "type", "labels"]
 """What the agent that plans may know of the user (the experiment builds its problem from it):
@@ -82,6 +86,17 @@ def asking(policy: Policy) -> Asks:
         wanted = "one that asks, as qmdp, pomcp and certified do; or ask=never"
         raise InputError("solver", type(policy).__name__, wanted)
     return policy
+
+
+def best_question(values: Mapping[int, float]) -> int:
+    """Of :meth:`Asks.values` the question worth the most, NO_QUESTION where messages are worth as
+    much; of equals the first."""
+    said = max(value for action, value in values.items() if action >= 0)
+    asked = {~action: value for action, value in values.items() if action < 0}
+    best = max(asked.values(), default=-np.inf)
+    if best <= said + TIE * (1 + abs(said)):
+        return NO_QUESTION
+    return min(q for q, value in asked.items() if value >= best - TIE * (1 + abs(best)))
 
 
 @runtime_checkable

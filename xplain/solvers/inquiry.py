@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import inlined, shared_kernel
+from xplain.numba_kernels import inlined, lean_kernel, shared_kernel
 from xplain.solvers.rows import make_rows, row
 
 NO_NEWS = 1e-12
@@ -93,6 +93,21 @@ def answer_probability(inquiry, q, given, t):  # type: ignore[no-untyped-def]
     return inquiry.answered[q, row(inquiry.part, given, t), t]
 
 
+@inlined
+def hear_answer(inquiry, q, given, answer, belief):  # type: ignore[no-untyped-def]
+    """belief [N] ∝ itself × likelihood of an answer that it does not rule out. Returns what it sums
+    to before, the probability of the answer."""
+    total = 0.0
+    for t in range(len(belief)):
+        p = answer_probability(inquiry, q, given, t)
+        belief[t] *= p if answer else 1.0 - p
+        total += belief[t]
+    if total > 0.0:
+        for t in range(len(belief)):
+            belief[t] /= total
+    return total
+
+
 class Room(NamedTuple):
     """What :func:`open_questions` finds, and room for it to work in.
 
@@ -107,6 +122,10 @@ class Room(NamedTuple):
     found: NDArray[np.int64]
     news: NDArray[np.float64]
     kinds: NDArray[np.int64]
+
+
+NO_ROOM = Room(np.empty(0, np.bool_), np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64))
+"""Where there are no questions."""
 
 
 def make_room(inquiry: Inquiry, asked: int = 0, most: int | None = None) -> Room:
@@ -141,6 +160,12 @@ def open_questions(inquiry, step, given, belief, room):  # type: ignore[no-untyp
         room.found[at], room.news[at] = q, told
         count = min(count + 1, len(room.found))
     return count
+
+
+@lean_kernel
+def look(inquiry, step, given, belief, room):  # type: ignore[no-untyped-def]
+    """:func:`open_questions`, for Python."""
+    return open_questions(inquiry, step, given, belief, room)
 
 
 @inlined

@@ -25,11 +25,10 @@ from numpy.typing import NDArray
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, lean_kernel, tell_when_compiling
+from xplain.solvers.base import TIE
 from xplain.solvers.inquiry import Inquiry, make_inquiry
 from xplain.solvers.rows import Rows, delaying, make_rows, row, rows_at
 
-TIE = 1e-9
-"""Values closer than this, relative to 1 + their size, are equal."""
 BATCH = 1 << 20
 """Entries of a table that one call of a kernel fills, about: some hundredths of a second."""
 

@@ -22,10 +22,10 @@ from xplain.explanation.problem import Problem
 from xplain.message_sets import compress
 from xplain.numba_kernels import inlined, lean_kernel
 from xplain.randomness import derived_seed
-from xplain.solvers.base import Policy
-from xplain.solvers.inquiry import Inquiry, Room, answer_probability, make_room, open_questions
+from xplain.solvers.base import TIE, Policy
+from xplain.solvers.count_lattice import copy
+from xplain.solvers.inquiry import Inquiry, Room, hear_answer, make_room, open_questions
 from xplain.solvers.memory import check_memory
-from xplain.solvers.model import TIE
 from xplain.solvers.pomcp.rollout import roll_qmdp
 from xplain.solvers.pomcp.search_model import SearchModel, model_bytes, model_of
 from xplain.solvers.pomcp.tree import Tree
@@ -146,14 +146,9 @@ def _look(model, tree, step, given, belief, after, room, rolls, seed):  # type: 
     for i in range(count):
         value, q = -inquiry.cost, room.found[i]
         for answer in range(2):
-            total = 0.0
-            for t in range(len(belief)):
-                p = answer_probability(inquiry, q, given, t)
-                after[t] = belief[t] * (p if answer else 1.0 - p)
-                total += after[t]
+            copy(belief, after)
+            total = hear_answer(inquiry, q, given, answer, after)
             if total > 0.0:
-                for t in range(len(belief)):
-                    after[t] /= total
                 value += total * _earned(model, tree, step, given, after, rolls, seed)
         room.news[i] = value - now
     return count

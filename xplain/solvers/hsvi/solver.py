@@ -17,16 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
-from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.problem import Problem
-from xplain.solvers.base import Knowledge, Policy
+from xplain.solvers.base import Knowledge, Policy, best_question
 from xplain.solvers.hsvi.explore import Effort, Found, explore
 from xplain.solvers.hsvi.initial_bounds import Tables, make_tables, table_bytes
 from xplain.solvers.hsvi.search import Start
 from xplain.solvers.hsvi.tree import NODES
 from xplain.solvers.inquiry import words_of
 from xplain.solvers.memory import check_memory
-from xplain.solvers.model import TIE, best_set
+from xplain.solvers.model import best_set
 from xplain.solvers.restriction import RestrictedAsking, coupled
 
 SAME = 1e-9
@@ -122,13 +121,8 @@ class Searched:
         return best_set({chosen: value for chosen, value in values.items() if chosen >= 0})
 
     def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """The question to ask, as :class:`xplain.solvers.base.Asks` says; none where messages are
-        worth as much."""
-        values = self.values(step, given, belief, asked)
-        best = max(values, key=lambda action: (values[action], action))
-        said = max(value for action, value in values.items() if action >= 0)
-        worth_it = best < 0 and values[best] > said + TIE * (1 + abs(said))
-        return ~best if worth_it else NO_QUESTION
+        """The question to ask, as :class:`xplain.solvers.base.Asks` says."""
+        return best_question(self.values(step, given, belief, asked))
 
     def values(
         self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0

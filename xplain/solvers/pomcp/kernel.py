@@ -12,8 +12,9 @@ from numba import uint64
 
 from xplain.numba_kernels import inlined, lean_kernel
 from xplain.solvers.bits import count_bits, nth_bit
+from xplain.solvers.inquiry import answer_probability, hear_answer
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
-from xplain.solvers.pomcp.random_words import next_below, next_uniform
+from xplain.solvers.pomcp.random_words import GOLDEN, next_below, next_uniform, splitmix64
 from xplain.solvers.pomcp.rollout import (
     RANDOM,
     SILENT,
@@ -22,7 +23,17 @@ from xplain.solvers.pomcp.rollout import (
     roll_random,
     roll_silent,
 )
-from xplain.solvers.pomcp.tree import END, ROOT, UNOPENED, UNVISITED, add, find, grow_table, open_
+from xplain.solvers.pomcp.tree import (
+    END,
+    ROOT,
+    UNOPENED,
+    UNVISITED,
+    add,
+    find,
+    grow_table,
+    open_,
+    questions_at,
+)
 
 MEAN, MAX = 0, 1
 
@@ -44,7 +55,8 @@ def simulate(simulations, model, options, tree, log_root, inverse_root):  # type
             tree.path[1, length] = edge
             tree.path[2, length] = action
             length += 1
-            depth += 1 if action == len(model.reduced.price) else options.message_depth
+            if action <= len(model.reduced.price):  # a question costs no depth
+                depth += 1 if action == len(model.reduced.price) else options.message_depth
             node, is_new = expand(model, tree, node, edge, action, user_type)
         value = evaluate(model, options, tree, node, is_new, user_type)
         backward(model, options, tree, node, length, value)
@@ -70,7 +82,8 @@ def select(model, options, tree, node, log_root, inverse_root):  # type: ignore[
         open_(model, tree, node)
     n = len(model.reduced.price)
     first, untried = record.edges, np.int64(record.untried)
-    available = ((1 << (n + 1)) - 1) & ~np.int64(record.given)
+    asking = questions_at(tree, node)
+    available = ((1 << (n + 1 + asking)) - 1) & ~np.int64(record.given)
     if untried != 0:
         action = nth_bit(untried, next_below(tree.counter, count_bits(untried)))
         record.untried = untried & ~(1 << action)
@@ -83,7 +96,7 @@ def select(model, options, tree, node, log_root, inverse_root):  # type: ignore[
         if score > best:
             best, chosen = score, e
     edge = np.int64(chosen)
-    return edge, n if edge == last else nth_bit(available, edge - first)
+    return edge, n if edge == last - asking else nth_bit(available, edge - first)
 
 
 @inlined
@@ -93,11 +106,19 @@ def expand(model, tree, node, edge, action, user_type):  # type: ignore[no-untyp
     record = tree.nodes[node]
     step, given, base = np.int64(record.step), np.int64(record.given), np.int64(record.base)
     child = np.int64(tree.edges[edge].child)
+    question, answer = np.int64(-1), 0
     if action < len(model.reduced.price):
         if child != UNVISITED:
             return child, False
         given |= 1 << action
         parent, code = ~base, uint64(given)
+    elif action > len(model.reduced.price):
+        question = np.int64(tree.inquired[node, action - len(model.reduced.price) - 1])
+        yes = answer_probability(model.reduced.inquiry, question, given, user_type)
+        answer = int(next_uniform(tree.counter) < yes)
+        parent, code = node, splitmix64(uint64(2 * question + answer + 1) * GOLDEN)
+        if child != UNVISITED and tree.nodes[child].code == code:  # the last answer, as often
+            return child, False
     else:
         if step + 1 == model.informative.shape[1]:
             return np.int64(END), False
@@ -114,11 +135,18 @@ def expand(model, tree, node, edge, action, user_type):  # type: ignore[no-untyp
         if action < len(model.reduced.price):
             record.step, record.base = step, base
         else:
-            record.step, record.base = step + 1, child
             belief = tree.beliefs[child]
             for t in range(len(belief)):
                 belief[t] = tree.beliefs[base, t]
-            update_belief(model, tree, step, given, user_type, code, belief)
+            if action == len(model.reduced.price):
+                record.step, record.base = step + 1, child
+                update_belief(model, tree, step, given, user_type, code, belief)
+            else:
+                record.step, record.base = step, child
+                hear_answer(model.reduced.inquiry, question, given, answer, belief)
+            if len(tree.room.found) > 0:
+                tree.inquired[child, len(tree.room.found)] = 0
+                tree.inquired[child, len(tree.room.found) + 1] = question
     tree.edges[edge].child = child
     return child, is_new
 
@@ -157,17 +185,19 @@ def backward(model, options, tree, node, length, value):  # type: ignore[no-unty
         record.visits += 1
     for i in range(length - 1, -1, -1):
         record, edge = tree.nodes[tree.path[0, i]], tree.edges[tree.path[1, i]]
-        is_message = tree.path[2, i] < n
+        is_message, later = tree.path[2, i] < n, model.reduced.discount
         edge.visits += 1
         before = edge.value
         if is_message:
             value = model.reduced.message_discount * value - model.reduced.price[tree.path[2, i]]
+        elif tree.path[2, i] > n:
+            value, later = value - model.reduced.inquiry.cost, 1.0
         else:
-            value = record.reward + model.reduced.discount * value
+            value = record.reward + later * value
         if edge.visits == 1 or (to_max and is_message):
             edge.value = value
         elif to_max:
-            edge.value += (value - before + model.reduced.discount * moved) / edge.visits
+            edge.value += (value - before + later * moved) / edge.visits
         else:
             edge.value += (value - before) / edge.visits
         if to_max:
@@ -177,6 +207,7 @@ def backward(model, options, tree, node, length, value):  # type: ignore[no-unty
             else:
                 value = edge.value
                 actions = n + 1 - count_bits(np.int64(record.given))
+                actions += questions_at(tree, tree.path[0, i])
                 for e in range(record.edges, record.edges + actions):
                     value = max(value, tree.edges[e].value)
             moved = record.visits * (value - record.value)

@@ -28,7 +28,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import blake2b
 from typing import Any, Literal
@@ -41,7 +41,8 @@ from xplain.explanation.belief import rounded
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import tell_when_compiling
 from xplain.randomness import derived_seed
-from xplain.solvers.base import Knowledge, Policy
+from xplain.solvers.base import Knowledge, Policy, best_question
+from xplain.solvers.inquiry import look, make_room
 from xplain.solvers.memory import check_memory, check_memory_gib
 from xplain.solvers.model import best_set, one_by_one
 from xplain.solvers.pomcp.kernel import simulate
@@ -51,8 +52,8 @@ from xplain.solvers.pomcp.search_model import (
     model_of,
     with_own_room,
 )
-from xplain.solvers.pomcp.tree import Options, Tree, tree_bytes
-from xplain.solvers.restriction import Restricted, restricted
+from xplain.solvers.pomcp.tree import Options, Tree, slots_for, tree_bytes
+from xplain.solvers.restriction import Restricted, RestrictedAsking, restricted
 from xplain.solvers.rows import rows_at
 
 CHUNK = 50_000
@@ -135,7 +136,8 @@ class POMCP:
             rollout=ROLLOUTS.index(self.rollout),
             backup=BACKUPS.index(self.backup),
         )
-        return Restricted(Search(self, model_of(small), options, seed), kept)
+        search = Search(self, model_of(small), options, seed, slots_for(small))
+        return (RestrictedAsking if small.questions else Restricted)(search, kept)
 
 
 @dataclass(frozen=True)
@@ -146,26 +148,56 @@ class Search:
         solver: its settings.
         model, options: as the kernel wants them.
         seed: of the run.
+        slots: questions tried at a belief.
     """
 
     solver: POMCP
     model: SearchModel
     options: Options
     seed: int
+    slots: int = 0
+    _last: dict[tuple[object, ...], Mapping[int, float]] = field(default_factory=dict)
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
         """The messages to give before the next *explain*, as
         :class:`xplain.solvers.base.Policy` says."""
-        return one_by_one(lambda shown: best_set(self.values(step, shown, belief)), given)
 
-    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
-        """Estimated return of *explain* (0) and of each message (its bit), where it was tried."""
+        def best_action(shown: int) -> int:
+            values = self._values(step, shown, belief, asked, shown == given)
+            return best_set({action: value for action, value in values.items() if action >= 0})
+
+        return one_by_one(best_action, given)
+
+    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """The question to ask, as :class:`xplain.solvers.base.Asks` says."""
+        return best_question(self.values(step, given, belief, asked))
+
+    def values(
+        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
+    ) -> Mapping[int, float]:
+        """Estimated return of *explain* (0), of each message (its bit) and question (~q), where it
+        was tried."""
+        return self._values(step, given, belief, asked)
+
+    def _values(
+        self, step: int, given: int, belief: NDArray[np.float64], asked: int, may_ask: bool = True
+    ) -> Mapping[int, float]:
+        """As :meth:`values`; between the messages of a step nothing ``may_ask``. What is asked
+        first is asked for messages next, so the last search is kept."""
         if self._known_is_exact and rounded(belief).max() == 1.0:
             return self._known_values(step, given, int(np.argmax(belief)))
-        value, visits = self.search(step, given, belief)
-        n = len(value) - 1
-        order = [n, *range(n)]
-        return {(0 if a == n else 1 << a): float(value[a]) for a in order if visits[a]}
+        key = step, given, belief.tobytes(), asked, may_ask
+        if key not in self._last:
+            value, visits = self.search(step, given, belief, asked, may_ask)
+            n = len(value) - 1 - self.slots
+            room = make_room(self.model.reduced.inquiry, asked, self.slots)
+            if self.slots:
+                look(self.model.reduced.inquiry, step, given, np.ascontiguousarray(belief), room)
+            names = [1 << j for j in range(n)] + [0] + [~q for q in room.found.tolist()]
+            order = [n, *range(n), *range(n + 1, len(value))]
+            self._last.clear()
+            self._last[key] = {names[a]: float(value[a]) for a in order if visits[a]}
+        return self._last[key]
 
     @property
     def _known_is_exact(self) -> bool:
@@ -189,18 +221,24 @@ class Search:
         return values
 
     def search(
-        self, step: int, given: int, belief: NDArray[np.float64]
+        self,
+        step: int,
+        given: int,
+        belief: NDArray[np.float64],
+        asked: int = 0,
+        may_ask: bool = True,
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Value and visits of each action at the root, merged over the trees: [n + 1] each,
-        *explain* last. The random stream comes from the question, not from what was asked
-        before."""
+        """Value and visits of each action at the root, merged over the trees: [n + 1 + B] each,
+        messages, *explain*, then the most telling questions. The random stream comes from what is
+        to be decided, not from what was decided before."""
         belief = rounded(np.ascontiguousarray(belief, dtype=np.float64))
         digest = int.from_bytes(blake2b(belief.tobytes(), digest_size=8).digest(), "little")
+        heard = (str(asked),) if asked else ()
         whole, rest = divmod(self.solver.simulations, self.solver.trees)
         stop = threading.Event()
 
         def grow(number: int) -> NDArray[Any]:
-            seed = derived_seed(self.seed, "pomcp", step, given, digest, number)
+            seed = derived_seed(self.seed, "pomcp", step, given, digest, number, *heard)
             budget = whole + (number < rest)
             tree = Tree.rooted(
                 budget,
@@ -210,6 +248,8 @@ class Search:
                 given,
                 belief,
                 seed,
+                make_room(self.model.reduced.inquiry, asked, self.slots),
+                may_ask,
             )
             roots = _roots(1 << budget.bit_length())
             model = self.model if self.solver.threads == 1 else with_own_room(self.model)

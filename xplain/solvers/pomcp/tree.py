@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined
 from xplain.solvers.bits import count_bits
+from xplain.solvers.count_lattice import copy
+from xplain.solvers.inquiry import NO_ROOM, Room, open_questions
 from xplain.solvers.pomcp.random_words import GOLDEN, splitmix64
 from xplain.solvers.rows import find_rows
 
@@ -52,8 +54,12 @@ ROOT, END = 0, -1
 UNVISITED, UNOPENED = 0, 0
 """``edge.child`` and ``entry.node`` where there is no node (the root is no child), and
 ``node.edges`` until a simulation goes on from there (the first edges are unused)."""
+CLOSED = -1
+"""Instead of how many questions a node has: none may be asked there."""
 NODES, EDGES, MASK = 0, 1, 2
 """Positions in ``tree.used``."""
+INQUIRED = 8
+"""Questions that a search tries at a belief, at most: the most telling."""
 FIRST_TABLE = 1 << 12
 """Entries of the table that a search begins with."""
 REMEMBERED = 1 << 11
@@ -84,8 +90,9 @@ class Tree(NamedTuple):
 
     Attributes:
         nodes: [S + 1] NODE, or WIDE_NODE.
-        edges: [(S + 2) · (n + 1)] EDGE; a node's are those of the messages not yet given, in
-            order, then *explain*. The first n + 1 are unused, so that 0 means none.
+        edges: [(S + 2) · (n + 1 + B)] EDGE; a node's are those of the messages not yet given, in
+            order, then *explain*, then at most B questions. The first n + 1 + B are unused, so that
+            0 means none.
         beliefs: [S + 1, N], filled for nodes that begin a step.
         table: [a power of two > 2 S + 2] ENTRY, nodes by hash; 0 is none (the root is no child).
             Only the first ``used[MASK] + 1`` entries are in use; they double as nodes come.
@@ -95,9 +102,13 @@ class Tree(NamedTuple):
         rollout_belief: [N] a rollout keeps its belief here.
         rows: [N] of a history, and
         gain: [n] what QMDP finds messages worth.
-        path: [3, n + m + 1] nodes, edges and actions of a simulation.
+        path: [3, n + m + 1 + questions] nodes, edges and actions of a simulation.
         used: [3] how many nodes and edges are taken (NODES, EDGES), and the table's MASK.
         counter: [1] of the random stream.
+        inquired: [S + 1, B + 2] of nodes that a question may be asked at: its questions, how many
+            these are, and the question that led there, −1 for none. [1, 2] without questions.
+        asked: [Q] bool, before the root, and
+        room: to look at questions in.
     """
 
     nodes: NDArray[np.void]
@@ -113,6 +124,9 @@ class Tree(NamedTuple):
     path: NDArray[np.int64]
     used: NDArray[np.int64]
     counter: NDArray[np.uint64]
+    inquired: NDArray[np.int32]
+    asked: NDArray[np.bool_]
+    room: Room
 
     @classmethod
     def rooted(
@@ -124,12 +138,20 @@ class Tree(NamedTuple):
         given: int,
         belief: NDArray[np.float64],
         seed: int,
+        room: Room = NO_ROOM,
+        may_ask: bool = True,
     ) -> Tree:
-        """A tree of one node. Memory that no simulation reaches is never touched."""
-        size, actions = simulations + 1, n_messages + 1
+        """A tree of one node. Memory that no simulation reaches is never touched.
+
+        Args:
+            room: of the questions asked before; and whether one ``may_ask`` at the root, as none
+                may between a step's messages.
+        """
+        slots, questions = len(room.found), len(room.asked)
+        size, actions = simulations + 1, n_messages + 1 + slots
         remembered = min(_table_size(simulations), REMEMBERED)
         tree = cls(
-            _in_lines(size, _node_kind(n_messages)),
+            _in_lines(size, _node_kind(n_messages + slots)),
             np.empty((size + 1) * actions, EDGE),
             np.empty((size, len(belief))),
             np.zeros(_table_size(simulations), ENTRY),
@@ -139,19 +161,25 @@ class Tree(NamedTuple):
             np.empty(len(belief)),
             np.empty(len(belief), np.int64),
             np.zeros(n_messages),
-            np.empty((3, n_messages + n_steps + 1), np.int64),
+            np.empty((3, n_messages + n_steps + 1 + questions), np.int64),
             np.array([1, actions, FIRST_TABLE - 1]),
             np.array([seed], np.uint64),
+            np.empty((size if slots else 1, slots + 2), np.int32),
+            room.asked.copy(),
+            room,
         )
+        tree.inquired[0, -2:] = 0 if may_ask else CLOSED, -1
         tree.nodes[0] = (0, np.nan, 0.0, 0.0, 0, 0, 0, step, given, 0, 0)
         tree.beliefs[0] = belief
         return tree
 
     def root_edges(self) -> NDArray[np.void]:
-        """The edges of the root, [n + 1]: one a message, the last for *explain*."""
+        """The edges of the root, [n + 1 + B]: one a message, *explain*, one a question."""
         root, actions = self.nodes[0], len(self.edges) // (len(self.nodes) + 1)
         edges = np.array([(-np.inf, 0, 0)] * actions, EDGE)
-        available = [a for a in range(actions) if not int(root["given"]) >> a & 1]
+        asking = max(int(self.inquired[0, -2]), 0) if len(self.room.found) else 0
+        within = actions - len(self.room.found) + asking
+        available = [a for a in range(within) if not int(root["given"]) >> a & 1]
         edges[available] = self.edges[root["edges"] : root["edges"] + len(available)]
         return edges
 
@@ -208,10 +236,13 @@ def add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
 
 @inlined
 def open_(model, tree, node):  # type: ignore[no-untyped-def]
-    """Gives a node its edges: one for each message not yet given, the last for *explain*."""
-    record = tree.nodes[node]
+    """Gives a node its edges: one for each message not yet given, for *explain*, and for each of
+    the most telling questions where a step begins."""
+    record, actions = tree.nodes[node], len(model.reduced.price) + 1
     record.edges = tree.used[EDGES]
-    record.untried = ((1 << (len(model.reduced.price) + 1)) - 1) & ~record.given
+    if len(tree.room.found) > 0 and record.base == node:
+        actions += _inquire(model.reduced.inquiry, tree, node)
+    record.untried = ((1 << actions) - 1) & ~record.given
     actions = count_bits(np.int64(record.untried))
     tree.used[EDGES] += actions
     record.reward = 0.0
@@ -226,8 +257,44 @@ def open_(model, tree, node):  # type: ignore[no-untyped-def]
         edge.child = UNVISITED
 
 
-def _node_kind(n_messages: int) -> np.dtype[np.void]:
-    return NODE if n_messages < 31 else WIDE_NODE  # *explain* takes a bit of a mask, too
+@inlined
+def questions_at(tree, node):  # type: ignore[no-untyped-def]
+    """How many questions an open node has edges for."""
+    slots = len(tree.room.found)
+    if slots == 0 or tree.nodes[node].base != node:
+        return 0
+    return max(np.int64(tree.inquired[node, slots]), 0)
+
+
+@inlined
+def _inquire(inquiry, tree, node):  # type: ignore[no-untyped-def]
+    """Looks up the questions to try at a node where a step begins. Returns how many."""
+    slots, known = len(tree.room.found), tree.inquired[node]
+    if known[slots] == CLOSED:
+        return 0
+    copy(tree.asked, tree.room.asked)
+    before = node
+    while before != ROOT:
+        if tree.inquired[before, slots + 1] >= 0:
+            tree.room.asked[tree.inquired[before, slots + 1]] = True
+        before = np.int64(tree.nodes[tree.nodes[before].parent].base)
+    record = tree.nodes[node]
+    given, step = np.int64(record.given), np.int64(record.step)
+    count = open_questions(inquiry, step, given, tree.beliefs[node], tree.room)
+    known[slots] = count
+    for i in range(count):
+        known[i] = tree.room.found[i]
+    return count
+
+
+def _node_kind(choices: int) -> np.dtype[np.void]:
+    return NODE if choices < 31 else WIDE_NODE  # *explain* takes a bit of a mask, too
+
+
+def slots_for(problem: Problem) -> int:
+    """How many questions a search tries at a belief: no more than a mask has room for."""
+    questions = len(problem.questions) if problem.questions else 0
+    return min(INQUIRED, questions, 61 - problem.n_messages)
 
 
 def _table_size(simulations: int) -> int:
@@ -243,10 +310,12 @@ def _in_lines(size: int, kind: np.dtype[np.void]) -> NDArray[np.void]:
 
 def tree_bytes(problem: Problem, simulations: int) -> int:
     """The most that a tree takes."""
+    slots = slots_for(problem)
     node = (
-        _node_kind(problem.n_messages).itemsize
+        _node_kind(problem.n_messages + slots).itemsize
         + 8 * problem.n_types
-        + EDGE.itemsize * (problem.n_messages + 1)
+        + EDGE.itemsize * (problem.n_messages + 1 + slots)
+        + 4 * (slots + 2)
     )
     table = _table_size(simulations)
     remembered = min(table, REMEMBERED) * 8 * (problem.n_types + 1)

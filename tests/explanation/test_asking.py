@@ -1,0 +1,207 @@
+"""Questions: which may be asked, what their answers tell, and that the model may be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from xplain.errors import InputError
+from xplain.explanation.asking import (
+    NO_QUESTION,
+    Limits,
+    Questions,
+    alike_first,
+    nearest_first,
+)
+from xplain.explanation.belief import Independent, Persistent, answered
+from xplain.explanation.habits import Habits
+from xplain.explanation.label_table import LabelTable
+from xplain.explanation.literal_pomdp import literal_optimal_value
+from xplain.explanation.problem import Problem
+from xplain.message_sets import indices
+from xplain.sessions.interaction import Interaction
+from xplain.testing.problems import random_problem, with_questions
+
+
+def asking_problems(seed: int, count: int) -> list[Problem]:
+    """Small ones, some of whose users err."""
+    rng = np.random.default_rng(seed)
+    return [with_questions(rng, random_problem(rng, 3, 2, 2)) for _ in range(count)]
+
+
+def test_asking_never_makes_the_optimum_worse() -> None:
+    """By brute force, with and without; and in some problems it makes it better."""
+    gained = []
+    for problem in asking_problems(0, 200):
+        without = literal_optimal_value(replace(problem, questions=None))
+        gained.append(literal_optimal_value(problem) - without)
+    assert min(gained) >= -1e-12
+    assert max(gained) > 0.05
+
+
+def test_what_a_question_is_worth_by_hand() -> None:
+    """Type 0 needs the message (1.0 of λ C_e) or pays 3 over two steps, type 1 needs nothing, and
+    labels come too late. The question tells them apart for κ = .2: .2 + ½ · 1 instead of 1."""
+    p = np.array([[[0, 1], [0, 1]], [[1, 1], [1, 1]]], dtype=float)
+    problem = Problem(p, np.array([1.0]), discount=1.0, inexplicability_cost=10.0)
+    table = LabelTable.dense(np.array([[[0, 0]], [[1, 1]]], dtype=float))
+    asking = replace(problem, questions=Questions(table, Limits(cost=0.2)))
+    assert literal_optimal_value(problem) == pytest.approx(-1.0)
+    assert literal_optimal_value(asking) == pytest.approx(-0.7)
+
+
+def test_a_question_does_not_pay_by_delay() -> None:
+    """Whatever γ is, a question that tells nothing is not worth asking."""
+    for discount in (1.0, 0.95, 0.5):
+        problem = Problem(np.full((2, 2, 2), 0.3), np.array([0.4]), discount=discount)
+        table = LabelTable.dense(np.full((2, 3, 2), 0.5))
+        asking = replace(problem, questions=Questions(table, Limits(cost=0.01)))
+        assert literal_optimal_value(asking) == pytest.approx(literal_optimal_value(problem))
+
+
+def test_the_nearest_of_those_alike_is_open_then_the_next() -> None:
+    columns = [[0.9, 0.2], [0.6, 0.4], [0.1, 0.7], [0.8, 0.3]]  # of two types: 0, 1 and 3 alike
+    table = LabelTable.dense(np.array(columns).T[:, :, None])
+    questions = Questions(table, Limits(most=3))
+    assert questions.open(0, 0, 0b0000) == [0, 2]
+    assert questions.open(1, 0, 0b0001) == [1, 2]
+    assert questions.open(0, 0, 0b0111) == []  # three were asked
+    first = Questions(table, Limits(most=3, when="first"))
+    assert first.open(0, 0, 0) == [0, 2]
+    assert first.open(1, 0, 0) == []
+
+
+def test_what_is_alike_depends_on_the_messages() -> None:
+    """Two clips that only a message tells apart."""
+    p = np.array([[[0, 0], [0, 1]], [[1, 1], [1, 1]]], dtype=float)
+    questions = Questions(LabelTable.dense(p), Limits())
+    assert questions.open(0, 0, 0) == [0]
+    assert questions.open(0, 1, 0) == [0, 1]
+
+
+def test_second_opinions_come_after_every_kind() -> None:
+    rng = np.random.default_rng(1)
+    kinds = np.array([[0, 1, 1], [1, 0, 1], [0, 0, 1]])
+    which = rng.integers(3, size=40)
+    p = np.where(kinds[which] == 1, 0.9, 0.1).T[:, :, None]
+    kept = alike_first(LabelTable.dense(p), 5)
+    firsts = [int(np.flatnonzero(which == kind)[0]) for kind in range(3)]
+    assert set(firsts) <= set(kept.tolist())
+    assert len(kept) == 5
+    seconds = sorted(int(np.flatnonzero(which == kind)[1]) for kind in range(3))
+    assert sorted(set(kept.tolist()) - set(firsts)) == seconds[:2]
+
+
+def test_what_all_types_answer_alike_is_left_out() -> None:
+    p = np.array([[[0.3], [0.6]], [[0.3], [0.6]]])
+    assert alike_first(LabelTable.dense(p), 9).size == 0
+
+
+def test_the_nearest_differ_in_the_fewest_features() -> None:
+    trace = np.array([[0.0, 0.0], [5.0, 1.0]])
+    clips = np.array([[4.0, 7.0], [5.0, 1.0], [10.0, 1.0], [3.0, 1.0]])
+    assert nearest_first(clips, trace).tolist() == [1, 3, 2, 0]  # in 0, 1, 1 and 2 features
+
+
+@pytest.mark.parametrize("accept", [1.0, 0.7])
+def test_an_answer_is_weighed_by_bayes(accept: float) -> None:
+    """Also where what was said may not be known."""
+    rng = np.random.default_rng(3)
+    problem = Problem(rng.random((2, 2, 2)), np.ones(1))
+    table = LabelTable.dense(rng.random((2, 3, 2)))
+    problem = replace(problem, questions=Questions(table))
+    habits = Habits(np.array([0.1]), np.array([accept]), np.zeros(1), np.ones(1))
+    problem = problem.with_habits(habits)
+    assert problem.questions is not None
+    belief = rng.dirichlet(np.ones(problem.start.size))
+    yes = table.p[2] * 0.8 + 0.1  # [2^n, N]
+    p = yes.ravel() if accept < 1 else yes[1]
+    for answer in (0, 1):
+        expected = belief * (p if answer else 1 - p)
+        found = answered(problem, belief, 1, 2, answer)
+        np.testing.assert_allclose(found, expected / expected.sum(), rtol=1e-12)
+
+
+class AsksAll:
+    """Asks whatever is open, and says nothing."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.heard: list[int] = []
+
+    def question(self, step: int, given: int, belief: np.ndarray, asked: int = 0) -> int:
+        assert self.problem.questions is not None
+        self.heard.append(asked)
+        left = self.problem.questions.open(step, given, asked)
+        return left[0] if left else NO_QUESTION
+
+    def messages(self, step: int, given: int, belief: np.ndarray, asked: int = 0) -> int:
+        return 0
+
+    def values(self, step: int, given: int, belief: np.ndarray, asked: int = 0) -> dict[int, float]:
+        return {0: 0.0}
+
+
+def clip_of_the_second_transition() -> Problem:
+    rng = np.random.default_rng(4)
+    problem = Problem(rng.uniform(0.2, 0.8, (2, 3, 2)), np.ones(1))
+    table = problem.table.of_steps([1])
+    shows = np.array([[False, True, False]])
+    return replace(problem, questions=Questions(table, Limits(), shows))
+
+
+def test_a_clip_is_the_label_of_its_transition_where_people_repeat_themselves() -> None:
+    """Persistent: the belief after clip and labels is that after the labels alone. Afresh: the
+    clip counts as a label more."""
+    problem = clip_of_the_second_transition()
+    labels = [np.array([1], np.uint8), np.array([1, 0], np.uint8), np.array([1, 0, 1], np.uint8)]
+    for update in (Persistent(), Independent()):
+        ends = []
+        for asks in (True, False):
+            talk = Interaction(problem, AsksAll(problem), update)
+            if asks:
+                assert talk.ask() == 0
+                talk.hear_answer(0, 0)
+            for answer in labels:
+                talk.hear(answer)
+            ends.append(talk.belief)
+        assert np.allclose(*ends) == isinstance(update, Persistent)
+
+
+def test_what_was_answered_as_a_label_is_not_asked_again() -> None:
+    problem = clip_of_the_second_transition()
+    for update, again in ((Persistent(), NO_QUESTION), (Independent(), 0)):
+        talk = Interaction(problem, AsksAll(problem), update)
+        talk.hear(np.array([1], np.uint8))
+        assert talk.ask() == 0  # the second transition was not shown yet
+        talk.hear(np.array([1, 0], np.uint8))
+        assert talk.ask() == again
+        talk.give(1)
+        assert talk.ask() == 0  # after a message it is another question
+
+
+def test_nothing_is_asked_twice() -> None:
+    problem = asking_problems(5, 1)[0]
+    talk = Interaction(problem, AsksAll(problem), Independent())
+    asked = []
+    while (question := talk.ask()) != NO_QUESTION:
+        asked.append(question)
+        talk.hear_answer(question, 1)
+    assert asked
+    assert indices(talk.asked) == sorted(asked)
+
+
+def test_who_never_asks_is_refused_in_one_line() -> None:
+    class Silent:
+        def messages(self, *_: object) -> int:
+            return 0
+
+        def values(self, *_: object) -> dict[int, float]:
+            return {0: 0.0}
+
+    problem = clip_of_the_second_transition()
+    talk = Interaction(problem, Silent(), Independent())
+    with pytest.raises(InputError, match="ask=never"):
+        talk.ask()
