@@ -58,7 +58,7 @@ CLOSED = -1
 """Instead of how many questions a node has: none may be asked there."""
 NODES, EDGES, MASK = 0, 1, 2
 """Positions in ``tree.used``."""
-INQUIRED = 8
+INQUIRED = 4
 """Questions that a search tries at a belief, at most: the most telling."""
 FIRST_TABLE = 1 << 12
 """Entries of the table that a search begins with."""

@@ -1,0 +1,221 @@
+"""Solvers whose actions include questions, against brute force and each other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from xplain.explanation.asking import NO_QUESTION, Limits, Questions
+from xplain.explanation.belief import answered, update
+from xplain.explanation.label_table import LabelTable
+from xplain.explanation.literal_pomdp import literal_optimal_value
+from xplain.explanation.problem import Problem
+from xplain.message_sets import indices
+from xplain.solvers.base import Asks, best_question
+from xplain.solvers.bounds import bounds
+from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.hsvi.explore import Effort
+from xplain.solvers.hsvi.solver import Certified
+from xplain.solvers.inquiry import NO_NEWS, make_room, mask_of, open_questions, words_of
+from xplain.solvers.model import model_of
+from xplain.solvers.policy_evaluation import evaluate, simulate
+from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.qmdp import QMDP
+from xplain.testing.problems import random_problem, with_questions
+
+CLOSE = Effort(gap=1e-9, nodes=100_000, memory_gib=1.0)
+
+
+def plain_value(problem: Problem, policy: Asks) -> float:
+    """What a policy that asks is worth, by enumeration of all answers: nothing is merged."""
+    questions = problem.questions
+    assert questions is not None
+
+    def value(step: int, given: int, belief: np.ndarray, asked: int) -> float:
+        if step == problem.n_steps:
+            return 0.0
+        q = policy.question(step, given, belief, asked)
+        if q != NO_QUESTION:
+            yes = float(belief @ questions.table.answer_probabilities(q + 1, given)[:, q])
+            total = -questions.limits.cost
+            for answer, p in ((1, yes), (0, 1 - yes)):
+                if p > 1e-12:
+                    after = answered(problem, belief, given, q, answer)
+                    total += p * value(step, given, after, asked | 1 << q)
+            return total
+        new = policy.messages(step, given, belief, asked)
+        price, delay = 0.0, 1.0
+        per_message = problem.discount if problem.discount_per == "action" else 1.0
+        for j in sorted(indices(new), key=lambda j: problem.message_cost[j]):
+            price += delay * problem.trade_off * float(problem.message_cost[j])
+            delay *= per_message
+        given |= new
+        thought = problem.label_probabilities(step + 1, given)
+        cost = problem.inexplicability_cost * float(belief @ (1 - thought).sum(axis=1))
+        p = problem.answer_probabilities(step + 1, given)
+        later = 0.0
+        for code in range(1 << step + 1):
+            labels = np.array([code >> i & 1 for i in range(step + 1)], np.uint8)
+            mass = float(belief @ np.where(labels == 1, p, 1 - p).prod(axis=1))
+            if mass > 1e-12:
+                later += mass * value(
+                    step + 1, given, update(problem, belief, given, labels), asked
+                )
+        return -price + delay * (-cost + problem.discount * later)
+
+    return value(0, 0, problem.prior, 0)
+
+
+def asking_problem(rng: np.random.Generator, undiscounted: bool = False) -> Problem:
+    """Half of them anything; half as explanations are: each type finds transitions odd until it has
+    heard the messages that it needs, and answers are sure or nearly."""
+    if rng.random() < 0.5:
+        problem = random_problem(rng, 3, 2, 2)
+        if undiscounted:
+            problem = replace(problem, discount=1.0)
+        return with_questions(rng, problem)
+    types, steps, n, count = 3, 2, 2, int(rng.integers(1, 4))
+    needed = rng.integers(1 << n, size=(types, steps + count, 1))
+    p = (needed & ~np.arange(1 << n) == 0) * 1.0
+    p = np.where(p, 1.0, rng.choice([0.0, 0.1], size=(1, 1, 1)))
+    sure = rng.choice([1.0, 0.95])
+    p = sure * p + (1 - sure) * (1 - p)
+    problem = Problem(
+        p[:, :steps],
+        rng.uniform(0.5, 1.5, n),
+        discount=1.0 if undiscounted else float(rng.choice([1.0, 0.95])),
+    )
+    limits = Limits(float(rng.choice([0.02, 0.1])), int(rng.integers(1, count + 1)))
+    return replace(problem, questions=Questions(LabelTable.dense(p[:, steps:]), limits))
+
+
+def test_certified_bounds_hold_and_close_on_the_optimum_with_questions() -> None:
+    """By brute force; asking changes the optimum of some."""
+    rng, helped = np.random.default_rng(10), 0
+    for _ in range(60):
+        problem = asking_problem(rng)
+        optimum = literal_optimal_value(problem)
+        found = bounds(problem, CLOSE)
+        assert found.lower - 1e-9 <= optimum <= found.upper + 1e-9
+        assert found.upper - found.lower <= 1e-8
+        helped += bounds(replace(problem, questions=None), CLOSE).upper < optimum - 1e-6
+    assert helped >= 10
+
+
+def test_what_certified_does_is_worth_the_optimum() -> None:
+    rng = np.random.default_rng(11)
+    for _ in range(40):
+        problem = asking_problem(rng)
+        policy = Certified(gap=1e-7).plan(problem)
+        worth = evaluate(problem, policy)
+        assert worth.value == pytest.approx(literal_optimal_value(problem), abs=1e-6)
+
+
+@pytest.mark.parametrize("solver", [QMDP(), POMCP(simulations=300), Certified(nodes=3)])
+def test_the_value_of_a_policy_that_asks_is_exact(solver: QMDP | POMCP | Certified) -> None:
+    """Against enumeration without merging, and simulation within its error."""
+    rng, asked = np.random.default_rng(12), 0
+    for number in range(25):
+        problem = asking_problem(rng)
+        policy = CachedPolicy(solver.plan(problem, 0))  # sees beliefs rounded: one search each
+        asked += policy.question(0, 0, problem.prior) != NO_QUESTION
+        worth = evaluate(problem, policy)
+        assert worth.value == pytest.approx(plain_value(problem, policy), abs=1e-7)
+        if number < 5:
+            drawn = simulate(problem, policy, 400, 1)
+            assert abs(drawn.value - worth.value) <= 4.5 * drawn.value_se + 1e-9
+            assert abs(drawn.cost - worth.cost) <= 4.5 * drawn.cost_se + 1e-9
+    assert asked >= 5
+
+
+@pytest.mark.parametrize("solver", [QMDP(), POMCP()])
+def test_to_be_able_to_ask_costs_nothing(solver: QMDP | POMCP) -> None:
+    """Exact costs over problems without discounts: on average lower, nowhere much higher, and near
+    the certified optimum."""
+    rng = np.random.default_rng(13)
+    changes, gaps = [], []
+    for _ in range(40):
+        problem = asking_problem(rng, undiscounted=True)
+        without = replace(problem, questions=None)
+        cost = evaluate(problem, solver.plan(problem, 0)).cost
+        changes.append(cost - evaluate(without, solver.plan(without, 0)).cost)
+        gaps.append(cost + bounds(problem, CLOSE).upper)
+    assert min(changes) < -0.05
+    assert np.mean(changes) <= 0.01
+    assert np.mean(gaps) <= 0.03
+
+
+def test_open_questions_are_those_of_the_rule_that_tell_something() -> None:
+    rng = np.random.default_rng(14)
+    for _ in range(150):
+        problem = with_questions(rng, random_problem(rng, 4, 2, 2), 7)
+        questions, inquiry = problem.questions, model_of(problem).inquiry
+        assert questions is not None
+        asked = int(rng.integers(1 << len(questions)) & rng.integers(1 << len(questions)))
+        step, given = int(rng.integers(2)), int(rng.integers(1 << problem.n_messages))
+        belief = rng.dirichlet(np.ones(problem.n_types))
+        room = make_room(inquiry, asked)
+        with np.errstate(over="ignore"):
+            count = open_questions(inquiry, step, given, belief, room)
+        news = {}
+        for q in questions.open(step, given, asked):
+            p = questions.table.answer_probabilities(q + 1, given)[:, q]
+            told = entropy(belief @ p) - belief @ [entropy(x) for x in p]
+            if told > NO_NEWS:
+                news[q] = told
+        assert sorted(room.found[:count].tolist()) == sorted(news)
+        np.testing.assert_allclose(room.news[:count], sorted(news.values(), reverse=True))
+
+
+def entropy(p: float) -> float:
+    return float(-sum(x * np.log(x) for x in (p, 1 - p) if x > 0))
+
+
+def test_room_for_few_keeps_the_most_telling() -> None:
+    rng = np.random.default_rng(15)
+    p = rng.random((6, 20, 1))
+    problem = Problem(rng.random((6, 2, 1)), np.empty(0))
+    problem = replace(problem, questions=Questions(LabelTable.dense(p), Limits(most=20)))
+    inquiry = model_of(problem).inquiry
+    every, few = make_room(inquiry), make_room(inquiry, most=4)
+    count = open_questions(inquiry, 0, 0, problem.prior, every)
+    assert open_questions(inquiry, 0, 0, problem.prior, few) == 4 < count
+    assert few.found.tolist() == every.found[:4].tolist()
+
+
+@pytest.mark.parametrize("count", [1, 62, 63, 150])
+def test_words_hold_any_bitmask(count: int) -> None:
+    rng = np.random.default_rng(16)
+    asked = sum(1 << q for q in np.flatnonzero(rng.random(count) < 0.5).tolist()) | 1 << count - 1
+    words = words_of(asked, -(-count // 62))
+    assert (words >= 0).all()
+    assert mask_of(words) == asked
+
+
+def test_second_opinions_are_worth_asking_for_where_answers_err() -> None:
+    """Two clips alike, each wrong once in ten; one message for each type, the other kind's does
+    nothing. Certified asks both while they are cheap, and never the first a second time."""
+    p = np.zeros((2, 1, 4))
+    p[0, 0, 1::2] = 1  # type 0 needs message 0
+    p[1, 0, 2:] = 1  # type 1 message 1
+    problem = Problem(p, np.full(2, 4.0), inexplicability_cost=40.0, discount=1.0)
+    clip = np.full((2, 2, 4), 0.9)
+    clip[1] = 0.1
+    problem = replace(problem, questions=Questions(LabelTable.dense(clip), Limits(cost=0.01)))
+    for solver in (Certified(gap=1e-9), POMCP()):
+        policy = solver.plan(problem, 0)
+        assert isinstance(policy, Asks)
+        first = policy.question(0, 0, problem.prior)
+        after = answered(problem, problem.prior, 0, first, 1)
+        second = policy.question(0, 0, after, 1 << first)
+        assert (first, second) == (0, 1)
+        last = answered(problem, after, 0, second, 1)
+        assert policy.question(0, 0, last, 0b11) == NO_QUESTION
+
+
+def test_of_equally_good_questions_the_nearest() -> None:
+    assert best_question({0: -1.0, ~3: -0.5, ~1: -0.5}) == 1
+    assert best_question({0: -0.5, ~3: -0.5}) == NO_QUESTION
+    assert best_question({0: -0.5}) == NO_QUESTION
