@@ -69,9 +69,11 @@ def bounds(
     try:
         small, tables = tables_within(small, effort.memory_gib)
     except TooLargeError:
-        lookahead = Lookahead(memory_gib=effort.memory_gib).plan(small)
+        lookahead = Lookahead(memory_gib=effort.memory_gib).plan_messages(small)
         known = float(small.prior @ lookahead.policy.tables.optimal[0, 0])
-        return Bounds(lookahead.lower, lookahead.upper, known)
+        # What is asked may tell everything.
+        upper = known if small.questions else lookahead.upper
+        return Bounds(lookahead.lower, upper, known)
     found = explore(tables, Start(0, 0, small.prior), effort, small, told)
     known = float(small.prior @ tables.optimal[0, 0])
     return Bounds(found.lower, found.upper, known)

@@ -18,7 +18,7 @@ from xplain.errors import InputError
 from xplain.explanation.problem import Problem
 from xplain.message_sets import indices
 from xplain.numba_kernels import inlined, kernel
-from xplain.solvers.base import Knowledge
+from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.count_lattice import branch, make_answers
 from xplain.solvers.memory import check_memory, check_memory_gib
 from xplain.solvers.model import (
@@ -35,6 +35,7 @@ from xplain.solvers.model import (
 )
 from xplain.solvers.qmdp import Greedy
 from xplain.solvers.restriction import Restricted, coupled
+from xplain.solvers.value_of_information import asks_by_value
 
 
 @dataclass(frozen=True)
@@ -58,8 +59,12 @@ class Lookahead:
                 raise InputError(f"solver.{key}", getattr(self, key), "a number ≥ 1")
         check_memory_gib(self.memory_gib)
 
-    def plan(self, problem: Problem, seed: int = 0) -> LookaheadPolicy:
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
+        return asks_by_value(self.plan_messages(problem), problem, seed, self.memory_gib)
+
+    def plan_messages(self, problem: Problem) -> LookaheadPolicy:
+        """The same without questions, with bounds of the optimum."""
         small, kept = coupled(problem, "lookahead")
         check_memory(
             "lookahead", dense_table_bytes(small), self.memory_gib, "qhr plans without tables"

@@ -19,6 +19,7 @@ from xplain.message_sets import subsets
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.model import Model, best_of, model_of
 from xplain.solvers.restriction import Restricted, coupled
+from xplain.solvers.value_of_information import asks_by_value
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,9 @@ class QHR:
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.
         """
+        return asks_by_value(self._plan(problem), problem, seed)
+
+    def _plan(self, problem: Problem) -> Policy:
         if problem.is_dense:
             return QHRPolicy(model_of(problem))
         small, kept = coupled(problem, "qhr")

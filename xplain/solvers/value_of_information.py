@@ -41,7 +41,7 @@ SPREAD = np.uint64(0xD1342543DE82EF95)
 """Between the streams of two simulations."""
 
 
-def asks_by_value(policy: Policy, problem: Problem, seed: int, memory_gib: float) -> Policy:
+def asks_by_value(policy: Policy, problem: Problem, seed: int, memory_gib: float = 8.0) -> Policy:
     """The policy, which asks where the problem has questions.
 
     Raises:
@@ -80,6 +80,11 @@ class Simulated:
         return Tree.rooted(1, len(self.kept), steps, 0, 0, np.zeros(types), 0)
 
     @cached_property
+    def _rolls(self) -> int:
+        """One a type where answers are certain: what happens to it then is no chance."""
+        return ROLLS if (self.model.reduced.answered % 1).any() else 1
+
+    @cached_property
     def _stream(self) -> int:
         return derived_seed(self.seed, "value of information")
 
@@ -94,7 +99,7 @@ class Simulated:
             np.ascontiguousarray(belief),
             after,
             room,
-            ROLLS,
+            self._rolls,
             self._stream,
         )
         return room._replace(found=room.found[:count], news=room.news[:count])
