@@ -1,0 +1,200 @@
+"""Asking before explaining (docs/asking.md): what it wins, for whom, and how quickly it is decided.
+
+    python benchmarks/asking.py table     cost against the price of a question, by solver
+    python benchmarks/asking.py learned   with types learned from 20 chosen questions, 5 % wrong
+    python benchmarks/asking.py errors    where one answer in ten is wrong
+    python benchmarks/asking.py speed     milliseconds of a decision with 150 clips
+    python benchmarks/asking.py --quick   a smoke run
+
+λ = 1, no discount, clips of all that the robot can do; costs by what users truly think.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+from explainees import DOMAINS, World, cost, figure, ratio
+from questions import domain_of
+
+from xplain.config import composed
+from xplain.evaluation.explainees import Exact, Explainee, Slips
+from xplain.evaluation.metrics import Record
+from xplain.experiment.from_config import components_of, costs_of
+from xplain.experiment.pipeline import prepare
+from xplain.explanation.asking import Limits, When
+from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
+from xplain.explanation.habits import Assumed
+from xplain.solvers.ask_first import AskFirst
+from xplain.solvers.base import Solver
+from xplain.solvers.hsvi.solver import Certified
+from xplain.solvers.known_type import KnownType
+from xplain.solvers.lookahead import Lookahead
+from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.qhr import QHR
+from xplain.solvers.qmdp import QMDP
+
+PRICES = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
+TRACES = {"rescue": 5, "four_rooms": 6}
+"""Of seed 0: their optimum with all questions before the first step was worked out elsewhere."""
+SOLVERS: Mapping[str, Solver] = {
+    "certified": Certified(),
+    "qmdp": QMDP(),
+    "pomcp": POMCP(),
+    "lookahead": Lookahead(),
+    "qhr": QHR(),
+    "ask_first": AskFirst(),
+}
+KNOWN = "labeler=true", "clusterer=perfect"
+LEARNED = "labeler=hypotheses", "queries=adaptive", "points=20", "observers.label_noise=0.05"
+MAPS = (*DOMAINS, "random rescue", "random rooms")
+FRESH = 9400
+"""The first seed of people and traces that no setting was chosen on."""
+
+
+def world(name: str, seed: int, traces: int, *source: str, clips: int = 150) -> World:
+    """A map's types, traces and clips."""
+    domain = "rescue" if "rescue" in name else "four_rooms"
+    fixed = (f"domain={domain}", "discount=1", f"traces={traces}", f"seed={seed}")
+    cfg = composed("config", [*fixed, "ask=clips", f"ask.clips={clips}", *source])
+    components = components_of(cfg)
+    if name.startswith("random"):
+        components = replace(components, domain=domain_of(name, seed))
+    return World(prepare(components), costs_of(cfg), seed)
+
+
+def at(world_: World, price: float, when: When = "anytime") -> World:
+    """The same, where a question costs so much."""
+    return world_._replace(costs=replace(world_.costs, asking=Limits(price, when=when)))
+
+
+def silent(world_: World) -> World:
+    """The same, where nothing is asked."""
+    cases = tuple(replace(case, questions=None) for case in world_.prepared.cases)
+    return world_._replace(prepared=replace(world_.prepared, cases=cases))
+
+
+def asked(records: list[Record]) -> float:
+    """Mean questions of an episode."""
+    return float(np.mean([record.episode.n_questions for record in records]))
+
+
+def table(seeds: Iterable[int] = (0,), traces: Mapping[str, int] = TRACES) -> None:
+    """Cost by κ and solver, with the mean number of questions."""
+    head = " | ".join(f"{price:g}" for price in PRICES)
+    print(f"| solver | never | {head} |\n|{'---|' * (len(PRICES) + 2)}")
+    for domain in DOMAINS:
+        print(f"| **{domain.replace('_', ' ')}** |" + " |" * (len(PRICES) + 1))
+        worlds = [world(domain, seed, traces[domain], *KNOWN) for seed in seeds]
+        for name, solver in SOLVERS.items():
+            cells = [figures(worlds, solver, Exact(), None)]
+            cells += [figures(worlds, solver, Exact(), price) for price in PRICES]
+            print(f"| {name} | {' | '.join(cells)} |", flush=True)
+        floor = [cost(w.meets(Exact(), Independent(), KnownType("labels"))) for w in worlds]
+        print(f"| type known | {np.mean(floor):.3f} |" + " |" * len(PRICES), flush=True)
+
+
+def figures(worlds: list[World], solver: Solver, explainee: Explainee, price: float | None) -> str:
+    """Mean cost, and how many questions were asked."""
+    asks = [silent(w) if price is None else at(w, price) for w in worlds]
+    records = [w.meets(explainee, Independent(), solver) for w in asks]
+    said = f"{np.mean([cost(r) for r in records]):.3f}"
+    return said if price is None else f"{said} ({np.mean([asked(r) for r in records]):.1f})"
+
+
+def learned(seeds: Iterable[int], traces: int, maps: Iterable[str] = MAPS) -> None:
+    """Types learned from 20 questions a person, 5 % of the answers wrong; κ = .1."""
+    print("| map | never | asking | type known | never / known | asking / known | questions |")
+    print("|---|---|---|---|---|---|---|")
+    for name in maps:
+        found: dict[str, list[float]] = defaultdict(list)
+        for seed in seeds:
+            here = at(world(name, seed, traces, *LEARNED), 0.1)
+            found["never"].append(cost(silent(here).meets(Exact(), Independent(), QMDP())))
+            records = here.meets(Exact(), Independent(), QMDP())
+            found["asking"].append(cost(records))
+            found["questions"].append(asked(records))
+            found["known"].append(cost(here.meets(Exact(), Independent(), KnownType("labels"))))
+        cells = [figure(found[way]) for way in ("never", "asking", "known")]
+        cells += [ratio(found[way], found["known"]) for way in ("never", "asking")]
+        print(f"| {name} | {' | '.join(cells)} | {np.mean(found['questions']):.1f} |", flush=True)
+
+
+def errors(seeds: Iterable[int], traces: int, maps: Iterable[str] = MAPS) -> None:
+    """One answer in ten wrong; κ = .1; true types and labels, the rate told or learned."""
+    ways = ("never", "first", "anytime")
+    print("| map | users err | rate | never | first | anytime | never − anytime | questions |")
+    print("|---|---|---|---|---|---|---|---|")
+    for name in maps:
+        worlds = [world(name, seed, traces, *KNOWN) for seed in seeds]
+        for repeats in (True, False):
+            kinds: dict[str, Assumed] = {"told": 0.1, "learned": "learned"}
+            for rate, assumed in kinds.items():
+                update = (Persistent if repeats else Independent)(assumed)
+                found: dict[str, list[float]] = defaultdict(list)
+                for here in worlds:
+                    for way in ways:
+                        records = meets(here, way, Slips(0.1, repeats), update)
+                        found[way].append(cost(records))
+                    found["questions"].append(asked(records))
+                gain = np.subtract(found["never"], found["anytime"]).tolist()
+                cells = [*(figure(found[way]) for way in ways), figure(gain)]
+                how = "the same again" if repeats else "afresh"
+                mean = f"{np.mean(found['questions']):.1f}"
+                print(f"| {name} | {how} | {rate} | {' | '.join(cells)} | {mean} |", flush=True)
+
+
+def meets(here: World, way: str, explainee: Explainee, update: BeliefUpdate) -> list[Record]:
+    """Episodes of QMDP that asks never, first, or anytime."""
+    if way == "never":
+        return silent(here).meets(explainee, update, QMDP())
+    return at(here, 0.1, "first" if way == "first" else "anytime").meets(explainee, update, QMDP())
+
+
+def speed(seeds: Iterable[int], traces: int) -> None:
+    """Milliseconds of a step's decision, questions and messages, where 150 clips are open."""
+    print("| solver | clips | mean of a step | longest |\n|---|---|---|---|")
+    for name in ("qmdp", "pomcp", "certified"):
+        for error in (0.0, 0.1):
+            times, clips = [], 0
+            for here in decided(seeds, traces):
+                clips = max(len(c.questions.texts) for c in here.prepared.cases if c.questions)
+                records = here.meets(Exact(), Independent(error), SOLVERS[name])
+                times += [record.episode.seconds for record in records]
+            steps = np.concatenate(times)
+            kind = f"{name}, error {error:g}"
+            print(f"| {kind} | {clips} | {1e3 * steps.mean():.2f} | {1e3 * steps.max():.1f} |")
+
+
+def decided(seeds: Iterable[int], traces: int) -> Iterator[World]:
+    """Rescue, with learned labels."""
+    for seed in seeds:
+        yield at(world("rescue", seed, traces, *LEARNED), 0.1)
+
+
+def main() -> None:
+    """Prints the table asked for, as Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", nargs="?", choices=("table", "learned", "errors", "speed"))
+    parser.add_argument("--quick", action="store_true", help="only that it runs")
+    options = parser.parse_args()
+    if options.quick:
+        table(traces={"rescue": 1, "four_rooms": 1})
+        learned((FRESH,), 1, MAPS[2:3])
+        errors((FRESH,), 1, MAPS[1:2])
+        speed((FRESH,), 1)
+    elif options.what == "table":
+        table()
+    elif options.what == "learned":
+        learned(range(FRESH, FRESH + 5), 30)
+    elif options.what == "errors":
+        errors(range(FRESH, FRESH + 8), 8)
+    elif options.what == "speed":
+        speed(range(FRESH, FRESH + 2), 8)
+
+
+if __name__ == "__main__":
+    main()
