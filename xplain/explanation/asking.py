@@ -107,16 +107,22 @@ class Questions:
         if self.shows.shape[1] not in (0, steps):
             raise InputError("questions.shows", self.shows.shape, f"{steps} columns, or none")
 
-    def open(self, step: int, given: int, asked: int) -> list[int]:
+    def open(self, step: int, given: int | None, asked: int) -> list[int]:
         """The questions that may be asked at (k, H): of those that are alike the nearest not
-        ``asked`` (a bitmask) yet. The rule by which :mod:`xplain.solvers.inquiry` goes as well."""
+        ``asked`` (a bitmask) yet. The rule by which :mod:`xplain.solvers.inquiry` goes as well.
+
+        Where nobody can tell what a user knows, ``given`` is None, and clips are alike that are so
+        whatever is known.
+        """
         if asked.bit_count() >= self.limits.most:
             return []
         if self.limits.when == "first" and (step or given):
             return []
-        columns = self.table.label_probabilities(len(self), given) >= 0.5
+        columns = self.table.p
+        if given is not None:
+            columns = self.table.label_probabilities(len(self), given).T
         found: dict[bytes, int] = {}
-        for q, column in enumerate(columns.T):
+        for q, column in enumerate(columns >= 0.5):
             if not asked >> q & 1:
                 found.setdefault(column.tobytes(), q)
         return list(found.values())

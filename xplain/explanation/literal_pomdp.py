@@ -63,8 +63,9 @@ class LiteralPOMDP:
         used = state.pending if self.problem.tracks_knowledge else state.given | state.pending
         free = [EXPLAIN, *(j for j in range(self.problem.n_messages) if j not in used)]
         if self.problem.questions is not None and not state.pending:
-            given, asked = bits_of(state.given), bits_of(state.asked)
-            free += [EXPLAIN - 1 - q for q in self.problem.questions.open(state.step, given, asked)]
+            given = None if self.problem.tracks_knowledge else bits_of(state.given)
+            may = self.problem.questions.open(state.step, given, bits_of(state.asked))
+            free += [EXPLAIN - 1 - q for q in may]
         return free
 
     def outcomes(

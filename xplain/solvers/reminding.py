@@ -64,7 +64,7 @@ class Reminding:
         self, step: int, said: int, belief: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         problem, flat = self.problem, belief.ravel()
-        optimal, explain = self.optimal, self._explain
+        optimal, explain = self.optimal, self.explain
         free = [j for j in self._effective if not said >> j & 1]
         values = [flat @ explain[step].ravel()]
         for j in free:
@@ -80,7 +80,7 @@ class Reminding:
         return self._solved[0]
 
     @cached_property
-    def _explain(self) -> NDArray[np.float64]:
+    def explain(self) -> NDArray[np.float64]:
         """[m, rows, N] Q_t(k, K, explain)."""
         return self._solved[1]
 

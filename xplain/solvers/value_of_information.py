@@ -25,10 +25,12 @@ from xplain.randomness import derived_seed
 from xplain.solvers.base import TIE, Policy
 from xplain.solvers.count_lattice import copy
 from xplain.solvers.inquiry import Inquiry, Room, hear_answer, make_room, open_questions
+from xplain.solvers.knowing import SPREAD, Knowing, gains, make_knowing
 from xplain.solvers.memory import check_memory
 from xplain.solvers.pomcp.rollout import roll_qmdp
 from xplain.solvers.pomcp.search_model import SearchModel, model_bytes, model_of
 from xplain.solvers.pomcp.tree import Tree
+from xplain.solvers.reminding import Reminding
 from xplain.solvers.restriction import restricted
 
 LOOKED_INTO = 12
@@ -37,8 +39,6 @@ ROLLS = 40
 """Simulations from a belief, spread evenly over its types; one a type at least."""
 FAINT = 1e-6
 """A type less likely than this is not simulated."""
-SPREAD = np.uint64(0xD1342543DE82EF95)
-"""Between the streams of two simulations."""
 
 
 def asks_by_value(policy: Policy, problem: Problem, seed: int, memory_gib: float = 8.0) -> Policy:
@@ -49,6 +49,8 @@ def asks_by_value(policy: Policy, problem: Problem, seed: int, memory_gib: float
     """
     if problem.questions is None:
         return policy
+    if isinstance(policy, Reminding):
+        return Inquiring(policy, SimulatedKnowing(make_knowing(policy), seed))
     small, kept = restricted(problem)
     check_memory("asking", model_bytes(small), memory_gib, "ask=never needs no such tables")
     return Inquiring(policy, Simulated(model_of(small), kept, seed))
@@ -106,6 +108,34 @@ class Simulated:
 
 
 @dataclass(frozen=True)
+class SimulatedKnowing:
+    """The same where messages may be missed or forgotten.
+
+    Attributes:
+        model: as kernels want it.
+        seed: of the simulations.
+    """
+
+    model: Knowing
+    seed: int
+
+    @cached_property
+    def _stream(self) -> int:
+        return derived_seed(self.seed, "value of information")
+
+    def gains(self, step: int, given: int, belief: NDArray[np.float64], asked: int) -> Room:
+        """As :meth:`Simulated.gains`."""
+        room = make_room(self.model.inquiry, asked, LOOKED_INTO // 2)
+        after, path = np.empty((2, len(belief)))
+        labels = np.empty(len(self.model.explain), np.bool_)
+        counter, sure = np.zeros(1, np.uint64), np.ascontiguousarray(belief)
+        count = gains(
+            self.model, counter, step, sure, after, path, labels, room, ROLLS // 2, self._stream
+        )
+        return room._replace(found=room.found[:count], news=room.news[:count])
+
+
+@dataclass(frozen=True)
 class Inquiring:
     """Asks the question that is worth the most, while one is worth anything.
 
@@ -115,7 +145,7 @@ class Inquiring:
     """
 
     policy: Policy
-    simulated: Simulated
+    simulated: Simulated | SimulatedKnowing
 
     def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
         """As :class:`xplain.solvers.base.Asks` says."""

@@ -26,12 +26,13 @@ from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers.model import best_set
 from xplain.solvers.policy_evaluation import evaluate
-from xplain.solvers.pomcp import search_model
+from xplain.solvers.pomcp import forest, search_model
 from xplain.solvers.pomcp import solver as pomcp
+from xplain.solvers.pomcp.forest import make_roots
 from xplain.solvers.pomcp.kernel import simulate
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
 from xplain.solvers.pomcp.search_model import model_bytes, model_of
-from xplain.solvers.pomcp.solver import POMCP, Search, _roots
+from xplain.solvers.pomcp.solver import POMCP, Search
 from xplain.solvers.pomcp.tree import FIRST_TABLE, Tree, tree_bytes
 from xplain.testing.problems import random_problem
 
@@ -87,7 +88,7 @@ def test_is_the_plain_search(
         step, given = (2, 4 if problem.n_messages > 1 else 0) if middle else (0, 0)
         search = search_of(solver, problem)
         tree = Tree.rooted(700, problem.n_messages, problem.n_steps, step, given, problem.prior, 99)
-        simulate(700, search.model, search.options, tree, *_roots(702))
+        simulate(700, search.model, search.options, tree, *make_roots(702))
         expected = PlainPOMCP(solver, problem, 99, step, given, problem.prior).run()
         for action, edge in enumerate(tree.root_edges()):
             visits, value = expected.get(action, [0, -np.inf])
@@ -160,7 +161,7 @@ def test_steps_do_not_count_messages() -> None:
     for unit in ("actions", "steps"):
         search = search_of(POMCP(depth=1, depth_unit=unit, rollout="silent"), problem)
         tree = Tree.rooted(2000, 2, 2, 0, 0, problem.prior, 1)
-        simulate(2000, search.model, search.options, tree, *_roots(2002))
+        simulate(2000, search.model, search.options, tree, *make_roots(2002))
         nodes = tree.nodes[: tree.used[0]]
         opened[unit] = {int(node["given"]) for node in nodes if node["edges"]}
     assert opened == {"actions": {0}, "steps": {0, 1, 2, 3}}
@@ -226,7 +227,7 @@ def test_exchangeable_labels_share_a_history() -> None:
     search = search_of(POMCP(), problem)
     tree = Tree.rooted(5000, 0, 8, 6, 0, problem.prior, 1)
     options = search.options._replace(depth=1)
-    simulate(5000, search.model, options, tree, *_roots(5002))
+    simulate(5000, search.model, options, tree, *make_roots(5002))
     assert tree.used[0] == 1 + 7
     assert len(np.unique(tree.beliefs[1:8, 0])) == 7
 
@@ -309,7 +310,7 @@ def test_many_simulations_are_one_search_however_often_ctrl_c_is_looked_for(
     problem = soft_problem(16)
     search = search_of(POMCP(simulations=700), problem)
     whole = search.search(0, 0, problem.prior)
-    monkeypatch.setattr(pomcp, "CHUNK", 300)
+    monkeypatch.setattr(forest, "CHUNK", 300)
     value, visits = search.search(0, 0, problem.prior)
     assert visits.sum() == 700
     assert (value.tolist(), visits.tolist()) == (whole[0].tolist(), whole[1].tolist())
@@ -433,7 +434,7 @@ def test_a_table_grows_with_the_tree_and_holds_every_child() -> None:
     problem = soft_problem(3, steps=6, n=5)
     search = search_of(POMCP(simulations=1, depth=None, depth_unit="steps"), problem)
     tree = Tree.rooted(20_000, 5, 6, 0, 0, problem.prior, 0)
-    simulate(20_000, search.model, search.options, tree, *_roots(1 << 15))
+    simulate(20_000, search.model, search.options, tree, *make_roots(1 << 15))
     nodes, _, mask = tree.used.tolist()
     assert nodes > FIRST_TABLE  # else nothing would have grown
     assert 2 * nodes <= mask + 3

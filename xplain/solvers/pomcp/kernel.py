@@ -50,6 +50,8 @@ def simulate(simulations, model, options, tree, log_root, inverse_root):  # type
         user_type = draw_type(tree, last_type)
         node, depth, length, is_new = ROOT, 0, 0, False
         while depth < options.depth and not is_new and node != END:
+            if tree.nodes[node].edges == UNOPENED:
+                open_(model, tree, node)
             edge, action = select(model, options, tree, node, log_root, inverse_root)
             tree.path[0, length] = node
             tree.path[1, length] = edge
@@ -75,12 +77,9 @@ def draw_type(tree, last_type):  # type: ignore[no-untyped-def]
 
 @inlined
 def select(model, options, tree, node, log_root, inverse_root):  # type: ignore[no-untyped-def]
-    """The action to try at a node of the tree, and its edge: those not yet tried come first, in
-    random order, then UCB1 decides (Auer et al. 2002)."""
-    record = tree.nodes[node]
-    if record.edges == UNOPENED:
-        open_(model, tree, node)
-    n = len(model.reduced.price)
+    """The action to try at an open node, and its edge: those not yet tried come first, in random
+    order, then UCB1 decides (Auer et al. 2002)."""
+    record, n = tree.nodes[node], len(model.reduced.price)
     first, untried = record.edges, np.int64(record.untried)
     asking = questions_at(tree, node)
     available = ((1 << (n + 1 + asking)) - 1) & ~np.int64(record.given)

@@ -25,39 +25,35 @@ the mean forgets only slowly.
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
-from hashlib import blake2b
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
-from xplain.explanation.belief import rounded
+from xplain.explanation.belief import rounded, told
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import tell_when_compiling
-from xplain.randomness import derived_seed
 from xplain.solvers.base import Knowledge, Policy, best_question
-from xplain.solvers.inquiry import look, make_room
+from xplain.solvers.inquiry import Inquiry
+from xplain.solvers.knowing import make_knowing
 from xplain.solvers.memory import check_memory, check_memory_gib
-from xplain.solvers.model import best_set, one_by_one
+from xplain.solvers.model import best_set, one_by_one, table_bytes
+from xplain.solvers.pomcp.forest import Forest, Run, Start
 from xplain.solvers.pomcp.kernel import simulate
+from xplain.solvers.pomcp.knowing import KnowingSearch, simulate_knowing
 from xplain.solvers.pomcp.search_model import (
     SearchModel,
     model_bytes,
     model_of,
     with_own_room,
 )
-from xplain.solvers.pomcp.tree import Options, Tree, slots_for, tree_bytes
+from xplain.solvers.pomcp.tree import Options, slots_for, tree_bytes
+from xplain.solvers.reminding import Reminding
 from xplain.solvers.restriction import Restricted, RestrictedAsking, restricted
 from xplain.solvers.rows import rows_at
-
-CHUNK = 50_000
-"""Simulations between two looks at Ctrl-C."""
 
 # Positions are the kernel's numbers.
 DEPTH_UNITS = ("steps", "actions")
@@ -120,24 +116,54 @@ class POMCP:
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         tell_when_compiling()
+        if problem.tracks_knowledge:
+            return self._plan_knowing(problem, seed)
         small, kept = restricted(problem)
         size = model_bytes(small) + self.trees * tree_bytes(
             small, -(-self.simulations // self.trees)
         )
         check_memory("pomcp", size, self.memory_gib, "search less, or qhr plans without tables")
+        model, known_is_exact = model_of(small), self.backup == "max" and self.rollout == "qmdp"
+        forest = self._forest(small, model.reduced.inquiry, seed)
+        search = Search(model, self._options(small), forest, known_is_exact)
+        return (RestrictedAsking if small.questions else Restricted)(search, kept)
+
+    def _plan_knowing(self, problem: Problem, seed: int) -> Policy:
+        """Where messages may be missed or forgotten."""
+        trees = self.trees * tree_bytes(problem, -(-self.simulations // self.trees))
+        size = 6 * table_bytes(problem) + trees
+        check_memory("pomcp", size, self.memory_gib, "fewer messages or habits fit")
+        model = KnowingSearch(make_knowing(Reminding(problem)))
+        forest = self._forest(problem, model.reduced.inquiry, seed)
+        policy = Remembering(problem, model, self._options(problem), forest)
+        return policy
+
+    def _forest(self, problem: Problem, inquiry: Inquiry, seed: int) -> Forest:
+        return Forest(
+            self.simulations,
+            self.trees,
+            self.threads,
+            problem.n_steps,
+            problem.n_messages,
+            slots_for(problem),
+            inquiry,
+            seed,
+        )
+
+    def _options(self, problem: Problem) -> Options:
+        steps, messages = problem.n_steps, problem.n_messages
         unit = max(
             problem.inexplicability_cost, problem.trade_off * problem.message_cost.max(initial=0)
         )
-        options = Options(
-            depth=self.depth or small.n_steps + small.n_messages + 1,
+        again = steps if problem.tracks_knowledge else 1
+        return Options(
+            depth=self.depth or steps + again * messages + 1,
             message_depth=DEPTH_UNITS.index(self.depth_unit),
             exploration=float(self.exploration * unit),
             leaf=LEAVES.index(self.leaf),
             rollout=ROLLOUTS.index(self.rollout),
             backup=BACKUPS.index(self.backup),
         )
-        search = Search(self, model_of(small), options, seed, slots_for(small))
-        return (RestrictedAsking if small.questions else Restricted)(search, kept)
 
 
 @dataclass(frozen=True)
@@ -145,17 +171,16 @@ class Search:
     """The policy: a search a decision, on a random stream of its own.
 
     Attributes:
-        solver: its settings.
         model, options: as the kernel wants them.
-        seed: of the run.
-        slots: questions tried at a belief.
+        forest: how to search.
+        known_is_exact: whether a search from a certain belief finds V* in the limit: it backs up
+            maxima of what QMDP's rollouts, which are exact there, return. So V* is taken at once.
     """
 
-    solver: POMCP
     model: SearchModel
     options: Options
-    seed: int
-    slots: int = 0
+    forest: Forest
+    known_is_exact: bool
     _last: dict[tuple[object, ...], Mapping[int, float]] = field(default_factory=dict)
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
@@ -163,7 +188,7 @@ class Search:
         :class:`xplain.solvers.base.Policy` says."""
 
         def best_action(shown: int) -> int:
-            values = self._values(step, shown, belief, asked, shown == given)
+            values = self._values(Start(step, shown, belief, asked, shown == given))
             return best_set({action: value for action, value in values.items() if action >= 0})
 
         return one_by_one(best_action, given)
@@ -177,33 +202,22 @@ class Search:
     ) -> Mapping[int, float]:
         """Estimated return of *explain* (0), of each message (its bit) and question (~q), where it
         was tried."""
-        return self._values(step, given, belief, asked)
+        return self._values(Start(step, given, belief, asked))
 
-    def _values(
-        self, step: int, given: int, belief: NDArray[np.float64], asked: int, may_ask: bool = True
-    ) -> Mapping[int, float]:
-        """As :meth:`values`; between the messages of a step nothing ``may_ask``. What is asked
-        first is asked for messages next, so the last search is kept."""
-        if self._known_is_exact and rounded(belief).max() == 1.0:
-            return self._known_values(step, given, int(np.argmax(belief)))
-        key = step, given, belief.tobytes(), asked, may_ask
-        if key not in self._last:
-            value, visits = self.search(step, given, belief, asked, may_ask)
-            n = len(value) - 1 - self.slots
-            room = make_room(self.model.reduced.inquiry, asked, self.slots)
-            if self.slots:
-                look(self.model.reduced.inquiry, step, given, np.ascontiguousarray(belief), room)
-            names = [1 << j for j in range(n)] + [0] + [~q for q in room.found.tolist()]
-            order = [n, *range(n), *range(n + 1, len(value))]
-            self._last.clear()
-            self._last[key] = {names[a]: float(value[a]) for a in order if visits[a]}
-        return self._last[key]
+    def search(
+        self, step: int, given: int, belief: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """As :meth:`xplain.solvers.pomcp.forest.Forest.merged`."""
+        return self.forest.merged(Start(step, given, belief), self._run)
 
-    @property
-    def _known_is_exact(self) -> bool:
-        """Whether a search from a certain belief finds V* in the limit: it backs up maxima of what
-        QMDP's rollouts, which are exact there, return. So V* is taken at once."""
-        return self.solver.backup == "max" and self.solver.rollout == "qmdp"
+    def _values(self, start: Start) -> Mapping[int, float]:
+        if self.known_is_exact and rounded(start.belief).max() == 1.0:
+            return self._known_values(start.step, start.given, int(np.argmax(start.belief)))
+        return once(self._last, start, lambda: self.forest.values(start, self._run))
+
+    def _run(self) -> Run:
+        model = self.model if self.forest.threads == 1 else with_own_room(self.model)
+        return lambda count, tree, roots: simulate(count, model, self.options, tree, *roots)
 
     def _known_values(self, step: int, given: int, t: int) -> Mapping[int, float]:
         """Q*_t(k, H, a) of *explain* (0) and of each message (its bit) not given."""
@@ -220,67 +234,68 @@ class Search:
                 values[1 << j] = float(reduced.message_discount * said - price)
         return values
 
-    def search(
-        self,
-        step: int,
-        given: int,
-        belief: NDArray[np.float64],
-        asked: int = 0,
-        may_ask: bool = True,
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Value and visits of each action at the root, merged over the trees: [n + 1 + B] each,
-        messages, *explain*, then the most telling questions. The random stream comes from what is
-        to be decided, not from what was decided before."""
-        belief = rounded(np.ascontiguousarray(belief, dtype=np.float64))
-        digest = int.from_bytes(blake2b(belief.tobytes(), digest_size=8).digest(), "little")
-        heard = (str(asked),) if asked else ()
-        whole, rest = divmod(self.solver.simulations, self.solver.trees)
-        stop = threading.Event()
 
-        def grow(number: int) -> NDArray[Any]:
-            seed = derived_seed(self.seed, "pomcp", step, given, digest, number, *heard)
-            budget = whole + (number < rest)
-            tree = Tree.rooted(
-                budget,
-                len(self.model.reduced.price),
-                self.model.reduced.n_steps,
-                step,
-                given,
-                belief,
-                seed,
-                make_room(self.model.reduced.inquiry, asked, self.slots),
-                may_ask,
-            )
-            roots = _roots(1 << budget.bit_length())
-            model = self.model if self.solver.threads == 1 else with_own_room(self.model)
-            while budget > 0 and not stop.is_set():
-                simulate(min(budget, CHUNK), model, self.options, tree, *roots)
-                budget -= CHUNK
-            return tree.root_edges()
+@dataclass(frozen=True)
+class Remembering:
+    """The same where messages may be missed or forgotten, and said again: each at most once a step.
 
-        numbers = range(self.solver.trees)
-        if self.solver.threads == 1 or self.solver.trees == 1:
-            edges = np.stack([grow(number) for number in numbers])
-        else:
-            with ThreadPoolExecutor(self.solver.threads) as pool:
-                try:
-                    edges = np.stack(list(pool.map(grow, numbers)))
-                except BaseException:
-                    stop.set()  # Ctrl-C: the threads end with their present chunk
-                    raise
-        visits = edges["visits"].astype(np.int64)
-        weighted = np.where(visits > 0, edges["value"], 0.0) * visits
-        return weighted.sum(axis=0) / np.maximum(visits.sum(axis=0), 1), visits.sum(axis=0)
+    Attributes:
+        problem: of the plan.
+        model, options: as the kernel wants them.
+        forest: how to search.
+    """
+
+    problem: Problem
+    model: KnowingSearch
+    options: Options
+    forest: Forest
+    _last: dict[tuple[object, ...], Mapping[int, float]] = field(default_factory=dict)
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """The messages to give before the next *explain*, some of them perhaps again."""
+        said = 0
+        while True:
+            values = self._values(Start(step, said, belief, asked, not said))
+            new = best_set({action: value for action, value in values.items() if action >= 0})
+            if not new:
+                return said
+            said |= new
+            belief = told(self.problem, belief, new)
+
+    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """The question to ask, as :class:`xplain.solvers.base.Asks` says."""
+        return best_question(self.values(step, given, belief, asked))
+
+    def values(
+        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
+    ) -> Mapping[int, float]:
+        """As :meth:`Search.values`, before anything is said at this step."""
+        return self._values(Start(step, 0, belief, asked))
+
+    def _values(self, start: Start) -> Mapping[int, float]:
+        return once(self._last, start, lambda: self.forest.values(start, self._run))
+
+    def _run(self) -> Run:
+        labels = np.empty(self.problem.n_steps, np.bool_)
+        return lambda count, tree, roots: simulate_knowing(
+            count, self.model, self.options, tree, labels, *roots
+        )
+
+
+def once(
+    last: dict[tuple[object, ...], Mapping[int, float]],
+    start: Start,
+    search: Callable[[], Mapping[int, float]],
+) -> Mapping[int, float]:
+    """The values of a start. What is searched for a question is searched for messages next, so the
+    last values are kept."""
+    key = start.step, start.given, start.belief.tobytes(), start.asked, start.may_ask
+    if key not in last:
+        found = search()
+        last.clear()
+        last[key] = found
+    return last[key]
 
 
 def _is_count(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1
-
-
-@lru_cache(maxsize=4)
-def _roots(size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """sqrt(log v) and 1 / sqrt(v) for v = 0 … size (0 for 0), once a size."""
-    v = np.maximum(np.arange(size + 1), 1)
-    inverse = 1 / np.sqrt(v)
-    inverse[0] = 0.0
-    return np.sqrt(np.log(v)), inverse

@@ -102,7 +102,7 @@ class Tree(NamedTuple):
         rollout_belief: [N] a rollout keeps its belief here.
         rows: [N] of a history, and
         gain: [n] what QMDP finds messages worth.
-        path: [3, n + m + 1 + questions] nodes, edges and actions of a simulation.
+        path: [3, (n + 1) m + 1 + Q] nodes, edges and actions of a simulation.
         used: [3] how many nodes and edges are taken (NODES, EDGES), and the table's MASK.
         counter: [1] of the random stream.
         inquired: [S + 1, B + 2] of nodes that a question may be asked at: its questions, how many
@@ -161,7 +161,7 @@ class Tree(NamedTuple):
             np.empty(len(belief)),
             np.empty(len(belief), np.int64),
             np.zeros(n_messages),
-            np.empty((3, n_messages + n_steps + 1 + questions), np.int64),
+            np.empty((3, (n_messages + 1) * n_steps + 1 + questions), np.int64),
             np.array([1, actions, FIRST_TABLE - 1]),
             np.array([seed], np.uint64),
             np.empty((size if slots else 1, slots + 2), np.int32),
@@ -236,20 +236,27 @@ def add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
 
 @inlined
 def open_(model, tree, node):  # type: ignore[no-untyped-def]
-    """Gives a node its edges: one for each message not yet given, for *explain*, and for each of
-    the most telling questions where a step begins."""
-    record, actions = tree.nodes[node], len(model.reduced.price) + 1
-    record.edges = tree.used[EDGES]
-    if len(tree.room.found) > 0 and record.base == node:
-        actions += _inquire(model.reduced.inquiry, tree, node)
-    record.untried = ((1 << actions) - 1) & ~record.given
-    actions = count_bits(np.int64(record.untried))
-    tree.used[EDGES] += actions
+    """Gives a node its edges, and the expected reward of *explain*."""
+    make_edges(len(model.reduced.price), model.reduced.inquiry, tree, node)
+    record = tree.nodes[node]
     record.reward = 0.0
     find_rows(model.reduced.rows.part, np.int64(record.given), tree.rows)
     for t in range(tree.beliefs.shape[1]):
         cost = model.explain_cost[tree.rows[t], record.step, t]
         record.reward -= tree.beliefs[record.base, t] * cost
+
+
+@inlined
+def make_edges(messages, inquiry, tree, node):  # type: ignore[no-untyped-def]
+    """Edges for each message not yet given, for *explain*, and for each of the most telling
+    questions where a step begins."""
+    record, actions = tree.nodes[node], messages + 1
+    record.edges = tree.used[EDGES]
+    if len(tree.room.found) > 0 and record.base == node:
+        actions += _inquire(inquiry, tree, node)
+    record.untried = ((1 << actions) - 1) & ~record.given
+    actions = count_bits(np.int64(record.untried))
+    tree.used[EDGES] += actions
     for a in range(actions):
         edge = tree.edges[record.edges + a]
         edge.value = -np.inf
@@ -313,10 +320,10 @@ def tree_bytes(problem: Problem, simulations: int) -> int:
     slots = slots_for(problem)
     node = (
         _node_kind(problem.n_messages + slots).itemsize
-        + 8 * problem.n_types
+        + 8 * problem.start.size
         + EDGE.itemsize * (problem.n_messages + 1 + slots)
         + 4 * (slots + 2)
     )
     table = _table_size(simulations)
-    remembered = min(table, REMEMBERED) * 8 * (problem.n_types + 1)
+    remembered = min(table, REMEMBERED) * 8 * (problem.start.size + 1)
     return (simulations + 2) * node + ENTRY.itemsize * table + remembered

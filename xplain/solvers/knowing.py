@@ -1,0 +1,264 @@
+"""What a user knows, for kernels: where messages may be missed or forgotten.
+
+A state is what is hidden, what the user knows and the type (:mod:`xplain.explanation.knowledge`):
+s = K · N + t, K a row of the label table. A belief is [S], S = rows · N, as
+:attr:`~xplain.explanation.problem.Problem.start` has it. Values of known states are those of
+:class:`~xplain.solvers.reminding.Reminding`, QMDP's.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.problem import Problem
+from xplain.numba_kernels import inlined, lean_kernel
+from xplain.solvers.count_lattice import copy
+from xplain.solvers.inquiry import Inquiry, hear_answer, make_inquiry, open_questions
+from xplain.solvers.pomcp.random_words import next_uniform
+from xplain.solvers.reminding import Reminding
+
+ROUNDING = 1e-12
+"""Actions worth the same but for this are equal, the first is taken."""
+SPREAD = np.uint64(0xD1342543DE82EF95)
+"""Between the streams of two simulations."""
+
+
+class Knowing(NamedTuple):
+    """The problem of m steps, n messages, S states of N types.
+
+    Attributes:
+        answered: [m, S] P(answer 1).
+        explain_cost: [m, S] of *explain* at k.
+        optimal: [m + 1, S] V(k, s), and
+        explain: [m, S] Q(k, s, explain), s being known from then on.
+        bit: [n, N] the bit of a row that a message sets right; −1 for none.
+        accept, forget: [N] α and φ.
+        price: [n] λ C_e.
+        discount, message_discount: γ and γ'.
+        inquiry: the questions, S states in the place of types.
+    """
+
+    answered: NDArray[np.float64]
+    explain_cost: NDArray[np.float64]
+    optimal: NDArray[np.float64]
+    explain: NDArray[np.float64]
+    bit: NDArray[np.int64]
+    accept: NDArray[np.float64]
+    forget: NDArray[np.float64]
+    price: NDArray[np.float64]
+    discount: float
+    message_discount: float
+    inquiry: Inquiry
+
+
+def make_knowing(policy: Reminding) -> Knowing:
+    """Of the problem that QMDP's policy was planned for."""
+    problem = policy.problem
+    steps, rows, types = problem.table.p.shape
+    bit = np.full((problem.n_messages, types), -1)
+    for t, row in enumerate(problem.table.rows):
+        bit[row, t] = np.arange(len(row))
+    optimal, explain = policy.optimal, policy.explain
+    costs = problem.inexplicability_cost * np.cumsum(1 - problem.table.p, axis=0)
+    return Knowing(
+        np.ascontiguousarray(problem.table.answered.reshape(steps, -1)),
+        np.ascontiguousarray(costs.reshape(steps, -1)),
+        np.ascontiguousarray(optimal.reshape(steps + 1, -1)),
+        np.ascontiguousarray(explain.reshape(steps, -1)),
+        bit,
+        problem.accept,
+        problem.forget,
+        problem.trade_off * problem.message_cost,
+        problem.discount,
+        problem.discount if problem.discount_per == "action" else 1.0,
+        _inquiry(problem, rows * types),
+    )
+
+
+def _inquiry(problem: Problem, states: int) -> Inquiry:
+    """The questions by states: each is a type of its own, whatever was said."""
+    found = make_inquiry(problem)
+    count = len(found.answered)
+    sets = found.part.shape[1]
+    return found._replace(
+        answered=np.ascontiguousarray(found.answered.reshape(count, 1, states)),
+        yes=np.ascontiguousarray(found.yes.reshape(count, 1, states)),
+        part=np.zeros((1, sets, states), np.int64),
+    )
+
+
+@inlined
+def say(model, belief, message):  # type: ignore[no-untyped-def]
+    """The belief [S] after a message was said: a part α has it right now."""
+    types = len(model.accept)
+    for t in range(types):
+        bit = model.bit[message, t]
+        if bit < 0:
+            continue
+        step = types << bit
+        for s in range(t, len(belief), types):
+            if s // step % 2 == 0:  # without the fact
+                landed = model.accept[t] * belief[s]
+                belief[s] -= landed
+                belief[s + step] += landed
+
+
+@inlined
+def lose(model, belief):  # type: ignore[no-untyped-def]
+    """The belief [S] after each fact known was lost with φ."""
+    types = len(model.forget)
+    step = types
+    while step < len(belief):
+        for s in range(len(belief)):
+            if s // step % 2 == 0:
+                lost = model.forget[s % types] * belief[s + step]
+                belief[s + step] -= lost
+                belief[s] += lost
+        step *= 2
+
+
+@inlined
+def hear(model, step, labels, belief):  # type: ignore[no-untyped-def]
+    """The belief [S] after labels [step + 1] of the prefix, and what is forgotten then."""
+    total = 0.0
+    for s in range(len(belief)):
+        if belief[s] > 0.0:
+            for i in range(step + 1):
+                p = model.answered[i, s]
+                belief[s] *= p if labels[i] else 1.0 - p
+            total += belief[s]
+    for s in range(len(belief)):
+        belief[s] /= total
+    lose(model, belief)
+
+
+@inlined
+def draw_state(counter, belief):  # type: ignore[no-untyped-def]
+    """A state from a belief; the last possible one takes what rounding leaves."""
+    u, chosen = next_uniform(counter), -1
+    for s in range(len(belief)):
+        if belief[s] > 0.0:
+            chosen = s
+            u -= belief[s]
+            if u < 0.0:
+                break
+    return chosen
+
+
+@inlined
+def told(model, counter, state, message):  # type: ignore[no-untyped-def]
+    """The state of a user who was told a message once."""
+    types = len(model.accept)
+    bit = model.bit[message, state % types]
+    if bit < 0 or state // (types << bit) % 2 == 1:
+        return state
+    lands = next_uniform(counter) < model.accept[state % types]
+    return state + (types << bit) if lands else state
+
+
+@inlined
+def shown(model, counter, step, state, labels):  # type: ignore[no-untyped-def]
+    """Draws the labels [step + 1] of a user in this state. Returns the state after the step."""
+    types = len(model.forget)
+    for i in range(step + 1):
+        labels[i] = next_uniform(counter) < model.answered[i, state]
+    bit = types
+    while bit < model.answered.shape[1]:
+        if state // bit % 2 == 1 and next_uniform(counter) < model.forget[state % types]:
+            state -= bit
+        bit *= 2
+    return state
+
+
+@inlined
+def best_now(model, step, said, belief):  # type: ignore[no-untyped-def]
+    """QMDP's value at a belief [S], its action (n is *explain*), and what it loses against being
+    told the state now. Messages ``said`` at this step are not said again."""
+    types, n = len(model.accept), len(model.price)
+    sure, best, action = 0.0, 0.0, n
+    for s in range(len(belief)):
+        sure += belief[s] * model.optimal[step, s]
+        best += belief[s] * model.explain[step, s]
+    for j in range(n):
+        if said >> j & 1:
+            continue
+        gain = 0.0
+        for t in range(types):
+            bit = model.bit[j, t]
+            if bit < 0:
+                continue
+            jump = types << bit
+            for s in range(t, len(belief), types):
+                if s // jump % 2 == 0:
+                    more = model.optimal[step, s + jump] - model.optimal[step, s]
+                    gain += belief[s] * model.accept[t] * more
+        value = model.message_discount * (sure + gain) - model.price[j]
+        if value > best + ROUNDING:
+            best, action = value, j
+    return best, action, sure - best
+
+
+@inlined
+def expected_loss(model, counter, step, start, belief, labels):  # type: ignore[no-untyped-def]
+    """What QMDP's decisions cost from a belief [S], which is used up, more than those of who is
+    told the state at each: summed up on the way of one user who begins in the state ``start``.
+
+    QMDP's value W is linear in the belief and its mean does not change by what is heard, so a
+    policy earns W at the start less these losses; they vary little, and mostly at first.
+    """
+    steps, n = model.explain.shape[0], len(model.price)
+    total, scale, state = 0.0, 1.0, start
+    for k in range(step, steps):
+        said = 0
+        while True:
+            _, action, loss = best_now(model, k, said, belief)
+            total += scale * loss
+            if action == n:
+                break
+            scale *= model.message_discount
+            said |= 1 << action
+            say(model, belief, action)
+            state = told(model, counter, state, action)
+        if k + 1 < steps:
+            state = shown(model, counter, k, state, labels)
+            hear(model, k, labels, belief)
+            scale *= model.discount
+    return total
+
+
+@lean_kernel
+def gains(model, counter, step, belief, after, path, labels, room, rolls, seed):  # type: ignore[no-untyped-def]
+    """Finds questions, and fills ``room.news`` with what they are worth. Returns how many.
+
+    ``after`` and ``path`` are [S], ``labels`` is [m], to work in.
+    """
+    count = open_questions(model.inquiry, step, 0, belief, room)
+    if count == 0:
+        return 0
+    now = _mean_loss(model, counter, step, belief, path, labels, rolls, seed)
+    for i in range(count):
+        worth = now - model.inquiry.cost
+        for answer in range(2):
+            copy(belief, after)
+            share = hear_answer(model.inquiry, room.found[i], 0, answer, after)
+            if share > 0.0:
+                worth -= share * _mean_loss(model, counter, step, after, path, labels, rolls, seed)
+        room.news[i] = worth
+    return count
+
+
+@inlined
+def _mean_loss(model, counter, step, belief, path, labels, rolls, seed):  # type: ignore[no-untyped-def]
+    """Over users spread evenly over the belief, with the same random numbers for each belief."""
+    total, done, state = 0.0, 0.0, 0
+    for i in range(rolls):
+        while state < len(belief) - 1 and done + belief[state] <= (i + 0.5) / rolls:
+            done += belief[state]
+            state += 1
+        counter[0] = seed + np.uint64(i) * SPREAD
+        copy(belief, path)
+        total += expected_loss(model, counter, step, state, path, labels)
+    return total / rolls
