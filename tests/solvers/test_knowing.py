@@ -1,0 +1,126 @@
+"""Solvers where messages may be missed or forgotten: kernels against plain references."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.explanation.test_knowledge import problem_of, worth
+from xplain.explanation import knowledge
+from xplain.explanation.asking import NO_QUESTION, Limits, Questions
+from xplain.explanation.belief import told, update
+from xplain.explanation.habits import habits_of
+from xplain.explanation.label_table import LabelTable
+from xplain.explanation.literal_pomdp import literal_optimal_value
+from xplain.explanation.problem import Problem
+from xplain.solvers import knowing
+from xplain.solvers.base import asking
+from xplain.solvers.knowing import Knowing, expected_loss, make_knowing
+from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.qmdp import QMDP
+from xplain.solvers.reminding import Reminding
+
+
+def model_of(problem: Problem) -> Knowing:
+    return make_knowing(Reminding(problem))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_kernels_filter_as_the_belief_does(seed: int) -> None:
+    problem = problem_of(seed, types=3, steps=3)
+    rng, model = np.random.default_rng(seed), model_of(problem)
+    belief = rng.dirichlet(np.ones(problem.start.size))
+    for message in range(problem.n_messages):
+        found = belief.copy()
+        knowing.say(model, found, message)
+        np.testing.assert_allclose(found, told(problem, belief, 1 << message), atol=1e-15)
+    labels = rng.integers(2, size=problem.n_steps).astype(np.uint8)
+    expected = update(problem, belief, 0, labels)
+    found = belief.copy()
+    knowing.hear(model, problem.n_steps - 1, labels.astype(bool), found)
+    if np.isfinite(found).all():  # else the labels were impossible
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+    found = belief.copy()
+    knowing.lose(model, found)
+    lost = knowledge.forget(
+        belief.reshape(-1, problem.n_types), problem.table.relevant, problem.forget
+    )
+    np.testing.assert_allclose(found, lost.ravel(), atol=1e-15)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_user_moves_as_the_belief_says(seed: int) -> None:
+    """Shares of many users drawn, within five standard errors."""
+    problem = problem_of(20 + seed, types=2, steps=2)
+    model, draws = model_of(problem), 4000
+    counter = np.array([seed], np.uint64)
+    labels = np.empty(problem.n_steps, bool)
+    belief = problem.start
+    heard = np.zeros(len(belief))
+    with np.errstate(over="ignore"):
+        for _ in range(draws):
+            state = knowing.draw_state(counter, belief)
+            for message in range(problem.n_messages):
+                state = knowing.told(model, counter, state, message)
+            heard[knowing.shown(model, counter, 0, state, labels)] += 1 / draws
+    expected = told(problem, belief, (1 << problem.n_messages) - 1)
+    knowing.lose(model, expected)
+    error = 5 * np.sqrt(expected * (1 - expected) / draws) + 1e-9
+    assert (np.abs(heard - expected) <= error).all()
+
+
+def needy(seed: int, questions: bool = False) -> Problem:
+    """Two types that need other messages to find two transitions explicable; one message in three
+    is missed, one fact in five lost."""
+    rng = np.random.default_rng(seed)
+    needed = rng.integers(1, 4, size=(2, 3, 1))
+    p = np.where(needed & ~np.arange(4) == 0, 1.0, 0.1)
+    asked = Questions(LabelTable.dense(p[:, 2:]), Limits(0.02)) if questions else None
+    cost = rng.uniform(0.3, 0.9, 2)
+    problem = Problem(p[:, :2], cost, discount=1.0, questions=asked)
+    return problem.with_habits(habits_of(0.0, 0.7, 0.2))
+
+
+@pytest.mark.parametrize("questions", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_long_search_finds_the_optimum(seed: int, questions: bool) -> None:
+    """By brute force over states and observations, with and without questions."""
+    problem = needy(seed, questions)
+    solver = POMCP(simulations=40_000, depth=None, exploration=2.0)
+    values = solver.plan(problem, 0).values(0, 0, problem.start)
+    assert max(values.values()) == pytest.approx(literal_optimal_value(problem), abs=0.03)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_losses_tell_what_qmdp_earns(seed: int) -> None:
+    """W at the start less the mean of losses is the policy's value, by enumeration; the losses vary
+    less than what the explanations happen to cost."""
+    problem = needy(seed)
+    policy = Reminding(problem)
+    model = make_knowing(policy)
+    counter, labels, losses = np.array([7], np.uint64), np.empty(2, bool), []
+    with np.errstate(over="ignore"):
+        for _ in range(600):
+            state = knowing.draw_state(counter, problem.start)
+            losses.append(expected_loss(model, counter, 0, state, problem.start.copy(), labels))
+    known = float(problem.start @ policy.optimal[0].ravel())
+    se = np.std(losses) / np.sqrt(len(losses))
+    assert known - np.mean(losses) == pytest.approx(
+        worth(problem, 0, 0, problem.start), abs=5 * se + 1e-9
+    )
+
+
+def test_qmdp_asks_what_is_worth_it() -> None:
+    """Whether a message landed can be asked for a hundredth, or not at all for more than all of
+    it is worth."""
+    problem = needy(0, questions=True)
+    assert problem.questions is not None
+    cheap = asking(QMDP().plan(problem))
+    belief = told(problem, problem.start, 3)
+    assert max(cheap.values(1, 0, belief).values()) > max(
+        value for action, value in cheap.values(1, 0, belief).items() if action >= 0
+    )
+    dear = replace(problem, questions=replace(problem.questions, limits=Limits(50.0)))
+    assert asking(QMDP().plan(dear)).question(0, 0, problem.start) == NO_QUESTION
