@@ -322,7 +322,7 @@ def tree_bytes(problem: Problem, simulations: int) -> int:
         _node_kind(problem.n_messages + slots).itemsize
         + 8 * problem.start.size
         + EDGE.itemsize * (problem.n_messages + 1 + slots)
-        + 4 * (slots + 2)
+        + (4 * (slots + 2) if slots else 0)
     )
     table = _table_size(simulations)
     remembered = min(table, REMEMBERED) * 8 * (problem.start.size + 1)
