@@ -64,9 +64,12 @@ def logged_in(client: FlaskClient, store: Store) -> str:
 def test_the_researcher_is_blinded_unless_they_want_it_otherwise(
     store: Store, client: FlaskClient
 ) -> None:
-    consent(store, store.enter_invited(store.invite(1, "person")[0]))
+    state = consent(store, store.enter_invited(store.invite(1, "person")[0]))
     logged_in(client, store)
     names = [role.name for role in store.site.plan.roles]
+    hidden = {"Type": names[state.user_type], "Condition": state.condition}
+    assert store.site.about(state, blinded=False) == store.site.about(state, True) | hidden
+    assert hidden.keys().isdisjoint(store.site.about(state, blinded=True))
     cell = re.compile(rf"<td>({'|'.join([*names, 'personalized', 'conformant'])})</td>")
     assert cell.search(client.get("/researcher").text)
     blind = create_app(store, replace(GENEROUS, blinded=True)).test_client()
