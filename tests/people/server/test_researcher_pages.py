@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 from flask import Flask
 from flask.testing import FlaskClient
 
-from tests.people.visitors import GENEROUS, consent, field
+from tests.people.visitors import GENEROUS, Visitor, consent, field
 from xplain.errors import Refused
 from xplain.people.server.app import create_app
 from xplain.people.server.security import Keys
 from xplain.people.server.store import Store, Unknown
+from xplain.people.simulation.browser import visit
+from xplain.people.study.bot import Person
 
 
 def test_the_researchers_page_needs_its_key(store: Store, client: FlaskClient) -> None:
@@ -77,6 +81,38 @@ def test_the_researcher_is_blinded_unless_they_want_it_otherwise(
     html = blind.get("/researcher").text
     assert "at a glance" in html
     assert not cell.search(html)
+
+
+def test_places_are_counted_by_type_and_condition_or_by_stream_alone(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+) -> None:
+    done, under_way, also = store.invite(3, "person")
+    visit(browser(), person(), done)
+    for token in (under_way, also):
+        consent(store, store.enter_invited(token))
+    places = store.query("SELECT * FROM slot")
+    names = [role.name for role in store.site.plan.roles]
+    for blinded in (False, True):
+        client = create_app(store, replace(GENEROUS, blinded=blinded)).test_client()
+        logged_in(client, store)
+        _, _, table = client.get("/researcher").text.partition("Places by type and condition")
+        told = [
+            re.findall("<td[^>]*>([^<]*)</td>", row)
+            for row in table.partition("</table>")[0].split("</tr>")[1:-1]
+        ]
+        counted = Counter(
+            (
+                place["stream"],
+                *(() if blinded else (names[place["user_type"]], place["condition"])),
+                "used" if place["used"] else "held" if place["holder"] else "free",
+            )
+            for place in places
+        )
+        assert sorted(told) == [
+            [*of, *(str(counted[*of, how]) for how in ("used", "held", "free"))]
+            for of in sorted({key[:-1] for key in counted})
+        ]
+        assert sum(counted[key] for key in counted if key[-1] == "held") == 2
 
 
 def test_links_come_from_the_configured_address_not_from_the_request(store: Store) -> None:
