@@ -115,6 +115,29 @@ def test_places_are_counted_by_type_and_condition_or_by_stream_alone(
         assert sum(counted[key] for key in counted if key[-1] == "held") == 2
 
 
+def test_people_are_counted_by_stage_in_every_stream_that_somebody_is_in(
+    store: Store, client: FlaskClient
+) -> None:
+    logged_in(client, store)
+    assert "Nobody yet" in client.get("/researcher").text
+    for stream, agreed in (("person", 2), ("bot", 1)):
+        waiting, *others = store.invite(agreed + 1, stream)
+        store.enter_invited(waiting)
+        for token in others:
+            consent(store, store.enter_invited(token))
+    _, _, table = client.get("/researcher").text.partition("Participants by stage")
+    head, *rows = table.partition("</table>")[0].split("</tr>")
+    streams = re.findall('<th scope="col" class="number">([^<]*)</th>', head)
+    assert set(streams) == {"person", "bot"}
+    counted = {"consent": {"person": 1, "bot": 1}, "briefing": {"person": 2, "bot": 1}}
+    for row in rows[:-1]:
+        (stage,) = re.findall('<th scope="row">([^<]*)</th>', row)
+        numbers = map(int, re.findall(r"(\d+)</td>", row))
+        own = counted.pop(stage, dict.fromkeys(streams, 0))
+        assert dict(zip(streams, numbers, strict=True)) == own
+    assert not counted
+
+
 def test_links_come_from_the_configured_address_not_from_the_request(store: Store) -> None:
     app = create_app(store, replace(GENEROUS, address="https://study.example.org/"))
     client = app.test_client()
