@@ -55,9 +55,10 @@ def test_a_table_of_ones_own_transitions_is_enough(tmp_path):
 
 def test_a_file_of_hypotheses_takes_the_domains_place(tmp_path):
     np.savez(tmp_path / "h.npz", labels=[[1, 1], [0, 1], [1, 0], [0, 0]])
-    said = questions([f"hypotheses={tmp_path}/h.npz", f"output={tmp_path}/q.csv"])
+    output = tmp_path / "a" / "folder" / "q.csv"  # made where it is missing
+    said = questions([f"hypotheses={tmp_path}/h.npz", f"output={output}"])
     assert (said["transitions"], said["candidates"]) == (2, 4)
-    assert [row["text"][:-1] for row in rows_of(tmp_path / "q.csv")] == ["transition "] * 4
+    assert [row["text"][:-1] for row in rows_of(output)] == ["transition "] * 4
 
 
 @pytest.mark.parametrize(

@@ -139,6 +139,7 @@ def test_seeds(setting: Setting) -> None:
         ("points", 0),
         ("points", [9, 3]),
         ("points", "many"),
+        ("label_noise", -0.1),
         ("label_noise", 0.6),
         ("label_noise", "much"),
     ],

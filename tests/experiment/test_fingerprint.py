@@ -216,3 +216,11 @@ def test_every_source_of_the_package_counts_by_content_and_place(tmp_path, monke
 def test_a_library_that_is_not_there_counts_as_none(monkeypatch):
     monkeypatch.setattr(fingerprints, "LIBRARIES", {"no-such-library": "no_such_library"})
     assert fingerprints.library_versions.__wrapped__()["no-such-library"] == "none"
+
+
+def test_what_git_cannot_tell_is_left_out(tmp_path, monkeypatch):
+    """A checkout that git does not take for one: broken, or of somebody else."""
+    monkeypatch.setattr(fingerprints, "__file__", str(tmp_path / "xplain" / "experiment" / "f.py"))
+    assert fingerprints.git_state.__wrapped__() == {}
+    (tmp_path / ".git").write_text("gitdir: nowhere")
+    assert fingerprints.git_state.__wrapped__() == {}

@@ -167,9 +167,20 @@ def put(value):
     return change
 
 
+TREE = (
+    "children_left",
+    "children_right",
+    "feature",
+    "threshold",
+    "weighted_n_node_samples",
+    "value",
+)
+
+
 @pytest.mark.parametrize(
     "changes",
     [
+        {f"t0__{key}": lambda a: a[:0] for key in TREE},  # a tree of no node
         {"t0__children_left": put(0)},  # a circle, on which a walk would never end
         {"t0__children_right": put(10**6)},  # outside the arrays
         {"t0__children_left": put(-1)},
@@ -194,6 +205,8 @@ def test_a_doctored_file_is_refused_in_one_line(tmp_path, changes):
     with pytest.raises(InputError) as error:
         LearnedTypes.load(path)
     assert "\n" not in str(error.value)
+    if next(iter(changes)).startswith("t0"):
+        assert "tree of type 0" in str(error.value)  # what is wrong with it is told by its part
 
 
 def test_files_of_another_kind_are_refused_in_one_line(tmp_path):

@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -14,9 +15,11 @@ from tests.questions.tables import random_hypotheses
 from tests.users.corridor import Corridor
 from xplain.config import composed
 from xplain.errors import DomainError, InputError, TooLargeError, XplainError
+from xplain.questions import hypotheses as hypotheses_module
 from xplain.questions.expectation import groups
 from xplain.questions.hypotheses import AS_ASSUMED, OPPOSITE, Hypotheses
 from xplain.questions.inaccurate_values import NUDGES, scaled_values, without_ties
+from xplain.users import setting as setting_module
 from xplain.users.setting import Setting, UserType
 
 seeds = st.integers(0, 10_000)
@@ -100,6 +103,24 @@ def test_sets_of_few_facts_are_those_rows_of_all(corridor):
     every, few = Hypotheses.of_domain(corridor), Hypotheses.of_domain(corridor, most=1)
     assert few.facts.tolist() == [f for f in every.facts.tolist() if f.bit_count() <= 1]
     assert np.array_equal(few.labels, every.labels[every.row(few.facts)])
+
+
+@pytest.mark.parametrize("limit", [11, 12, 59, 60, 63, 64])
+def test_as_many_facts_are_wrong_together_as_models_may_be_solved(limit, monkeypatch):
+    """Sets of k facts span 2^k models each, and all sets together 2^n."""
+    monkeypatch.setattr(hypotheses_module, "MAX_MODELS", limit)
+    monkeypatch.setattr(setting_module, "MAX_MODELS", limit)
+    domain = domain_of("domain=rescue")
+    n = len(domain.parameters)
+    spanned = {k: sum(2**k for _ in combinations(range(n), k)) for k in range(n + 1)}
+    spanned[n] = 2**n
+    most = max(k for k in spanned if spanned[k] <= limit)
+    if not most:
+        with pytest.raises(TooLargeError):
+            Hypotheses.of_domain(domain, scales=())
+        return
+    found = Hypotheses.of_domain(domain, scales=())
+    assert max(facts.bit_count() for facts in found.facts.tolist()) == most
 
 
 def test_a_file_holds_all_of_them(tmp_path, corridor):

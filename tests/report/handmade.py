@@ -115,7 +115,7 @@ def results(name: str, values: Values, episodes: tuple[EpisodeFigures, ...]) -> 
         bounds={},
         learning={"types_found": 2.0, "adjusted_rand_index": 1.0},
         elbow=ElbowFigures("kneedle", (40.0, 3.0, 1.0)),
-        messages={"fire": "The robot likes <fire>."},
+        messages={"fire": f"The robot of {values.get('domain', 'rescue')} likes <fire>."},
         scene=Scene(1, 3, (), (Item("goal", "G", ((0, 2),)),)),
         types=TypeNames(TYPES, ("1", "2"), (0, 1), (0, 1)),
         steps={"belief_in_true_type": (0.5, 0.8, 0.9), "episodes": (8, 8, 8)},

@@ -91,6 +91,7 @@ def test_mlflow_opens_on_the_same_winner(tmp_path):
     assert "params.`lambda`" not in view["columnOrder"]  # it was not swept
     keys = [key["groupByData"] for key in view["groupBy"]["groupByKeys"]]
     assert keys == ["labeler"]  # a row a setting, not one a seed
+    assert view["groupBy"]["aggregateFunction"] == "average"  # MLflow's word for what tables hold
     assert bests(summary) == {"best_above_floor": pytest.approx(2.515)}
     assert "metrics." not in sweeps_view()["orderByKey"]  # unlike sweeps have no order
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import gzip
+import html
 import html.parser
 import io
 import itertools
@@ -253,7 +254,10 @@ def test_the_page_is_whole_and_loads_nothing(known):
     assert page.images >= 3
     assert all(address.startswith("data:") for address in page.loads)
     assert not re.search(r"url\(|@import|<script[^>]* src|\bfetch\(|XMLHttpRequest|import\(", text)
-    assert "The robot likes &lt;fire&gt;." in text
+    for domain in (setting["domain"] for setting in SETTINGS):
+        said = f"The robot of {domain} likes <fire>."
+        assert text.count(html.escape(said)) == 1
+        assert Summary(known).messages(domain) == {"fire": said}
     for name in ("regret.svg", "messages.svg", "inexplicable.svg", "disagreements.svg"):
         drawing = ElementTree.parse(report / name).getroot()
         lines = drawing.iter(f"{SVG}path")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +123,21 @@ def test_values_are_written_as_the_command_line_has_them() -> None:
         "domain.map='S.\\'\n'",
         "message_cost={fire: 2}",
     ]
+
+
+@dataclass(frozen=True)
+class Fees:
+    """A choice that somebody may write, with a table."""
+
+    of: Mapping[str, float]
+
+
+def test_equal_objects_are_one_value_and_others_another() -> None:
+    one, same = Fees({"fire": 2.0, "smoke": 1.0}), Fees({"smoke": 1.0, "fire": 2.0})
+    assert one == same
+    assert _words({"domain": one}) == _words({"domain": same})
+    others = [Fees({"fire": 1.0, "smoke": 2.0}), Fees({"fire": 2.0}), Fees({})]
+    assert len({*_words({"domain": one}), *(_words({"domain": o})[0] for o in others)}) == 4
 
 
 def test_a_program_that_uses_hydra_itself_keeps_its_own() -> None:

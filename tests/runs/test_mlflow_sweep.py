@@ -17,6 +17,7 @@ from tests.report import handmade
 from tests.runs.sweeps import planned, put
 from xplain.cli.sync import sync
 from xplain.experiment.results import save_results
+from xplain.runs import mlflow_sweep
 from xplain.runs.folder import FAILURE, STARTED, SweepFolder
 from xplain.runs.mlflow import MLflow
 from xplain.runs.mlflow_run import Store
@@ -49,7 +50,7 @@ class Client:
             run_id=f"run{next(self.numbers)}", status="RUNNING", start_time=start, end_time=None
         )
         data = SimpleNamespace(tags=dict(tags), name=name, params={})
-        self.runs[info.run_id] = SimpleNamespace(info=info, data=data, files=[])
+        self.runs[info.run_id] = SimpleNamespace(info=info, data=data, files=[], points=[])
         return self.runs[info.run_id]
 
     def search_runs(
@@ -77,6 +78,8 @@ class Client:
         del self.runs[run]
 
     def log_batch(self, run: str, metrics: Any = (), params: Any = (), tags: Any = ()) -> None:
+        assert len(metrics) <= 1000  # more a request is refused by a server
+        self.runs[run].points += [(point.key, point.step, point.value) for point in metrics]
         self.runs[run].data.tags |= {tag.key: tag.value for tag in tags}
         self.runs[run].data.params |= {param.key: param.value for param in params}
 
@@ -140,6 +143,18 @@ def finish(folder: SweepFolder, job: Job, started: float = 1e9) -> None:
 
 def send(folder: SweepFolder, client: Client) -> None:
     sync([folder.path], folder.path.parent, Noted(client=client))
+
+
+@pytest.mark.parametrize("count", [1, 899, 900, 901, 2000])
+def test_every_point_of_the_curves_is_sent_once(
+    client: Client, folder: SweepFolder, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = [("regret against λ/qmdp", step, step / 7) for step in range(count)]
+    monkeypatch.setattr(mlflow_sweep, "curves", lambda summary, main: points)
+    monkeypatch.setattr(mlflow_sweep, "bests", lambda summary: {})
+    finish(folder, folder.jobs()[0])
+    send(folder, client)
+    assert sorted(client.parent().points) == points
 
 
 def test_a_sweep_is_a_parent_with_a_child_for_each_job_that_ended(

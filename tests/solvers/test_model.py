@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from xplain.solvers.hsvi.solver import Certified
 from xplain.solvers.known_type import Baseline, Conformant, KnownType
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.model import best_set, explain_cost_at, explain_costs, model_of, optimal_values
+from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
 from xplain.solvers.restriction import coupled, messages_worth_giving, restricted
@@ -266,6 +268,9 @@ def test_too_large_is_refused_before_memory_is_taken() -> None:
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
-def test_memory_limit_must_be_positive(value: float) -> None:
+@pytest.mark.parametrize(
+    "solver", [QMDP, Baseline, Conformant, KnownType, Lookahead, Certified, POMCP]
+)
+def test_memory_limit_must_be_positive(solver: Callable[..., Solver], value: float) -> None:
     with pytest.raises(InputError, match="memory_gib"):
-        QMDP(memory_gib=value)
+        solver(memory_gib=value)

@@ -211,15 +211,9 @@ def _width(column: str) -> int:
     return max(80, 8 * len(name) + 24)
 
 
-_EVERYTHING = {
-    "startTime": "ALL",
-    "lifecycleFilter": "Active",
-    "datasetsFilter": [],
-    "modelVersionFilter": "All Runs",
-    "runsHiddenMode": "SHOW_ALL",
-    "viewMaximized": False,
-    "runListHidden": False,
-}
+_EVERYTHING = {"runsHiddenMode": "SHOW_ALL"}
+"""All runs are in a chart, not the first ten. What a view leaves out is as MLflow's page has it by
+itself: no filter but the view's, table and charts side by side."""
 
 
 def _charts(chart: Mapping[str, Any]) -> dict[str, Any]:

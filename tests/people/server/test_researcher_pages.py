@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 from flask import Flask
 from flask.testing import FlaskClient
 
-from tests.people.visitors import GENEROUS, consent, field
+from tests.people.visitors import GENEROUS, Visitor, consent, field
 from xplain.errors import Refused
 from xplain.people.server.app import create_app
 from xplain.people.server.security import Keys
 from xplain.people.server.store import Store, Unknown
+from xplain.people.simulation.browser import visit
+from xplain.people.study.bot import Person
 
 
 def test_the_researchers_page_needs_its_key(store: Store, client: FlaskClient) -> None:
@@ -64,9 +68,12 @@ def logged_in(client: FlaskClient, store: Store) -> str:
 def test_the_researcher_is_blinded_unless_they_want_it_otherwise(
     store: Store, client: FlaskClient
 ) -> None:
-    consent(store, store.enter_invited(store.invite(1, "person")[0]))
+    state = consent(store, store.enter_invited(store.invite(1, "person")[0]))
     logged_in(client, store)
     names = [role.name for role in store.site.plan.roles]
+    hidden = {"Type": names[state.user_type], "Condition": state.condition}
+    assert store.site.about(state, blinded=False) == store.site.about(state, True) | hidden
+    assert hidden.keys().isdisjoint(store.site.about(state, blinded=True))
     cell = re.compile(rf"<td>({'|'.join([*names, 'personalized', 'conformant'])})</td>")
     assert cell.search(client.get("/researcher").text)
     blind = create_app(store, replace(GENEROUS, blinded=True)).test_client()
@@ -74,6 +81,61 @@ def test_the_researcher_is_blinded_unless_they_want_it_otherwise(
     html = blind.get("/researcher").text
     assert "at a glance" in html
     assert not cell.search(html)
+
+
+def test_places_are_counted_by_type_and_condition_or_by_stream_alone(
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+) -> None:
+    done, under_way, also = store.invite(3, "person")
+    visit(browser(), person(), done)
+    for token in (under_way, also):
+        consent(store, store.enter_invited(token))
+    places = store.query("SELECT * FROM slot")
+    names = [role.name for role in store.site.plan.roles]
+    for blinded in (False, True):
+        client = create_app(store, replace(GENEROUS, blinded=blinded)).test_client()
+        logged_in(client, store)
+        _, _, table = client.get("/researcher").text.partition("Places by type and condition")
+        told = [
+            re.findall("<td[^>]*>([^<]*)</td>", row)
+            for row in table.partition("</table>")[0].split("</tr>")[1:-1]
+        ]
+        counted = Counter(
+            (
+                place["stream"],
+                *(() if blinded else (names[place["user_type"]], place["condition"])),
+                "used" if place["used"] else "held" if place["holder"] else "free",
+            )
+            for place in places
+        )
+        assert sorted(told) == [
+            [*of, *(str(counted[*of, how]) for how in ("used", "held", "free"))]
+            for of in sorted({key[:-1] for key in counted})
+        ]
+        assert sum(counted[key] for key in counted if key[-1] == "held") == 2
+
+
+def test_people_are_counted_by_stage_in_every_stream_that_somebody_is_in(
+    store: Store, client: FlaskClient
+) -> None:
+    logged_in(client, store)
+    assert "Nobody yet" in client.get("/researcher").text
+    for stream, agreed in (("person", 2), ("bot", 1)):
+        waiting, *others = store.invite(agreed + 1, stream)
+        store.enter_invited(waiting)
+        for token in others:
+            consent(store, store.enter_invited(token))
+    _, _, table = client.get("/researcher").text.partition("Participants by stage")
+    head, *rows = table.partition("</table>")[0].split("</tr>")
+    streams = re.findall('<th scope="col" class="number">([^<]*)</th>', head)
+    assert set(streams) == {"person", "bot"}
+    counted = {"consent": {"person": 1, "bot": 1}, "briefing": {"person": 2, "bot": 1}}
+    for row in rows[:-1]:
+        (stage,) = re.findall('<th scope="row">([^<]*)</th>', row)
+        numbers = map(int, re.findall(r"(\d+)</td>", row))
+        own = counted.pop(stage, dict.fromkeys(streams, 0))
+        assert dict(zip(streams, numbers, strict=True)) == own
+    assert not counted
 
 
 def test_links_come_from_the_configured_address_not_from_the_request(store: Store) -> None:

@@ -409,6 +409,10 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
     with pytest.raises(Full):
         store.submit(away, 5, "return", {})
     assert StudySite(study).replay(store._connection).differences == []
+    with store.transaction() as do:  # a place like theirs, held by whoever has left
+        do("UPDATE slot SET holder = ? WHERE holder = ?", (away, other))
+    (said,) = StudySite(study).replay(store._connection).differences
+    assert said.startswith("slot person ")
     store.close()
 
 

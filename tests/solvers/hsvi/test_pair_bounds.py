@@ -10,7 +10,7 @@ from xplain.explanation.problem import Problem
 from xplain.solvers.count_lattice import Answers, make_answers
 from xplain.solvers.hsvi import explore as hsvi
 from xplain.solvers.hsvi import pair_bounds
-from xplain.solvers.hsvi.pair_bounds import SWEEPS, Pairs, PairTables, mix, mixed
+from xplain.solvers.hsvi.pair_bounds import SWEEPS, Pairs, PairTables, mix, mixed, with_own_room
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
 from xplain.solvers.model import model_of, optimal_values
 from xplain.testing.problems import random_problem
@@ -103,3 +103,16 @@ def test_room_that_is_too_small_grows_and_changes_nothing(monkeypatch: pytest.Mo
         np.testing.assert_array_equal(found.optimal, pairs.optimal)
         np.testing.assert_array_equal(found.explain, pairs.explain)
     assert {8, 32} <= set(capacities)
+
+
+def test_searches_share_tables_and_no_room() -> None:
+    """What a mixture writes to is a search's own: two searches may run at once."""
+    pairs = PairTables(random_problem(np.random.default_rng(34), max_types=4)).make()
+    assert pairs.share.size
+    belief = np.full(len(pairs.share), 1 / len(pairs.share))
+    mix.py_func(pairs, 0, 0, belief, SWEEPS)
+    before = [table.copy() for table in pairs]
+    other = np.eye(len(belief))[0] * 0.9 + 0.1 * belief
+    assert mix.py_func(with_own_room(pairs), 0, 0, other, SWEEPS)
+    for name, table, kept in zip(Pairs._fields, pairs, before, strict=True):
+        np.testing.assert_array_equal(table, kept, name)

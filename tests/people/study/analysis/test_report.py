@@ -138,3 +138,41 @@ def test_the_picture_shows_everybody_and_the_means(
             assert np.asarray(bar.get_segments()[0])[:, 1] == pytest.approx(ends)
             stars = [line.get_ydata()[0] for line in axis.lines if line.get_marker() == "*"]
             assert stars[x] == paper[condition]
+
+
+def test_the_picture_shows_the_papers_effects_and_ours(
+    analysis: Analysis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    draw(analysis, tmp_path / "measures.png")
+    for axis, row in zip(drawn[0].axes[3:], analysis.rows, strict=False):
+        paper = paper_table()[row.measure]
+        n = int(paper["n_per_arm"])
+        sign = 1 if paper["conformant"] > paper["personalized"] else -1
+        t = sign * stats.t.isf(paper["p_value"] / 2, 2 * n - 2)
+        g = t * np.sqrt(2 / n) * (1 - 3 / (4 * (2 * n - 2) - 1))
+        dots = {line.get_marker(): line for line in axis.lines if len(line.get_xdata()) == 1}
+        assert list(dots["*"].get_ydata()) == [0]
+        assert dots["*"].get_xdata()[0] == pytest.approx(g, rel=2e-3)
+        assert list(dots["o"].get_xdata()) == [row.ours.g]
+        below, above = (line.get_xdata() for line in axis.lines if line.get_linewidth() == 2)
+        assert below[0] < g < below[1]
+        assert list(above) == [row.ours.g_low, row.ours.g_high]
+        zero = stats.nct.ppf([0.975, 0.025], 2 * n - 2, np.array(below) / g * t)
+        assert zero == pytest.approx(t, rel=1e-2)  # ends at which t is as rare as said
+
+
+def test_the_terminal_tells_where_everybody_went(analysis: Analysis) -> None:
+    console = Console(width=260, record=True, file=io.StringIO())
+    show(analysis, console)
+    _, _, flow = console.export_text().partition("Flow of participants")
+    rows = {
+        line.split("│")[1].strip(): line.split("│")[2:-1]
+        for line in flow.splitlines()
+        if "│" in line
+    }
+    for stage, counts in analysis.flow:
+        told = [int(cell) for cell in rows[stage]]
+        assert told == [counts[key] for key in ("all", *CONDITIONS)]
+    assert int(rows["analysed"][0]) == len(analysis.data)

@@ -143,6 +143,14 @@ def test_permutation_p_is_never_zero() -> None:
     assert stratified_permutation(x, y, strata, strata, seed=0, permutations=0) == 1.0
 
 
+@pytest.mark.parametrize(("d", "n", "level"), [(2.0, 3, 0.05), (-1.5, 2, 0.1), (0.8, 8, 0.01)])
+def test_power_is_the_share_of_studies_that_find_the_effect(d: float, n: int, level: float) -> None:
+    rng, studies = np.random.default_rng(11), 100_000
+    found = stats.ttest_ind(rng.normal(d, 1, (n, studies)), rng.normal(0, 1, (n, studies)))
+    share = (found.pvalue < level).mean()
+    assert t_power(d, n, level) == pytest.approx(share, abs=5 * np.sqrt(0.25 / studies))
+
+
 def test_power_without_an_effect_is_the_level_on_both_sides() -> None:
     for level in (0.05, 0.2):
         assert t_power(0.0, 12, level) == pytest.approx(level)

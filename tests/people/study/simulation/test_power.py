@@ -13,7 +13,7 @@ from tests.people.study.stand_in import street_plan, street_study
 from xplain.cli.main import main
 from xplain.errors import InputError
 from xplain.people.study.bot import Habits
-from xplain.people.study.power import SWEEPS, Pool, draw_sensitivity, power, simulate
+from xplain.people.study.power import SWEEPS, Pool, draw_curves, draw_sensitivity, power, simulate
 from xplain.people.study.statistics import (
     t_power,
 )
@@ -99,6 +99,27 @@ def test_pictures_show_every_figure_at_its_place(
             assert (list(line.get_xdata()), list(line.get_ydata())) == (list(values), effects)
             assert line.get_label() == title
         assert list(nothing.get_ydata()) == [0, 0]
+
+
+def test_curves_show_every_figure_under_the_name_of_its_measure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    rng = np.random.default_rng(6)
+    kinds = ("simulated", "simulated_holm", "paper_effect", "paper_effect_holm")
+    rows = [
+        {"measure": measure, "n_per_condition": n} | {kind: rng.random() for kind in kinds}
+        for n in (10, 20, 40)
+        for measure in MEASURES
+    ]
+    draw_curves(rows, tmp_path / "power.png")
+    for axis, (measure, title) in zip(drawn[0].axes, MEASURES.items(), strict=True):
+        assert axis.get_title() == title
+        own = [row for row in rows if row["measure"] == measure]
+        for kind, line in zip(kinds, axis.lines, strict=False):
+            assert list(line.get_xdata()) == [10, 20, 40]
+            assert list(line.get_ydata()) == [row[kind] for row in own]
 
 
 def test_the_command_prints_the_figures(
