@@ -1,6 +1,6 @@
 """Which clusterer finds the types? Both domains, questions shared or each observer's own, errors.
 
-    python benchmarks/clusterers.py              20 seeds a setting, an hour or two
+    python benchmarks/clusterers.py              20 seeds a setting, some minutes
     python benchmarks/clusterers.py --quick      1 seed of one setting, few labels
     python benchmarks/clusterers.py --methods kmeans --noise 0 --seeds 40 --first 100
 

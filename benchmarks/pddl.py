@@ -1,7 +1,7 @@
 """Seconds and memory from the command line to the first result, against the states of a PDDL task.
 
     python benchmarks/pddl.py            some minutes
-    python benchmarks/pddl.py --quick    under a minute
+    python benchmarks/pddl.py --quick    the smallest size
 
 The task: a courier on a ring of places with a few short cuts delivers parcels, any number at a
 time; ten facts that people hold wrong (lengths of roads, roads that are there or not, what loading

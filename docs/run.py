@@ -164,7 +164,7 @@ def differs(shown: list[str], real: list[str]) -> str:
 
 def masked(line: str) -> str:
     """A line without what may differ: digits, signs before them, bars, rules, blanks, ids."""
-    line = re.sub(r"\b[0-9a-f]{6,}\b", "#", line)
+    line = re.sub(r"(?:\b[0-9a-f]{6,}|_[0-9a-f]{4})\b", "#", line)
     line = re.sub(r"\((exact|± [^)]*)\)", "", line)
     line = re.sub(r"[-−+]?\d[\d.,:]*%?", "#", line)
     line = re.sub(r"[█─━╭╮╰╯│↑↓]+", "", line)

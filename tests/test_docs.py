@@ -231,6 +231,8 @@ def test_no_command_fetches_another_project_of_this_name():
     [
         (["cost 1.25 (3 of 4)"], ["cost  17 (9 of 12)"], True),
         (["cost 1.25"], ["price 1.25"], False),
+        (["QMDP_805c, QHR_63c5"], ["QMDP_c0a1, QHR_beef"], True),
+        (["QMDP_805c"], ["QHR_805c"], False),
         (["a", "...", "z"], ["a", "b", "c", "z"], True),
         (["a", "...", "z"], ["a", "b", "c"], False),
         (["a"], ["a", "b"], False),
