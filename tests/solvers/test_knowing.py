@@ -17,6 +17,8 @@ from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers import knowing
 from xplain.solvers.base import asking
+from xplain.solvers.certified_knowing import CertifiedKnowing
+from xplain.solvers.hsvi.solver import Certified
 from xplain.solvers.knowing import Knowing, expected_loss, make_knowing
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.qmdp import QMDP
@@ -124,3 +126,28 @@ def test_qmdp_asks_what_is_worth_it() -> None:
     )
     dear = replace(problem, questions=replace(problem.questions, limits=Limits(50.0)))
     assert asking(QMDP().plan(dear)).question(0, 0, problem.start) == NO_QUESTION
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_certified_bounds_hold_and_close(seed: int) -> None:
+    """On the optimum by trying every action at every belief."""
+    problem = replace(problem_of(40 + seed), discount_per="step")
+    policy = Certified(gap=1e-7).plan(problem)
+    assert isinstance(policy, CertifiedKnowing)
+    optimum = literal_optimal_value(problem)
+    assert policy.lower - 1e-8 <= optimum <= policy.upper + 1e-8
+    assert policy.upper - policy.lower <= 1e-6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_certified_knows_questions(seed: int) -> None:
+    problem = needy(seed, questions=True)
+    policy = Certified(gap=1e-7).plan(problem)
+    assert isinstance(policy, CertifiedKnowing)
+    optimum = literal_optimal_value(problem)
+    assert policy.lower == pytest.approx(optimum, abs=1e-7)
+    values = policy.values(0, 0, problem.start)
+    assert max(values.values()) == pytest.approx(optimum, abs=1e-7)
+    best = max(values, key=lambda action: values[action])
+    asked = policy.question(0, 0, problem.start)
+    assert asked == (~best if best < 0 else NO_QUESTION)

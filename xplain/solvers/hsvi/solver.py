@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy, best_question
+from xplain.solvers.certified_knowing import Bounded, CertifiedKnowing
 from xplain.solvers.hsvi.explore import Effort, Found, explore
 from xplain.solvers.hsvi.initial_bounds import Tables, make_tables, table_bytes
 from xplain.solvers.hsvi.search import Start
@@ -26,8 +27,12 @@ from xplain.solvers.hsvi.tree import NODES
 from xplain.solvers.inquiry import words_of
 from xplain.solvers.memory import check_memory
 from xplain.solvers.model import best_set
+from xplain.solvers.model import table_bytes as model_bytes
+from xplain.solvers.reminding import Reminding
 from xplain.solvers.restriction import RestrictedAsking, coupled
 
+KNOWING_NODES = 20_000
+"""Beliefs opened, at most, where messages may be missed or forgotten: a search in Python."""
 SAME = 1e-9
 """Beliefs that differ by less in every entry are the same belief."""
 
@@ -62,11 +67,23 @@ class Certified:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
+        if problem.tracks_knowledge:
+            return self._plan_knowing(problem)
         small, kept = coupled(problem, "certified")
         small, tables = tables_within(small, self.memory_gib)
         found = explore(tables, Start(0, 0, small.prior), self._effort, small)
         brief = Effort(self.gap, self.decision_nodes, math.inf, self.memory_gib)
         return CertifiedPolicy(Searched(found, brief), kept)
+
+    def _plan_knowing(self, problem: Problem) -> Policy:
+        """Where messages may be missed or forgotten."""
+        size = (problem.n_types + 6) * model_bytes(problem)
+        check_memory("certified", size, self.memory_gib, "solver=qmdp needs less")
+        bounded = Bounded(Reminding(problem))
+        root = bounded.node(0, problem.start, 0)
+        bounded.search(root, replace(self._effort, nodes=min(self.nodes, KNOWING_NODES)))
+        brief = Effort(self.gap, self.decision_nodes, math.inf, self.memory_gib)
+        return CertifiedKnowing(bounded, root, brief)
 
 
 def tables_within(problem: Problem, memory_gib: float) -> tuple[Problem, Tables]:
