@@ -38,7 +38,7 @@ def test_asking_never_makes_the_optimum_worse() -> None:
         without = literal_optimal_value(replace(problem, questions=None))
         gained.append(literal_optimal_value(problem) - without)
     assert min(gained) >= -1e-12
-    assert max(gained) > 0.05
+    assert max(gained) > 0.03
 
 
 def test_what_a_question_is_worth_by_hand() -> None:

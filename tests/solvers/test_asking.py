@@ -104,6 +104,21 @@ def test_certified_bounds_hold_and_close_on_the_optimum_with_questions() -> None
     assert helped >= 10
 
 
+def test_what_was_asked_is_part_of_what_a_belief_is_worth() -> None:
+    """Beliefs at one (k, H) tell each other bounds, but not where other questions were asked: three
+    steps of noisy labels, one or two questions, by brute force."""
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        needed = rng.integers(2, size=(2, 5, 1))
+        p = np.where(needed & ~np.arange(2) == 0, 0.9, 0.3) + rng.uniform(-0.1, 0.1, (2, 5, 2))
+        problem = Problem(p[:, :3], rng.uniform(0.5, 2.5, 1), discount=1.0)
+        limits = Limits(float(rng.choice([0.0, 0.01, 0.05])), most=int(rng.integers(1, 3)))
+        table = LabelTable.dense((p[:, 3:] * 1.3 - 0.2).clip(0.02, 0.98))
+        problem = replace(problem, questions=Questions(table, limits))
+        found, optimum = bounds(problem, CLOSE), literal_optimal_value(problem)
+        assert found.lower - 1e-9 <= optimum <= found.upper + 1e-9
+
+
 def test_what_certified_does_is_worth_the_optimum() -> None:
     rng = np.random.default_rng(11)
     for _ in range(40):
