@@ -34,8 +34,8 @@ class Episode:
             asked that.
         communication: Σ C_e of all messages given (not multiplied by λ).
         inexplicability: Σ C_inexp over every transition found inexplicable at every step.
-        cost: Definition 2, λ · communication + inexplicability, undiscounted; with κ for each
-            question.
+        cost: Definition 2, λ · communication + inexplicability, undiscounted; and ``asking``.
+        asking: κ of every question.
         questions: [J, 3] the step at which each was asked, its number, and the answer.
     """
 
@@ -47,6 +47,7 @@ class Episode:
     communication: float
     inexplicability: float
     cost: float
+    asking: float = 0.0
     questions: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 3), np.int64))
 
     @property
@@ -130,6 +131,7 @@ def explain(
         communication,
         inexplicability,
         problem.trade_off * communication + inexplicability + asking,
+        asking,
         np.array(questions, np.int64).reshape(-1, 3),
     )
 

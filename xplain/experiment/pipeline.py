@@ -27,7 +27,7 @@ from xplain.domains.base import (
     transition_features,
 )
 from xplain.errors import whole_number
-from xplain.explanation.asking import Pool, alike_first, nearest_first
+from xplain.explanation.asking import Limits, Pool, Questions, alike_first, nearest_first
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.clustering import Clusterer
@@ -87,7 +87,7 @@ class CaseQuestions:
         learned: P(label is 1) by the N types that were found.
         labels: the true labels of each of M true types.
         shows: [Q, m] whether a clip is of this transition of the trace.
-        texts: Q, for people.
+        texts, right: as :class:`~xplain.explanation.asking.Questions` has them.
     """
 
     transitions: NDArray[np.int64]
@@ -96,6 +96,11 @@ class CaseQuestions:
     labels: LabelTable
     shows: NDArray[np.bool_]
     texts: tuple[str, ...]
+    right: NDArray[np.int64]
+
+    def asked(self, table: LabelTable, limits: Limits) -> Questions:
+        """As an explanation problem has them, by one of the tables."""
+        return Questions(table, limits, self.shows, self.texts, self.right)
 
 
 @dataclass(frozen=True)
@@ -255,6 +260,7 @@ class Clips:
             labels=self.labels.of_steps(order.tolist()),
             shows=(chosen[:, None] == transitions).all(axis=-1),
             texts=tuple(domain.describe(transition) for transition in chosen),
+            right=np.full(len(chosen), -1),
         )
 
 
