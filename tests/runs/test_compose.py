@@ -15,7 +15,17 @@ from xplain.errors import XplainError
 from xplain.experiment.fingerprint import configuration
 from xplain.runs.compose import Composer
 
-GROUPS = ("domain", "users", "observers", "queries", "labeler", "clusterer", "solver", "ask", "tracking")
+GROUPS = (
+    "domain",
+    "users",
+    "observers",
+    "queries",
+    "labeler",
+    "clusterer",
+    "solver",
+    "ask",
+    "tracking",
+)
 JOBS = (
     ["domain=rescue", "solver=qmdp", "lambda=0.5", "seed=1"],
     ["domain=rescue", "solver=qmdp", "lambda=1.5", "seed=2"],

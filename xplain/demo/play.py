@@ -19,7 +19,8 @@ from xplain.explanation.belief import BeliefUpdate
 from xplain.message_sets import mask_of
 from xplain.randomness import derived_seed, stream
 from xplain.sessions.explainer import Explainer, GivenTypes
-from xplain.sessions.session import Session, Why
+from xplain.sessions.moves import Why
+from xplain.sessions.session import Session
 from xplain.solvers.base import Solver
 
 

@@ -234,9 +234,7 @@ def _draw_steps(axes: Axes, story: Story, caption: str) -> None:
         xticks=range(1, m + 1),
         yticks=range(1, m + 1),
         yticklabels=[f"{i}. {phrase}" for i, phrase in enumerate(story.phrases, 1)],
-        xlabel="\n".join(
-            ["step (at each, the user labels all transitions shown so far)", *told]
-        ),
+        xlabel="\n".join(["step (at each, the user labels all transitions shown so far)", *told]),
     )
     axes.grid(visible=False)
     axes.tick_params(length=0)

@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.errors import InputError
 from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.problem import Problem
 from xplain.message_sets import compress
@@ -45,10 +46,14 @@ def asks_by_value(policy: Policy, problem: Problem, seed: int, memory_gib: float
     """The policy, which asks where the problem has questions.
 
     Raises:
+        InputError: users may miss or forget messages.
         TooLargeError: tables to simulate with would take more than ``memory_gib``.
     """
     if problem.questions is None:
         return policy
+    if problem.tracks_knowledge:
+        wanted = "ask=never where users may miss or forget messages (belief.accept, belief.forget)"
+        raise InputError("ask", "clips or beliefs", wanted)
     small, kept = restricted(problem)
     check_memory("asking", model_bytes(small), memory_gib, "ask=never needs no such tables")
     return Inquiring(policy, Simulated(model_of(small), kept, seed))
