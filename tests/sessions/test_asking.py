@@ -17,11 +17,10 @@ from xplain.evaluation.episode import Episode, explain
 from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.asking import Limits, Question
 from xplain.explanation.belief import Independent, Persistent
-from xplain.explanation.label_table import LabelTable, joined
+from xplain.explanation.label_table import joined
 from xplain.message_sets import mask_of
 from xplain.sessions.moves import Candidate, Say, Show
 from xplain.sessions.session import Session
-from xplain.solvers.base import Knowledge
 from xplain.solvers.hsvi.solver import Certified
 from xplain.solvers.known_type import Conformant
 from xplain.solvers.qmdp import QMDP

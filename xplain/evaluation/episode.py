@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
-from xplain.evaluation.explainees import Knower, Person, Respondent
+from xplain.evaluation.explainees import Knower, Person, respondent
 from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
@@ -105,7 +104,7 @@ def explain(
             talk.belief = problem.sure(0, user.knows)
         while (question := talk.ask()) != NO_QUESTION:
             seconds[k] += asked.seconds
-            answer = _respondent(user).answer(m + question, talk.given)
+            answer = respondent(user).answer(m + question, talk.given)
             talk.hear_answer(question, answer)
             questions.append((k, question, answer))
         if problem.questions is not None:
@@ -134,9 +133,3 @@ def explain(
         asking,
         np.array(questions, np.int64).reshape(-1, 3),
     )
-
-
-def _respondent(user: Person) -> Respondent:
-    if not isinstance(user, Respondent):
-        raise InputError("explainee", type(user).__name__, "one who answers questions; ask=never")
-    return user

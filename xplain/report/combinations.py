@@ -53,8 +53,8 @@ def regret_csv(summary: Summary) -> str:
     """One row a combination of the swept values, never pooled; six decimals.
 
     Columns: ``solver``, ``lambda``, every other swept key by its full name; then of each measure
-    (``questions`` too where some were asked) mean, low and high end of the 95 % interval, and n, how many seeds (with one seed: traces) it
-    is over.
+    (``questions`` too where some were asked) mean, low and high end of the 95 % interval, and n,
+    how many seeds (with one seed: traces) it is over.
     """
     keys = ["solver", "lambda", *(k for k in summary.keys if k not in ("solver", "lambda"))]
     rows = []

@@ -19,8 +19,8 @@ from xplain.errors import InputError, whole_number
 from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
-from xplain.sessions.planner import Planner
 from xplain.sessions.moves import Candidate, candidates, check_texts
+from xplain.sessions.planner import Planner
 from xplain.sessions.session import FORMATS, Session
 
 
