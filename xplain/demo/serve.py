@@ -131,8 +131,7 @@ class Game:
     def _policy(self, name: str, session: Session) -> dict[str, Any]:
         prepared = self._scene.prepared
         question = self._question(session)
-        waits = session.finished or any(self._question(one) for one in self._sessions)
-        said = () if waits else session.messages()
+        said = () if session.finished or question else session.messages()
         given = mask_of(session.said, prepared.messages)
         sentences = dict(zip(prepared.messages, prepared.sentences, strict=True))
         return {
