@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, asdict, fields
+from dataclasses import MISSING, asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from xplain.errors import InputError
+from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.habits import PAPER, Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
@@ -32,7 +33,9 @@ def unusual() -> Problem:
         type_names=("novice", "expert"),
     )
     habits = Habits(*np.array([[0.1, 0.3], [1.0, 0.8], [0.0, 0.1], [0.4, 0.6]]))
-    return problem.with_habits(habits)
+    clip = LabelTable.dense(np.array([[[0.2, 0.4, 0.6, 0.8]], [[0.1, 0.3, 0.5, 0.7]]]))
+    asked = Questions(clip, Limits(0.25, 3, "first"), texts=("refuels",))
+    return replace(problem, questions=asked).with_habits(habits)
 
 
 def plain(problem: Problem) -> dict[str, Any]:
@@ -42,6 +45,9 @@ def plain(problem: Problem) -> dict[str, Any]:
     values |= {"relevant": table.relevant, "table": table.p, "answers": table.answers}
     values |= {f"habits.{name}": rates for name, rates in asdict(habits).items()}
     values["habits"] = len(habits)
+    if problem.questions is not None:
+        own = problem.questions.arrays().items()
+        values["questions"] = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in own}
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
 
 

@@ -42,7 +42,12 @@ def with_strangers(prepared: Prepared, components: Components) -> Prepared:
         types=tuple(setting.types[t].name for t in new),
         distinct=len(alike) + np.arange(len(new)),
         cases=tuple(
-            replace(case, perfect=None, labels=setting.true_labels(case.transitions).of_types(new))
+            replace(
+                case,
+                perfect=None,
+                labels=setting.true_labels(case.transitions).of_types(new),
+                questions=case.questions and case.questions.of_users(setting, new),
+            )
             for case in prepared.cases
         ),
     )
