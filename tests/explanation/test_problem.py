@@ -179,7 +179,7 @@ def test_other_types_keep_the_costs_and_are_equally_likely() -> None:
     problem = unusual()
     table = LabelTable.dense(np.full((4, 3, 4), 0.25))
     other = problem.with_types(table, ("a", "b", "c", "d"))
-    changed = {"table", "relevant", "answers", "prior", "type_names", "habits"}
+    changed = {"table", "relevant", "answers", "prior", "type_names", "habits", "questions"}
     assert {k: v for k, v in plain(other).items() if k.split(".")[0] not in changed} == {
         k: v for k, v in plain(problem).items() if k.split(".")[0] not in changed
     }
