@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from matplotlib.axes import Axes
@@ -25,7 +26,7 @@ POLICIES = {
     "asks at any time, certified optimum": ("certified", "clips", "anytime"),
 }
 """What the table has: the solver, ``ask`` and ``ask.when``."""
-DRAWN = {
+DRAWN: dict[str, dict[str, Any]] = {
     "never asks, certified optimum": {"color": COLOURS[7], "linewidth": 3},
     "asks at any time, certified optimum": {"color": COLOURS[5], "linewidth": 7, "alpha": 0.6},
     "asks first, QMDP": {"color": COLOURS[1], "linestyle": "none", "marker": "s", "markersize": 7},

@@ -66,6 +66,8 @@ def content(stage: Stage, played: Played) -> dict[str, Any]:
 
 def _values(why: Why) -> list[dict[str, Any]]:
     """The best of what could be said or asked, the best first."""
-    said = [{"messages": names, "value": value} for names, value in why.values.items()]
-    asked = [{"question": str(one), "messages": [], "value": value} for one, value in why.questions]
-    return sorted([*said, *asked], key=lambda one: -one["value"])[:SHOWN]
+    found: list[dict[str, Any]] = [
+        *({"messages": names, "value": value} for names, value in why.values.items()),
+        *({"question": str(q), "messages": (), "value": value} for q, value in why.questions),
+    ]
+    return sorted(found, key=lambda one: -one["value"])[:SHOWN]
