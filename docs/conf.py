@@ -71,6 +71,7 @@ SIDEBAR = {
     ],
     "Measured": [
         "docs/table1.md",
+        "docs/asking.md",
         "docs/people-who-err.md",
         "docs/ablation.md",
         "benchmarks/README.md",

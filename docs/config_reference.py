@@ -25,6 +25,7 @@ GROUPS = {
     "solver": "plans the explanation",
     "belief": "which labels are evidence, and how users are taken to be",
     "explainee": "how simulated users listen and answer",
+    "ask": "what the explainer asks the user",
     "tracking": "where results go besides the disk",
 }
 COMMANDS = ("discover", "observe", "questions", "plan", "export", "collect")

@@ -52,6 +52,11 @@ SINCE = {
     "belief.accept": "1",
     "belief.forget": "0",
     "explainee._target_": '"Exact"',
+    "ask.kinds": "null",
+    "ask.cost": "0.1",
+    "ask.most": "10",
+    "ask.when": '"anytime"',
+    "ask.clips": "150",
 }
 """Keys that came after tables were made, with the value that does what was done before."""
 

@@ -11,6 +11,8 @@ import pytest
 from xplain.cli import export, plan
 from xplain.cli.main import main
 from xplain.config import CONF
+from xplain.explanation.asking import Limits, Questions
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.pomdp_file import read
 from xplain.explanation.problem import Problem
@@ -176,3 +178,48 @@ def test_export_writes_the_file_whole(command, file, tmp_path) -> None:
     )
     assert (code, err) == (2, "xplain: format='word': pomdp\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["p.pomdp", "problem.npz"]
+
+
+@pytest.fixture
+def asking(tmp_path):
+    """One question that tells the two types apart, and is worth its cost."""
+    p = np.array([[[0.0, 1.0]] * 3, [[1.0, 1.0]] * 3])
+    clip = LabelTable.dense(np.array([[[0.0, 1.0]], [[1.0, 1.0]]]))
+    questions = Questions(clip, Limits(cost=0.125), texts=("refuels",))
+    path = tmp_path / "asking.npz"
+    Problem(p, np.array([2.0]), discount=1.0, questions=questions).save(path)
+    return path
+
+
+@pytest.mark.parametrize("solver", ["qmdp", "certified"])
+def test_a_saved_question_is_planned_with(command, asking, solver) -> None:
+    """Half of the users need the message, at 2; asked first, the plan costs .125 + 1."""
+    code, out, _ = command(plan, f"problem={asking}", f"solver={solver}")
+    row = json.loads(out.splitlines()[-1])
+    assert (code, row["asks"], row["first_messages"]) == (0, True, None)
+    assert row["first_question"] == {"number": 0, "question": "refuels"}
+    (told,) = row["question_values"]
+    assert told["number"] == 0
+    assert told["value"] == pytest.approx(-1.125, abs=0.01)
+    assert row["value"] == pytest.approx(-1.125)
+    assert row["optimal_upper"] == pytest.approx(-1.125, abs=0.01)
+
+
+def test_who_cannot_ask_is_refused_alone_and_compared_without(command, asking) -> None:
+    code, _, err = command(plan, f"problem={asking}", "solver=conformant")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "one that asks" in err
+    code, out, _ = command(plan, f"problem={asking}", "solver=all")
+    rows = {row["solver"]: row for row in json.loads(out.splitlines()[-1])}
+    assert code == 0
+    assert rows["conformant"]["asks"] is False
+    assert rows["conformant"]["value"] == pytest.approx(-2)
+    assert "ask 0" in out
+
+
+def test_questions_are_not_exported(command, asking, tmp_path) -> None:
+    output = tmp_path / "asking.pomdp"
+    code, _, err = command(export, f"problem={asking}", f"output={output}")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "question" in err
+    assert not output.exists()

@@ -60,6 +60,84 @@ def test_who_holds_nothing_wrong_is_puzzled_by_nothing(client: FlaskClient) -> N
     assert game["policies"][0]["cost"] == 0
 
 
+@pytest.fixture(scope="module")
+def asking() -> Any:
+    return create_app((*QUICK, "ask=clips", "discount=1"))
+
+
+def test_what_a_policy_asks_is_answered_first_and_costs(asking: Any) -> None:
+    """QMDP asks; a policy that cannot goes on as it does."""
+    client = asking.test_client()
+    asked = {"task": "rescue", "solvers": ["qmdp", "conformant"], "wrong": ["fire", "rubble"]}
+    game = client.post("/begin", json=asked).json
+    costs, questions = [0.0, 0.0], 0
+    while not game["finished"]:
+        own = [policy["question"] for policy in game["policies"]]
+        assert own[1] is None
+        assert game["asks"] == (own[0] is not None)
+        replies = [one and one["suggested"] for one in own]
+        labels = [policy["suggested"] for policy in game["policies"]]
+        if game["asks"]:
+            assert dict(own[0]["replies"]) == {"yes": 1, "no": 0}
+            refused = client.post("/answer", json={"game": game["game"], "labels": labels})
+            assert refused.status_code == 400
+            questions += 1
+        else:
+            said = [len(policy["said"]) for policy in game["policies"]]
+            costs = [c + s + o.count(0) for c, s, o in zip(costs, said, labels, strict=True)]
+        answer = {"game": game["game"], "labels": labels, "replies": replies}
+        game = client.post("/answer", json=answer).json
+    assert questions > 0
+    assert [p["cost"] for p in game["policies"]] == pytest.approx(
+        [costs[0] + 0.1 * questions, costs[1]]
+    )
+    belief = game["policies"][0]["belief"]
+    assert max(belief, key=belief.get).startswith("A ")
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_question_is_answered_in_a_browser(asking: Any, width: int) -> None:
+    if what := missing():
+        pytest.skip(f"no browser to drive: install {what}")
+    from selenium.webdriver.common.keys import Keys
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    server = make_server("127.0.0.1", 0, asking)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        with browser() as driver:
+            screen = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+            driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+            driver.get(f"http://127.0.0.1:{server.server_port}/")
+            wait = WebDriverWait(driver, 120)
+            wait.until(
+                lambda d: d.execute_script("return !document.getElementById('begin').disabled")
+            )
+            driver.find_element("id", "begin").send_keys(Keys.ENTER)
+            wait.until(lambda d: d.execute_script("return game !== null"))
+            question = driver.find_element("css selector", ".question")
+            assert "Does this step make sense to you?" in question.text
+            SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+            driver.save_screenshot(str(SCREENSHOTS / f"playground-asks-{width}.png"))
+            assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+            while driver.execute_script("return game.asks"):
+                before = driver.execute_script("return game.policies[0].cost")
+                driver.find_element("id", "next").send_keys(Keys.ENTER)
+                wait.until(
+                    lambda d, before=before: d.execute_script(
+                        "return game.policies[0].cost > arguments[0]", before
+                    )
+                )
+            assert driver.execute_script("return game.shown") == 1
+            assert driver.find_element("id", "next").text == "next step"
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
 @pytest.mark.parametrize(
     ("path", "asked", "said"),
     [

@@ -83,6 +83,8 @@ def test_every_episode_is_there_with_its_figures(results):
             "inexplicability": episode.inexplicability,
             "messages": sum(bin(mask).count("1") for mask in episode.messages.tolist()),
             "inexplicable_labels": sum(labels.count(0) for labels in triangle),
+            "questions": 0,
+            "questions_cost": 0.0,
             "steps_until_sure": next((k for k, b in enumerate(belief) if b > 0.9), len(belief)),
         }
 

@@ -15,7 +15,17 @@ from xplain.errors import XplainError
 from xplain.experiment.fingerprint import configuration
 from xplain.runs.compose import Composer
 
-GROUPS = ("domain", "users", "observers", "queries", "labeler", "clusterer", "solver", "tracking")
+GROUPS = (
+    "domain",
+    "users",
+    "observers",
+    "queries",
+    "labeler",
+    "clusterer",
+    "solver",
+    "ask",
+    "tracking",
+)
 JOBS = (
     ["domain=rescue", "solver=qmdp", "lambda=0.5", "seed=1"],
     ["domain=rescue", "solver=qmdp", "lambda=1.5", "seed=2"],
@@ -25,6 +35,8 @@ JOBS = (
     ["domain=four_rooms", "users.count=4", "lambda=1"],
     ["lambda=1", "domain=four_rooms", "users.count=2"],
     ["message_cost={fire: 2}"],
+    ["ask=clips", "ask.cost=0.2"],
+    ["ask=clips", "ask.cost=0.5"],
     ["message_cost=3"],
     ["message_cost=0.5"],
     ["labeler='true'", "prior=observers"],

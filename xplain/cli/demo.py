@@ -43,13 +43,13 @@ def main(arguments: list[str]) -> None:
         raise InputError("--html", str(given.html), "a file in a folder that exists")
     # What follows brings the heavy packages; --help is over by now.
     from xplain.demo.page import page
-    from xplain.demo.play import Simulated, asked, play, stage
+    from xplain.demo.play import AtTerminal, Simulated, play, stage
     from xplain.demo.terminal import Terminal
 
     scene = stage(given.overrides, given.trace, given.user)
     if given.me:
         terminal = Terminal(scene, None)
-        played = play(scene, asked(terminal), terminal)
+        played = play(scene, AtTerminal(terminal), terminal)
     else:
         user = scene.user_type(given.user)
         audience = None if given.html else Terminal(scene, user)

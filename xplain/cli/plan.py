@@ -5,6 +5,10 @@ The last line on standard output is one JSON object:
 - ``solver``;
 - ``first_messages``: indices of the messages given before the first *explain*; null where they
   depend on a type that only the solver is told (oracle, clairvoyant);
+- where the problem has questions: ``first_question``, what is asked before that (``number`` and
+  words), null for nothing; ``question_values``, what the policy expects of asking each that it
+  looked into, the best first; ``asks``, false of a solver that cannot. With a question first,
+  ``first_messages`` depend on its answer and are null;
 - ``value``: expected discounted return of the executed policy under the model; for a solver that
   is told the type, Σ_t prior(t) V*_t;
 - ``value_is``: "exact", or "simulated" with its standard error ``value_se`` and half of its 95 %
@@ -19,6 +23,7 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from hydra.utils import instantiate
@@ -29,6 +34,7 @@ from xplain.randomness import run_seed
 
 if TYPE_CHECKING:
     from xplain.explanation.problem import Problem
+    from xplain.solvers.base import Policy
     from xplain.solvers.bounds import Bounds
 
 Row = dict[str, Any]
@@ -44,13 +50,15 @@ def plan(arguments: list[str]) -> Row | list[Row]:
     names = sorted(path.stem for path in (CONF / "solver").glob("*.yaml"))
     configs = [composed("plan", [*rest, f"solver={name}"], with_hydra=True) for name in names]
     known = _bounds(Problem.load(configs[0].problem), configs[0])
-    return [_plan_one(cfg, known) for cfg in configs]
+    return [_plan_one(cfg, known, compared=True) for cfg in configs]
 
 
-def _plan_one(cfg: DictConfig, known: Bounds | None = None) -> Row:
+def _plan_one(cfg: DictConfig, known: Bounds | None = None, compared: bool = False) -> Row:
+    """One solver's row; compared with others, one that cannot ask explains without asking."""
     from xplain.evaluation.statistics import half_width
     from xplain.explanation.problem import Problem
     from xplain.message_sets import indices
+    from xplain.solvers.base import Asks
     from xplain.solvers.bounds import known_type_value
     from xplain.solvers.hsvi.solver import CertifiedPolicy
     from xplain.solvers.policy_evaluation import evaluate
@@ -61,10 +69,18 @@ def _plan_one(cfg: DictConfig, known: Bounds | None = None) -> Row:
     told = solver.knows in ("type", "labels") and problem.n_types > 1
     began = time.perf_counter()
     policy = solver.plan(problem, cfg.seed)
-    first = None if told else indices(policy.messages(0, 0, problem.start))
+    asked: Row = {}
+    if problem.questions is not None and not told:
+        if compared and not isinstance(policy, Asks):
+            asked, problem = {"asks": False}, replace(problem, questions=None)
+            policy = solver.plan(problem, cfg.seed)
+        else:
+            asked = _first_question(problem, policy)
+    waits = told or asked.get("first_question") is not None
+    first = None if waits else indices(policy.messages(0, 0, problem.start))
     seconds = time.perf_counter() - began
 
-    row: Row = {"solver": cfg.hydra.runtime.choices.solver, "first_messages": first}
+    row: Row = {"solver": cfg.hydra.runtime.choices.solver, "first_messages": first, **asked}
     if told:
         row |= {"value": known_type_value(problem), "value_is": "exact"}
     else:
@@ -79,6 +95,30 @@ def _plan_one(cfg: DictConfig, known: Bounds | None = None) -> Row:
     elif (found := known or _bounds(problem, cfg)) is not None:
         lower, upper = found.lower, found.upper
     return row | {"optimal_lower": lower, "optimal_upper": upper, "seconds": seconds}
+
+
+def _first_question(problem: Problem, policy: Policy) -> Row:
+    """What the policy asks first, and what it expects of asking.
+
+    Raises:
+        InputError: it cannot ask.
+    """
+    from xplain.explanation.asking import NO_QUESTION
+    from xplain.solvers.base import asking
+
+    questions, asks = problem.questions, asking(policy)
+    assert questions is not None
+
+    def words(number: int) -> Row:
+        return {"number": number, "question": str(questions.question(number))}
+
+    first = asks.question(0, 0, problem.start)
+    values = sorted(asks.values(0, 0, problem.start).items(), key=lambda one: -one[1])
+    return {
+        "asks": True,
+        "first_question": None if first == NO_QUESTION else words(first),
+        "question_values": [words(~q) | {"value": value} for q, value in values if q < 0],
+    }
 
 
 def _bounds(problem: Problem, cfg: DictConfig) -> Bounds | None:
@@ -102,16 +142,27 @@ def _how_known(row: Row) -> str:
     return f"simulated ± {row['value_half_width']:.4f}" + (BY_CHANCE if beyond else "")
 
 
+def _first(row: Row) -> str:
+    """The first decision, in words."""
+    if question := row.get("first_question"):
+        return f"ask {question['number']}"
+    first = row["first_messages"]
+    return "by type" if first is None else " ".join(map(str, first)) or "none"
+
+
 def _compare(rows: list[Row]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table("solver", "first messages", "value", "", "optimum", "seconds")
+    asks = any("asks" in row for row in rows)
+    table = Table(
+        "solver", "first decision" if asks else "first messages", "value", "", "optimum", "seconds"
+    )
     for row in rows:
-        first, lower, upper = row["first_messages"], row["optimal_lower"], row["optimal_upper"]
+        lower, upper = row["optimal_lower"], row["optimal_upper"]
         table.add_row(
             row["solver"],
-            "by type" if first is None else " ".join(map(str, first)) or "none",
+            _first(row),
             f"{row['value']:.4f}",
             _how_known(row),
             "" if lower is None else f"{lower:.4f} … {upper:.4f}",

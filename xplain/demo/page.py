@@ -7,6 +7,8 @@ from importlib.resources import files
 from typing import Any
 
 from xplain.demo.play import Played, Stage
+from xplain.experiment.results import told
+from xplain.sessions.moves import Why
 
 SHOWN = 6
 """Number of values shown for a decision, the best ones."""
@@ -51,10 +53,8 @@ def content(stage: Stage, played: Played) -> dict[str, Any]:
         "steps": [
             {
                 "said": step.said,
-                "values": [
-                    {"messages": names, "value": value}
-                    for names, value in list(step.why.values.items())[:SHOWN]
-                ],
+                "asked": [told(question, answer) for question, answer in step.asked],
+                "values": _values(step.why),
                 "labels": step.labels,
                 "belief": step.belief,
                 "cost": step.cost,
@@ -62,3 +62,12 @@ def content(stage: Stage, played: Played) -> dict[str, Any]:
             for step in played.steps
         ],
     }
+
+
+def _values(why: Why) -> list[dict[str, Any]]:
+    """The best of what could be said or asked, the best first."""
+    found: list[dict[str, Any]] = [
+        *({"messages": names, "value": value} for names, value in why.values.items()),
+        *({"question": str(q), "messages": (), "value": value} for q, value in why.questions),
+    ]
+    return sorted(found, key=lambda one: -one["value"])[:SHOWN]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -10,16 +10,19 @@ from hydra.utils import instantiate
 
 from xplain.config import composed
 from xplain.errors import InputError, one_of
-from xplain.evaluation.explainees import Explainee
-from xplain.experiment.explanations import Costs, copies
+from xplain.evaluation.explainees import Explainee, respondent
+from xplain.experiment.explanations import Costs, what_is_thought
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Case, Prepared, prepare
 from xplain.experiment.results import domain_name
+from xplain.explanation.asking import Question
 from xplain.explanation.belief import BeliefUpdate
+from xplain.explanation.label_table import joined
 from xplain.message_sets import mask_of
 from xplain.randomness import derived_seed, stream
 from xplain.sessions.explainer import Explainer, GivenTypes
-from xplain.sessions.session import Session, Why
+from xplain.sessions.moves import Candidate, Say, Why
+from xplain.sessions.session import Session
 from xplain.solvers.base import Solver
 
 
@@ -49,6 +52,16 @@ class Stage:
     trade_off: float
     suggested: str
     chosen: str = ""
+
+    def session(self, explainer: Explainer | None = None) -> Session:
+        """The trace, explained to somebody new: by this explainer, or the stage's own."""
+        steps, asked = len(self.case.transitions), self.case.questions
+        explainer = explainer or self.explainer
+        if asked is None or explainer.ask is None:
+            return explainer.session(range(steps))
+        told = zip(asked.texts, asked.right.tolist(), strict=True)
+        clips = [Candidate(steps + q, *words) for q, words in enumerate(told)]
+        return explainer.session(range(steps), clips=clips)
 
     def user_type(self, name: str | None) -> str:
         """A true type by name; None: the suggested one.
@@ -87,7 +100,8 @@ class Step:
         why: the values of the choices.
         labels: of every transition shown so far, 1 = explicable.
         belief: in each learned type, after the labels.
-        cost: Definition 2 up to here.
+        cost: Definition 2 up to here, and κ of each question.
+        asked: questions before the messages, with the user's answers.
     """
 
     said: tuple[str, ...]
@@ -95,6 +109,7 @@ class Step:
     labels: tuple[int, ...]
     belief: dict[str, float]
     cost: float
+    asked: tuple[tuple[Question, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -115,6 +130,10 @@ class Played:
 class Audience(Protocol):
     """An observer of a session while it is played."""
 
+    def asked(self, session: Session, question: Question, answer: int) -> None:
+        """The robot has asked, and the user has answered."""
+        ...
+
     def said(self, session: Session) -> None:
         """The robot has given its messages and shown its transitions."""
         ...
@@ -124,8 +143,16 @@ class Audience(Protocol):
         ...
 
 
-Answer = Callable[[Session], Sequence[int]]
-"""The user's labels of the transitions that a session shows."""
+class User(Protocol):
+    """Whoever the trace is explained to."""
+
+    def __call__(self, session: Session) -> Sequence[int]:
+        """Labels of the transitions that a session shows."""
+        ...
+
+    def reply(self, session: Session, question: Question) -> int:
+        """The answer, 0 or 1, to a question."""
+        ...
 
 
 TRIED = 5
@@ -205,6 +232,9 @@ def _explainer(
     """
     alone = solver.knows == "everyone"
     table = case.everyone if alone else case.learned
+    may_ask = case.questions is not None and not alone
+    if may_ask and case.questions is not None:
+        table = joined([case.learned, case.questions.learned])
     if table is None:
         raise InputError("solver", "baseline", "a solver that plans for types: solver=qmdp")
     types = GivenTypes(
@@ -224,25 +254,37 @@ def _explainer(
         costs.discount_per,
         update,
         seed,
+        costs.asking if may_ask else None,
     )
 
 
-def play(scene: Stage, answer: Answer, audience: Audience | None = None) -> Played:
+def play(scene: Stage, user: User, audience: Audience | None = None) -> Played:
     """Plays the session to its end."""
-    session = scene.explainer.session(range(len(scene.case.transitions)))
+    session = scene.session()
     prior, steps = session.belief, []
+    asked: list[tuple[Question, int]] = []
     while not session.finished:
+        move = session.next()
+        if isinstance(move, Question):
+            reply = user.reply(session, move)
+            session.answer(reply)
+            asked.append((move, reply))
+            if audience is not None:
+                audience.asked(session, move, reply)
+            continue
+        if isinstance(move, Say):
+            continue
         said = session.messages()
         if audience is not None:
             audience.said(session)
-        labels = answer(session)
+        labels = tuple(map(int, user(session)))
         session.observe(labels)
-        steps.append(
-            Step(said, session.why(), tuple(map(int, labels)), session.belief, session.cost)
-        )
+        step = Step(said, session.why(), labels, session.belief, session.cost, tuple(asked))
+        steps.append(step)
+        asked = []
         if audience is not None:
-            audience.heard(steps[-1])
-    return Played(getattr(answer, "user", None), prior, tuple(steps))
+            audience.heard(step)
+    return Played(getattr(user, "user", None), prior, tuple(steps))
 
 
 class Simulated:
@@ -250,9 +292,11 @@ class Simulated:
 
     def __init__(self, scene: Stage, user: str) -> None:
         self.user, self._messages = user, scene.prepared.messages
-        labels = scene.case.labels.of_types([scene.prepared.types.index(user)])
+        truth, same = what_is_thought(scene.case)
+        labels = truth.of_types([scene.prepared.types.index(user)])
         seed = derived_seed(scene.explainer.seed, "explainee", user)
-        self._person = scene.explainee.meet(labels, copies(scene.case.transitions), seed)
+        self._person = scene.explainee.meet(labels, same, seed)
+        self._steps = len(scene.case.transitions)
 
     def __call__(self, session: Session) -> Sequence[int]:
         self._person.hear(mask_of(session.messages(), self._messages))
@@ -260,12 +304,24 @@ class Simulated:
         answers: list[int] = self._person.react(given, session.shown).answers.tolist()
         return answers
 
+    def reply(self, session: Session, question: Question) -> int:
+        """As :class:`User` has it."""
+        given = mask_of(session.said, self._messages)
+        return respondent(self._person).answer(self._steps + question.number, given)
 
-def asked(terminal: Any) -> Answer:
-    """Answers with the labels of the person at the terminal."""
 
-    def answer(session: Session) -> Sequence[int]:
-        labels: Sequence[int] = terminal.ask(session.shown)
+@dataclass(frozen=True)
+class AtTerminal:
+    """The person at the terminal."""
+
+    terminal: Any
+
+    def __call__(self, session: Session) -> Sequence[int]:
+        """As :class:`User` has it."""
+        labels: Sequence[int] = self.terminal.ask(session.shown)
         return labels
 
-    return answer
+    def reply(self, session: Session, question: Question) -> int:
+        """As :class:`User` has it."""
+        answer: int = self.terminal.reply(session, question)
+        return answer

@@ -22,8 +22,10 @@ from xplain.config import composed
 from xplain.demo.play import Stage, stage
 from xplain.errors import InputError, XplainError, one_of
 from xplain.evaluation.explainees import SimulatedUser
+from xplain.explanation.asking import Question
 from xplain.message_sets import mask_of
 from xplain.sessions.session import Session
+from xplain.solvers.base import Solver
 from xplain.storage import encode
 from xplain.users.setting import Setting, UserType
 
@@ -58,22 +60,57 @@ class Game:
         own = Setting.build(domain, (UserType("you", held),))
         self._scene, self._solvers = scene, tuple(solvers)
         self._user = SimulatedUser(own.true_labels(scene.case.transitions))
-        trace = range(len(scene.case.transitions))
-        self._sessions = []
-        for name in solvers:
-            solver = instantiate(composed("config", [*overrides, f"solver={name}"]).solver)
-            self._sessions.append(replace(scene.explainer, solver=solver).session(trace))
+        self._own, self._held = own, mask_of(wrong, scene.prepared.messages)
+        self._sessions = [
+            self._session(instantiate(composed("config", [*overrides, f"solver={name}"]).solver))
+            for name in solvers
+        ]
 
-    def answer(self, labels: Sequence[Sequence[int]]) -> None:
-        """The person's labels of what each policy has shown.
+    def _session(self, solver: Solver) -> Session:
+        """Of a policy; one that cannot ask does not."""
+        explainer = replace(self._scene.explainer, solver=solver)
+        try:
+            return self._scene.session(explainer)
+        except InputError as error:
+            if error.key != "solver":
+                raise
+            return self._scene.session(replace(explainer, ask=None))
+
+    def answer(self, labels: Sequence[Sequence[int]], replies: Sequence[int | None] = ()) -> None:
+        """The person's replies to what is asked, where a policy asks; else their labels of what
+        each policy has shown.
 
         Raises:
-            InputError: not as many as were shown.
+            InputError: not as many as were shown or asked.
         """
+        asked = [self._question(session) for session in self._sessions]
+        if any(asked):
+            if len(replies) != len(asked):
+                raise InputError("replies", replies, "one a policy; null where none is asked")
+            for session, question, reply in zip(self._sessions, asked, replies, strict=True):
+                if question is not None:
+                    session.answer(-1 if reply is None else reply)
+            return
         if len(labels) != len(self._sessions):
             raise InputError("labels", labels, "a list a policy")
         for session, own in zip(self._sessions, labels, strict=True):
+            session.messages()
             session.observe(own)
+
+    def _question(self, session: Session) -> Question | None:
+        """What it asks now."""
+        move = None if session.finished else session.next()
+        return move if isinstance(move, Question) else None
+
+    def _suggested(self, question: Question, given: int) -> int:
+        """What who holds the same wrong would reply."""
+        asked = self._scene.case.questions
+        assert asked is not None
+        fact = int(asked.facts[question.number])
+        if fact >= 0:
+            return int(not (self._held & ~given) >> fact & 1)
+        clip = asked.transitions[question.number : question.number + 1]
+        return int(self._own.true_labels(clip).label_probabilities(1, given)[0, 0])
 
     def state(self) -> dict[str, Any]:
         """What the page shows, in plain JSON."""
@@ -82,6 +119,7 @@ class Game:
         shown = self._sessions[0].shown
         return {
             "finished": self._sessions[0].finished,
+            "asks": any(policy["question"] for policy in policies),
             "shown": shown,
             "steps": len(case.transitions),
             "phrases": case.phrases[:shown],
@@ -92,11 +130,14 @@ class Game:
 
     def _policy(self, name: str, session: Session) -> dict[str, Any]:
         prepared = self._scene.prepared
-        said = () if session.finished else session.messages()
+        question = self._question(session)
+        said = () if session.finished or question else session.messages()
         given = mask_of(session.said, prepared.messages)
         sentences = dict(zip(prepared.messages, prepared.sentences, strict=True))
         return {
             "name": name,
+            "question": question
+            and {**encode(question), "suggested": self._suggested(question, given)},
             "said": [
                 f"As said before: {sentences[name]}" if name in session.again else sentences[name]
                 for name in said
@@ -164,7 +205,7 @@ def create_app(overrides: Sequence[str], host: str = HOST) -> Flask:
         asked = request.get_json()
         if asked["game"] not in games:
             raise InputError("game", asked["game"], "one that was begun; begin again")
-        games[asked["game"]].answer(asked["labels"])
+        games[asked["game"]].answer(asked["labels"], asked.get("replies", ()))
         return jsonify(game=asked["game"], **games[asked["game"]].state())
 
     return app

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from xplain.demo.play import Stage, Step
 from xplain.errors import InputError
+from xplain.explanation.asking import Question
 from xplain.sessions.session import Session
 
 BAR = 24
@@ -33,6 +34,7 @@ class Terminal:
         self.stage, self.user = stage, user
         self.pauses = user is not None and sys.stdin.isatty() and sys.stdout.isatty()
         self._before: dict[str, float] | None = None
+        self._asked = self._mapped = 0
         self._briefing()
 
     def _briefing(self) -> None:
@@ -51,6 +53,53 @@ class Terminal:
         self.console.print("You are the user. Answer as you like, or as one of the types would:")
         for name, sentences in stage.beliefs.items():
             self.console.print(f"  [bold]{name}[/]  {' '.join(sentences)}")
+
+    def asked(self, session: Session, question: Question, answer: int) -> None:
+        """A question, and what the simulated user replied."""
+        if self._before is None:
+            self._before = session.belief
+        if self.user is not None:
+            self._question(question)
+            reply = next(words for words, value in question.replies if value == answer)
+            self.console.print(Panel(reply, title="user", title_align="left", expand=False))
+        self._asked += 1
+
+    def _question(self, question: Question) -> None:
+        text = f"{question.text}\n[bold]{question.about}[/]" if question.about else question.text
+        self.console.print()
+        self.console.print(Panel(text, title="robot asks", title_align="left", expand=False))
+
+    def reply(self, session: Session, question: Question) -> int:
+        """The person's answer to a question, the map before the first of a step.
+
+        Raises:
+            InputError: the input has ended.
+        """
+        if self._mapped != session.shown:
+            self._mapped = session.shown
+            self.console.print()
+            self.console.print(self._map(session.shown - 1) or "")
+        self._question(question)
+        words = [words for words, _ in question.replies]
+        while True:
+            for i, text in enumerate(words, 1):
+                self.console.print(f"  {i}  {text}")
+            typed = self._input("Your answer: [dim](1 or 2)[/]").strip()
+            chosen = [
+                typed == str(i) or typed.lower() in (t.lower(), t[0].lower())
+                for i, t in enumerate(words, 1)
+            ]
+            if sum(chosen) == 1:
+                return question.replies[chosen.index(True)][1]
+            self.console.print("  1 or 2, please", style="yellow")
+
+    def _input(self, prompt: str) -> str:
+        """Raises InputError where the input has ended."""
+        self.console.print(prompt, end=" ")
+        try:
+            return input()
+        except EOFError:
+            raise InputError("--me", "end of input", "an answer a step, on a terminal") from None
 
     def said(self, session: Session) -> None:
         """Map, what the robot says, and the trace so far."""
@@ -81,9 +130,8 @@ class Terminal:
         if k < len(self.stage.case.transitions):
             self._pause()
         else:
-            self.console.print(
-                f"\n[bold]cost {step.cost:g}[/] (λ · messages + inexplicable labels)"
-            )
+            parts_of = "λ · messages + inexplicable labels" + " + κ · questions" * bool(self._asked)
+            self.console.print(f"\n[bold]cost {step.cost:g}[/] ({parts_of})")
 
     def _pause(self) -> None:
         """Waits for a key at each step, if somebody watches at a terminal."""
@@ -102,16 +150,9 @@ class Terminal:
             InputError: the input has ended.
         """
         while True:
-            self.console.print(
-                "Which of these make no sense to you? [dim](numbers, such as 1 3; Enter: none)[/]",
-                end=" ",
+            text = self._input(
+                "Which of these make no sense to you? [dim](numbers, such as 1 3; Enter: none)[/]"
             )
-            try:
-                text = input()
-            except EOFError:
-                raise InputError(
-                    "--me", "end of input", "an answer a step, on a terminal"
-                ) from None
             words = text.replace(",", " ").split()
             if all(word.isdecimal() and 1 <= int(word) <= count for word in words):
                 wrong = {int(word) for word in words}

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
-from xplain.evaluation.explainees import Knower, Person, Respondent
+from xplain.evaluation.explainees import Knower, Person, respondent
 from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
@@ -34,8 +33,8 @@ class Episode:
             asked that.
         communication: Σ C_e of all messages given (not multiplied by λ).
         inexplicability: Σ C_inexp over every transition found inexplicable at every step.
-        cost: Definition 2, λ · communication + inexplicability, undiscounted; with κ for each
-            question.
+        cost: Definition 2, λ · communication + inexplicability, undiscounted; and ``asking``.
+        asking: κ of every question.
         questions: [J, 3] the step at which each was asked, its number, and the answer.
     """
 
@@ -47,6 +46,7 @@ class Episode:
     communication: float
     inexplicability: float
     cost: float
+    asking: float = 0.0
     questions: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 3), np.int64))
 
     @property
@@ -104,7 +104,7 @@ def explain(
             talk.belief = problem.sure(0, user.knows)
         while (question := talk.ask()) != NO_QUESTION:
             seconds[k] += asked.seconds
-            answer = _respondent(user).answer(m + question, talk.given)
+            answer = respondent(user).answer(m + question, talk.given)
             talk.hear_answer(question, answer)
             questions.append((k, question, answer))
         if problem.questions is not None:
@@ -130,11 +130,6 @@ def explain(
         communication,
         inexplicability,
         problem.trade_off * communication + inexplicability + asking,
+        asking,
         np.array(questions, np.int64).reshape(-1, 3),
     )
-
-
-def _respondent(user: Person) -> Respondent:
-    if not isinstance(user, Respondent):
-        raise InputError("explainee", type(user).__name__, "one who answers questions; ask=never")
-    return user

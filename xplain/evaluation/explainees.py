@@ -15,7 +15,7 @@ from typing import Annotated, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.errors import Probability, Range, Slip, checks
+from xplain.errors import InputError, Probability, Range, Slip, checks
 from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.message_sets import indices
@@ -59,6 +59,17 @@ class Respondent(Protocol):
             given: bitmask of the messages.
         """
         ...
+
+
+def respondent(person: Person) -> Respondent:
+    """The person as one who can be asked.
+
+    Raises:
+        InputError: they cannot.
+    """
+    if not isinstance(person, Respondent):
+        raise InputError("explainee", type(person).__name__, "one who answers questions; ask=never")
+    return person
 
 
 @runtime_checkable

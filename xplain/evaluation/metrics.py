@@ -100,6 +100,7 @@ def summarise(records: list[Record]) -> dict[str, Estimate]:
         columns["messages_again"] = [episode.n_again for episode in episodes]
     if any(episode.n_questions for episode in episodes):
         columns["questions"] = [episode.n_questions for episode in episodes]
+        columns["questions_cost"] = [episode.asking for episode in episodes]
     # Of labels from a file nobody knows which learned type stands for which true one.
     if any(record.right.any() for record in own.values()):
         columns["steps_until_sure"] = [record.steps_until_sure for record in own.values()]
@@ -127,8 +128,8 @@ def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
     """Means at each step over the "solver" episodes that last so long: [steps + 1] or [steps].
 
     ``belief_in_true_type`` starts with the prior; ``messages_given`` and
-    ``inexplicable_labels_shown`` are those of one step. ``episodes`` counts those that have
-    come through so many steps.
+    ``inexplicable_labels_shown`` are those of one step, as is ``questions_asked`` where any was.
+    ``episodes`` counts those that have come through so many steps.
     """
     own = [record for record in records if record.solver == "solver"]
     series = {
@@ -138,12 +139,20 @@ def by_step(records: list[Record]) -> dict[str, NDArray[np.float64]]:
         ],
         "inexplicable_labels_shown": [(record.episode.thoughts == 0).sum(axis=1) for record in own],
     }
+    if any(record.episode.n_questions for record in own):
+        series["questions_asked"] = [_asked(record.episode) for record in own]
     lengths = np.array([len(record.episode.messages) for record in own])
     steps = np.arange(lengths.max() + 1)
     return {
         **{name: _ragged_mean(rows) for name, rows in series.items()},
         "episodes": (lengths[:, None] >= steps).sum(axis=0).astype(float),
     }
+
+
+def _asked(episode: Episode) -> NDArray[np.float64]:
+    """[m] questions at each step."""
+    counts = np.bincount(episode.questions[:, 0], minlength=len(episode.messages))
+    return counts.astype(np.float64)
 
 
 def _ragged_mean(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from xplain.evaluation.episode import explain
 from xplain.evaluation.explainees import Explainee, Habitual
 from xplain.evaluation.metrics import Record
 from xplain.experiment.pipeline import Case, Prepared, Track, untracked
-from xplain.explanation.asking import Limits, Questions
+from xplain.explanation.asking import Limits
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.habits import PAPER
 from xplain.explanation.label_table import LabelTable, joined
@@ -112,8 +112,7 @@ def problem_of_types(
     names, shares = prepared.learned_types, prepared.type_shares
     problem = costs.problem(case.learned, prepared.messages, names, shares)
     if case.questions is not None:
-        asked = case.questions
-        questions = Questions(asked.learned, costs.asking, asked.shows, asked.texts)
+        questions = case.questions.asked(case.questions.learned, costs.asking)
         problem = replace(problem, questions=questions)
     return problem.with_habits(belief_update.habits(prepared.habits))
 
@@ -192,9 +191,9 @@ def evaluate(
                     problem = problem_for(prepared, case, costs, solver, belief_update, user)
                     problem = problem.with_habits(habits)
                     planned = solver.plan(problem, trace_seed(seed, index))
-                    if problem.questions is not None:
-                        asking(planned)
-                    if index == 0:  # kernels load at the first question: no decision's time
+                    if index == 0:  # kernels load at the first decision: no decision's time
+                        if problem.questions is not None:
+                            asking(planned).question(0, 0, problem.start)
                         planned.messages(0, 0, problem.start)
                     policy = CachedPolicy(planned)
                 person = explainee.meet(

@@ -20,14 +20,10 @@ from numpy.typing import NDArray
 from xplain.data.observers import Observed, Observers
 from xplain.data.queries import Queries
 from xplain.data.rollouts import sample_trace
-from xplain.domains.base import (
-    Domain,
-    Scene,
-    changes_of,
-    transition_features,
-)
+from xplain.domains.base import Domain, Scene, changes_of
 from xplain.errors import whole_number
-from xplain.explanation.asking import Pool, alike_first, nearest_first
+from xplain.experiment.asking import Beliefs, CaseQuestions, Clips, merged
+from xplain.explanation.asking import Pool
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.clustering import Clusterer
@@ -75,27 +71,6 @@ class Components:
         for key in ("traces", "max_steps"):
             whole_number(key, getattr(self, key), 1)
         run_seed(self.seed)
-
-
-@dataclass(frozen=True)
-class CaseQuestions:
-    """Q questions that may be asked while a trace of m transitions is explained, nearest first.
-
-    Attributes:
-        transitions: [Q, 3] of clips; −1 where a question is about a belief.
-        facts: [Q] the fact that a belief is about; −1 of clips.
-        learned: P(label is 1) by the N types that were found.
-        labels: the true labels of each of M true types.
-        shows: [Q, m] whether a clip is of this transition of the trace.
-        texts: Q, for people.
-    """
-
-    transitions: NDArray[np.int64]
-    facts: NDArray[np.int64]
-    learned: LabelTable
-    labels: LabelTable
-    shows: NDArray[np.bool_]
-    texts: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -173,7 +148,9 @@ def prepare(components: Components, track: Track[Any] = untracked) -> Prepared:
     assert setting is not None
     known = find_types(observed, components.labeler, components.clusterer, seed)
     traces = track(range(components.traces), "labelling traces", components.traces)
-    clips = Clips.of(setting, known.tables, components.ask) if components.ask else None
+    pool = components.ask
+    clips = Clips.of(setting, known.tables, pool) if pool and "clips" in pool.kinds else None
+    beliefs = Beliefs.of(setting, known.wrong, seed) if pool and "beliefs" in pool.kinds else None
     return Prepared(
         domain=domain.name,
         messages=setting.message_names,
@@ -190,7 +167,12 @@ def prepare(components: Components, track: Track[Any] = untracked) -> Prepared:
         habits=known.habits,
         cases=tuple(
             build_case(
-                setting, draw_trace(setting, components.max_steps, seed, index), known.tables, clips
+                setting,
+                draw_trace(setting, components.max_steps, seed, index),
+                known.tables,
+                clips,
+                beliefs,
+                pool.clips if pool else 0,
             )
             for index in traces
         ),
@@ -216,56 +198,19 @@ def draw_trace(setting: Setting, max_steps: int, seed: int, index: int) -> NDArr
     return sample_trace(robot, optimal, setting.domain.starts, rng, max_steps)
 
 
-@dataclass(frozen=True)
-class Clips:
-    """Every transition that the robot can make, as what may be asked about.
-
-    Attributes:
-        pool: how many to keep for a trace.
-        setting: of the true types.
-        features: [T, F] of ``setting.reachable``.
-        learned, labels: as :class:`CaseQuestions` has them, of all T.
-    """
-
-    pool: Pool
-    setting: Setting
-    features: NDArray[np.float64]
-    learned: LabelTable
-    labels: LabelTable
-
-    @classmethod
-    def of(
-        cls, setting: Setting, tables: Callable[[NDArray[np.int64]], Tables], pool: Pool
-    ) -> Clips:
-        """Asks the labelers about each transition once."""
-        every = setting.reachable
-        features = transition_features(setting.domain, every)
-        return cls(pool, setting, features, tables(every).learned, setting.true_labels(every))
-
-    def near(self, transitions: NDArray[np.int64]) -> CaseQuestions:
-        """Those to choose from while a trace [m, 3] is explained."""
-        every, domain = self.setting.reachable, self.setting.domain
-        order = nearest_first(self.features, transition_features(domain, transitions))
-        order = order[alike_first(self.learned.of_steps(order.tolist()), self.pool.clips)]
-        chosen = every[order]
-        return CaseQuestions(
-            transitions=chosen,
-            facts=np.full(len(chosen), -1),
-            learned=self.learned.of_steps(order.tolist()),
-            labels=self.labels.of_steps(order.tolist()),
-            shows=(chosen[:, None] == transitions).all(axis=-1),
-            texts=tuple(domain.describe(transition) for transition in chosen),
-        )
-
-
 def build_case(
     setting: Setting,
     transitions: NDArray[np.int64],
     tables: Callable[[NDArray[np.int64]], Tables],
     clips: Clips | None = None,
+    beliefs: Beliefs | None = None,
+    most: int = 0,
 ) -> Case:
-    """Lays out what every agent and every user thinks of a trace [m, 3]."""
+    """Lays out what every agent and every user thinks of a trace [m, 3], and at most so many
+    questions: clips, beliefs, or both."""
     domain = setting.domain
+    asked = [beliefs.of_trace(len(transitions))] if beliefs else []
+    asked += [clips.near(transitions)] if clips else []
     states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]
     cells = [domain.position(state) for state in states]
     return Case(
@@ -275,5 +220,5 @@ def build_case(
         **tables(transitions)._asdict(),
         labels=setting.true_labels(transitions),
         changes=changes_of(domain, transitions),
-        questions=clips.near(transitions) if clips else None,
+        questions=merged(asked, most),
     )

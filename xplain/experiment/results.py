@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from xplain.domains.base import Scene
+from xplain.evaluation.episode import Episode
 from xplain.evaluation.metrics import Record, by_step, summarise
 from xplain.evaluation.statistics import Estimate
-from xplain.experiment.pipeline import Prepared
+from xplain.experiment.pipeline import Case, Prepared
+from xplain.explanation.asking import Question, worded
 from xplain.message_sets import names_of
 from xplain.storage import decode, encode, write_text
 
@@ -75,6 +77,8 @@ class EpisodeFigures:
     messages: int
     inexplicable_labels: int
     steps_until_sure: int
+    questions: int = 0
+    questions_cost: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -202,6 +206,8 @@ def results_of(
                 messages=record.episode.n_messages,
                 inexplicable_labels=record.episode.n_inexplicable,
                 steps_until_sure=record.steps_until_sure,
+                questions=record.episode.n_questions,
+                questions_cost=record.episode.asking,
             )
             for record in records
         ),
@@ -209,19 +215,20 @@ def results_of(
 
 
 def episode_lines(prepared: Prepared, records: list[Record]) -> str:
-    """The content of ``episodes.jsonl``: what was said, answered and believed at each step."""
+    """The content of ``episodes.jsonl``: what was asked, said, answered and believed at each
+    step."""
     lines = []
     for record in records:
-        episode = record.episode
+        episode, case = record.episode, prepared.cases[record.trace]
         steps = [
             {
+                **_asked(episode, case, k),
                 "messages": names_of(int(episode.messages[k]), prepared.messages),
                 "labels": episode.labels[k, : k + 1].tolist(),
                 "belief": [round(float(b), 12) for b in episode.beliefs[k + 1]],
             }
             for k in range(len(episode.messages))
         ]
-        case = prepared.cases[record.trace]
         line = {
             "solver": record.solver,
             "trace": record.trace,
@@ -235,6 +242,21 @@ def episode_lines(prepared: Prepared, records: list[Record]) -> str:
         }
         lines.append(json.dumps(line))
     return "\n".join(lines) + "\n"
+
+
+def _asked(episode: Episode, case: Case, step: int) -> dict[str, Any]:
+    """``questions`` asked before a step's messages, where something could be asked."""
+    if case.questions is None:
+        return {}
+    own = episode.questions[episode.questions[:, 0] == step, 1:].tolist()
+    texts, right = case.questions.texts, case.questions.right.tolist()
+    return {"questions": [told(worded(q, texts[q], right[q]), answer) for q, answer in own]}
+
+
+def told(question: Question, answer: int) -> dict[str, Any]:
+    """A question that was answered, in plain JSON."""
+    reply = next(words for words, value in question.replies if value == answer)
+    return {"text": question.text, "about": question.about, "answer": answer, "reply": reply}
 
 
 def save_results(folder: Path, results: Results) -> None:

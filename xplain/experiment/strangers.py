@@ -9,7 +9,7 @@ import numpy as np
 
 from xplain.domains.base import Domain
 from xplain.errors import DomainError, InputError
-from xplain.experiment.pipeline import Case, Components, Prepared
+from xplain.experiment.pipeline import Components, Prepared
 from xplain.randomness import stream
 from xplain.users.setting import Setting, UserType
 from xplain.users.types import user_type
@@ -41,17 +41,16 @@ def with_strangers(prepared: Prepared, components: Components) -> Prepared:
         prepared,
         types=tuple(setting.types[t].name for t in new),
         distinct=len(alike) + np.arange(len(new)),
-        cases=tuple(_of_strangers(case, setting, new) for case in prepared.cases),
+        cases=tuple(
+            replace(
+                case,
+                perfect=None,
+                labels=setting.true_labels(case.transitions).of_types(new),
+                questions=case.questions and case.questions.of_users(setting, new),
+            )
+            for case in prepared.cases
+        ),
     )
-
-
-def _of_strangers(case: Case, setting: Setting, new: list[int]) -> Case:
-    """A case whose users are these types of the setting."""
-    asked = case.questions
-    if asked is not None:
-        asked = replace(asked, labels=setting.true_labels(asked.transitions).of_types(new))
-    labels = setting.true_labels(case.transitions).of_types(new)
-    return replace(case, perfect=None, labels=labels, questions=asked)
 
 
 def _candidates(domain: Domain, most: int, seed: int) -> list[UserType]:

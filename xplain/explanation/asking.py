@@ -27,6 +27,10 @@ from xplain.explanation.label_table import LabelTable
 
 When = Literal["anytime", "first"]
 Kind = Literal["clips", "beliefs"]
+SENSE = "Does this step make sense to you?"
+"""What a clip is shown with."""
+WHICH = "Which do you think?"
+"""What the two sentences of a fact are shown with."""
 NO_QUESTION = -1
 """Instead of a question's number."""
 PREFIX = "question_"
@@ -70,6 +74,26 @@ class Pool:
 
 
 @dataclass(frozen=True)
+class Question:
+    """A question, for people.
+
+    Attributes:
+        number: among the trace's questions.
+        text: what is asked.
+        about: the step that a clip shows; empty of a belief.
+        replies: (words, answer), in the order to be shown.
+    """
+
+    number: int
+    text: str
+    about: str
+    replies: tuple[tuple[str, int], tuple[str, int]]
+
+    def __str__(self) -> str:
+        return self.about or f"{self.text} {' / '.join(words for words, _ in self.replies)}"
+
+
+@dataclass(frozen=True)
 class Questions:
     """Q questions that one trace's explanation may ask, the nearest to the trace first.
 
@@ -78,24 +102,35 @@ class Questions:
             answered where users err.
         limits: of asking.
         shows: [Q, m] whether a question is a clip of this transition of the trace.
-        texts: Q, for people; or none.
+        texts: Q, for people, or none: what a clip shows; of a belief its two sentences, a line
+            each, in the order to be shown.
+        right: [Q] which line of a belief is right, 0 or 1; −1 of clips. None for clips alone.
     """
 
     table: LabelTable
     limits: Limits = field(default_factory=Limits)
     shows: NDArray[np.bool_] = field(default_factory=lambda: np.empty((0, 0), np.bool_))
     texts: tuple[str, ...] = ()
+    right: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     def __post_init__(self) -> None:
         """Raises InputError: tables of other lengths."""
         count = len(self.table.p)
+        if not self.right.size:
+            object.__setattr__(self, "right", np.full(count, -1))
         if not self.shows.size:
             object.__setattr__(self, "shows", np.zeros((count, self.shows.shape[1]), np.bool_))
-        if len(self.shows) != count or (self.texts and len(self.texts) != count):
-            raise InputError("questions", len(self.shows), f"{count}, as the table has")
+        for own in (self.shows, self.right, self.texts or self.shows):
+            if len(own) != count:
+                raise InputError("questions", len(own), f"{count}, as the table has")
 
     def __len__(self) -> int:
         return len(self.table.p)
+
+    def question(self, number: int) -> Question:
+        """The one with this number, for people."""
+        text = self.texts[number] if self.texts else f"question {number + 1}"
+        return worded(number, text, int(self.right[number]))
 
     def check(self, types: int, messages: int, steps: int) -> None:
         """Raises InputError where they are not of so many hidden types, messages, steps."""
@@ -137,6 +172,7 @@ class Questions:
             **answered,
             "shows": self.shows,
             "texts": np.array(self.texts, dtype=np.str_),
+            "right": self.right,
             **asdict(self.limits),
         }
         return {PREFIX + key: value for key, value in found.items()}
@@ -156,7 +192,17 @@ class Questions:
         limits = Limits(own["cost"].item(), own["most"].item(), own["when"].item())
         table = LabelTable.by_type(own["relevant"], own["p_relevant"], own.get("p_answered"))
         shows = own.get("shows", np.empty((0, 0), np.bool_)).astype(np.bool_)
-        return cls(table, limits, shows, tuple(map(str, own.get("texts", np.empty(0)).tolist())))
+        texts = tuple(map(str, own.get("texts", np.empty(0)).tolist()))
+        right = own.get("right", np.empty(0, np.int64)).astype(np.int64)
+        return cls(table, limits, shows, texts, right)
+
+
+def worded(number: int, text: str, right: int) -> Question:
+    """A question for people, of what :class:`Questions` has of it."""
+    if right < 0:
+        return Question(number, SENSE, text, (("yes", 1), ("no", 0)))
+    first, second = text.split("\n")
+    return Question(number, WHICH, "", ((first, int(right == 0)), (second, int(right == 1))))
 
 
 def alike_first(table: LabelTable, most: int) -> NDArray[np.int64]:

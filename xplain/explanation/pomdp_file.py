@@ -57,12 +57,16 @@ def lines(problem: Problem) -> Iterator[str]:
     """The file's lines.
 
     Raises:
-        InputError: only steps discount, which the format cannot say.
+        InputError: only steps discount, or something may be asked, which the format cannot say.
         TooLargeError: more than MAX_LINES lines.
     """
     if problem.discount_per == "step" and problem.discount < 1:
         raise InputError(
             "discount_per", "step", "the format discounts every action; needs action, or γ = 1"
+        )
+    if problem.questions is not None:
+        raise InputError(
+            "problem", "has questions", "one without: no question discounts or is asked twice"
         )
     types, steps, n = problem.n_types, problem.n_steps, problem.n_messages
     sets = 1 << n

@@ -61,6 +61,7 @@ class Known:
         rule: what decided the number of types.
         tables: what follows for a trace [m, 3].
         habits: how people err, as far as their answers tell.
+        wrong: [N, n] P(a user of the type holds a fact wrong); None where that is unknown.
     """
 
     names: tuple[str, ...]
@@ -71,6 +72,17 @@ class Known:
     rule: str
     tables: Callable[[NDArray[np.int64]], Tables]
     habits: Habits | None = None
+    wrong: NDArray[np.float64] | None = None
+
+
+@runtime_checkable
+class KnowsFacts(Protocol):
+    """A classifier of one type's labels that knows what its people hold wrong."""
+
+    @property
+    def wrong(self) -> NDArray[np.float64]:
+        """[n] P(a person of the type holds a fact wrong)."""
+        ...
 
 
 @runtime_checkable
@@ -166,7 +178,16 @@ def find_types(
         rule=clustering.rule,
         tables=tables,
         habits=None if types.answers is None else types.answers.habits,
+        wrong=_wrong(types.labelers),
     )
+
+
+def _wrong(labelers: Iterable[Any]) -> NDArray[np.float64] | None:
+    """[N, n] P(a user of a type holds a fact wrong); None where a labeler does not know."""
+    known = [labeler.classifier for labeler in labelers]
+    if not all(isinstance(one, KnowsFacts) for one in known):
+        return None
+    return np.stack([one.wrong for one in known])
 
 
 def learn(

@@ -55,6 +55,7 @@ class TrueLabels(LabelerTrainer):
             curve=np.zeros(0),
             rule="truth",
             tables=tables,
+            wrong=setting.wrong,
         )
 
     def fit(self, *_: Any, **__: Any) -> NoReturn:

@@ -84,6 +84,13 @@ class FactSetClassifier:
         likely = np.argsort(-share, kind="stable")[:MOST]
         return sum(1 << int(j) for j in likely if share[j] >= RELEVANT)
 
+    @property
+    def wrong(self) -> NDArray[np.float64]:
+        """[n] P(a person of the type holds a fact wrong); as labels, never certain."""
+        bits = bits_of(self.facts, self.known.hypotheses.n_messages)
+        share: NDArray[np.float64] = self.weight.sum(axis=(1, 2)) @ bits
+        return np.clip(share, EDGE, 1 - EDGE)
+
     def known_rows(
         self, transition: NDArray[np.int64], told: NDArray[np.int64]
     ) -> NDArray[np.float64]:

@@ -53,14 +53,14 @@ def regret_csv(summary: Summary) -> str:
     """One row a combination of the swept values, never pooled; six decimals.
 
     Columns: ``solver``, ``lambda``, every other swept key by its full name; then of each measure
-    mean, low and high end of the 95 % interval, and n, how many seeds (with one seed: traces) it
-    is over.
+    (``questions`` too where some were asked) mean, low and high end of the 95 % interval, and n,
+    how many seeds (with one seed: traces) it is over.
     """
     keys = ["solver", "lambda", *(k for k in summary.keys if k not in ("solver", "lambda"))]
     rows = []
     for values, frame in grouped(summary, keys):
         row: dict[str, object] = {key: plain_text(value) for key, value in values.items()}
-        for measure in MEASURES:
+        for measure in dict.fromkeys((*MEASURES, *summary.counted)):
             known, name = frame.dropna(subset=[measure]), measure.replace(" ", "_")
             row |= _ends(summary.estimate(known, measure) or UNKNOWN, f"{name}_")
             row[f"{name}_n"] = int(summary.clusters(known).nunique())

@@ -96,7 +96,7 @@ def _list(summary: Summary, keys: tuple[str, ...], compete: bool) -> Table:
     """A row a combination with its measures; those that compete are marked, the best first."""
     measure = summary.measure
     names = dict.fromkeys((measure.name, "cost", measure.reference or "cost"))
-    shown = [*names, "messages", "inexplicable labels"]
+    shown = [*names, *summary.counted]
     frames = {tuple(values.values()): frame for values, frame in grouped(summary, keys)}
     marks = _marked(summary, summary.episodes, keys) if compete else {}
     rows = []

@@ -23,6 +23,7 @@ PROBLEM = (
     "max_steps",
     "message_cost",
     "inexplicability_cost",
+    "ask.cost",
 )
 """Keys that say what is explained to whom, and what that costs. Across them no cost is compared."""
 
@@ -40,6 +41,7 @@ TITLES = {
     "clairvoyant": "clairvoyant's cost",
     "messages": "messages",
     "inexplicable labels": "inexplicable labels",
+    "questions": "questions",
 }
 """Columns of the table of episodes for people."""
 
@@ -83,13 +85,13 @@ class Measure:
 
 def is_problem(key: str) -> bool:
     """Whether a swept key's values pose different problems, across which no cost is compared."""
-    return key.partition(".")[0] in PROBLEM
+    return key in PROBLEM or key.partition(".")[0] in PROBLEM
 
 
 def is_choice(key: str) -> bool:
     """Whether the values of a key compete: with a solver one may do better, with a λ one may
     not."""
-    return key.partition(".")[0] not in CONDITIONS
+    return key not in CONDITIONS and key.partition(".")[0] not in CONDITIONS
 
 
 def measure_of(episodes: pd.DataFrame, keys: Sequence[str], asked: str | None = None) -> Measure:

@@ -129,7 +129,7 @@ def _plots(summary: Summary) -> dict[str, Any]:
     layout, table = plot_layout(summary), table_layout(summary)
     keys = [*([layout.x] if layout.x else []), *layout.lines, *layout.panels]
     values = {key: summary.values(key) for key in keys}
-    names = dict.fromkeys((summary.measure.name, "cost", "messages", "inexplicable labels"))
+    names = dict.fromkeys((summary.measure.name, "cost", *summary.counted))
     cells = []
     for at, frame in grouped(summary, keys):
         beliefs, episodes = by_step(summary, "belief_in_true_type", at)
@@ -216,12 +216,14 @@ def _episode(line: Mapping[str, Any], results: Results) -> dict[str, Any]:
     alike = dict(zip(types.true, types.behave_alike, strict=True)).get(line["type"])
     named = types.found if len(line["prior"]) == len(types.found) else ()
     price, bad = config.get("message_cost", 1.0), config.get("inexplicability_cost", 1.0)
+    worth = config.get("ask", {}).get("cost", 0.0)
     steps, cost = [], 0.0
     for step in line["steps"]:
         own = [price[name] if isinstance(price, Mapping) else price for name in step["messages"]]
-        cost += results.trade_off * sum(own) + bad * step["labels"].count(0)
+        asked = step.get("questions", [])
+        cost += results.trade_off * sum(own) + bad * step["labels"].count(0) + worth * len(asked)
         belief = dict(zip(named, step["belief"], strict=False))
-        said = {"said": step["messages"], "labels": step["labels"], "values": []}
+        said = {"said": step["messages"], "labels": step["labels"], "values": [], "asked": asked}
         steps.append({**said, "belief": belief, "cost": round(cost, 6)})
     found = zip(types.found, types.stands_for, strict=True)
     return {

@@ -21,6 +21,8 @@ TITLES = {
     "messages": "messages given",
     "messages_again": "… again",
     "inexplicable_labels": "inexplicable labels",
+    "questions": "questions asked",
+    "questions_cost": "… their cost",
     "steps_until_sure": "steps until belief > 0.9",
     "final_belief": "final belief in true type",
     "decision_ms": "decision time (ms a step)",
@@ -35,7 +37,7 @@ def print_summary(results: Results) -> None:
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 100)
     console.print(_headline(results))
     published = table1().get((results.choices["domain"], results.trade_off), {})
-    if _users(results) != "exact":  # the paper's users are
+    if _users(results) != "exact" or _asks(results):  # the paper's users are; it asks nothing
         published = {}
     table = Table(box=None, pad_edge=False)
     table.add_column("measure")
@@ -71,6 +73,12 @@ def _users(results: Results) -> str:
     return results.choices.get("explainee", "exact")
 
 
+def _asks(results: Results) -> str:
+    """What is asked; empty for nothing, as in runs before anything could be."""
+    choice = results.choices.get("ask", "never")
+    return "" if choice == "never" else f"ask={choice}, κ = {results.config['ask']['cost']:g}"
+
+
 def _headline(results: Results) -> str:
     learning = results.learning
     lines = [
@@ -78,6 +86,7 @@ def _headline(results: Results) -> str:
         f"{_count(results.config['traces'], 'trace')} × "
         f"{_count(len(results.types.true), 'type')} · "
         + (f"explainee={_users(results)} · " if _users(results) != "exact" else "")
+        + (f"{_asks(results)} · " if _asks(results) else "")
         + f"seed {results.seed}",
         f"user types found: {learning['types_found']:.0f}"
         + (f" of {learning['true_types']:.0f}" if "true_types" in learning else "")

@@ -182,6 +182,7 @@ class Summary:
                         "true labels": costs.get(("true_labels", *key), np.nan),
                         "messages": episode.messages,
                         "inexplicable labels": episode.inexplicable_labels,
+                        "questions": episode.questions,
                     }
                 )
         frame = pd.DataFrame(rows)
@@ -189,6 +190,12 @@ class Summary:
             frame["regret"] = frame["cost"] - frame["oracle"]
             frame["above_floor"] = frame["cost"] - frame["clairvoyant"]
         return frame
+
+    @cached_property
+    def counted(self) -> tuple[str, ...]:
+        """What costs are made of, as columns of the episodes."""
+        asks = len(self.episodes) and self.episodes["questions"].any()
+        return ("messages", "inexplicable labels", *(("questions",) if asks else ()))
 
     @cached_property
     def measure(self) -> Measure:

@@ -24,6 +24,7 @@ AXES = {
     "lambda": "λ, cost of communication against inexplicability",
     "users.count": "number of user types (users.count)",
     "observers.label_noise": "share of wrong labels (observers.label_noise)",
+    "ask.cost": "κ, cost of a question (ask.cost)",
     "points": "labels an observer (points)",
 }
 """What a key means, on its axis; any other stands there by its name."""

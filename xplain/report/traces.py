@@ -25,6 +25,9 @@ CELL = 0.46
 LARGE = 11
 LONG = 30
 """Letters of an item's name, from which on the legend has one column."""
+ASKED = "#7A3F8F"
+LISTED = 6
+"""Questions told in words below the steps."""
 EXPLICABLE, INEXPLICABLE = "#CFE8F5", "#F5C4A1"
 
 
@@ -40,6 +43,7 @@ class Story:
         messages: names of the new messages before each step.
         labels: row k the k + 1 labels given at step k.
         changes: what each transition changes, or none.
+        questions: (what was asked about, the reply) of each question before each step; or none.
     """
 
     solver: str
@@ -51,6 +55,12 @@ class Story:
     messages: tuple[tuple[str, ...], ...]
     labels: tuple[tuple[int, ...], ...]
     changes: tuple[tuple[str, ...], ...] = ()
+    questions: tuple[tuple[tuple[str, str], ...], ...] = ()
+
+    @property
+    def n_questions(self) -> int:
+        """Number of questions asked over all steps."""
+        return sum(map(len, self.questions))
 
     @property
     def n_messages(self) -> int:
@@ -80,6 +90,11 @@ def stories(folder: Path, solver: str) -> Iterator[Story]:
                 messages=tuple(tuple(step["messages"]) for step in content["steps"]),
                 labels=tuple(tuple(step["labels"]) for step in content["steps"]),
                 changes=tuple(map(tuple, content.get("changes", ()))),
+                questions=tuple(
+                    tuple((one["about"] or one["text"], one["reply"]) for one in step["questions"])
+                    for step in content["steps"]
+                    if "questions" in step
+                ),
             )
 
 
@@ -212,27 +227,32 @@ def _draw_steps(axes: Axes, story: Story, caption: str) -> None:
             weight="bold",
         )
         axes.plot(k + 0.5, 0.36, "v", color=COLOURS[1], markersize=7, clip_on=False)
+    told = _draw_questions(axes, story)
     axes.set(
         xlim=(0.5, m + 0.5),
         ylim=(m + 0.5, 0.5),
         xticks=range(1, m + 1),
         yticks=range(1, m + 1),
         yticklabels=[f"{i}. {phrase}" for i, phrase in enumerate(story.phrases, 1)],
-        xlabel="step (at each, the user labels all transitions shown so far)",
+        xlabel="\n".join(["step (at each, the user labels all transitions shown so far)", *told]),
     )
     axes.grid(visible=False)
     axes.tick_params(length=0)
     axes.plot([], [], "s", color=EXPLICABLE, markersize=9, label="explicable")
     axes.plot([], [], "s", color=INEXPLICABLE, markersize=9, label="inexplicable (?)")
     axes.plot([], [], "v", color=COLOURS[1], label="message given before the step")
+    if told:
+        axes.plot([], [], "D", color=ASKED, label="question asked before the step")
     if m >= 8:  # the triangle below the diagonal is free
         axes.legend(loc="lower left", fontsize=9)
     else:
-        axes.legend(loc="upper left", bbox_to_anchor=(0, -0.3), ncols=3, fontsize=8)
+        below = -0.3 - 0.05 * len(told)
+        axes.legend(loc="upper left", bbox_to_anchor=(0, below), ncols=2 + (not told), fontsize=8)
     longest = max((len(" + ".join(new)) for new in story.messages), default=0)
     title = axes.set_title(
         f"What a user of type {story.user_type} said: "
-        f"{_count(story.n_messages, 'message')}, "
+        + (f"{_count(story.n_questions, 'question')}, " if story.n_questions else "")
+        + f"{_count(story.n_messages, 'message')}, "
         f"{_count(story.n_inexplicable, 'inexplicable label')}",
         loc="left",
         pad=14 + (18 + 3.2 * longest if story.n_messages else 0),
@@ -248,6 +268,19 @@ def _draw_steps(axes: Axes, story: Story, caption: str) -> None:
         color="#666666",
         annotation_clip=False,
     )
+
+
+def _draw_questions(axes: Axes, story: Story) -> list[str]:
+    """A mark where something was asked; returns what and the replies, in lines."""
+    lines = []
+    for k, asked in enumerate(story.questions):
+        if asked:
+            axes.plot(k + 1, 0.36, "D", color=ASKED, markersize=6, clip_on=False)
+            if len(asked) > 1:
+                axes.text(k + 1.2, 0.36, str(len(asked)), color=ASKED, fontsize=9, va="center")
+        lines += [f"asked before step {k + 1}: “{what}”? {reply}" for what, reply in asked]
+    more = len(lines) - LISTED
+    return lines[:LISTED] + ([f"… and {_count(more, 'question')} more"] if more > 0 else [])
 
 
 def _draw_changes(axes: Axes, told: list[str]) -> None:

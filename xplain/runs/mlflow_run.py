@@ -25,6 +25,7 @@ FIGURES = {
     "cost": "cost",
     "messages": "messages",
     "inexplicable_labels": "inexplicable_labels",
+    "questions": "questions",
     "steps_until_sure": "steps_until_sure",
 }
 """Of a result's figures, those that are compared, by their names in MLflow; ``results.json`` among
@@ -152,7 +153,7 @@ def ended(results: Results) -> int:
 
 
 def scalars(results: Results) -> dict[str, float]:
-    """Figures that make one number each: at most 13, two curves besides."""
+    """Figures that make one number each: at most 14, two curves besides."""
     known = {FIGURES[key]: own for key, own in results.metrics.items() if key in FIGURES}
     flat = {name: own.mean for name, own in known.items()}
     for name in {"regret", "above_floor"} & known.keys():

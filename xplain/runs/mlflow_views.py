@@ -32,9 +32,6 @@ ANSWER_TAG = "xplain.answer"
 SWEEPS_VIEW = "sweeps"
 """Key of the view over all sweeps."""
 
-BESIDE = ("messages", "inexplicable_labels")
-"""Columns of a sweep's view after its measure, the cost and what was swept."""
-
 MOST_CURVES = 12
 
 
@@ -127,10 +124,11 @@ def sweep_view(parent: str, summary: Summary, main: MainKey) -> dict[str, Any]:
     measure = summary.measure.name
     swept = [key for key in summary.keys if len(summary.values(key)) > 1]
     figures = dict.fromkeys((measure, "cost"))
+    beside = [name.replace(" ", "_") for name in summary.counted]
     columns = [
         *(f"metrics.`{name}`" for name in figures),
         *(f"params.`{key}`" for key in (*swept, *(["seed"] if summary.seeds > 1 else []))),
-        *(f"metrics.`{name}`" for name in (f"{measure}.low", f"{measure}.high", *BESIDE)),
+        *(f"metrics.`{name}`" for name in (f"{measure}.low", f"{measure}.high", *beside)),
     ]
     chart = {
         "type": "SCATTER",

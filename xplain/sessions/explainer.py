@@ -8,7 +8,7 @@ See docs/explainer.md.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, whole_number
+from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
+from xplain.sessions.moves import Candidate, candidates, check_texts
 from xplain.sessions.planner import Planner
-from xplain.sessions.session import FORMAT, Session
+from xplain.sessions.session import FORMATS, Session
 
 
 @dataclass(frozen=True)
@@ -84,10 +86,15 @@ class Explainer(Planner):
 
     It takes what a :class:`~xplain.sessions.planner.Planner` takes: ``types``, ``solver``,
     ``trade_off``, ``message_cost``, ``inexplicability_cost``, ``discount``, ``discount_per``,
-    ``belief_update``, ``seed``.
+    ``belief_update``, ``seed``, ``ask``.
     """
 
-    def session(self, trace: Sequence[Any] | NDArray[Any] = (), expected_steps: int = 0) -> Session:
+    def session(
+        self,
+        trace: Sequence[Any] | NDArray[Any] = (),
+        expected_steps: int = 0,
+        clips: Sequence[Any] | NDArray[Any] | Mapping[str, Any] = (),
+    ) -> Session:
         """Begins to explain a trace to somebody new.
 
         Args:
@@ -96,12 +103,20 @@ class Explainer(Planner):
             expected_steps: transitions that the trace is expected to have in the end. The planner
                 takes those not yet known to be explicable to everybody: each shows the prefix
                 once more, and that is all. At 0 it takes the trace to end with the last known one.
+            clips: transitions that the user may be asked about, on the trace or off it, or those by
+                what people call them; the nearest to the trace first.
 
         Raises:
-            InputError: a transition or number that is not allowed.
+            InputError: a transition or number that is not allowed, or clips where ``ask`` is None.
         """
         whole_number("expected_steps", expected_steps, 0)
-        session = Session(self, expected_steps)
+        may_ask = candidates(clips)
+        if may_ask and self.ask is None:
+            raise InputError(
+                "clips", len(may_ask), "none; Explainer(..., ask=Limits()) allows some"
+            )
+        check_texts(may_ask)
+        session = Session(self, expected_steps, may_ask)
         session.extend(trace)
         return session
 
@@ -119,18 +134,29 @@ class Explainer(Planner):
             known = {key: tuple(state[key]) for key in ("messages", "types")}
             trace, said, answers = (list(state[key]) for key in ("trace", "said", "answers"))
             expected = int(state["expected_steps"])
+            clips = [Candidate(*clip) for clip in state.get("clips", ())]
+            asked = [[int(n) for n in one] for one in state.get("questions", ())]
+            unanswered = int(state.get("open", NO_QUESTION))
         except (ValueError, KeyError, TypeError) as error:
             raise InputError("session", text, f"JSON of Session.to_json ({error!r})") from None
-        if written != FORMAT:
-            raise InputError("session.format", written, f"{FORMAT}")
+        if written not in FORMATS:
+            raise InputError("session.format", written, " or ".join(map(str, FORMATS)))
         for key, mine in (("messages", self.types.messages), ("types", self.types.names)):
             if known[key] != tuple(mine):
                 raise InputError(f"session.{key}", known[key], f"must be {', '.join(mine)}")
         if not len(answers) <= len(said) <= min(len(answers) + 1, len(trace)):
             raise InputError("session.said", said, "one entry a step, and at most one unanswered")
-        session = self.session(trace, expected)
-        for k, names in enumerate(said):
-            session.tell(names)
+        if not all(len(one) == 3 and 0 <= one[0] <= len(answers) for one in asked):
+            raise InputError("session.questions", asked, "(step, number, answer) of each")
+        session = self.session(trace, expected, clips)
+        for k in range(len(answers) + 1):
+            for step, number, answer in asked:
+                if step == k:
+                    session.ask(number)
+                    session.answer(answer)
+            if k < len(said):
+                session.tell(said[k])
             if k < len(answers):
                 session.observe(answers[k])
+        session.take_up(unanswered, bool(state.get("told", False)))
         return session

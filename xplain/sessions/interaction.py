@@ -59,10 +59,10 @@ class Interaction:
         """The question to ask now, before this step's messages; NO_QUESTION for none."""
         if self.problem.questions is None:
             return NO_QUESTION
-        return asking(self.policy).question(self.step, self.given, self.belief, self._no_news)
+        return asking(self.policy).question(self.step, self.given, self.belief, self.no_news)
 
     @property
-    def _no_news(self) -> int:
+    def no_news(self) -> int:
         """Bitmask of the questions asked, and of those whose answers were heard as labels."""
         questions = self.problem.questions
         if questions is None or self._answered is None or not self._repeat:
@@ -90,7 +90,7 @@ class Interaction:
         if self.problem.questions is None:
             new = self.policy.messages(self.step, self.given, self.belief)
         else:
-            no_news = self._no_news
+            no_news = self.no_news
             new = asking(self.policy).messages(self.step, self.given, self.belief, no_news)
         self.give(new)
         return new

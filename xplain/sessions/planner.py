@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, number, whole_number
+from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import BeliefUpdate, Independent
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import MAX_MESSAGES, LabelTable
@@ -74,6 +75,7 @@ class Planner:
         belief_update: which labels are evidence. People repeat themselves:
             :class:`~xplain.explanation.belief.Persistent` counts an answer once.
         seed: of solvers that search at random.
+        ask: what questions cost and how many are asked; None for none.
     """
 
     types: Types
@@ -85,6 +87,7 @@ class Planner:
     discount_per: DiscountPer = "action"
     belief_update: BeliefUpdate = field(default_factory=Independent)
     seed: int = 0
+    ask: Limits | None = None
 
     def __post_init__(self) -> None:
         """Raises InputError: a value that no session could plan with."""
@@ -100,6 +103,8 @@ class Planner:
         for key in ("trade_off", "inexplicability_cost", "discount"):
             number(key, getattr(self, key))
         whole_number("seed", self.seed, 0)
+        if not isinstance(self.ask, Limits | None):
+            raise InputError("ask", self.ask, "Limits(cost=0.1), or None")
         if len(self.types.messages) > MAX_MESSAGES:
             raise InputError("types.messages", len(self.types.messages), f"at most {MAX_MESSAGES}")
         if self.solver.knows in ("type", "labels"):
@@ -113,8 +118,8 @@ class Planner:
         types = len(self.types.names)
         return LabelTable(np.empty((types, 0), np.int64), np.ones((steps, 1, types)))
 
-    def problem(self, table: LabelTable) -> Problem:
-        """What the solver plans for, given the table of a trace."""
+    def problem(self, table: LabelTable, questions: Questions | None = None) -> Problem:
+        """What the solver plans for, given the table of a trace, and what may be asked."""
         habits = self.types.habits if isinstance(self.types, KnowsHabits) else None
         problem = Problem(
             table,
@@ -126,6 +131,7 @@ class Planner:
             discount_per=self.discount_per,
             message_names=tuple(self.types.messages),
             type_names=tuple(self.types.names),
+            questions=questions,
         )
         return problem.with_habits(self.belief_update.habits(habits))
 

@@ -45,6 +45,7 @@ def asks_by_value(policy: Policy, problem: Problem, seed: int, memory_gib: float
     """The policy, which asks where the problem has questions.
 
     Raises:
+        InputError: users may miss or forget messages.
         TooLargeError: tables to simulate with would take more than ``memory_gib``.
     """
     if problem.questions is None:

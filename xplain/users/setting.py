@@ -109,6 +109,11 @@ class Setting:
         """n, the number of messages: one for each parameter of the domain."""
         return len(self.domain.parameters)
 
+    @property
+    def wrong(self) -> NDArray[np.float64]:
+        """[M, n] 1 where a type holds a fact wrong, else 0."""
+        return np.array([[j in own for j in range(self.n_messages)] for own in self.bits], float)
+
     def model_index(self, user_type: int, message_sets: NDArray[np.int64]) -> NDArray[np.int64]:
         """The model that a type holds after each of these message sets: [P] → [P]."""
         local = np.zeros_like(message_sets)

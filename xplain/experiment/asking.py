@@ -1,0 +1,208 @@
+"""What may be asked while a trace is explained: clips of the task, and beliefs about its facts.
+
+Setting ── Clips, Beliefs ── CaseQuestions (one a trace)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.domains.base import transition_features
+from xplain.errors import InputError
+from xplain.explanation.asking import Limits, Pool, Questions, alike_first, nearest_first
+from xplain.explanation.label_table import LabelTable, joined
+from xplain.learning.known_types import Tables
+from xplain.message_sets import subsets
+from xplain.randomness import stream
+from xplain.users.setting import Setting
+
+TOLD = 0.01
+"""A fact less likely held wrong than this is taken to be as it was after its message."""
+MOST_TOLD = 12
+"""Facts of a type whose messages are taken to set them right, the likeliest."""
+
+
+@dataclass(frozen=True)
+class CaseQuestions:
+    """Q questions that may be asked while a trace of m transitions is explained, nearest first.
+
+    Attributes:
+        transitions: [Q, 3] of clips; −1 where a question is about a belief.
+        facts: [Q] the fact that a belief is about; −1 of clips.
+        learned: P(label is 1) by the N types that were found.
+        labels: the true labels of each of M true types.
+        shows: [Q, m] whether a clip is of this transition of the trace.
+        texts, right: as :class:`~xplain.explanation.asking.Questions` has them.
+    """
+
+    transitions: NDArray[np.int64]
+    facts: NDArray[np.int64]
+    learned: LabelTable
+    labels: LabelTable
+    shows: NDArray[np.bool_]
+    texts: tuple[str, ...]
+    right: NDArray[np.int64]
+
+    def take(self, order: NDArray[np.int64]) -> CaseQuestions:
+        """Some of them, in this order."""
+        return CaseQuestions(
+            self.transitions[order],
+            self.facts[order],
+            self.learned.of_steps(order.tolist()),
+            self.labels.of_steps(order.tolist()),
+            self.shows[order],
+            tuple(self.texts[q] for q in order),
+            self.right[order],
+        )
+
+    def of_users(self, setting: Setting, types: Sequence[int]) -> CaseQuestions:
+        """The same, answered by users of these types of a setting."""
+        clips, beliefs = np.flatnonzero(self.facts < 0), np.flatnonzero(self.facts >= 0)
+        parts = [setting.true_labels(self.transitions[clips])] if len(clips) else []
+        parts += [_right(setting.wrong, self.facts[beliefs].tolist())] if len(beliefs) else []
+        whole = joined(parts) if parts else self.labels
+        back = np.argsort(np.concatenate([clips, beliefs]), kind="stable")
+        return replace(self, labels=whole.of_steps(back.tolist()).of_types(types))
+
+    def asked(self, table: LabelTable, limits: Limits) -> Questions:
+        """As an explanation problem has them, by one of the tables."""
+        return Questions(table, limits, self.shows, self.texts, self.right)
+
+
+@dataclass(frozen=True)
+class Clips:
+    """Every transition that the robot can make, as what may be asked about.
+
+    Attributes:
+        pool: how many to keep for a trace.
+        setting: of the true types.
+        features: [T, F] of ``setting.reachable``.
+        learned, labels: as :class:`CaseQuestions` has them, of all T.
+    """
+
+    pool: Pool
+    setting: Setting
+    features: NDArray[np.float64]
+    learned: LabelTable
+    labels: LabelTable
+
+    @classmethod
+    def of(
+        cls, setting: Setting, tables: Callable[[NDArray[np.int64]], Tables], pool: Pool
+    ) -> Clips:
+        """Asks the labelers about each transition once."""
+        every = setting.reachable
+        features = transition_features(setting.domain, every)
+        return cls(pool, setting, features, tables(every).learned, setting.true_labels(every))
+
+    def near(self, transitions: NDArray[np.int64]) -> CaseQuestions:
+        """Those to choose from while a trace [m, 3] is explained."""
+        every, domain = self.setting.reachable, self.setting.domain
+        order = nearest_first(self.features, transition_features(domain, transitions))
+        order = order[alike_first(self.learned.of_steps(order.tolist()), self.pool.clips)]
+        chosen = every[order]
+        return CaseQuestions(
+            transitions=chosen,
+            facts=np.full(len(chosen), -1),
+            learned=self.learned.of_steps(order.tolist()),
+            labels=self.labels.of_steps(order.tolist()),
+            shows=(chosen[:, None] == transitions).all(axis=-1),
+            texts=tuple(domain.describe(transition) for transition in chosen),
+            right=np.full(len(chosen), -1),
+        )
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """Which of the two sentences of a fact somebody thinks is true; 1 is the right one.
+
+    Attributes:
+        facts: [J] those that have two sentences.
+        learned, labels: as :class:`CaseQuestions` has them, of all J.
+        texts, right: as :class:`~xplain.explanation.asking.Questions` has them.
+    """
+
+    facts: NDArray[np.int64]
+    learned: LabelTable
+    labels: LabelTable
+    texts: tuple[str, ...]
+    right: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, setting: Setting, wrong: NDArray[np.float64] | None, seed: int) -> Beliefs:
+        """Of a setting's facts.
+
+        Args:
+            setting: of the true types.
+            wrong: [N, n] P(a user of a learned type holds a fact wrong).
+            seed: of the run; it decides which sentence is shown first.
+
+        Raises:
+            InputError: nothing is known of what types hold wrong, or no fact has two sentences.
+        """
+        if wrong is None:
+            wanted = "clips; or types with fact sets, as labeler=true and labeler=hypotheses give"
+            raise InputError("ask", "beliefs", wanted)
+        parameters = setting.domain.parameters
+        facts = [j for j, one in enumerate(parameters) if one.message and one.belief]
+        if not facts:
+            raise InputError("ask", "beliefs", "clips: no fact of the domain has two sentences")
+        right = stream(seed, "ask", "order of sentences").integers(0, 2, len(facts))
+        texts = []
+        for j, first in zip(facts, right.tolist(), strict=True):
+            pair = (parameters[j].message, parameters[j].belief)
+            texts.append("\n".join(pair[::-1] if first else pair))
+        return cls(
+            np.array(facts),
+            _right(wrong, facts),
+            _right(setting.wrong, facts),
+            tuple(texts),
+            right,
+        )
+
+    def of_trace(self, steps: int) -> CaseQuestions:
+        """Those to choose from while a trace of so many steps is explained."""
+        count = len(self.facts)
+        none = np.full((count, 3), -1)
+        shows = np.zeros((count, steps), np.bool_)
+        return CaseQuestions(
+            none, self.facts, self.learned, self.labels, shows, self.texts, self.right
+        )
+
+
+def _right(wrong: NDArray[np.float64], facts: Sequence[int]) -> LabelTable:
+    """P(has fact j right | type, H) of these facts: 1 where j is in H."""
+    rows, tables = [], []
+    for own in wrong:
+        likely = [j for j in np.argsort(-own, kind="stable").tolist() if own[j] >= TOLD]
+        relevant = sorted(set(likely[:MOST_TOLD]) & set(facts))
+        told = subsets(relevant)
+        table = np.repeat(1 - own[list(facts), None], len(told), axis=1)
+        for q, j in enumerate(facts):
+            if j in relevant:
+                table[q, told >> j & 1 == 1] = 1
+        rows.append(relevant)
+        tables.append(table)
+    return LabelTable.joined_types(rows, tables)
+
+
+def merged(parts: Sequence[CaseQuestions], most: int) -> CaseQuestions | None:
+    """All of these, the nearest of each kind first and at most so many; None of none."""
+    if not parts:
+        return None
+    whole = parts[0]
+    for part in parts[1:]:
+        whole = CaseQuestions(
+            np.concatenate([whole.transitions, part.transitions]),
+            np.concatenate([whole.facts, part.facts]),
+            joined([whole.learned, part.learned]),
+            joined([whole.labels, part.labels]),
+            np.concatenate([whole.shows, part.shows]),
+            whole.texts + part.texts,
+            np.concatenate([whole.right, part.right]),
+        )
+    return whole.take(alike_first(whole.learned, most))
