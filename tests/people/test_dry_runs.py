@@ -6,6 +6,7 @@ import time
 import zipfile
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from tests.people.collect.stand_in import street_collection
 from tests.people.killing import RATE, survive
 from tests.people.kinds import KINDS, bot_of, site_of
 from tests.people.server_process import ServerProcess
-from tests.people.study.stand_in import street_study
+from tests.people.study.stand_in import CONFIG, FAULTLESS, street_study
 from xplain.cli.main import main
 from xplain.learning.saved_types import LearnedTypes
 from xplain.message_sets import names_of
@@ -89,6 +90,34 @@ def test_kill_9_loses_nothing_that_was_acknowledged(
         print(f"\n{kills} kills: {acknowledged} answers acknowledged, {stored} stored")
     assert least < acknowledged <= stored
     everything_replays(kind, path, capsys)
+
+
+def test_what_is_said_again_survives_kill_9_and_is_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """People who miss and forget; the analysis counts what the log has, in one condition alone."""
+    site = StudySite(street_study(belief=CONFIG["belief"] | {"accept": 0.8, "forget": "learned"}))
+    habits = replace(FAULTLESS, forgetting=0.4, losing=0.3)
+
+    def heedless(*seeds: int) -> Person:
+        return Person(site.plan, habits, np.random.default_rng(seeds))
+
+    path, out = tmp_path / "s.sqlite", tmp_path / "out"
+    Store(path, site).close()
+    acknowledged, stored = survive(path, site, "study", heedless, kills=3, people=6)
+    assert 60 < acknowledged <= stored
+    everything_replays("study", path, capsys)
+    main(["study", "export", str(path), str(out)])
+    people = pd.read_csv(out / "participants.csv").set_index("participant")
+    steps = pd.read_csv(out / "steps.csv").fillna({"given_before": "", "messages": ""})
+    said, before = (steps[c].str.split(";").map(set) for c in ("messages", "given_before"))
+    again = pd.Series([len((a & b) - {""}) for a, b in zip(said, before, strict=True)])
+    counted = again.groupby(steps["participant"]).sum()
+    assert (people["messages_again"] == counted.reindex(people.index)).all()
+    told = people.groupby("condition")["messages_again"].sum()
+    assert told["conformant"] == 0 < told["personalized"]
+    main(["study", "analyse", str(out), "--stream", "bot"])
+    assert "Messages said again" in capsys.readouterr().out.replace("\n", " ")
 
 
 def test_from_bots_to_types(

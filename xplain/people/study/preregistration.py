@@ -24,7 +24,8 @@ MEANING = {
     "inexplicable_transitions": "steps labelled as making no sense, in the labels at the last step",
     "quiz_score": "statements judged rightly in the last test",
     "visible_time_s": "the first measure less the time in which no page of the study was visible",
-    "messages_given": "messages that the robot sent",
+    "messages_given": "messages that the robot sent, each counted once",
+    "messages_again": "how often it said one of them again",
 }
 
 
@@ -81,6 +82,7 @@ def _measures(plan: StudyPlan) -> list[str]:
     rows = [
         f"- {title} (`{measure}`{', secondary' * (measure in SECONDARY)}): {MEANING[measure]}."
         for measure, title in {**MEASURES, **SECONDARY}.items()
+        if measure != "messages_again" or plan.problem.tracks_knowledge
     ]
     found = ["## Measures", "\n".join(rows)]
     for when, questions in (("Before the briefing", plan.before), ("After the quiz", plan.asked)):
