@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from xplain.errors import InputError, Range
 
 Assumed = float | Literal["learned"]
-"""A rate that all users share, or ``learned``: the rates that observers' answers tell, and where
-there were none a documented grid."""
+"""A rate that all users share, or ``learned``: the rates that people's answers tell, and where they
+tell nothing of it a documented grid."""
 MOST = 45
 """Habits on a grid, at most: tables and beliefs grow by so much."""
 
@@ -105,7 +105,8 @@ def habits_of(
 
     Args:
         error, accept, forget: the settings ``belief.error``, ``belief.accept``, ``belief.forget``.
-        learned: from observers' answers; UNKNOWN where there were none.
+        learned: from people's answers. UNKNOWN where there were none, or where everybody has the
+            paper's rate: answers to questions alone tell nothing of messages that do not land.
 
     Raises:
         InputError: neither ``learned`` nor a rate in its range.
@@ -115,7 +116,7 @@ def habits_of(
         check_assumed(key, assumed)
         if assumed != "learned":
             grids.append([(float(assumed), 1.0)])
-        elif learned is None:
+        elif learned is None or (getattr(learned, key) == getattr(PAPER, key)).all():
             grids.append(list(zip(*UNKNOWN[key], strict=True)))
         else:
             rates = getattr(learned, key)
