@@ -2,8 +2,8 @@
 
     python benchmarks/explainees.py errors     answers that are the opposite of what is thought
     python benchmarks/explainees.py learned    the same, with types and rates learned from answers
-    python benchmarks/explainees.py messages   messages that are not taken in, or forgotten
-    python benchmarks/explainees.py found      the same, with types learned from answers
+    python benchmarks/explainees.py found      messages that do not land, with types from answers
+    python benchmarks/explainees.py earlier    … with rates learned from people explained to before
     python benchmarks/explainees.py --quick    a smoke run
 
 True types and labels (but in "learned" and "found"), no discount, λ = 1, both of the paper's
@@ -16,28 +16,25 @@ from __future__ import annotations
 import argparse
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import product
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from questions import MAPS, domain_of
 
-import xplain
 from xplain.config import composed
 from xplain.evaluation.explainees import Exact, Explainee, Heedless, Person, Slips
 from xplain.evaluation.metrics import Record
 from xplain.evaluation.statistics import clustered_mean
-from xplain.experiment.explanations import Costs, evaluate
+from xplain.experiment.explanations import Costs, evaluate, problem_of_types
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, prepare
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
 from xplain.explanation.habits import PAPER, Assumed, Habits, habits_of
 from xplain.explanation.label_table import LabelTable
+from xplain.learning.listening import Explained, learned_habits
 from xplain.solvers.base import Solver
 from xplain.solvers.qmdp import QMDP
 
@@ -46,14 +43,6 @@ SEEDS = range(9300, 9312)
 FLOOR = 0.002
 """The least probability of an answer, where an explainer knows nothing of errors but that they
 are."""
-WAYS = {
-    "paper": ("believes that all messages land", "#D55E00", "s-"),
-    "told": ("knows how often they do not", "#009E73", "^--"),
-    "learned": ("weighs how often they do not", "#0072B2", "o-"),
-    "seen": ("sees type and knowledge", "#666666", "d:"),
-}
-"""Explainers of the picture: name, colour, line."""
-PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "again.png"
 
 
 @dataclass(frozen=True)
@@ -192,71 +181,6 @@ def learned(seeds: Iterable[int], traces: int) -> None:
             print(f"| {rate:.0%} | {' | '.join(cells)} |", flush=True)
 
 
-def messages(quick: bool) -> None:
-    """The table and the picture of messages that do not land, from ``sweeps=again``."""
-    few = ("seed=0,1", "traces=1", "explainee=heedless", "explainee.forget=0.03,0.15")
-    rows = xplain.sweep("sweeps=again", "tracking=none", *(few if quick else ())).frame()
-    rows["way"] = np.where(rows["belief"] == "told", "told", "paper")
-    rows.loc[rows["belief.accept"] == "learned", "way"] = "learned"
-    at = ["domain", "explainee.accept", "explainee.forget"]
-    costs = rows.pivot_table("cost", [*at, "seed"], "way")
-    costs["told"] = costs["told"].fillna(costs["paper"])  # where all land, both are one job
-    costs["seen"] = rows.groupby([*at, "seed"])["clairvoyant_cost"].first()
-    costs = costs.reset_index()
-    again = (
-        rows[rows["way"] == "told"].groupby(at)["messages_again"].agg(lambda n: n.fillna(0).mean())
-    )
-    print(
-        "| α, φ | as the paper | told | learned | type and knowledge seen | told / paper |", end=""
-    )
-    print(" learned / told | said again |\n|---|---|---|---|---|---|---|---|")
-    for domain in DOMAINS:
-        print(f"| **{domain.replace('_', ' ')}** |" + " |" * 7)
-        here = costs[costs["domain"] == domain]
-        pairs = sorted(zip(here[at[1]], here[at[2]], strict=True), key=lambda p: (-p[0], p[1]))
-        for accept, forget in dict.fromkeys(pairs):
-            own = here[(here[at[1]] == accept) & (here[at[2]] == forget)]
-            by = {way: own[way].tolist() for way in WAYS}
-            cells = [figure(by[way]) for way in WAYS]
-            cells += [ratio(by["told"], by["paper"]), ratio(by["learned"], by["told"])]
-            cells.append(f"{again.get((domain, accept, forget), 0.0):.2f}")
-            print(f"| {accept:g}, {forget:g} | {' | '.join(cells)} |", flush=True)
-    if not quick:
-        picture(costs).savefig(PICTURE, dpi=150)
-
-
-def picture(costs: pd.DataFrame) -> Figure:
-    """Cost against how many messages are missed, by how often facts are forgotten."""
-    lost = sorted(set(costs.loc[costs["explainee.accept"] == 1, "explainee.forget"]))
-    figure = Figure(figsize=(9.6, 6.2), layout="constrained")
-    axes = figure.subplots(len(DOMAINS), len(lost), sharex=True, sharey="row")
-    for (row, domain), (column, forget) in product(enumerate(DOMAINS), enumerate(lost)):
-        axis = axes[row, column]
-        here = (costs["domain"] == domain) & (costs["explainee.forget"] == forget)
-        for way, (name, colour, style) in WAYS.items():
-            points = {
-                100 * (1 - accept): clustered_mean(own[way], range(len(own)))
-                for accept, own in costs[here].groupby("explainee.accept")
-            }
-            x = np.array(list(points))
-            mean, low, high = np.array([astuple(found) for found in points.values()]).T
-            axis.plot(x, mean, style, color=colour, label=name, linewidth=2, markersize=6)
-            if way != "told":  # it would hide under the third
-                axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
-        axis.spines[["top", "right"]].set_visible(False)
-        if row == 0:
-            often = f"1 fact in {1 / forget:.0f} lost a step" if forget else "nothing is forgotten"
-            axis.set_title(often, fontsize=12)
-        axis.set_xticks([0, 10, 20], ["0 %", "10 %", "20 %"])
-    for row, domain in enumerate(DOMAINS):
-        axes[row, 0].set_ylim(bottom=0)  # of the whole row, once all of it is drawn
-        axes[row, 0].set_ylabel(f"{domain.replace('_', ' ')}:\ncost of an explanation", fontsize=12)
-    figure.supxlabel("messages that are missed", fontsize=12)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False, fontsize=11)
-    return figure
-
-
 def found(seeds: Iterable[int], traces: int) -> None:
     """The table of messages that do not land, with types from 20 chosen questions."""
     print("| α, φ | rates | true types | types found | found / true |\n|---|---|---|---|---|")
@@ -278,18 +202,64 @@ def found(seeds: Iterable[int], traces: int) -> None:
             print(f"| {accept:g}, {forget:g} | {way} | {cells} |", flush=True)
 
 
+def earlier(seeds: Iterable[int], traces: int) -> None:
+    """The table of rates learned from those who were explained to before: in the world of the seed
+    before, by an explainer who weighs the rates."""
+    print("| α, φ | told | weighed | learned from people before |", end="")
+    print(" weighed / told | learned / told | α, φ, error learned |\n|---|---|---|---|---|---|---|")
+    weighs = Independent(0.0, "learned", "learned")
+    for domain in DOMAINS:
+        print(f"| **{domain.replace('_', ' ')}** |" + " |" * 6)
+        costs: dict[tuple[float, float, str], list[float]] = defaultdict(list)
+        before: dict[tuple[float, float], Habits] = {}
+        for world in worlds(domain, [min(seeds) - 1, *seeds], traces):
+            problems = [
+                problem_of_types(world.prepared, case, world.costs, Independent())
+                for case in world.prepared.cases
+            ]
+            for accept, forget in ((1.0, 0.0), (0.8, 0.0), (1.0, 0.1), (0.8, 0.1)):
+                people = Heedless(accept, forget)
+                records = world.meets(people, weighs, QMDP())
+                if known := before.get((accept, forget)):
+                    knowing = world._replace(prepared=replace(world.prepared, habits=known))
+                    costs[accept, forget, "weighed"].append(cost(records))
+                    for way, own, belief in (
+                        ("told", world, Independent(0.0, accept, forget)),
+                        ("learned", knowing, weighs),
+                    ):
+                        costs[accept, forget, way].append(cost(own.meets(people, belief, QMDP())))
+                    for key in ("accept", "forget", "error"):
+                        mean = float(getattr(known, key) @ known.prior)
+                        costs[accept, forget, key].append(mean)
+                before[accept, forget] = learned_habits(
+                    [
+                        Explained(
+                            problems[one.trace],
+                            one.episode.messages.tolist(),
+                            [row[row >= 0].astype(np.uint8) for row in one.episode.labels],
+                        )
+                        for one in records
+                    ]
+                )
+        for accept, forget in before:
+            by = {key: costs[accept, forget, key] for key in ("told", "weighed", "learned")}
+            cells = [figure(own) for own in by.values()]
+            cells += [ratio(by[way], by["told"]) for way in ("weighed", "learned")]
+            means = (np.mean(costs[accept, forget, key]) for key in ("accept", "forget", "error"))
+            cells.append(", ".join(f"{mean:.3f}" for mean in means))
+            print(f"| {accept:g}, {forget:g} | {' | '.join(cells)} |", flush=True)
+
+
 def main() -> None:
     """Prints the table asked for, as Markdown."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", nargs="?", choices=("errors", "learned", "messages", "found"))
+    parser.add_argument("what", nargs="?", choices=("errors", "learned", "found", "earlier"))
     parser.add_argument("--quick", action="store_true", help="only that it runs")
     options = parser.parse_args()
     seeds, traces = (SEEDS[:2], 1) if options.quick else (SEEDS, 8)
-    for name, table in (("errors", errors), ("learned", learned), ("found", found)):
-        if options.quick or options.what == name:
+    for table in (errors, learned, found, earlier):
+        if options.quick or options.what == table.__name__:
             table(seeds, traces)
-    if options.quick or options.what == "messages":
-        messages(options.quick)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError
 from xplain.explanation.label_table import joined
+from xplain.learning.listening import Explained
 from xplain.message_sets import indices, mask_of, names_of
 from xplain.sessions.interaction import Interaction
 from xplain.sessions.planner import Planner
@@ -93,6 +94,12 @@ class Session:
         forget some."""
         *earlier, now = self._said or [0]
         return self._names(now & int(np.bitwise_or.reduce(np.array([0, *earlier]))))
+
+    @property
+    def explained(self) -> Explained:
+        """What was said and answered: what :func:`~xplain.learning.listening.learned_habits` learns
+        from, of one person."""
+        return Explained(self._talk.problem, tuple(self._said), tuple(self._answers))
 
     @property
     def belief(self) -> dict[str, float]:
