@@ -29,6 +29,12 @@ MEANING = {
 }
 
 
+AGAIN = (
+    "A policy that listens to the answers may say a message again that seems not to have landed; "
+    "the page marks it as said before."
+)
+
+
 def document(plan: StudyPlan) -> str:
     """Hypotheses, design, measures, exclusions, analysis and sample size, in Markdown."""
     return "\n\n".join(
@@ -70,6 +76,7 @@ def _design(plan: StudyPlan) -> list[str]:
         "assigned in permuted blocks of every cell once; participants are not told of types or "
         "conditions, and the researcher's page hides them.",
         "\n".join(solvers),
+        *([AGAIN] if plan.problem.tracks_knowledge else []),
         f"On this plan a faultless participant gets {difference(plan):.1f} messages more or fewer "
         "in one condition than in the other, on average over the types. Types:",
         "\n".join(types),
