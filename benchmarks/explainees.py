@@ -2,11 +2,13 @@
 
     python benchmarks/explainees.py errors     answers that are the opposite of what is thought
     python benchmarks/explainees.py learned    the same, with types and rates learned from answers
-    python benchmarks/explainees.py messages   messages that are not taken in, or forgotten
+    python benchmarks/explainees.py found      messages that do not land, with types from answers
+    python benchmarks/explainees.py earlier    … with rates learned from people explained to before
     python benchmarks/explainees.py --quick    a smoke run
 
-True types and labels (but in "learned"), no discount, λ = 1, both of the paper's domains; costs by
-what users truly think. Every row meets the same people, and differences are paired by seed.
+True types and labels (but in "learned" and "found"), no discount, λ = 1, both of the paper's
+domains; costs by what users truly think. Every row meets the same people, and differences are
+paired by seed.
 """
 
 from __future__ import annotations
@@ -15,23 +17,25 @@ import argparse
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from questions import MAPS, domain_of
 
 from xplain.config import composed
 from xplain.evaluation.explainees import Exact, Explainee, Heedless, Person, Slips
 from xplain.evaluation.metrics import Record
 from xplain.evaluation.statistics import clustered_mean
-from xplain.experiment.explanations import Costs, evaluate
+from xplain.experiment.explanations import Costs, evaluate, problem_of_types
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, prepare
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
 from xplain.explanation.habits import PAPER, Assumed, Habits, habits_of
 from xplain.explanation.label_table import LabelTable
+from xplain.learning.listening import Explained, learned_habits
 from xplain.solvers.base import Solver
-from xplain.solvers.known_type import KnownType
 from xplain.solvers.qmdp import QMDP
 
 DOMAINS = ("rescue", "four_rooms")
@@ -39,11 +43,6 @@ SEEDS = range(9300, 9312)
 FLOOR = 0.002
 """The least probability of an answer, where an explainer knows nothing of errors but that they
 are."""
-TABLE = (
-    *((1.0, 0.0), (0.9, 0.0), (0.8, 0.0), (1.0, 0.05), (1.0, 0.1), (0.8, 0.1)),
-    *((0.7, 0.03), (0.5, 0.15)),
-)
-"""α and φ; the last two are on no grid point of those who weigh them, the last is beyond them."""
 
 
 @dataclass(frozen=True)
@@ -72,13 +71,16 @@ class World(NamedTuple):
         return evaluate(self.prepared, self.costs, own, belief, explainee, self.seed)
 
 
-def worlds(domain: str, seeds: Iterable[int], traces: int, *overrides: str) -> Iterator[World]:
-    """True types and labels, or what the overrides say, by seed."""
+def worlds(name: str, seeds: Iterable[int], traces: int, *overrides: str) -> Iterator[World]:
+    """True types and labels, or what the overrides say, by seed; a domain, or a random map a
+    seed."""
     source = overrides or ("labeler=true", "clusterer=perfect")
+    domain = "rescue" if "rescue" in name else "four_rooms"
     for seed in seeds:
         fixed = (f"domain={domain}", "discount=1", f"traces={traces}", f"seed={seed}")
         cfg = composed("config", [*fixed, *source])
-        yield World(prepare(components_of(cfg)), costs_of(cfg), seed)
+        components = replace(components_of(cfg), domain=domain_of(name, seed))
+        yield World(prepare(components), costs_of(cfg), seed)
 
 
 def floored(world: World) -> World:
@@ -179,47 +181,84 @@ def learned(seeds: Iterable[int], traces: int) -> None:
             print(f"| {rate:.0%} | {' | '.join(cells)} |", flush=True)
 
 
-def messages(seeds: Iterable[int], traces: int) -> None:
-    """The table of messages that do not land."""
-    print(
-        "| α, φ | as the paper | told | learned | type and knowledge seen | told / paper |", end=""
-    )
-    print(" learned / told | said again |\n|---|---|---|---|---|---|---|---|")
+def found(seeds: Iterable[int], traces: int) -> None:
+    """The table of messages that do not land, with types from 20 chosen questions."""
+    print("| α, φ | rates | true types | types found | found / true |\n|---|---|---|---|---|")
+    asked = ("labeler=hypotheses", "queries=adaptive", "points=20", "observers.label_noise=0.05")
+    points, ways = ((0.8, 0.0), (0.8, 0.1)), ("told", "learned")
+    for name in MAPS:
+        print(f"| **{name.replace('_', ' ')}** |" + " |" * 4)
+        costs: dict[tuple[float, float, str, str], list[float]] = defaultdict(list)
+        for types, overrides in (("true", ()), ("found", asked)):
+            for world in worlds(name, seeds, traces, *overrides):
+                for (accept, forget), way in product(points, ways):
+                    rates: tuple[Assumed, Assumed] = (accept, forget)
+                    belief = Independent(0.0, *(rates if way == "told" else ("learned",) * 2))
+                    records = world.meets(Heedless(accept, forget), belief, QMDP())
+                    costs[accept, forget, way, types].append(cost(records))
+        for (accept, forget), way in product(points, ways):
+            true, own = (costs[accept, forget, way, types] for types in ("true", "found"))
+            cells = f"{figure(true)} | {figure(own)} | {ratio(own, true)}"
+            print(f"| {accept:g}, {forget:g} | {way} | {cells} |", flush=True)
+
+
+def earlier(seeds: Iterable[int], traces: int) -> None:
+    """The table of rates learned from those who were explained to before: in the world of the seed
+    before, by an explainer who weighs the rates."""
+    print("| α, φ | told | weighed | learned from people before |", end="")
+    print(" weighed / told | learned / told | α, φ, error learned |\n|---|---|---|---|---|---|---|")
+    weighs = Independent(0.0, "learned", "learned")
     for domain in DOMAINS:
-        print(f"| **{domain.replace('_', ' ')}** |" + " |" * 7)
-        found: dict[tuple[float, float, str], list[float]] = defaultdict(list)
-        for world in worlds(domain, seeds, traces):
-            for accept, forget in TABLE:
-                ways: dict[str, tuple[BeliefUpdate, Solver]] = {
-                    "paper": (Independent(), QMDP()),
-                    "told": (Independent(0.0, accept, forget), QMDP()),
-                    "learned": (Independent(0.0, "learned", "learned"), QMDP()),
-                    "seen": (Independent(), KnownType("labels")),
-                }
-                for way, (belief, solver) in ways.items():
-                    records = world.meets(Heedless(accept, forget), belief, solver)
-                    found[accept, forget, way].append(cost(records))
-                    if way == "told":
-                        again = float(np.mean([r.episode.n_again for r in records]))
-                        found[accept, forget, "again"].append(again)
-        names = ("paper", "told", "learned", "seen")
-        for accept, forget in TABLE:
-            own = {way: found[accept, forget, way] for way in (*names, "again")}
-            cells = [figure(own[way]) for way in names]
-            cells += [ratio(own["told"], own["paper"]), ratio(own["learned"], own["told"])]
-            cells.append(f"{np.mean(own['again']):.2f}")
+        print(f"| **{domain.replace('_', ' ')}** |" + " |" * 6)
+        costs: dict[tuple[float, float, str], list[float]] = defaultdict(list)
+        before: dict[tuple[float, float], Habits] = {}
+        for world in worlds(domain, [min(seeds) - 1, *seeds], traces):
+            problems = [
+                problem_of_types(world.prepared, case, world.costs, Independent())
+                for case in world.prepared.cases
+            ]
+            for accept, forget in ((1.0, 0.0), (0.8, 0.0), (1.0, 0.1), (0.8, 0.1)):
+                people = Heedless(accept, forget)
+                records = world.meets(people, weighs, QMDP())
+                if known := before.get((accept, forget)):
+                    knowing = world._replace(prepared=replace(world.prepared, habits=known))
+                    costs[accept, forget, "weighed"].append(cost(records))
+                    for way, own, belief in (
+                        ("told", world, Independent(0.0, accept, forget)),
+                        ("learned", knowing, weighs),
+                    ):
+                        costs[accept, forget, way].append(cost(own.meets(people, belief, QMDP())))
+                    for key in ("accept", "forget", "error"):
+                        mean = float(getattr(known, key) @ known.prior)
+                        costs[accept, forget, key].append(mean)
+                before[accept, forget] = learned_habits(
+                    [
+                        Explained(
+                            problems[one.trace],
+                            one.episode.messages.tolist(),
+                            [row[row >= 0].astype(np.uint8) for row in one.episode.labels],
+                        )
+                        for one in records
+                    ]
+                )
+        for accept, forget in before:
+            by = {key: costs[accept, forget, key] for key in ("told", "weighed", "learned")}
+            cells = [figure(own) for own in by.values()]
+            cells += [ratio(by[way], by["told"]) for way in ("weighed", "learned")]
+            means = (np.mean(costs[accept, forget, key]) for key in ("accept", "forget", "error"))
+            cells.append(", ".join(f"{mean:.3f}" for mean in means))
             print(f"| {accept:g}, {forget:g} | {' | '.join(cells)} |", flush=True)
 
 
 def main() -> None:
     """Prints the table asked for, as Markdown."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", nargs="?", choices=("errors", "learned", "messages"))
+    parser.add_argument("what", nargs="?", choices=("errors", "learned", "found", "earlier"))
     parser.add_argument("--quick", action="store_true", help="only that it runs")
     options = parser.parse_args()
     seeds, traces = (SEEDS[:2], 1) if options.quick else (SEEDS, 8)
-    for name, table in (("errors", errors), ("learned", learned), ("messages", messages)):
-        if options.quick or options.what == name:
+    for table in (errors, learned, found, earlier):
+        if options.quick or options.what == table.__name__:
             table(seeds, traces)
 
 

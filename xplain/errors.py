@@ -102,13 +102,14 @@ class Range:
         """
         fits = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
         if not fits or not math.isfinite(value) or not self._holds(value):  # type: ignore[arg-type]
-            raise InputError(key, value, self._allowed(whole))
+            raise InputError(key, value, self.allowed(whole))
 
     def _holds(self, value: float) -> bool:
         above = value > self.low or (value == self.low and self.ends[0] == "[")
         return above and (value < self.high or (value == self.high and self.ends[1] == "]"))
 
-    def _allowed(self, whole: bool) -> str:
+    def allowed(self, whole: bool = False) -> str:
+        """In words."""
         if self == Range():
             return "a finite number"
         kind = "a whole number" if whole else "a number"

@@ -6,12 +6,14 @@ import time
 import zipfile
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from hydra.utils import instantiate
 from sklearn.metrics import adjusted_rand_score
 
 from tests.conftest import Command
@@ -19,11 +21,14 @@ from tests.people.collect.stand_in import street_collection
 from tests.people.killing import RATE, survive
 from tests.people.kinds import KINDS, bot_of, site_of
 from tests.people.server_process import ServerProcess
-from tests.people.study.stand_in import street_study
+from tests.people.study.stand_in import CONFIG, FAULTLESS, street_study
+from tests.people.visitors import GENEROUS, Visitor
 from xplain.cli.main import main
+from xplain.config import composed
 from xplain.learning.saved_types import LearnedTypes
 from xplain.message_sets import names_of
 from xplain.people.collect.site import CollectSite
+from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.simulation.bots import Researcher
 from xplain.people.simulation.browser import Browser, Refusal, visit
@@ -89,6 +94,45 @@ def test_kill_9_loses_nothing_that_was_acknowledged(
         print(f"\n{kills} kills: {acknowledged} answers acknowledged, {stored} stored")
     assert least < acknowledged <= stored
     everything_replays(kind, path, capsys)
+
+
+def test_what_is_said_again_survives_kill_9_and_is_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """People who miss and forget; the analysis counts what the log has, in one condition alone."""
+    site = StudySite(street_study(belief=CONFIG["belief"] | {"accept": 0.8, "forget": "learned"}))
+    habits = replace(FAULTLESS, forgetting=0.4, losing=0.3)
+
+    def heedless(*seeds: int) -> Person:
+        return Person(site.plan, habits, np.random.default_rng(seeds))
+
+    path, out = tmp_path / "s.sqlite", tmp_path / "out"
+    Store(path, site).close()
+    acknowledged, stored = survive(path, site, "study", heedless, kills=3, people=6)
+    assert 30 < acknowledged <= stored
+    store = Store(path, site)
+    app = create_app(store, GENEROUS)
+    for number, token in enumerate(store.invite(24, "bot")):
+        assert visit(Visitor(app.test_client()), heedless(number), token) == "done"
+    store.close()
+    everything_replays("study", path, capsys)
+    main(["study", "export", str(path), str(out)])
+    people = pd.read_csv(out / "participants.csv").set_index("participant")
+    steps = pd.read_csv(out / "steps.csv").fillna({"given_before": "", "messages": ""})
+    said, before = (steps[c].str.split(";").map(set) for c in ("messages", "given_before"))
+    again = pd.Series([len((a & b) - {""}) for a, b in zip(said, before, strict=True)])
+    counted = again.groupby(steps["participant"]).sum()
+    assert (people["messages_again"] == counted.reindex(people.index)).all()
+    told = people.groupby("condition")["messages_again"].sum()
+    assert told["conformant"] == 0 < told["personalized"]
+    main(["study", "habits", str(path), "--stream", "bot"])
+    said_so = capsys.readouterr().out.splitlines()
+    learned = [line.split()[0] for line in said_so if line.startswith("belief.")]
+    taken = instantiate(composed("study", learned).belief).habits()
+    assert 0.4 < taken.accept @ taken.prior < 0.85
+    assert taken.forget @ taken.prior > 0.02
+    main(["study", "analyse", str(out), "--stream", "bot"])
+    assert "Messages said again" in capsys.readouterr().out.replace("\n", " ")
 
 
 def test_from_bots_to_types(

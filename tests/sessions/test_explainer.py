@@ -3,7 +3,7 @@
 import json
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from xplain.evaluation.episode import explain
 from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import DENSE, LabelTable, joined
+from xplain.learning.listening import learned_habits
 from xplain.message_sets import mask_of
 from xplain.solvers.known_type import Conformant, KnownType
 from xplain.solvers.lookahead import Lookahead
@@ -449,6 +450,30 @@ def test_a_message_that_was_not_taken_in_is_said_again():
     assert session.cost == 3  # twice the message, and a label
     session.observe([1, 1])
     assert (session.messages(), session.again, session.said) == ((), (), ("fuel",))
+
+
+def test_what_people_are_like_is_learned_from_sessions_and_used_by_the_next():
+    """Messages are missed half of the time: then they are said again sooner, and to others too."""
+    table = np.zeros((1, 6, 2))
+    table[..., 1] = 1
+    types = GivenTypes(np.clip(table, 0.02, 0.98), ("fuel",), ("novice",))
+    weighs = Independent(0.0, "learned", "learned")
+    missed, took_in = [], []
+    for people, first in ((missed, 0), (took_in, 1)):
+        for _ in range(8):
+            session = Explainer(types, belief_update=weighs).session(range(6))
+            while not session.finished:
+                session.messages()
+                session.observe([first if session.shown == 1 else 1] * session.shown)
+            people.append(session)
+    rates = []
+    for people in (missed, took_in):
+        found = learned_habits([one.explained for one in people])
+        own = replace(types, habits=found)
+        belief = Explainer(own, belief_update=weighs).session(range(6)).explained.problem.habits
+        assert belief.accept @ belief.prior == pytest.approx(found.accept @ found.prior)
+        rates.append(found.accept @ found.prior)
+    assert rates[0] < 0.75 < 0.9 < rates[1]
 
 
 @pytest.mark.parametrize("solver", [QHR(), Lookahead()])

@@ -17,7 +17,7 @@ from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers import knowing
 from xplain.solvers.base import asking
-from xplain.solvers.certified_knowing import CertifiedKnowing
+from xplain.solvers.hsvi.knowing import CertifiedKnowing
 from xplain.solvers.hsvi.solver import Certified
 from xplain.solvers.knowing import Knowing, expected_loss, make_knowing
 from xplain.solvers.pomcp.solver import POMCP

@@ -42,5 +42,6 @@ COMMANDS = {
     "study erase": Command("study:erase", "forget a participant"),
     "study preregister": Command("study:preregister", "a document of the plan, to register"),
     "study analyse": Command("study:analyse", "the paper's Table 2 of its data"),
+    "study habits": Command("study:habits", "how its participants listened and answered"),
     "study power": Command("study:power", "how many participants it needs"),
 }

@@ -89,6 +89,29 @@ def preregister(arguments: list[str]) -> None:
     print(f"preregistration in {given.out}")
 
 
+def habits(arguments: list[str]) -> None:
+    """How participants listened and answered, learned from the log of a study: how often they err,
+    take a message in and forget, as keys for the next study or an experiment.
+
+        xplain study habits DATABASE [--stream person]
+
+    The database is one that no server has open (or a snapshot); ``--stream`` is person, pilot or
+    bot. Messages that are said again tell most: with belief.accept and belief.forget.
+    """
+    given = parsed("xplain study habits", arguments, "database", stream="person")
+    from xplain.learning.listening import learned_habits
+    from xplain.people.study.listening import explained_in
+
+    explained = explained_in(given.database, given.stream)
+    found = learned_habits(explained)
+    print(f"{len(explained)} participants: rates, and how many people have them")
+    for key in ("error", "accept", "forget"):
+        shares = found.shares(key)
+        mean = sum(rate * share for rate, share in shares.items())
+        written = ",".join(f"{rate:g}:{share:.3f}" for rate, share in shares.items())
+        print(f"belief.{key}={{{written}}}   mean {mean:.3f}")
+
+
 def analyse(arguments: list[str]) -> None:
     """The paper's Table 2 from an export of the study, with plots.
 

@@ -8,6 +8,7 @@ user type, on a small grid. Costs depend on what a user thinks, evidence on what
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -18,9 +19,9 @@ from numpy.typing import NDArray
 
 from xplain.errors import InputError, Range
 
-Assumed = float | Literal["learned"]
-"""A rate that all users share, or ``learned``: the rates that observers' answers tell, and where
-there were none a documented grid."""
+Assumed = float | Mapping[float, float] | Literal["learned"]
+"""A rate that all users share; rates with their shares among users; or ``learned``: the rates that
+people's answers tell, and where they tell nothing of it a documented grid."""
 MOST = 45
 """Habits on a grid, at most: tables and beliefs grow by so much."""
 
@@ -77,6 +78,11 @@ class Habits:
         knows."""
         return bool((self.accept == 1).all()) and not self.forget.any()
 
+    def shares(self, key: str) -> dict[float, float]:
+        """How likely each rate of a kind (``error``, ``accept``, ``forget``) is, ascending."""
+        rates = getattr(self, key)
+        return {rate: float(self.prior[rates == rate].sum()) for rate in np.unique(rates).tolist()}
+
     def answered(self, meant: NDArray[np.float64]) -> NDArray[np.float64]:
         """P(answer is 1) of a table [..., N] of what answers would be without errors: [..., N F],
         the habits side by side within a type."""
@@ -105,7 +111,8 @@ def habits_of(
 
     Args:
         error, accept, forget: the settings ``belief.error``, ``belief.accept``, ``belief.forget``.
-        learned: from observers' answers; UNKNOWN where there were none.
+        learned: from people's answers. UNKNOWN where there were none, or where everybody has the
+            paper's rate: answers to questions alone tell nothing of messages that do not land.
 
     Raises:
         InputError: neither ``learned`` nor a rate in its range.
@@ -113,15 +120,15 @@ def habits_of(
     grids = []
     for key, assumed in (("error", error), ("accept", accept), ("forget", forget)):
         check_assumed(key, assumed)
-        if assumed != "learned":
+        if isinstance(assumed, Mapping):
+            whole = sum(assumed.values())
+            grids.append([(float(rate), share / whole) for rate, share in assumed.items()])
+        elif assumed != "learned":
             grids.append([(float(assumed), 1.0)])
-        elif learned is None:
+        elif learned is None or (getattr(learned, key) == getattr(PAPER, key)).all():
             grids.append(list(zip(*UNKNOWN[key], strict=True)))
         else:
-            rates = getattr(learned, key)
-            grids.append(
-                [(r, float(learned.prior[rates == r].sum())) for r in np.unique(rates).tolist()]
-            )
+            grids.append(list(learned.shares(key).items()))
     ways = list(product(*grids))
     e, a, f = np.array([[rate for rate, _ in way] for way in ways]).T
     prior = np.array([[share for _, share in way] for way in ways]).prod(axis=1)
@@ -129,10 +136,16 @@ def habits_of(
 
 
 def check_assumed(key: str, assumed: Assumed) -> None:
-    """Raises InputError: neither ``learned`` nor a rate in its range."""
+    """Raises InputError: neither ``learned`` nor rates in their range."""
     if assumed == "learned":
         return
     try:
-        RANGES[key].check(f"belief.{key}", assumed)
-    except InputError as error:
-        raise InputError(error.key, error.value, f"{error.allowed}, or learned") from None
+        if not isinstance(assumed, Mapping):
+            return RANGES[key].check(f"belief.{key}", assumed)
+        for rate, share in assumed.items():
+            RANGES[key].check(f"belief.{key}", float(rate))  # a text in a plan, which is JSON
+            Range(0).check(f"belief.{key}", share)
+        Range(0, ends="()").check(f"belief.{key}", sum(assumed.values()))
+    except (InputError, ValueError):
+        wanted = f"{RANGES[key].allowed()}, learned, or {{rate: share, …}} of such rates"
+        raise InputError(f"belief.{key}", assumed, wanted) from None

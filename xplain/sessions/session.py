@@ -13,6 +13,7 @@ from xplain.errors import InputError, one_of
 from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.explanation.problem import Problem
+from xplain.learning.listening import Explained
 from xplain.message_sets import indices, mask_of, names_of
 from xplain.sessions.interaction import Interaction
 from xplain.sessions.moves import Candidate, Move, Say, Show, Why, plain, questions_of
@@ -79,6 +80,12 @@ class Session:
         forget some."""
         *earlier, now = self._said or [0]
         return self._names(now & int(np.bitwise_or.reduce(np.array([0, *earlier]))))
+
+    @property
+    def explained(self) -> Explained:
+        """What was said and answered: what :func:`~xplain.learning.listening.learned_habits` learns
+        from, of one person."""
+        return Explained(self._talk.problem, tuple(self._said), tuple(self._answers))
 
     @property
     def belief(self) -> dict[str, float]:

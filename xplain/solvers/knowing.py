@@ -17,7 +17,7 @@ from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, lean_kernel
 from xplain.solvers.count_lattice import copy
 from xplain.solvers.inquiry import Inquiry, hear_answer, make_inquiry, open_questions
-from xplain.solvers.pomcp.random_words import next_uniform
+from xplain.solvers.random_words import next_uniform
 from xplain.solvers.reminding import Reminding
 
 ROUNDING = 1e-12

@@ -44,6 +44,22 @@ def test_earlier_labels_stay_and_only_the_new_one_is_needed(
     assert labels == [{"labels": "[0, 1]"}]
 
 
+def test_a_message_is_said_again_in_words_that_blame_nobody(tmp_path: Path) -> None:
+    """Marked as said before, in its own place: a page never says a message twice."""
+    belief = {"_target_": "xplain.explanation.belief.Independent", "accept": 0.8, "forget": 0.1}
+    store = Store(tmp_path / "s.sqlite", StudySite(study_of(street_plan(belief=belief))))
+    client = create_app(store, GENEROUS)
+    habits, marked = replace(FAULTLESS, forgetting=0.5, losing=0.5), []
+    for number, token in enumerate(store.invite(18, "bot")):
+        someone = Person(store.site.plan, habits, np.random.default_rng(number))
+        for html, page in pages(Visitor(client.test_client()), someone, token):
+            assert len(set(page.messages)) == len(page.messages)
+            marked += re.findall(r'<span class="tag">As said before:</span> (.*?)</div>', html)
+    again = store.query("SELECT given & messages AS mask FROM step")
+    assert len(marked) == sum(int(row["mask"]).bit_count() for row in again) > 0
+    store.close()
+
+
 def test_pages_have_no_inline_script_or_style_and_load_nothing_from_elsewhere(
     store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
 ) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.domains.configs import setting_of
-from tests.people.study.stand_in import FAULTLESS, TYPES, Street, street_plan
+from tests.people.study.stand_in import CONFIG, FAULTLESS, TYPES, Street, street_plan
 from tests.people.visitors import GENEROUS, Visitor
 from xplain.config import composed
 from xplain.domains.base import cell_name
@@ -202,10 +202,13 @@ def test_each_study_draws_a_seed_of_its_own() -> None:
 
 
 def test_people_are_taken_to_err_as_the_belief_says() -> None:
-    """The plan that comes back from its text has them; what a study cannot do it says."""
+    """The plan that comes back from its text has them; what a solver cannot do it says."""
     belief = {"_target_": "xplain.explanation.belief.Persistent", "error": 0.1}
     problem = street_plan(belief=belief).problem
     assert problem.habits.error.tolist() == [0.1]
     assert np.allclose(problem.table.answers, 0.9 * problem.table.p + 0.1 * (1 - problem.table.p))
-    with pytest.raises(InputError, match="1 and 0 in a study"):
-        street_plan(belief=belief | {"forget": 0.1})
+    forgetful = {"belief": belief | {"forget": 0.1}}
+    assert street_plan(**forgetful).problem.forget.tolist() == [0.1] * len(TYPES)
+    other = {"personalized": {"_target_": "xplain.solvers.qhr.QHR"}}
+    with pytest.raises(InputError, match=r"belief\.accept, belief\.forget"):
+        street_plan(**forgetful, conditions=CONFIG["conditions"] | other)

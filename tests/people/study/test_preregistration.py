@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.people.study.stand_in import street_plan, street_study
+from tests.people.study.stand_in import CONFIG, street_plan, street_study
 from xplain.cli.main import main
 from xplain.people.server.store import Store
 from xplain.people.study.preregistration import document
@@ -17,7 +17,8 @@ CHECK = {"name": "blue", "label": "Choose blue", "kind": "choice", "choices": ["
 
 
 def test_the_document_says_what_the_plan_does() -> None:
-    plan = street_plan(rules=RULES, before=[CHECK | {"right": "blue"}])
+    belief = CONFIG["belief"] | {"accept": 0.8}
+    plan = street_plan(rules=RULES, before=[CHECK | {"right": "blue"}], belief=belief)
     text = document(plan)
     for part in (
         plan.hash,
@@ -30,6 +31,8 @@ def test_the_document_says_what_the_plan_does() -> None:
         "After the quiz: “Your age” (number, `age`); “Anything else?” (text, `comment`).",
         "QMDP",
         "Conformant",
+        "may say a message again",
+        "(`messages_again`, secondary)",
         "Holm",
         *plan.trace,
         *(role.name for role in plan.roles),
@@ -39,6 +42,8 @@ def test_the_document_says_what_the_plan_does() -> None:
     plain = document(street_plan())
     assert "pixels" not in plain
     assert "answered otherwise" not in plain
+    assert "message again" not in plain
+    assert "messages_again" not in plain
 
 
 def test_the_paper_s_power_is_that_of_the_published_effects() -> None:

@@ -31,6 +31,7 @@ class Page:
     Attributes:
         stage: of the flow; "" on other pages.
         facts, messages: the sentences on the page.
+        new: the messages that are said on this page, for the first time or again.
         fields: radio buttons and checkboxes by name, each its (value, words beside it).
         steps: which transitions a clip shows.
         hidden: the hidden fields of the form that goes on.
@@ -40,6 +41,7 @@ class Page:
     stage: str
     facts: Sequence[str] = ()
     messages: Sequence[str] = ()
+    new: Sequence[str] = ()
     fields: Mapping[str, Sequence[tuple[Any, str]]] = field(default_factory=dict)
     steps: Sequence[int] = ()
     hidden: Mapping[str, str] = field(default_factory=dict)
@@ -57,10 +59,12 @@ class Page:
             one.get("name"): one.get("value") or WIDTH.get(one.get("name"), "")
             for one in tree.xpath(f"//input[@type='hidden']{_LEAVING}")
         }
+        message = _of_class("div", "message")
         return cls(
             stage=tree.find("body").get("data-stage", ""),
             facts=[_text(one) for one in tree.xpath(_of_class("ul", "facts") + "/li")],
-            messages=[_text(one) for one in tree.xpath(_of_class("div", "message"))],
+            messages=[_text(one) for one in tree.xpath(message)],
+            new=[_text(one) for one in tree.xpath(message) if "new" in one.get("class").split()],
             fields=fields,
             steps=[int(step) for step in tree.xpath("//li/@data-step") if step],
             hidden=hidden,
@@ -70,8 +74,9 @@ class Page:
     @classmethod
     def of_view(cls, view: Mapping[str, Any]) -> Page:
         """As a flow has it, without a server."""
-        told, steps = view.get("told", ()), view.get("transitions", ())
-        return cls(view["stage"], view.get("briefing", ()), told, view.get("fields", {}), steps)
+        facts, told, new = (view.get(key, ()) for key in ("briefing", "told", "new"))
+        steps = view.get("transitions", ())
+        return cls(view["stage"], facts, told, new, view.get("fields", {}), steps)
 
 
 def _text(element: Any) -> str:

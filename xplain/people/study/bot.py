@@ -26,9 +26,10 @@ class Habits(bots.Habits):
 
     Attributes:
         label_noise: probability that a fresh judgement of a step is the wrong way round.
-        forgetting: probability that a message is not taken in.
+        forgetting: probability that a message is not taken in when it is said.
         overload: added to it for each other message on the page that was told before or at once.
         fading: probability that a fact that was taken in is gone at the quiz.
+        losing: probability that it is gone after a step, each step anew.
         page_seconds: to take in an evaluation page and press the button.
         message_seconds: to read a message; half as long for a known one.
         label_seconds: to judge a step; a tenth of it for a step that needs no new judgement.
@@ -39,6 +40,7 @@ class Habits(bots.Habits):
     forgetting: float = 0.05
     overload: float = 0.03
     fading: float = 0.1
+    losing: float = 0.0
     page_seconds: float = 4.0
     message_seconds: float = 5.0
     label_seconds: float = 4.0
@@ -53,7 +55,6 @@ class Person(bots.Bot[StudyPlan, Habits]):
         self.user_type = int(rng.integers(len(plan.kinds))) if plan.kinds else 0
         self.known = 0
         self.seconds = 0.0
-        self._heard: set[str] = set()
         self._judged: int | None = None
         self._labels: list[int] = []
         self._pace = self._spread()
@@ -85,16 +86,14 @@ class Person(bots.Bot[StudyPlan, Habits]):
 
     def at_evaluation(self, page: Page) -> tuple[Fields, float]:
         """A label a step."""
-        labels, seconds = self.labels(len(page.fields), page.messages)
+        labels, seconds = self.labels(len(page.fields), len(page.messages), page.new)
         self.seconds += seconds
         return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], seconds
 
     def at_quiz(self, page: Page) -> Fields:
         """The statements that they hold true."""
         wrong = self.plan.wrong[self.user_type]
-        for j in indices(self.known):
-            if j in wrong and self.chance(self.habits.fading):
-                self.known &= ~(1 << j)
+        self._lose(self.habits.fading)
         true = {
             fact.belief if j in wrong and not self.known >> j & 1 else fact.message
             for j, fact in enumerate(self.plan.facts)
@@ -105,16 +104,22 @@ class Person(bots.Bot[StudyPlan, Habits]):
             if (sentence in true) ^ self.chance(self.habits.label_noise)
         ]
 
-    def labels(self, count: int, messages: Sequence[str]) -> tuple[list[int], float]:
-        """Labels of the first ``count`` steps with these messages on the page, and the seconds
-        that it took."""
-        habits, new = self.habits, [m for m in messages if m not in self._heard]
+    def _lose(self, probability: float) -> None:
+        """Each fact that was taken in, of those that they held wrong."""
+        wrong = self.plan.wrong[self.user_type]
+        for j in indices(self.known):
+            if j in wrong and self.chance(probability):
+                self.known &= ~(1 << j)
+
+    def labels(self, count: int, messages: int, new: Sequence[str]) -> tuple[list[int], float]:
+        """Labels of the first ``count`` steps with so many messages on the page, of which these are
+        said now, and the seconds that it took."""
+        habits = self.habits
         for sentence in new:
-            others = len(messages) - 1
+            others = messages - 1
             if not self.chance(min(1.0, habits.forgetting + habits.overload * others)):
                 j = [fact.message for fact in self.plan.facts].index(sentence)
                 self.known |= 1 << j
-            self._heard.add(sentence)
         fresh = range(count) if self.known != self._judged else range(len(self._labels), count)
         truth = self.plan.true_labels[self.user_type, :, self.known]
         kept = self._labels
@@ -125,11 +130,13 @@ class Person(bots.Bot[StudyPlan, Habits]):
         self._judged = self.known
         seconds = habits.page_seconds * self._spread()
         seconds += habits.message_seconds * (
-            sum(self._spread() for _ in new) + (len(messages) - len(new)) / 2 * 0.1
+            sum(self._spread() for _ in new) + (messages - len(new)) / 2 * 0.1
         )
         seconds += habits.label_seconds * sum(
             self._spread() if i in fresh else 0.1 for i in range(count)
         )
+        if habits.losing:  # nobody who loses nothing draws for it
+            self._lose(habits.losing)
         return list(self._labels), seconds * self._pace
 
 

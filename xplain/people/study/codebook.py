@@ -11,7 +11,9 @@ CODEBOOK = {
         "eligibility_attempts": "eligibility tests taken",
         "eligible": "1 if the test was passed",
         "steps_labelled": "steps of the trace with a label",
-        "messages_given": "messages that the robot gave (of the policy, until the last step)",
+        "messages_given": "messages that the robot gave (of the policy, until the last step), each "
+        "counted once",
+        "messages_again": "how often it said one of them again; empty where it never would",
         "inexplicable_transitions": "labels 'makes no sense' at the last step, 0 … m; paper: "
         "measure 2",
         "quiz_score": "statements judged correctly, 0 … 4; paper: measure 3",
@@ -36,7 +38,8 @@ CODEBOOK = {
         "k": "step of the evaluation, 0 … m − 1",
         "transition": "what the robot did, as shown",
         "given_before": "messages on the page before this step, joined by ;",
-        "messages": "messages that were new at this step, joined by ;",
+        "messages": "messages that were said at this step, for the first time or again, joined by "
+        ";",
         "belief_before": "probability of each user type (JSON list), before the step",
         "belief_after": "the same after the labels of the step",
         "action_values": "the policy's value of each next message set (JSON, bitmask: value; "

@@ -40,11 +40,11 @@ class State(core.State):
         attempts: eligibility tests taken.
         step: k of the evaluation.
         given: bitmask of the messages on the page, the new ones among them.
-        new: bitmask of the messages that are new at this step.
+        new: bitmask of the messages that are said at this step.
         previous: bitmask of the messages at the step before; None at the first.
-        belief: [N].
+        belief: over what is hidden.
         labels: of the transitions 0 … k − 1, as answered last.
-        heard: the messages given, by number, in the order of their arrival.
+        heard: the messages said, by number, in the order of their arrival; again where said again.
         score: of the quiz.
     """
 
@@ -68,6 +68,11 @@ class State(core.State):
         """The user type, in the stages after consent: each of them has a slot."""
         assert self.user_type is not None, f"no slot at {self.stage}"
         return self.user_type
+
+    @property
+    def again(self) -> int:
+        """How often a message was said that had been said before."""
+        return len(self.heard) - self.given.bit_count()
 
 
 Outcome = core.Outcome[State]
@@ -159,14 +164,17 @@ class Evaluation(Stage["Study", State]):
 
     def enter(self, flow: Study, state: State) -> Outcome:
         """The first step."""
-        belief = tuple(flow.plan.problem.prior.tolist())
+        belief = tuple(flow.plan.problem.start.tolist())
         return self._decide(flow, replace(state, wrong=False, belief=belief), None)
 
     def view(self, flow: Study, state: State) -> dict[str, Any]:
-        """The steps so far, the labels, the old messages and the new ones."""
+        """The steps so far, the labels, the old messages and the new ones, each where it was said
+        last; ``again`` are those of the new ones that had been said before."""
         plan, messages = flow.plan, [fact.message for fact in flow.plan.facts]
-        old = [messages[j] for j in state.heard if not state.new >> j & 1]
-        new = [messages[j] for j in state.heard if state.new >> j & 1]
+        last = [*dict.fromkeys(reversed(state.heard))][::-1]
+        old = [messages[j] for j in last if not state.new >> j & 1]
+        new = [messages[j] for j in last if state.new >> j & 1]
+        again = [messages[j] for j in last if state.new >> j & 1 and state.heard.count(j) > 1]
         return {
             "briefing": flow.role(state).briefing,
             "step": state.step,
@@ -177,6 +185,7 @@ class Evaluation(Stage["Study", State]):
             "recall": plan.rules.recall,
             "old": old,
             "new": new,
+            "again": again,
             "told": old + new,
             "fields": {f"label_{i}": [] for i in range(state.step + 1)},
         }
@@ -196,10 +205,12 @@ class Evaluation(Stage["Study", State]):
         """To the next step, or on from the last one."""
         count = [2] * (state.step + 1)
         chosen = choices(payload.get("labels"), count, flow.words["label_missing"])
-        evidence = flow.belief.evidence(state.given, state.previous, len(chosen))
+        problem, before = flow.plan.problem, np.array(state.belief)
+        # Who was told something, or may have forgotten something, is asked something new.
+        previous = None if state.new or problem.habits.forget.any() else state.previous
+        evidence = flow.belief.evidence(state.given, previous, len(chosen))
         labels = np.array(chosen, dtype=np.uint8)
-        before = np.array(state.belief)
-        after = beliefs.update(flow.plan.problem, before, state.given, labels, evidence)
+        after = beliefs.update(problem, before, state.given, labels, evidence)
         belief = tuple(after.tolist())
         answer = Answer(state.step, chosen, self._of_types(flow, belief))
         state = replace(state, labels=chosen, belief=belief, previous=state.given)
@@ -208,7 +219,7 @@ class Evaluation(Stage["Study", State]):
         return self._decide(flow, replace(state, step=state.step + 1), answer)
 
     def _of_types(self, flow: Study, belief: Sequence[float]) -> tuple[float, ...]:
-        """What is logged: over user types, whatever error rates go with them."""
+        """What is logged: over user types, whatever habits and knowledge go with them."""
         return tuple(flow.plan.problem.type_belief(np.array(belief)).tolist())
 
     def _decide(self, flow: Study, state: State, answer: Answer | None) -> Outcome:
@@ -217,10 +228,14 @@ class Evaluation(Stage["Study", State]):
         new = int(policy.messages(state.step, state.given, belief))
         values = policy.values(state.step, state.given, belief)
         shown = {str(int(mask)): float(value) for mask, value in values.items()}
-        told = self._of_types(flow, state.belief)
-        decision = Decision(state.step, told, state.given, new, shown)
-        heard = (*state.heard, *indices(new & ~state.given))
-        outcome = state.to(stage=self.name, given=state.given | new, new=new, heard=heard)
+        decision = Decision(state.step, self._of_types(flow, state.belief), state.given, new, shown)
+        outcome = state.to(
+            stage=self.name,
+            given=state.given | new,
+            new=new,
+            heard=(*state.heard, *indices(new)),
+            belief=tuple(beliefs.told(flow.plan.problem, belief, new).tolist()),
+        )
         return replace(outcome, decision=decision, answer=answer)
 
 

@@ -126,8 +126,6 @@ def drafted(
     shares = np.full(len(names), 1 / len(names)) if learned is None else learned.shares
     facts, known = facts_of(parameters), tuple(Known(**one) for one in wording["known"])
     habits = instantiate(config["belief"]).habits(learned and learned.habits)
-    if not habits.take_all_in:
-        raise InputError("belief.accept, belief.forget", "set", "1 and 0 in a study")
     roles = content.roles_of(parameters, types, seen.labels, wording)
     ahead = seen.ahead
     if ahead:

@@ -24,8 +24,15 @@ MEANING = {
     "inexplicable_transitions": "steps labelled as making no sense, in the labels at the last step",
     "quiz_score": "statements judged rightly in the last test",
     "visible_time_s": "the first measure less the time in which no page of the study was visible",
-    "messages_given": "messages that the robot sent",
+    "messages_given": "messages that the robot sent, each counted once",
+    "messages_again": "how often it said one of them again",
 }
+
+
+AGAIN = (
+    "A policy that listens to the answers may say a message again that seems not to have landed; "
+    "the page marks it as said before."
+)
 
 
 def document(plan: StudyPlan) -> str:
@@ -69,6 +76,7 @@ def _design(plan: StudyPlan) -> list[str]:
         "assigned in permuted blocks of every cell once; participants are not told of types or "
         "conditions, and the researcher's page hides them.",
         "\n".join(solvers),
+        *([AGAIN] if plan.problem.tracks_knowledge else []),
         f"On this plan a faultless participant gets {difference(plan):.1f} messages more or fewer "
         "in one condition than in the other, on average over the types. Types:",
         "\n".join(types),
@@ -81,6 +89,7 @@ def _measures(plan: StudyPlan) -> list[str]:
     rows = [
         f"- {title} (`{measure}`{', secondary' * (measure in SECONDARY)}): {MEANING[measure]}."
         for measure, title in {**MEASURES, **SECONDARY}.items()
+        if measure != "messages_again" or plan.problem.tracks_knowledge
     ]
     found = ["## Measures", "\n".join(rows)]
     for when, questions in (("Before the briefing", plan.before), ("After the quiz", plan.asked)):

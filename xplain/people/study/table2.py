@@ -30,8 +30,10 @@ MEASURES = {
 SECONDARY = {
     "visible_time_s": "Interaction time while visible (s)",
     "messages_given": "Messages",
+    "messages_again": "Messages said again",
 }
-NEEDED = ("participant", "stream", "stage", "type", "condition", "eligible", *MEASURES, *SECONDARY)
+"""Shown where they are known of everybody."""
+NEEDED = ("participant", "stream", "stage", "type", "condition", "eligible", *MEASURES)
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,7 @@ def analyse(
         raise InputError(
             "data", counts, f"at least 2 completed participants (stream {stream}) a condition"
         )
-    told = [m for m in SECONDARY if kept[m].notna().all()]
+    told = [m for m in SECONDARY if m in kept and kept[m].notna().all()]
     found = {m: _compare(kept, m, seed) for m in (*MEASURES, *told)}
     adjusted = dict(zip(MEASURES, holm([found[m].student.p for m in MEASURES]), strict=True))
     rows = [

@@ -79,6 +79,7 @@ def _participant(plan: StudyPlan, one: Participant) -> Row:
         "eligible": int(bool(state.belief)),
         "steps_labelled": len(state.labels),
         "messages_given": state.given.bit_count(),
+        "messages_again": state.again if plan.problem.tracks_knowledge else None,
         "inexplicable_transitions": state.labels.count(0) if finished else None,
         "quiz_score": state.score,
         "interaction_time_s": took.seconds if finished else None,

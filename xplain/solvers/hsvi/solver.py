@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from xplain.errors import InputError
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy, best_question
-from xplain.solvers.certified_knowing import Bounded, CertifiedKnowing
 from xplain.solvers.hsvi.explore import Effort, Found, explore
 from xplain.solvers.hsvi.initial_bounds import Tables, make_tables, table_bytes
+from xplain.solvers.hsvi.knowing import Bounded, CertifiedKnowing
 from xplain.solvers.hsvi.search import Start
 from xplain.solvers.hsvi.tree import NODES
 from xplain.solvers.inquiry import words_of

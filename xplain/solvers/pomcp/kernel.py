@@ -14,7 +14,6 @@ from xplain.numba_kernels import inlined, lean_kernel
 from xplain.solvers.bits import count_bits, nth_bit
 from xplain.solvers.inquiry import answer_probability, hear_answer
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
-from xplain.solvers.pomcp.random_words import GOLDEN, next_below, next_uniform, splitmix64
 from xplain.solvers.pomcp.rollout import (
     RANDOM,
     SILENT,
@@ -34,6 +33,7 @@ from xplain.solvers.pomcp.tree import (
     open_,
     questions_at,
 )
+from xplain.solvers.random_words import GOLDEN, next_below, next_uniform, splitmix64
 
 MEAN, MAX = 0, 1
 

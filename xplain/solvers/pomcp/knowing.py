@@ -18,7 +18,6 @@ from xplain.solvers.count_lattice import copy
 from xplain.solvers.inquiry import answer_probability, hear_answer
 from xplain.solvers.knowing import Knowing, best_now, draw_state, hear, say, shown, told
 from xplain.solvers.pomcp.kernel import backward, select
-from xplain.solvers.pomcp.random_words import GOLDEN, next_uniform, splitmix64
 from xplain.solvers.pomcp.tree import (
     END,
     ROOT,
@@ -29,6 +28,7 @@ from xplain.solvers.pomcp.tree import (
     grow_table,
     make_edges,
 )
+from xplain.solvers.random_words import GOLDEN, next_uniform, splitmix64
 
 
 class KnowingSearch(NamedTuple):

@@ -10,8 +10,8 @@ import numpy as np
 from numba import uint64
 
 from xplain.numba_kernels import inlined
-from xplain.solvers.pomcp.random_words import GOLDEN, next_uniform, splitmix64
 from xplain.solvers.pomcp.search_model import place_of
+from xplain.solvers.random_words import GOLDEN, next_uniform, splitmix64
 
 
 @inlined

@@ -13,8 +13,8 @@ from xplain.numba_kernels import inlined
 from xplain.solvers.bits import count_bits, first_bit, nth_bit
 from xplain.solvers.count_lattice import copy
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
-from xplain.solvers.pomcp.random_words import next_below
 from xplain.solvers.pomcp.search_model import SETTLED, wanted_at
+from xplain.solvers.random_words import next_below
 from xplain.solvers.rows import find_rows, row
 
 CERTAIN = 1 - 1e-6

@@ -19,7 +19,7 @@ from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, shared_kernel
 from xplain.solvers.model import Model, explain_costs, optimal_values, table_bytes
 from xplain.solvers.model import model_of as reduced_model
-from xplain.solvers.pomcp.random_words import GOLDEN, splitmix64
+from xplain.solvers.random_words import GOLDEN, splitmix64
 from xplain.solvers.rows import row
 
 LIKELIEST = np.dtype([("probability", np.float64), ("code", np.uint64)])

@@ -18,7 +18,7 @@ from xplain.numba_kernels import inlined
 from xplain.solvers.bits import count_bits
 from xplain.solvers.count_lattice import copy
 from xplain.solvers.inquiry import NO_ROOM, Room, open_questions
-from xplain.solvers.pomcp.random_words import GOLDEN, splitmix64
+from xplain.solvers.random_words import GOLDEN, splitmix64
 from xplain.solvers.rows import find_rows
 
 NODE = np.dtype(

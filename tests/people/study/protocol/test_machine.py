@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 
-from tests.people.study.stand_in import FAULTLESS, street_study
+from tests.people.study.stand_in import CONFIG, FAULTLESS, street_study
 from xplain.errors import Refused
 from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import SimulatedUser
+from xplain.evaluation.explainees import Exact, Heedless, SimulatedUser
 from xplain.explanation.belief import Independent, Persistent
+from xplain.explanation.label_table import LabelTable
 from xplain.people.study.bot import take_part
 from xplain.people.study.flow import State, Study
 from xplain.solvers.qmdp import QMDP
@@ -56,32 +58,76 @@ def test_participants_meet_what_the_offline_experiment_computes(
     assert state.belief == tuple(offline.beliefs[-1].tolist())
 
 
-@pytest.mark.parametrize("user_type", range(3))
-def test_people_who_may_err_are_explained_to_as_offline_and_logged_by_type(
-    study: Study, user_type: int
+@pytest.mark.parametrize(
+    "update",
+    [
+        Persistent("learned"),
+        Persistent(0.05, 0.7),
+        Persistent(0.0, "learned", 0.1),
+        Independent(0.0, 0.8, 0.1),
+    ],
+)
+def test_people_who_fail_are_explained_to_as_offline_and_logged_by_type(
+    study: Study, update: Persistent | Independent
 ) -> None:
-    """The belief that a state carries is over types and error rates, that of the log over types."""
-    update = Persistent("learned")
+    """The belief that a state carries is over types, habits and knowledge, that of the log over
+    types."""
     problem = study.plan.problem.with_habits(update.habits())
     policy = QMDP().plan(problem)
-    erring = replace(
+    failing = replace(
         study,
         plan=replace(study.plan, problem=problem),
         policies=dict.fromkeys(study.policies, policy),
         belief=update,
     )
-    user = SimulatedUser.of(study.plan.true_labels[user_type])
-    offline = explain(problem, policy, user, update)
-    state = at_evaluation(erring, user_type, "personalized")
-    for k in range(problem.n_steps):
-        assert (state.new, len(state.belief)) == (offline.messages[k], problem.n_types)
-        labels = study.plan.true_labels[user_type, : k + 1, state.given].tolist()
-        outcome = erring.advance(state, "labels", {"labels": labels})
-        assert outcome.answer is not None
-        assert outcome.answer.belief == pytest.approx(offline.beliefs[k + 1].tolist())
-        if outcome.decision is not None:
-            assert outcome.decision.belief == outcome.answer.belief
-        state = outcome.state
+    people = Heedless(0.4, 0.3) if problem.tracks_knowledge else Exact()
+    said_again = 0
+    for seed, user_type in product(range(8), range(3)):
+        labels = LabelTable.dense(study.plan.true_labels[user_type][None])
+        offline_person, person = (
+            people.meet(labels, np.arange(problem.n_steps), seed) for _ in range(2)
+        )
+        offline = explain(problem, policy, offline_person, update)
+        state = at_evaluation(failing, user_type, "personalized")
+        for k in range(problem.n_steps):
+            assert (state.new, len(state.belief)) == (offline.messages[k], len(problem.start))
+            person.hear(state.new)
+            answers = person.react(state.given, k + 1).answers.tolist()
+            outcome = failing.advance(state, "labels", {"labels": answers})
+            assert outcome.answer is not None
+            assert outcome.answer.belief == pytest.approx(offline.beliefs[k + 1].tolist())
+            if outcome.decision is not None:
+                assert outcome.decision.belief == outcome.answer.belief
+            state = outcome.state
+        assert state.again == offline.n_again
+        said_again += state.again
+    assert (said_again > 0) == problem.tracks_knowledge
+
+
+def test_a_message_that_is_said_again_moves_to_the_new_ones_and_says_so(study: Study) -> None:
+    messages = [fact.message for fact in study.plan.facts]
+    at = {"stage": "evaluation", "user_type": 1, "step": 2, "labels": (1, 0), "given": 0b0111}
+    view = study.view(State(**at, new=0b0110, heard=(1, 0, 1, 2)))
+    assert view["old"] == [messages[0]]
+    assert view["new"] == [messages[1], messages[2]]
+    assert view["again"] == [messages[1]]
+    later = study.view(State(**at, new=0, heard=(1, 0, 1, 2)))
+    assert (later["old"], later["again"]) == ([messages[0], messages[1], messages[2]], [])
+
+
+def test_the_conformant_condition_is_the_same_whatever_people_take_in(study: Study) -> None:
+    def heard(one: Study, number: int) -> tuple[int, ...]:
+        state, rng = at_evaluation(one, 0, "conformant"), np.random.default_rng(number)
+        while state.stage == "evaluation":
+            labels = rng.integers(2, size=state.step + 1).tolist()
+            state = one.advance(state, "labels", {"labels": labels}).state
+        return state.heard
+
+    belief = CONFIG["belief"] | {"accept": "learned", "forget": 0.1}
+    heedless = street_study(belief=belief)
+    assert heedless.plan.problem.tracks_knowledge
+    for number in range(10):
+        assert heard(heedless, number) == heard(study, number) != ()
 
 
 def test_conformant_does_not_listen_and_personalized_does(study: Study) -> None:

@@ -1,0 +1,105 @@
+"""What messages that are missed or forgotten cost (docs/people-who-err.md), with a picture.
+
+python benchmarks/again.py            the jobs of sweeps=again, its table and picture
+python benchmarks/again.py --quick    a smoke run
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import astuple
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from explainees import DOMAINS, figure, ratio
+from matplotlib.figure import Figure
+
+import xplain
+from xplain.evaluation.statistics import clustered_mean
+
+WAYS = {
+    "paper": ("believes that all messages land", "#D55E00", "s-"),
+    "told": ("knows how often they do not", "#009E73", "^--"),
+    "learned": ("weighs how often they do not", "#0072B2", "o-"),
+    "seen": ("sees type and knowledge", "#666666", "d:"),
+}
+"""Explainers of the picture: name, colour, line."""
+PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "again.png"
+
+
+def messages(quick: bool) -> None:
+    """The table and the picture of messages that do not land, from ``sweeps=again``."""
+    few = ("seed=0,1", "traces=1", "explainee=heedless", "explainee.forget=0.03,0.15")
+    rows = xplain.sweep("sweeps=again", "tracking=none", *(few if quick else ())).frame()
+    rows["way"] = np.where(rows["belief"] == "told", "told", "paper")
+    rows.loc[rows["belief.accept"] == "learned", "way"] = "learned"
+    at = ["domain", "explainee.accept", "explainee.forget"]
+    costs = rows.pivot_table("cost", [*at, "seed"], "way")
+    costs["told"] = costs["told"].fillna(costs["paper"])  # where all land, both are one job
+    costs["seen"] = rows.groupby([*at, "seed"])["clairvoyant_cost"].first()
+    costs = costs.reset_index()
+    again = (
+        rows[rows["way"] == "told"].groupby(at)["messages_again"].agg(lambda n: n.fillna(0).mean())
+    )
+    print(
+        "| α, φ | as the paper | told | learned | type and knowledge seen | told / paper |", end=""
+    )
+    print(" learned / told | said again |\n|---|---|---|---|---|---|---|---|")
+    for domain in DOMAINS:
+        print(f"| **{domain.replace('_', ' ')}** |" + " |" * 7)
+        here = costs[costs["domain"] == domain]
+        pairs = sorted(zip(here[at[1]], here[at[2]], strict=True), key=lambda p: (-p[0], p[1]))
+        for accept, forget in dict.fromkeys(pairs):
+            own = here[(here[at[1]] == accept) & (here[at[2]] == forget)]
+            by = {way: own[way].tolist() for way in WAYS}
+            cells = [figure(by[way]) for way in WAYS]
+            cells += [ratio(by["told"], by["paper"]), ratio(by["learned"], by["told"])]
+            cells.append(f"{again.get((domain, accept, forget), 0.0):.2f}")
+            print(f"| {accept:g}, {forget:g} | {' | '.join(cells)} |", flush=True)
+    if not quick:
+        picture(costs).savefig(PICTURE, dpi=150)
+
+
+def picture(costs: pd.DataFrame) -> Figure:
+    """Cost against how many messages are missed, by how often facts are forgotten."""
+    lost = sorted(set(costs.loc[costs["explainee.accept"] == 1, "explainee.forget"]))
+    figure = Figure(figsize=(9.6, 6.2), layout="constrained")
+    axes = figure.subplots(len(DOMAINS), len(lost), sharex=True, sharey="row")
+    for (row, domain), (column, forget) in product(enumerate(DOMAINS), enumerate(lost)):
+        axis = axes[row, column]
+        here = (costs["domain"] == domain) & (costs["explainee.forget"] == forget)
+        for way, (name, colour, style) in WAYS.items():
+            points = {
+                100 * (1 - accept): clustered_mean(own[way], range(len(own)))
+                for accept, own in costs[here].groupby("explainee.accept")
+            }
+            x = np.array(list(points))
+            mean, low, high = np.array([astuple(found) for found in points.values()]).T
+            axis.plot(x, mean, style, color=colour, label=name, linewidth=2, markersize=6)
+            if way != "told":  # it would hide under the third
+                axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
+        axis.spines[["top", "right"]].set_visible(False)
+        if row == 0:
+            often = f"1 fact in {1 / forget:.0f} lost a step" if forget else "nothing is forgotten"
+            axis.set_title(often, fontsize=12)
+        axis.set_xticks([0, 10, 20], ["0 %", "10 %", "20 %"])
+    for row, domain in enumerate(DOMAINS):
+        axes[row, 0].set_ylim(bottom=0)  # of the whole row, once all of it is drawn
+        axes[row, 0].set_ylabel(f"{domain.replace('_', ' ')}:\ncost of an explanation", fontsize=12)
+    figure.supxlabel("messages that are missed", fontsize=12)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False, fontsize=11)
+    return figure
+
+
+def main() -> None:
+    """Prints the table as Markdown, and draws the picture."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="only that it runs")
+    messages(parser.parse_args().quick)
+
+
+if __name__ == "__main__":
+    main()

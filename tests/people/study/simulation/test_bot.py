@@ -1,0 +1,57 @@
+"""Simulated participants take in what is said, also again, and may lose it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from tests.people.study.stand_in import FAULTLESS
+from tests.people.visitors import GENEROUS, Visitor, pages
+from xplain.people.server.app import create_app
+from xplain.people.server.store import Store
+from xplain.people.simulation.browser import Page
+from xplain.people.study.bot import Person
+from xplain.people.study.flow import State
+
+
+def test_a_message_that_was_missed_is_taken_in_when_it_is_said_again(
+    person: Callable[..., Person],
+) -> None:
+    someone = person(habits=replace(FAULTLESS, forgetting=1))
+    (wrong, *_) = someone.plan.wrong[someone.user_type]
+    sentence = someone.plan.facts[wrong].message
+    someone.labels(1, 1, [sentence])
+    assert someone.known == 0
+    someone.habits = FAULTLESS
+    someone.labels(2, 1, [])  # it stands on the page, and nobody says it
+    assert someone.known == 0
+    someone.labels(3, 1, [sentence])
+    assert someone.known == 1 << wrong
+
+
+def test_what_is_lost_after_a_step_counts_at_the_next(person: Callable[..., Person]) -> None:
+    someone = person(habits=replace(FAULTLESS, losing=1))
+    truth = someone.plan.true_labels[someone.user_type]
+    count = someone.plan.n_steps
+    facts = [fact.message for fact in someone.plan.facts]
+    right, _ = someone.labels(count, len(facts), facts)
+    assert right == truth[:, -1].tolist()
+    assert not any(someone.known >> j & 1 for j in someone.plan.wrong[someone.user_type])
+    forgotten, _ = someone.labels(count, len(facts), [])
+    assert forgotten == truth[:, 0].tolist() != right
+
+
+def test_pages_tell_what_is_said_now_as_views_do(
+    store: Store, person: Callable[..., Person]
+) -> None:
+    """Over HTTP as in the bare flow."""
+    app, flow = create_app(store, GENEROUS), store.site.flow
+    (token,) = store.invite(1, "bot")
+    seen = 0
+    for _, page in pages(Visitor(app.test_client()), person(), token):
+        (row,) = store.query("SELECT state FROM participant")
+        view = Page.of_view(flow.view(State.from_text(row["state"])))
+        if page.stage == "evaluation":
+            assert list(page.new) == list(view.new)
+            seen += len(page.new)
+    assert seen
