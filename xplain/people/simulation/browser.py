@@ -62,7 +62,7 @@ class Page:
             facts=[_text(one) for one in tree.xpath(_of_class("ul", "facts") + "/li")],
             messages=[_text(one) for one in tree.xpath(_of_class("div", "message"))],
             fields=fields,
-            steps=[int(step) for step in tree.xpath("//li/@data-step") if step],
+            steps=[int(step) for step in tree.xpath("//*[not(self::body)]/@data-step") if step],
             hidden=hidden,
             headings=[_text(one) for one in tree.iter("h1")],
         )

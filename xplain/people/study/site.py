@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from xplain.errors import Refused
 from xplain.people.analysis.export import Participant
+from xplain.people.plan import Pictures
 from xplain.people.server import map_svg, site
 from xplain.people.server.database import Do
 from xplain.people.study.flow import State, Study
@@ -167,9 +169,12 @@ class StudySite(site.Site[Study]):
         """Where there is a map."""
         return self.plan.path is not None
 
-    def picture(self, what: int) -> str:
-        """The map after a number of steps."""
+    def picture(self, what: int | tuple[str, int]) -> str:
+        """The map after a number of steps, or with one clip."""
         plan = self.plan
+        if isinstance(what, tuple):
+            clip = plan.clips[what[1]]
+            return map_svg.picture(plan, clip.way or None, 1, clip.gone)
         gone = plan.taken[what] if plan.taken else ()
         return map_svg.picture(plan, plan.path, what, gone)
 
@@ -177,7 +182,15 @@ class StudySite(site.Site[Study]):
         """Who is not briefed reads of the task."""
         drawn, words = super().drawing(), self.plan.texts.words
         title = words["briefing_natural" if self.plan.kinds else "briefing"]
-        return drawn | {"titles": drawn["titles"] | {"briefing": title}}
+        own = {"briefing": title, "asking": words["asking"]}
+        return drawn | {"titles": drawn["titles"] | own}
+
+    @cached_property
+    def pictures(self) -> Pictures:
+        """After those of the trace those of the clips."""
+        plan = self.plan
+        of_trace = plan.pictures or (None,) * plan.n_steps
+        return (*of_trace, *(clip.picture for clip in plan.clips))
 
     def glance(self, query: site.Query) -> dict[str, Any]:
         """Which slots are left."""
@@ -193,6 +206,8 @@ class StudySite(site.Site[Study]):
 
     def step_of(self, state: State) -> str:
         """Of the evaluation."""
+        if state.stage == "asking":
+            return f"before step {state.step + 1}"
         return f"step {state.step + 1}" if state.stage == "evaluation" else ""
 
     def about(self, state: State, blinded: bool) -> dict[str, str]:
