@@ -92,6 +92,14 @@ def rescue() -> Study:
     return study_of(study_plan(composed("study", ["seed=0", "observers.points=150", questions])))
 
 
+@pytest.fixture(scope="module")
+def asking() -> Study:
+    """The rescue study with a condition that asks."""
+    from xplain.config import composed
+
+    return study_of(study_plan(composed("study", ["seed=0", "observers.points=150", "ask=clips"])))
+
+
 def serving(path: Path, study: Study) -> ServerProcess:
     Store(path, StudySite(study)).close()
     return ServerProcess(path, "server.burst=1e6", "server.visitor_burst=1e6")
@@ -274,6 +282,36 @@ def test_the_new_step_and_its_button_are_in_sight(
 
             person = Person(rescue.plan, FAULTLESS, np.random.default_rng(0))
             assert take_part(driver, person, look=look) == "done"
+
+
+def test_a_question_is_accessible_in_sight_and_photographed(
+    driver: Driver, axe: str, asking: Study, tmp_path: Path
+) -> None:
+    """On a phone and on a small laptop, before the first step and with messages on the page."""
+    plan, path = asking.plan, tmp_path / "s.sqlite"
+    seen: list[tuple[int, int]] = []
+    with serving(path, asking) as server:
+        for cell, (user_type, condition) in enumerate(plan.cells):
+            if condition != "asking":
+                continue
+            preview(driver, server, cell)
+
+            def look(page: Page) -> None:
+                if page.stage == "asking":
+                    (clip,) = page.steps
+                    (name,) = driver.find_elements(By.CSS_SELECTOR, "fieldset.newest legend")
+                    assert plan.clips[clip].phrase in name.text
+                    assert max(out_of_sight(driver)) <= 0, page
+                    assert faults(driver, axe) == [], page
+                    if not seen or len(page.messages) > seen[-1][1]:
+                        photograph(driver, f"asking-{len(page.messages):02d}")
+                    seen.append((clip, len(page.messages)))
+
+            person = Person(plan, FAULTLESS, np.random.default_rng(user_type))
+            assert take_part(driver, person, look=look) == "done"
+        assert complaints(driver) == []
+    assert len(seen) >= len(plan.roles)
+    assert len({messages for _, messages in seen}) > 1
 
 
 def test_scrolling_hangs_on_no_condition(driver: Driver, rescue: Study, tmp_path: Path) -> None:

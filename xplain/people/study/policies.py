@@ -16,6 +16,7 @@ from xplain.people.study.flow import State, Study
 from xplain.people.study.plan import ASKING, StudyPlan
 from xplain.randomness import derived_seed, stream
 from xplain.solvers.base import asking
+from xplain.solvers.cached_policy import CachedPolicy
 
 PROBES = 16
 """Walks with random labels, a condition, that a changed code would have to repeat."""
@@ -44,7 +45,8 @@ def at_work(plan: StudyPlan) -> Study:
         for condition, solver in plan.conditions.items()
     }
     if ASKING in policies:
-        asking(policies[ASKING])
+        # Which of two questions that are as good comes first shall not hang on rounding.
+        policies[ASKING] = CachedPolicy(asking(policies[ASKING]))
     return Study(plan, policies, instantiate(renamed(plan.belief)))
 
 
