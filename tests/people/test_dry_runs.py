@@ -93,7 +93,7 @@ def test_kill_9_loses_nothing_that_was_acknowledged(
 
 
 @pytest.mark.parametrize(
-    ("kills", "people", "least"), [(1, 4, 10), pytest.param(10, 8, 150, marks=pytest.mark.slow)]
+    ("kills", "people", "least"), [(1, 8, 20), pytest.param(10, 8, 150, marks=pytest.mark.slow)]
 )
 def test_questions_survive_kill_9(
     kills: int, people: int, least: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
