@@ -284,12 +284,21 @@ def test_the_new_step_and_its_button_are_in_sight(
             assert take_part(driver, person, look=look) == "done"
 
 
+SAID = """
+const [situation, step] = arguments[0];
+[...document.querySelectorAll('.see p.hint')].at(-1).textContent = situation;
+document.querySelector('fieldset.newest legend').textContent = step;
+"""
+
+
 def test_a_question_is_accessible_in_sight_and_photographed(
     driver: Driver, axe: str, asking: Study, tmp_path: Path
 ) -> None:
     """On a phone and on a small laptop, before the first step and with messages on the page."""
     plan, path = asking.plan, tmp_path / "s.sqlite"
     seen: list[tuple[int, int]] = []
+    said = (f"Before this: {' '.join(clip.situation)}" for clip in plan.clips)
+    longest = [max(said, key=len), max((f"The robot {c.phrase}" for c in plan.clips), key=len)]
     with serving(path, asking) as server:
         for cell, (user_type, condition) in enumerate(plan.cells):
             if condition != "asking":
@@ -306,6 +315,9 @@ def test_a_question_is_accessible_in_sight_and_photographed(
                     if not seen or len(page.messages) > seen[-1][1]:
                         photograph(driver, f"asking-{len(page.messages):02d}")
                     seen.append((clip, len(page.messages)))
+                    if plan.clips[clip].situation:
+                        driver.execute_script(SAID, longest)
+                        assert max(out_of_sight(driver)) <= 0, longest
 
             person = Person(plan, FAULTLESS, np.random.default_rng(user_type))
             assert take_part(driver, person, look=look) == "done"

@@ -53,14 +53,15 @@ def show(analysis: Analysis, console: Console) -> None:
     means = [f"{one.capitalize()}\nmean (SD), n" for one in analysis.conditions]
     headings = (
         *("Measure", *means, "Student's\np"),
-        *("p, Holm", "Welch's\np", "Permutation\np", "Hedges' g [95 %]", "Paper: means, p"),
+        *("p, Holm", "Welch's\np", "Permutation\np", "Hedges' g [95 %]"),
+        *(("Paper: means, p",) * (analysis.conditions == CONDITIONS)),
     )
     measures = Table(
         *(Column(heading, overflow="fold") for heading in headings),
         title=f"{_title(analysis)}: {whose[analysis.stream]} ({first} − {second})",
     )
     for row in analysis.rows:
-        measures.add_row(*_cells(row))
+        measures.add_row(*_cells(row)[: len(headings)])
     console.print(measures)
     columns = [*analysis.flow[0][1]]
     counted = [Column(heading, justify="right") for heading in columns]

@@ -35,7 +35,7 @@ SECONDARY = {
     "visible_time_s": "Interaction time while visible (s)",
     "messages_given": "Messages",
     "questions_asked": "Questions",
-    "cost": "Cost: λ · messages + inexplicable labels of all steps + κ · questions",
+    "cost": "Cost",
 }
 """Shown where they are known of everybody."""
 NEEDED = ("participant", "stream", "stage", "type", "condition", "eligible", *MEASURES)
