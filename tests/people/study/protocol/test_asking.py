@@ -29,21 +29,23 @@ def asking() -> Study:
     return street_study(ask=ASK)
 
 
-def with_belief(study: Study, update: Persistent | Independent) -> Study:
-    """Whose agent takes people to be like that."""
+def with_belief(study: Study, update: Persistent | Independent | None) -> Study:
+    """Whose agent takes people to be like that; None: as it is."""
+    if update is None:
+        return study
     problem = study.plan.problem.with_habits(update.habits())
     plan = replace(study.plan, problem=problem)
     policies = {"asking": CachedPolicy(QMDP().plan(problem))}
     return replace(study, plan=plan, policies=policies, belief=update)
 
 
-UPDATES = [Independent(), Persistent(), Persistent(0.1), Independent("learned")]
+UPDATES = [None, Persistent(), Persistent(0.1), Independent("learned")]
 
 
 @pytest.mark.parametrize("update", UPDATES)
 @pytest.mark.parametrize("slips", [0.0, 0.3])
 def test_people_are_asked_what_the_offline_experiment_asks(
-    asking: Study, update: Persistent | Independent, slips: float
+    asking: Study, update: Persistent | Independent | None, slips: float
 ) -> None:
     """Questions, messages and beliefs, to the last bit; of people who err in both alike."""
     study = with_belief(asking, update)
@@ -54,7 +56,7 @@ def test_people_are_asked_what_the_offline_experiment_asks(
         of_trace = LabelTable.dense(plan.true_labels[[user_type]])
         labels = joined([of_trace, plan.clip_labels.of_types([user_type])])
         offline_person, person = (people.meet(labels, same, seed) for _ in range(2))
-        offline = explain(plan.problem, study.policies["asking"], offline_person, update)
+        offline = explain(plan.problem, study.policies["asking"], offline_person, study.belief)
         state, pages = at_evaluation(study, user_type, "asking"), []
         while state.stage in ("asking", "evaluation"):
             if state.stage == "asking":
