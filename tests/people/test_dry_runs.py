@@ -6,7 +6,6 @@ import time
 import zipfile
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from tests.people.collect.stand_in import street_collection
 from tests.people.killing import RATE, survive
 from tests.people.kinds import KINDS, bot_of, site_of
 from tests.people.server_process import ServerProcess
-from tests.people.study.stand_in import ASK, FAULTLESS, street_study
+from tests.people.study.stand_in import street_study
 from xplain.cli.main import main
 from xplain.learning.saved_types import LearnedTypes
 from xplain.message_sets import names_of
@@ -90,31 +89,6 @@ def test_kill_9_loses_nothing_that_was_acknowledged(
         print(f"\n{kills} kills: {acknowledged} answers acknowledged, {stored} stored")
     assert least < acknowledged <= stored
     everything_replays(kind, path, capsys)
-
-
-@pytest.mark.parametrize(
-    ("kills", "people", "least"), [(1, 8, 20), pytest.param(10, 8, 150, marks=pytest.mark.slow)]
-)
-def test_questions_survive_kill_9(
-    kills: int, people: int, least: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Bots who err in all three conditions; the server dies while they are asked, too."""
-    site, path = StudySite(street_study(ask=ASK)), tmp_path / "s.sqlite"
-
-    def erring(*seeds: int) -> Person:
-        habits = replace(FAULTLESS, label_noise=0.2)
-        return Person(site.plan, habits, np.random.default_rng(seeds))
-
-    Store(path, site).close()
-    acknowledged, stored = survive(path, site, "study", erring, kills, people)
-    with capsys.disabled():
-        print(f"\n{kills} kills: {acknowledged} answers acknowledged, {stored} stored")
-    assert least < acknowledged <= stored
-    everything_replays("study", path, capsys)
-    export(path, tmp_path / "out")
-    told = pd.read_csv(tmp_path / "out" / "participants.csv")
-    asked = told.groupby("condition")["questions_asked"].sum()
-    assert asked["asking"] > 0 == asked["personalized"] == asked["conformant"]
 
 
 def test_from_bots_to_types(
