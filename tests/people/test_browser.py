@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from filelock import FileLock
 
+from tests.people.kinds import ASKING, site_of
 from tests.people.server_process import ROOT, ServerProcess
 from tests.people.study.stand_in import FAULTLESS, street_study
 from xplain.cli.main import main
@@ -370,8 +371,9 @@ def test_bots_in_chromium_take_part_and_replay_agrees(
     store.close()
 
 
-def test_the_keyboard_is_enough(driver: Driver, study: Study, tmp_path: Path) -> None:
-    path = tmp_path / "s.sqlite"
+@pytest.mark.parametrize("kind", ["study", ASKING])
+def test_the_keyboard_is_enough(driver: Driver, kind: str, tmp_path: Path) -> None:
+    path, study = tmp_path / "s.sqlite", site_of(kind).flow
     with serving(path, study) as server:
         (invitation,) = Researcher(server.url, server.key).invite(1)
         driver.get(f"{server.url}/?invitation={invitation}")
