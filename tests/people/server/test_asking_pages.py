@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,14 @@ import pytest
 
 from tests.people.kinds import ASKING, site_of
 from tests.people.server.test_researcher_pages import logged_in
-from tests.people.study.stand_in import FAULTLESS
+from tests.people.study.stand_in import ASK, FAULTLESS, street_study
 from tests.people.visitors import GENEROUS, Visitor, pages
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
+from xplain.people.simulation.bots import answer
 from xplain.people.study.bot import Person
+from xplain.people.study.flow import State
+from xplain.people.study.site import StudySite
 
 
 @pytest.fixture
@@ -36,7 +40,8 @@ def test_a_question_comes_with_the_messages_and_moves_no_progress(store: Store) 
         for html, page in pages(Visitor(app.test_client()), person, token):
             if page.stage not in ("asking", "evaluation"):
                 continue
-            part |= {*re.findall(r"Part \d+ of \d+", html)}
+            (said, _) = re.findall(r"Part \d+ of \d+", html)  # read and heard
+            part.add(said)
             if page.stage == "asking":
                 assert {*page.messages} == told
                 assert "New message" not in html
@@ -81,3 +86,27 @@ def test_an_answer_counts_once(store: Store) -> None:
         {"payload": '{"label": 0}'}
     ]
     assert store.site.replay(store._connection).differences == []
+
+
+def test_a_start_says_what_questions_are_worth() -> None:
+    """By what people who never err cost in the bare flow."""
+    site = StudySite(street_study(ask=ASK))
+    plan, costs = site.plan, dict[str, list[float]]()
+    questions = 0
+    for condition, user_type in product(plan.conditions, range(3)):
+        person = Person(plan, FAULTLESS, np.random.default_rng(0))
+        person.user_type = user_type
+        start = State(stage="eligibility", user_type=user_type, condition=condition)
+        state, wrong = site.flow.after(start).state, 0
+        while state.stage in ("asking", "evaluation"):
+            kind, payload = answer(site.flow, person, state)
+            wrong += payload.get("labels", []).count(0)
+            state = site.flow.advance(state, kind, payload).state
+        questions += len(state.asked)
+        paid = len(state.heard) + wrong + 0.1 * len(state.asked)
+        costs.setdefault(condition, []).append(paid)
+    said = site.announcement()
+    for condition, paid in costs.items():
+        assert f"{np.mean(paid):.2f} {condition}" in said
+    assert f"({questions / 3:.1f} questions)" in said
+    assert site_of("study").announcement() == ""

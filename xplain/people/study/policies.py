@@ -8,7 +8,7 @@ import numpy as np
 from hydra.utils import instantiate
 
 from xplain.errors import XplainError
-from xplain.evaluation.episode import explain
+from xplain.evaluation.episode import Episode, explain
 from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.people.analysis.stored import renamed
@@ -54,26 +54,27 @@ def difference(plan: StudyPlan) -> float:
     """How many messages (and questions) more or fewer a faultless participant gets under one
     condition than under another, on average over the types; of the two conditions that are most
     alike."""
-    study = at_work(plan)
     given = {
-        condition: [_met(study, condition, person) for person in range(len(plan.true_labels))]
-        for condition in study.policies
+        condition: [(one.n_messages, one.n_questions) for one in met]
+        for condition, met in faultless(at_work(plan)).items()
     }
     pairs = combinations(given.values(), 2)
     gaps = [np.abs(np.subtract(one, other)).sum(axis=1).mean() for one, other in pairs]
     return float(min(gaps, default=np.inf))
 
 
-def _met(study: Study, condition: str, person: int) -> tuple[int, int]:
-    """Messages and questions that somebody faultless of the kind ``person`` gets."""
+def faultless(study: Study) -> dict[str, list[Episode]]:
+    """What people who never err meet under each condition, one of each kind."""
     plan = study.plan
-    labels = LabelTable.dense(plan.true_labels[[person]])
-    if plan.clip_labels is not None:
-        labels = joined([labels, plan.clip_labels.of_types([person])])
-    met = explain(
-        plan.problem_of(condition), study.policies[condition], SimulatedUser(labels), study.belief
-    )
-    return met.n_messages, met.n_questions
+    found: dict[str, list[Episode]] = {condition: [] for condition in study.policies}
+    for condition, policy in study.policies.items():
+        for person in range(len(plan.true_labels)):
+            labels = LabelTable.dense(plan.true_labels[[person]])
+            if plan.clip_labels is not None:
+                labels = joined([labels, plan.clip_labels.of_types([person])])
+            problem = plan.problem_of(condition)
+            found[condition].append(explain(problem, policy, SimulatedUser(labels), study.belief))
+    return found
 
 
 def probes(study: Study) -> dict[str, tuple[str, ...]]:

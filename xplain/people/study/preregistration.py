@@ -48,17 +48,17 @@ def document(plan: StudyPlan) -> str:
 
 
 def _hypotheses(plan: StudyPlan) -> list[str]:
-    said = [f"{DIRECTION[measure]} ({title.lower()})" for measure, title in MEASURES.items()]
+    said = {m: f"{DIRECTION[m]} ({title.lower()})" for m, title in MEASURES.items()}
     rows = [
         f"{number}. Participants who get personalized messages need, or have, {what} than those "
         "who get conformant messages."
-        for number, what in enumerate(said, 1)
+        for number, what in enumerate(said.values(), 1)
     ]
-    if ASKING in plan.conditions:
+    if ASKING in plan.conditions:  # questions take time
         rows += [
-            f"{number}. Participants who are asked in between need, or have, {what} than those who "
+            f"{number}. Participants who are asked in between have {said[measure]} than those who "
             "get personalized messages without questions."
-            for number, what in enumerate(said, len(rows) + 1)
+            for number, measure in enumerate([*MEASURES][1:], len(rows) + 1)
         ]
     return ["## Hypotheses", "\n".join(rows)]
 

@@ -8,13 +8,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from xplain.errors import Refused
 from xplain.people.analysis.export import Participant
 from xplain.people.plan import Pictures
 from xplain.people.server import map_svg, site
 from xplain.people.server.database import Do
 from xplain.people.study.flow import State, Study
-from xplain.people.study.plan import StudyPlan
+from xplain.people.study.plan import ASKING, StudyPlan
 from xplain.people.study.tables import export
 from xplain.randomness import stream
 
@@ -86,6 +88,20 @@ class StudySite(site.Site[Study]):
         from xplain.people.study.policies import study_of
 
         return cls(study_of(plan))
+
+    def announcement(self) -> str:
+        """Where some are asked, what that is worth to people who never err."""
+        if ASKING not in self.plan.conditions:
+            return ""
+        from xplain.people.study.policies import faultless
+
+        met = faultless(self.flow).items()
+        costs = ", ".join(f"{np.mean([o.cost for o in every]):.2f} {name}" for name, every in met)
+        asked = np.mean([one.n_questions for name, every in met if name == ASKING for one in every])
+        return (
+            f"study: λ · messages + inexplicable labels + κ · questions of people who never err: "
+            f"{costs} ({asked:.1f} questions)\n"
+        )
 
     # Places: permuted blocks of every type and condition. A slot is reserved in the transaction
     # that admits a participant, comes back when they drop out, time out or are not eligible, and

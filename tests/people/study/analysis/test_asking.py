@@ -122,7 +122,7 @@ def test_asking_is_compared_with_personalized_and_the_paper_s_table_stays() -> N
 def test_what_is_registered_says_that_some_are_asked() -> None:
     text = document(street_plan(ask=ASK | {"when": "first"}))
     for part in (
-        "6. Participants who are asked in between",
+        "5. Participants who are asked in between have a higher score",
         "before the first step; it takes a question to cost 0.1 of an inexplicable label",
         "`questions_asked`",
         "Personalized against asking in the same way",

@@ -98,19 +98,22 @@ def test_the_other_conditions_are_as_they_were_to_the_last_bit(
         assert "asked" not in states[1].text  # as states were stored before there were questions
 
 
-@pytest.mark.parametrize(("when", "most"), [("first", 10), ("anytime", 1)])
-def test_questions_keep_to_their_limits(when: str, most: int) -> None:
-    study = street_study(ask=ASK | {"when": when, "most": most, "cost": 0.01})
-    asked = 0
-    for number, user_type in product(range(4), range(3)):
-        person = Person(
-            study.plan, replace(FAULTLESS, label_noise=0.3), np.random.default_rng(number)
-        )
-        person.user_type = user_type
-        state = at_evaluation(study, user_type, "asking")
+@pytest.mark.parametrize(
+    ("when", "most", "cost", "error"),
+    [("first", 10, 0.01, 0), ("anytime", 1, 0.01, 0), ("anytime", 10, 0.15, 0.3)],
+)
+def test_questions_keep_to_their_limits(when: str, most: int, cost: float, error: float) -> None:
+    """Of people who answer anyhow; the last are asked between later steps, too."""
+    ask = ASK | {"when": when, "most": most, "cost": cost}
+    study = street_study(ask=ask, belief=CONFIG["belief"] | {"error": error})
+    asked = later = 0
+    for number, user_type in product(range(8), range(3)):
+        rng, state = np.random.default_rng(number), at_evaluation(study, user_type, "asking")
         while state.stage in ("asking", "evaluation"):
-            labels = np.random.default_rng(number).integers(2, size=state.step + 1).tolist()
-            kind = study.waits_for(state)
+            kind, labels = study.waits_for(state), rng.integers(2, size=state.step + 1).tolist()
+            if state.stage == "asking":
+                assert state.new == 0  # nothing on a question's page is new
+                later += bool(state.heard)
             payload = {"label": labels[0]} if kind == "clip" else {"labels": labels}
             state = study.advance(state, kind, payload).state
         questions = [one.question for one in state.asked]
@@ -118,6 +121,7 @@ def test_questions_keep_to_their_limits(when: str, most: int) -> None:
         assert when == "anytime" or all((one.step, one.told) == (0, 0) for one in state.asked)
         asked += len(questions)
     assert asked
+    assert (later > 0) == (error > 0)
 
 
 def test_a_question_shows_what_was_said_and_wants_an_answer(asking: Study) -> None:
