@@ -22,6 +22,8 @@ from xplain.people.study.bot import Person
 from xplain.people.study.site import StudySite
 
 KINDS = ("study", "collect")
+ASKING = "asking"
+"""A study all of whose people are asked, where pages are meant."""
 
 
 @cache
@@ -29,6 +31,9 @@ def site_of(kind: str) -> Site[Any]:
     """One for all tests; nothing that is computed depends on what it keeps."""
     if kind == "study":
         return StudySite(studying.street_study())
+    if kind == ASKING:
+        own = {"asking": studying.CONFIG["conditions"]["personalized"]}
+        return StudySite(studying.street_study(ask=studying.ASK, conditions=own))
     return CollectSite(collecting.street_collection())
 
 

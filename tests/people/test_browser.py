@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from filelock import FileLock
 
+from tests.people.kinds import ASKING, site_of
 from tests.people.server_process import ROOT, ServerProcess
 from tests.people.study.stand_in import FAULTLESS, street_study
 from xplain.cli.main import main
@@ -90,6 +91,14 @@ def rescue() -> Study:
         "{name: comment, label: 'Was anything unclear?', kind: text}]"
     )
     return study_of(study_plan(composed("study", ["seed=0", "observers.points=150", questions])))
+
+
+@pytest.fixture(scope="module")
+def asking() -> Study:
+    """The rescue study with a condition that asks."""
+    from xplain.config import composed
+
+    return study_of(study_plan(composed("study", ["seed=0", "observers.points=150", "ask=clips"])))
 
 
 def serving(path: Path, study: Study) -> ServerProcess:
@@ -276,6 +285,48 @@ def test_the_new_step_and_its_button_are_in_sight(
             assert take_part(driver, person, look=look) == "done"
 
 
+SAID = """
+const [situation, step] = arguments[0];
+[...document.querySelectorAll('.see p.hint')].at(-1).textContent = situation;
+document.querySelector('fieldset.newest legend').textContent = step;
+"""
+
+
+def test_a_question_is_accessible_in_sight_and_photographed(
+    driver: Driver, axe: str, asking: Study, tmp_path: Path
+) -> None:
+    """On a phone and on a small laptop, before the first step and with messages on the page."""
+    plan, path = asking.plan, tmp_path / "s.sqlite"
+    seen: list[tuple[int, int]] = []
+    said = (f"Before this: {' '.join(clip.situation)}" for clip in plan.clips)
+    longest = [max(said, key=len), max((f"The robot {c.phrase}" for c in plan.clips), key=len)]
+    with serving(path, asking) as server:
+        for cell, (user_type, condition) in enumerate(plan.cells):
+            if condition != "asking":
+                continue
+            preview(driver, server, cell)
+
+            def look(page: Page) -> None:
+                if page.stage == "asking":
+                    (clip,) = page.steps
+                    (name,) = driver.find_elements(By.CSS_SELECTOR, "fieldset.newest legend")
+                    assert plan.clips[clip].phrase in name.text
+                    assert max(out_of_sight(driver)) <= 0, page
+                    assert faults(driver, axe) == [], page
+                    if not seen or len(page.messages) > seen[-1][1]:
+                        photograph(driver, f"asking-{len(page.messages):02d}")
+                    seen.append((clip, len(page.messages)))
+                    if plan.clips[clip].situation:
+                        driver.execute_script(SAID, longest)
+                        assert max(out_of_sight(driver)) <= 0, longest
+
+            person = Person(plan, FAULTLESS, np.random.default_rng(user_type))
+            assert take_part(driver, person, look=look) == "done"
+        assert complaints(driver) == []
+    assert len(seen) >= len(plan.roles)
+    assert len({messages for _, messages in seen}) > 1
+
+
 def test_scrolling_hangs_on_no_condition(driver: Driver, rescue: Study, tmp_path: Path) -> None:
     """At three window sizes: over a whole study the conditions differ by less than a tenth."""
     plan, measured = rescue.plan, {}
@@ -320,8 +371,9 @@ def test_bots_in_chromium_take_part_and_replay_agrees(
     store.close()
 
 
-def test_the_keyboard_is_enough(driver: Driver, study: Study, tmp_path: Path) -> None:
-    path = tmp_path / "s.sqlite"
+@pytest.mark.parametrize("kind", ["study", ASKING])
+def test_the_keyboard_is_enough(driver: Driver, kind: str, tmp_path: Path) -> None:
+    path, study = tmp_path / "s.sqlite", site_of(kind).flow
     with serving(path, study) as server:
         (invitation,) = Researcher(server.url, server.key).invite(1)
         driver.get(f"{server.url}/?invitation={invitation}")

@@ -11,16 +11,22 @@ from typing import Any
 
 import pytest
 
-from tests.people.kinds import site_of
+from tests.people.kinds import bot_of, site_of
+from tests.people.study.stand_in import street_study
 from tests.people.test_replay import answered as answered
 from tests.people.test_replay import changed
 from tests.people.test_replay import kind as kind
 from tests.people.test_replay import snapshot as snapshot
+from tests.people.visitors import GENEROUS, Visitor
 from xplain.cli import people
 from xplain.cli.main import main
 from xplain.errors import InputError, XplainError
 from xplain.people.analysis.stored import read_plan
+from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
+from xplain.people.simulation.browser import visit
+from xplain.people.study.plan import StudyPlan
+from xplain.people.study.site import StudySite
 
 
 def planned(snapshot: Path, **changes: Any) -> None:
@@ -91,3 +97,30 @@ def test_where_another_version_decided_otherwise_a_replay_says_so(
     changed(snapshot, "UPDATE step SET given = given + 1 WHERE k = 1")
     with pytest.raises(XplainError, match="go on and replay with that version"):
         people.replay(kind, [str(snapshot)])
+
+
+def test_a_study_from_before_there_were_questions_is_exported_and_replays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Plans and states without anything of questions, as they were stored then."""
+    site = StudySite(street_study())
+    plan = json.loads(site.plan.text)
+    del plan["clips"], plan["clip_labels"], plan["problem"]["questions"]
+    said = json.dumps(plan, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
+    site.plan.__dict__["text"] = said
+    path = tmp_path / "s.sqlite"
+    store = Store(path, site)
+    for number, token in enumerate(store.invite(3, "person")):
+        visitor = Visitor(create_app(store, GENEROUS).test_client())
+        assert visit(visitor, bot_of(site, number), token) == "done"
+    states = store.query("SELECT state FROM participant")
+    assert not any("asked" in json.loads(row["state"]) for row in states)
+    store.close()
+    main(["study", "replay", str(path)])
+    assert "all equal" in capsys.readouterr().out
+    main(["study", "export", str(path), str(tmp_path / "data")])
+    assert (tmp_path / "data" / "questions.csv").is_file()
+    old = read_plan(path, StudyPlan)
+    assert old is not None
+    with pytest.raises(InputError, match="go on with that one"):
+        Store(path, StudySite.as_planned(old))

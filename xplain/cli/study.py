@@ -113,7 +113,8 @@ def habits(arguments: list[str]) -> None:
 
 
 def analyse(arguments: list[str]) -> None:
-    """The paper's Table 2 from an export of the study, with plots.
+    """The paper's Table 2 from an export of the study, with plots; where a condition asks, also how
+    it compares with the personalized one.
 
         xplain study analyse FOLDER [--stream person] [--exclude FILE] [--seed 0] [--out FOLDER]
 
@@ -127,13 +128,15 @@ def analyse(arguments: list[str]) -> None:
     from xplain.people.study import table2
     from xplain.people.study.report import exclusions, save, show
 
-    analysis = table2.analyse(
+    found = table2.analyses(
         table2.read(given.folder), given.stream, exclusions(given.exclude), seed=given.seed
     )
     out = given.out or given.folder
-    save(analysis, out)
-    show(analysis, Console(width=None if Console().is_terminal else 150))
-    print(f"table2.csv, flow.csv, measures.png in {out}")
+    files: list[str] = []
+    for name, analysis in found.items():
+        files += save(analysis, out, name)
+        show(analysis, Console(width=None if Console().is_terminal else 150))
+    print(f"{', '.join(dict.fromkeys(files))} in {out}")
 
 
 def power(arguments: list[str]) -> None:

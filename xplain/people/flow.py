@@ -133,16 +133,19 @@ class Stage(Generic[F, S]):
     """A page, and what its answer leads to.
 
     Attributes:
+        WITHIN: the stage that this one comes in the middle of; "" for one in the order of them all.
         name: of the stage, its template and its title.
         kind: of the event that it waits for.
     """
+
+    WITHIN: ClassVar[str] = ""
 
     name: str
     kind: str
 
     def wanted(self, plan: Any) -> bool:
-        """Whether a plan has this stage."""
-        return True
+        """Whether a plan has this stage in its order."""
+        return not self.WITHIN
 
     def enter(self, flow: F, state: S) -> Outcome[S]:
         """The outcome of the event that leads here."""
@@ -207,6 +210,11 @@ class Flow(Generic[P, S]):
     def stage(self, name: str) -> Stage[Any, S] | None:
         """The stage of a name; None for ends."""
         return next((one for one in self.STAGES if one.name == name), None)
+
+    def part(self, name: str) -> str:
+        """Which of the ordered stages a stage belongs to; an end to itself."""
+        here = self.stage(name)
+        return here.WITHIN or name if here else name
 
     def waits_for(self, state: S) -> str:
         """The kind of event that goes on from here; "" from ends that nothing follows."""

@@ -64,6 +64,10 @@ class Picture:
     alt: str = ""
 
 
+Pictures = tuple[Picture | None, ...]
+"""Of several transitions; None where one has no image."""
+
+
 @dataclass(frozen=True)
 class Ahead:
     """A step for the practice that looks odd and is right because of what comes later.

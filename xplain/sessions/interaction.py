@@ -5,6 +5,7 @@ The experiments and the sessions that people embed run this same loop.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -50,6 +51,27 @@ class Interaction:
         self.belief, self.step, self.given, self.asked = self.problem.start, 0, 0, 0
         self._listen_anew()
 
+    def resume(
+        self,
+        belief: NDArray[np.float64],
+        step: int,
+        given: int,
+        asked: Sequence[int],
+        answered: int | None,
+        clips: Sequence[int],
+    ) -> None:
+        """Goes on from where an interaction stood.
+
+        Args:
+            belief, step, given: as the attributes.
+            asked: the questions asked so far.
+            answered: bitmask of the messages at the labels given last, if what is answered is no
+                news since; else None.
+            clips: the questions asked since news came last.
+        """
+        self.belief, self.step, self.given, self.asked = belief, step, given, bits_of(asked)
+        self._answered, self._clips = answered, bits_of(clips)
+
     def _listen_anew(self) -> None:
         """From now on whatever is answered is news."""
         self._answered: int | None = None
@@ -80,6 +102,13 @@ class Interaction:
     def _repeat(self) -> bool:
         """Whether people who learned nothing new are taken to repeat themselves."""
         return 0 not in range(2)[self.belief_update.evidence(0, 0, 2)]
+
+    def values(self) -> Mapping[int, float]:
+        """The values behind what is asked or said now: by bitmask of messages, by ``~q`` of
+        question q."""
+        if self.problem.questions is None:
+            return self.policy.values(self.step, self.given, self.belief)
+        return asking(self.policy).values(self.step, self.given, self.belief, self.no_news)
 
     def say(self) -> int:
         """Decides which messages come before the next *explain*: a bitmask, given from now on.

@@ -12,7 +12,7 @@ from flask import Flask
 from flask.testing import FlaskClient
 from werkzeug.datastructures import MultiDict
 
-from tests.people.kinds import KINDS, bot_of, site_of
+from tests.people.kinds import ASKING, KINDS, bot_of, site_of
 from tests.people.server.test_researcher_pages import logged_in
 from tests.people.visitors import GENEROUS, Visitor, pages
 from xplain.people.server.app import create_app
@@ -22,7 +22,7 @@ from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Page
 
 
-@pytest.fixture(params=KINDS)
+@pytest.fixture(params=[*KINDS, ASKING])
 def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
     """Of one of the flows."""
     opened = Store(tmp_path / f"{request.param}.sqlite", site_of(request.param))
@@ -116,7 +116,7 @@ def test_who_shall_not_know_who_gets_what_sees_pilots_alone(store: Store, app: F
     pilot = store.enter_open()
     blinded = create_app(store, Server(burst=1e9, visitor_burst=1e9)).test_client()
     logged_in(blinded, store)
-    hidden = store.path.stem == "study"
+    hidden = store.path.stem != "collect"
     assert blinded.get(f"/researcher/session/{who}/1").status_code == (403 if hidden else 200)
     assert blinded.get(f"/researcher/session/{pilot}/1").status_code == 200
     html = blinded.get("/researcher").text

@@ -13,7 +13,7 @@ import pytest
 from tests.people.collect import stand_in as collect_stand_in
 from tests.people.collect.stand_in import wording
 from tests.people.kinds import bot_of
-from tests.people.study.stand_in import CONFIG, english_words, street_plan
+from tests.people.study.stand_in import ASK, CONFIG, english_words, street_plan
 from tests.people.visitors import GENEROUS, Visitor, enter
 from xplain.errors import InputError
 from xplain.people.collect.flow import Collection
@@ -81,11 +81,11 @@ def in_the_language(english: dict[str, Any]) -> dict[str, Any]:
     return own | LANGUAGE | {"words": words, "questions": QUESTIONS}
 
 
-def foreign_study() -> StudySite:
+def foreign_study(**changes: Any) -> StudySite:
     texts = in_the_language(CONFIG["wording"])
     texts["rewards"] = translated(texts["rewards"])
     del texts["questions"]  # a study's are beside its texts
-    plan = street_plan(wording=texts, before=QUESTIONS[1:2], questions=QUESTIONS)
+    plan = street_plan(wording=texts, before=QUESTIONS[1:2], questions=QUESTIONS, **changes)
     return StudySite(study_of(plan))
 
 
@@ -94,11 +94,17 @@ def foreign_collection(briefing: str) -> CollectSite:
     return CollectSite(Collection(collect_stand_in.street_plan(briefing=briefing, words=words)))
 
 
-@pytest.fixture(params=["study", "none", "assigned"])
+@pytest.fixture(params=["study", "asking", "none", "assigned"])
 def foreign(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Store]:
-    """A study, or a collection without or with a briefing, in the made-up language."""
-    of_study = request.param == "study"
-    site = foreign_study() if of_study else foreign_collection(request.param)
+    """A study, one that asks all, or a collection without or with a briefing, in the made-up
+    language."""
+    if request.param == "study":
+        site: Any = foreign_study()
+    elif request.param == "asking":
+        own = {"asking": CONFIG["conditions"]["personalized"]}
+        site = foreign_study(ask=ASK, conditions=own)
+    else:
+        site = foreign_collection(request.param)
     store = Store(tmp_path / "s.sqlite", site)
     yield store
     store.close()
@@ -132,7 +138,8 @@ def test_nothing_of_english_is_left_in_another_language(foreign: Store) -> None:
             if status == 400:
                 assert left_over(answer) == set(), page.stage
         html = visitor.post("/study", [*page.hidden.items(), *person.fill(page)[0]])[1]
-    assert stages == {*foreign.site.flow.stages}
+    assert {foreign.site.flow.part(one) for one in stages} == {*foreign.site.flow.stages}
+    assert ("asking" in stages) == ("asking" in getattr(foreign.site.plan, "conditions", ()))
 
 
 def test_every_end_debriefs_gives_a_reference_and_a_code_of_its_own(foreign: Store) -> None:

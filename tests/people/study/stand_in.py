@@ -16,13 +16,14 @@ import yaml
 from xplain.config import CONF
 from xplain.domains.base import Item, Parameter, Scene
 from xplain.domains.mdp import MDP
+from xplain.explanation.label_table import LabelTable
 from xplain.people.plan import Ahead
 from xplain.people.study.bot import Habits
 from xplain.people.study.flow import Study
-from xplain.people.study.plan import StudyPlan
+from xplain.people.study.plan import Clip, StudyPlan
 from xplain.people.study.policies import study_of
-from xplain.people.study.prepare import drafted, stored
-from xplain.people.study.task import OfDomain
+from xplain.people.study.prepare import conditions_of, drafted, stored
+from xplain.people.study.task import MayAsk, OfDomain
 from xplain.users.setting import Setting, UserType
 
 FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
@@ -130,6 +131,7 @@ CONFIG: dict[str, Any] = {
         "introduction_natural": [],
         "briefed": {"consent": ["Not all is right."], "debriefing": ["On purpose."]},
         "task": ["Label."],
+        "asking": {"task": ["Now and then one more."], "debriefing": ["Asked or not, bye."]},
         "debriefing": ["Bye."],
         "known": [],
         "facts": {},
@@ -148,8 +150,25 @@ def street_plan(map_shown: bool = True, **changes: Any) -> StudyPlan:
     setting = Setting.build(Street(map_shown), TYPES)
     trace = np.array([[j, 0, j + 1] for j in range(len(PLACES))])
     labels = setting.label_table(trace)
-    plan = drafted(OfDomain(setting).seen(trace), 0.02 + 0.96 * labels, CONFIG | changes)
+    config = CONFIG | changes
+    config["conditions"] = conditions_of(config)
+    seen, p = OfDomain(setting).seen(trace), 0.02 + 0.96 * labels
+    clips = None
+    if "asking" in config["conditions"]:  # the robot makes no other steps than those of the trace
+        ways = [(step,) for step in seen.path or ()] or [()] * len(trace)
+        told = [("Qthen <Qso> & Qso.",), (), (), ()]
+        clips = MayAsk(
+            tuple(map(Clip, seen.trace, ways, told)),
+            LabelTable.dense(p),
+            LabelTable.dense(labels),
+            np.eye(len(trace), dtype=bool),
+        )
+    plan = drafted(seen, p, config, may_ask=clips)
     return stored(replace(plan, ahead=AHEAD if map_shown else None))
+
+
+ASK = {"kinds": ["clips"], "cost": 0.1, "most": 10, "when": "anytime", "clips": 150}
+"""Of a study in which one condition asks."""
 
 
 def street_study(**changes: Any) -> Study:

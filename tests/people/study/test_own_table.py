@@ -136,9 +136,44 @@ def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, tmp_path
     store.close()
 
 
+def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path: Path) -> None:
+    """Every row may be, the trace's own first; what is shown is what the bot judges."""
+    plan = plan_of(ask="clips", **{"ask.cost": "0.02"})
+    assert plan.clip_labels is not None
+    rows = [int(clip.phrase.split()[1]) for clip in plan.clips]
+    told = plan.clip_labels.array(len(FACTS))
+    for kind, wrong in enumerate(plan.kinds):
+        held = {FACTS[j] for j in wrong}
+        for (q, row), facts in product(enumerate(rows), ([], ["lift"], ["cable", "queue"])):
+            assert told[kind, q, mask_of(facts, FACTS)] == sense(row, held - {*facts})
+    assert [clip.picture is not None for clip in plan.clips] == [row == 0 for row in rows]
+    questions = plan.problem.questions
+    assert questions is not None
+    trace = [row - 1 for row in TRACE]
+    assert questions.shows.tolist() == [[row == step for step in trace] for row in rows]
+    store = Store(tmp_path / "s.sqlite", StudySite(study_of(plan)))
+    app, asked = create_app(store, GENEROUS), 0
+    for number, token in enumerate(store.invite(9, "person")):
+        visitor = Visitor(app.test_client())
+        person = Person(plan, FAULTLESS, np.random.default_rng(number))
+        for html, page in pages(visitor, person, token):
+            if page.stage != "asking":
+                continue
+            asked, (clip,) = asked + 1, page.steps
+            assert f"Step {rows[clip]} &amp; &lt;more&gt;" in html
+            images = re.findall(r'<img class="clip" src="([^"]*)" alt="([^"]*)"', html)
+            assert [alt for _, alt in images] == ["A red cable"] * (rows[clip] == 0)
+            for address, _ in images:
+                assert visitor.client.get(address).data == PIXEL
+    assert asked
+    assert store.site.replay(store._connection).differences == []
+    store.close()
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
+        ({"ask": "beliefs"}, r"ask\.kinds=\['beliefs'\]: clips in a study"),
         ({"briefing": "assigned"}, r"briefing='assigned': none, for people as they are"),
         ({"types": None}, r"types=None: types\.npz of xplain discover"),
         ({"facts": None}, r"facts=None: a \.csv file"),

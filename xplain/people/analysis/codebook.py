@@ -33,10 +33,11 @@ _WHOLE = {
     *("eligibility_attempts", "eligible", "steps_labelled", "messages_given", "attempt", "true"),
     *("inexplicable_transitions", "quiz_score", "timed_out", "window_width", "attention_missed"),
     *("k", "i", "label", "step", "sequence", "source_sequence", "number", "correct", "ticked"),
+    *("questions_asked", "clip"),
     *("in_labels", "observers.labels", "attentive", "practice_errors"),
 }
 _JSON = {"belief_before", "belief_after", "action_values", "steps.labels", "payload", "outside_ids"}
-_NUMBERS = {"consistency", "posterior", "unlike", "bits"}
+_NUMBERS = {"consistency", "posterior", "unlike", "bits", "cost", "worth"}
 _UNITS = {
     "s": {"entered", "last_seen", "shown", "seconds", "wall", "monotonic"},
     "ms": {"browser", "browser_ms"},

@@ -119,6 +119,7 @@ def rendered(found: Participant, **more: Any) -> str:
         code=code,
         back=own.back(found, code),
         stages=flow.stages,
+        within=flow.part(found.state.stage),
         stream=found.stream,
         **more,
     )

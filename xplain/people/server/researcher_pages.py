@@ -9,6 +9,7 @@ import io
 import secrets
 import tempfile
 import zipfile
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -62,10 +63,12 @@ def overview() -> AnyResponse:
         "SELECT id, stream, state, entered, wall FROM seen WHERE NOT erased "
         "ORDER BY over, wall DESC LIMIT 500"
     )
-    flow = own.store.query(
+    counted: Counter[tuple[str, str]] = Counter()
+    for row in own.store.query(
         "SELECT stream, json_extract(state, '$.stage') AS stage, count(*) AS number "
         "FROM participant GROUP BY 1, 2"
-    )
+    ):
+        counted[row["stream"], site.flow.part(row["stage"])] += row["number"]
     given = own.store.query(
         "SELECT event.wall FROM event JOIN participant ON participant.id = event.participant "
         "WHERE kind = 'labels' AND source = 'protocol' AND stream = 'person' ORDER BY 1"
@@ -83,9 +86,9 @@ def overview() -> AnyResponse:
             ],
             now=own.store.clock.wall(),
             stages=(*site.flow.stages, *site.flow.STATE.ENDS),
-            flow={(row["stream"], row["stage"]): row["number"] for row in flow},
+            flow=counted,
             chart=Markup(charts.over_time([row["wall"] for row in given])),
-            streams=[name for name in STREAMS if any(row["stream"] == name for row in flow)],
+            streams=[name for name in STREAMS if any(one == name for one, _ in counted)],
             entrance=address + url_for("participant.entrance"),
             invitations=own.invitations.get(request.args.get("made", ""), []),
             plan_hash=site.plan.hash,

@@ -20,7 +20,7 @@ from xplain.errors import Refused
 from xplain.people.analysis.export import Participant
 from xplain.people.analysis.replay import Findings, replayed
 from xplain.people.flow import Flow, State
-from xplain.people.plan import StoredPlan
+from xplain.people.plan import Pictures, StoredPlan
 from xplain.people.server import map_svg
 from xplain.people.server.database import Do
 from xplain.people.stages import small
@@ -157,12 +157,18 @@ class Site(Generic[F]):
         """The map with what a page's template asks for; "" without a map."""
         raise NotImplementedError
 
+    @property
+    def pictures(self) -> Pictures:
+        """Images that pages may show."""
+        of_plan: Pictures = self.plan.pictures
+        return of_plan
+
     def file(self, name: str) -> tuple[str, bytes] | None:
         """The image of a transition, by its number: media type and content."""
         number = small(name)
-        if number is None or number >= len(self.plan.pictures):
+        if number is None or number >= len(self.pictures):
             return None
-        picture = self.plan.pictures[number]
+        picture = self.pictures[number]
         return (picture.media, base64.b64decode(picture.content)) if picture else None
 
     def glance(self, query: Query) -> dict[str, Any]:

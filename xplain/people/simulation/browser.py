@@ -66,7 +66,7 @@ class Page:
             messages=[_text(one) for one in tree.xpath(message)],
             new=[_text(one) for one in tree.xpath(message) if "new" in one.get("class").split()],
             fields=fields,
-            steps=[int(step) for step in tree.xpath("//li/@data-step") if step],
+            steps=[int(step) for step in tree.xpath("//*[not(self::body)]/@data-step") if step],
             hidden=hidden,
             headings=[_text(one) for one in tree.iter("h1")],
         )

@@ -90,6 +90,16 @@ class Person(bots.Bot[StudyPlan, Habits]):
         self.seconds += seconds
         return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], seconds
 
+    def at_asking(self, page: Page) -> tuple[Fields, float]:
+        """What they think of the clip, with the same errors as a fresh label."""
+        labels, habits, (clip,) = self.plan.clip_labels, self.habits, page.steps
+        assert labels is not None, "a plan that asks knows what they would answer"
+        truth = labels.of_steps([clip]).label_probabilities(1, self.known)[self.user_type, 0]
+        label = int(truth) ^ self.chance(habits.label_noise)
+        seconds = (habits.page_seconds + habits.label_seconds) * self._spread() * self._pace
+        self.seconds += seconds
+        return [("label", str(label))], seconds
+
     def at_quiz(self, page: Page) -> Fields:
         """The statements that they hold true."""
         wrong = self.plan.wrong[self.user_type]
@@ -153,6 +163,7 @@ class Measures:
     inexplicable: int
     score: int
     messages: int
+    questions: int = 0
 
 
 def take_part(
@@ -166,4 +177,5 @@ def take_part(
     found = bots.take_part(study, person, replace(state, stage="briefing"))
     if found.score is None:
         return None
-    return Measures(person.seconds, found.labels.count(0), found.score, found.given.bit_count())
+    given = found.given.bit_count()
+    return Measures(person.seconds, found.labels.count(0), found.score, given, len(found.asked))

@@ -1,5 +1,18 @@
 """What every column of the exported tables means."""
 
+_COMPARISON = {
+    "measure": "of participants.csv",
+    "n_…": "participants, by condition",
+    "mean_…": "by condition",
+    "sd_…": "standard deviation, by condition",
+    "student_…": "t, df, p of Student's test; p_holm corrected for the three measures",
+    "welch_…": "t, df, p of Welch's test",
+    "hedges_g": "standardized difference, the first condition less the second",
+    "g_low": "lower end of its 95 % interval",
+    "g_high": "upper end",
+    "permutation_p": "of a permutation test within types",
+}
+
 CODEBOOK = {
     "participants": {
         "participant": "random id; the key of every table",
@@ -14,11 +27,15 @@ CODEBOOK = {
         "messages_given": "messages that the robot gave (of the policy, until the last step), each "
         "counted once",
         "messages_again": "how often it said one of them again; empty where it never would",
+        "questions_asked": "steps that they were asked about in between; empty where no condition "
+        "asks",
+        "cost": "λ · messages + inexplicable labels of all steps + κ · questions, as the plan has "
+        "these costs; what the policies plan for",
         "inexplicable_transitions": "labels 'makes no sense' at the last step, 0 … m; paper: "
         "measure 2",
         "quiz_score": "statements judged correctly, 0 … 4; paper: measure 3",
-        "interaction_time_s": "seconds, server's clock, first rendering of step 1 to the last "
-        "accepted label; paper: measure 1",
+        "interaction_time_s": "seconds, server's clock, first rendering of step 1, or of a "
+        "question before it, to the last accepted label; paper: measure 1",
         "clock": "by which that is: monotonic, or wall where the machine was restarted in between; "
         "impossible where the wall clock was set back, and the time is left out",
         "hidden_s": "seconds of it in which no page of the study was visible (browser's clock); "
@@ -51,7 +68,7 @@ CODEBOOK = {
         "participant": "key",
         "sequence": "number of the answer that the page was for",
         "stage": "which page",
-        "step": "k, of the evaluation's pages",
+        "step": "k, of the evaluation's pages; of a question that of the step after it",
         "shown": "first rendering, server's wall clock, seconds since 1970-01-01 UTC",
         "seconds": "until its answer was accepted, server's clock; empty if it never was",
         "browser_ms": "the same by the page's performance.now when the answer was sent",
@@ -63,6 +80,21 @@ CODEBOOK = {
         "transition": "what the robot did, as shown",
         "messages_shown": "all messages on the page, joined by ;",
         "label": "1 = makes sense, 0 = makes no sense",
+    },
+    "questions": {
+        "participant": "key",
+        "number": "0, 1, … of the participant's questions",
+        "k": "step of the evaluation that came next",
+        "clip": "number of the step asked about, in the plan's list of clips",
+        "transition": "what the robot does in it, as shown",
+        "situation": "what is so before it, as shown; may be empty",
+        "messages_shown": "all messages on the page, joined by ;",
+        "worth": "by how much the policy expected the question to lower cost (discounted, the "
+        "question's own cost taken off); empty where the policy does not tell",
+        "belief_before": "probability of each user type (JSON list), before the answer",
+        "belief_after": "the same after it; empty if it was not answered",
+        "label": "1 = makes sense, 0 = makes no sense; empty if it was not answered",
+        "seconds": "from the first rendering of the page to its accepted answer, server's clock",
     },
     "eligibility": {
         "participant": "key",
@@ -80,24 +112,14 @@ CODEBOOK = {
         "ticked": "1 if the participant ticked it",
         "correct": "1 if ticked = true",
     },
-    "table2": {
-        "measure": "of participants.csv",
-        "n_…": "participants, by condition",
-        "mean_…": "by condition",
-        "sd_…": "standard deviation, by condition",
-        "student_…": "t, df, p of Student's test; p_holm corrected for the three measures",
-        "welch_…": "t, df, p of Welch's test",
-        "hedges_g": "standardized difference, conformant less personalized",
-        "g_low": "lower end of its 95 % interval",
-        "g_high": "upper end",
-        "permutation_p": "of a permutation test within types",
-        "paper_…": "what the paper has there",
-    },
+    "table2": _COMPARISON | {"paper_…": "what the paper has there"},
+    "asking": _COMPARISON,
     "flow": {
         "stage": "reached, or how it ended; then reasons of leaving somebody out",
         "all": "participants",
         "conformant": "of that condition",
         "personalized": "of that condition",
+        "asking…": "of that condition, where there is one",
     },
     "answers": {
         "participant": "key",

@@ -4,78 +4,25 @@
                            ↑__________________________|  (a failed attempt, while some are left)
 
 People who come as they are have no eligibility test, for they are told nothing to be tested on.
+Within the evaluation, a policy that asks opens pages of the stage ``asking`` before a step.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numpy as np
-
 from xplain.errors import Refused
-from xplain.explanation import belief as beliefs
-from xplain.explanation.belief import BeliefUpdate
-from xplain.message_sets import indices
-from xplain.people import flow as core
 from xplain.people import stages
-from xplain.people.flow import Answer, Decision, Fields, Flow, Form, Stage
+from xplain.people.flow import Fields, Form, Stage
 from xplain.people.stages import LookingAhead, Questions, choice, choices, small
-from xplain.people.study.plan import Role, StudyPlan
-from xplain.solvers.base import Policy
+from xplain.people.study.evaluation import ENDS, Asking, Evaluation, Explaining, Outcome, State
+from xplain.people.study.plan import StudyPlan
 
-ENDS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out")
+__all__ = ["ENDS", "State", "Study"]
 _WIDTH = re.compile(r"[1-9][0-9]{1,4}\Z")
-
-
-@dataclass(frozen=True)
-class State(core.State):
-    """Where a participant is. The first value is the start.
-
-    Attributes:
-        user_type, condition: the slot; None before consent.
-        orders: {"eligibility" | "quiz": the order in which questions are shown}.
-        attempts: eligibility tests taken.
-        step: k of the evaluation.
-        given: bitmask of the messages on the page, the new ones among them.
-        new: bitmask of the messages that are said at this step.
-        previous: bitmask of the messages at the step before; None at the first.
-        belief: over what is hidden.
-        labels: of the transitions 0 … k − 1, as answered last.
-        heard: the messages said, by number, in the order of their arrival; again where said again.
-        score: of the quiz.
-    """
-
-    ENDS = ENDS
-
-    user_type: int | None = None
-    condition: str | None = None
-    orders: Mapping[str, tuple[int, ...]] | None = None
-    attempts: int = 0
-    step: int = 0
-    given: int = 0
-    new: int = 0
-    previous: int | None = None
-    belief: tuple[float, ...] = ()
-    labels: tuple[int, ...] = ()
-    score: int | None = None
-    heard: tuple[int, ...] = ()
-
-    @property
-    def slot_type(self) -> int:
-        """The user type, in the stages after consent: each of them has a slot."""
-        assert self.user_type is not None, f"no slot at {self.stage}"
-        return self.user_type
-
-    @property
-    def again(self) -> int:
-        """How often a message was said that had been said before."""
-        return len(self.heard) - self.given.bit_count()
-
-
-Outcome = core.Outcome[State]
 
 
 class Consent(stages.Consent["Study", State]):
@@ -159,86 +106,6 @@ class Eligibility(Stage["Study", State]):
         return state.to(stage="briefing", attempts=attempts, wrong=True)
 
 
-class Evaluation(Stage["Study", State]):
-    """The robot's steps, one after the other, with the policy's messages."""
-
-    def enter(self, flow: Study, state: State) -> Outcome:
-        """The first step."""
-        belief = tuple(flow.plan.problem.start.tolist())
-        return self._decide(flow, replace(state, wrong=False, belief=belief), None)
-
-    def view(self, flow: Study, state: State) -> dict[str, Any]:
-        """The steps so far, the labels, the old messages and the new ones, each where it was said
-        last; ``again`` are those of the new ones that had been said before."""
-        plan, messages = flow.plan, [fact.message for fact in flow.plan.facts]
-        last = [*dict.fromkeys(reversed(state.heard))][::-1]
-        old = [messages[j] for j in last if not state.new >> j & 1]
-        new = [messages[j] for j in last if state.new >> j & 1]
-        again = [messages[j] for j in last if state.new >> j & 1 and state.heard.count(j) > 1]
-        return {
-            "briefing": flow.role(state).briefing,
-            "step": state.step,
-            "trace": plan.trace[: state.step + 1],
-            "n_steps": plan.n_steps,
-            "labels": state.labels,
-            "slots": len(plan.facts),
-            "recall": plan.rules.recall,
-            "old": old,
-            "new": new,
-            "again": again,
-            "told": old + new,
-            "fields": {f"label_{i}": [] for i in range(state.step + 1)},
-        }
-
-    def read(self, flow: Study, state: State, form: Form) -> dict[str, Any]:
-        """An earlier label that is not sent again stays as it was."""
-        kept = [*state.labels[: state.step], None]
-        sent = [small(form.get(f"label_{i}")) for i in range(state.step + 1)]
-        pairs = zip(sent, kept, strict=True)
-        return {"labels": [old if label is None else label for label, old in pairs]}
-
-    def fields(self, payload: Mapping[str, Any]) -> Fields:
-        """All labels."""
-        return [(f"label_{i}", str(label)) for i, label in enumerate(payload["labels"])]
-
-    def advance(self, flow: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
-        """To the next step, or on from the last one."""
-        count = [2] * (state.step + 1)
-        chosen = choices(payload.get("labels"), count, flow.words["label_missing"])
-        problem, before = flow.plan.problem, np.array(state.belief)
-        # Who was told something, or may have forgotten something, is asked something new.
-        previous = None if state.new or problem.habits.forget.any() else state.previous
-        evidence = flow.belief.evidence(state.given, previous, len(chosen))
-        labels = np.array(chosen, dtype=np.uint8)
-        after = beliefs.update(problem, before, state.given, labels, evidence)
-        belief = tuple(after.tolist())
-        answer = Answer(state.step, chosen, self._of_types(flow, belief))
-        state = replace(state, labels=chosen, belief=belief, previous=state.given)
-        if state.step + 1 == flow.plan.n_steps:
-            return replace(flow.after(state, new=0), answer=answer)
-        return self._decide(flow, replace(state, step=state.step + 1), answer)
-
-    def _of_types(self, flow: Study, belief: Sequence[float]) -> tuple[float, ...]:
-        """What is logged: over user types, whatever habits and knowledge go with them."""
-        return tuple(flow.plan.problem.type_belief(np.array(belief)).tolist())
-
-    def _decide(self, flow: Study, state: State, answer: Answer | None) -> Outcome:
-        """The policy's messages at the state's step."""
-        policy, belief = flow.policies[state.condition or ""], np.array(state.belief)
-        new = int(policy.messages(state.step, state.given, belief))
-        values = policy.values(state.step, state.given, belief)
-        shown = {str(int(mask)): float(value) for mask, value in values.items()}
-        decision = Decision(state.step, self._of_types(flow, state.belief), state.given, new, shown)
-        outcome = state.to(
-            stage=self.name,
-            given=state.given | new,
-            new=new,
-            heard=(*state.heard, *indices(new)),
-            belief=tuple(beliefs.told(flow.plan.problem, belief, new).tolist()),
-        )
-        return replace(outcome, decision=decision, answer=answer)
-
-
 class Quiz(Stage["Study", State]):
     """Which statements are true of the robot; no way back to the briefing."""
 
@@ -268,13 +135,8 @@ class Quiz(Stage["Study", State]):
 
 
 @dataclass(frozen=True)
-class Study(Flow[StudyPlan, State]):
-    """A plan with its policies at work.
-
-    Attributes:
-        policies: {condition: policy for ``plan.problem``}.
-        belief: which labels are evidence.
-    """
+class Study(Explaining):
+    """A plan with its policies at work."""
 
     STATE: ClassVar = State
     STAGES: ClassVar = (
@@ -285,12 +147,10 @@ class Study(Flow[StudyPlan, State]):
         LookingAhead("ahead", "ahead", "label_missing"),
         Eligibility("eligibility", "eligibility"),
         Evaluation("evaluation", "labels"),
+        Asking("asking", "clip", "label_missing"),
         Quiz("quiz", "quiz"),
         Questions("questions", "answers"),
     )
-
-    policies: Mapping[str, Policy]
-    belief: BeliefUpdate
 
     def view(self, state: State) -> dict[str, Any]:
         """At an end for good also which of the sentences that they were told are not true."""
@@ -300,10 +160,6 @@ class Study(Flow[StudyPlan, State]):
         role, facts = self.role(state), self.plan.facts
         untrue = role.wrong if role.briefing else ()
         return view | {"untrue": [(role.briefing[j], facts[j].message) for j in untrue]}
-
-    def role(self, state: State) -> Role:
-        """What the participant is told and asked, in the stages after consent."""
-        return self.plan.roles[state.slot_type]
 
     def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
         """The slot and the orders of questions, where the window is wide enough."""

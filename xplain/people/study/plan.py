@@ -7,15 +7,19 @@ which condition.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
-from xplain.people.plan import Asked, Patience, StoredPlan, Told, Way
+from xplain.people.plan import Asked, Patience, Picture, StoredPlan, Told, Way
+
+PERSONALIZED, CONFORMANT, ASKING = "personalized", "conformant", "asking"
+"""Names of conditions that something hangs on: the policy of the last may ask before it speaks."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,27 @@ class Training:
     message: str
 
 
+@dataclass(frozen=True)
+class Clip:
+    """One step of the task that may be asked about, on the trace or off it.
+
+    Attributes:
+        phrase: what the robot does.
+        way: on the map: the cells before and after it; or none.
+        situation: what is so when it begins, as sentences.
+        gone: names of the items that are off the map when it begins.
+        changes: what it changes, for domains without a map.
+        picture: of own transitions, if there is one.
+    """
+
+    phrase: str
+    way: Way = ()
+    situation: tuple[str, ...] = ()
+    gone: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
+    picture: Picture | None = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rules(Patience):
     """Numbers of the protocol; how long somebody may be silent is in the base class.
@@ -110,7 +135,10 @@ class StudyPlan(StoredPlan):
         trace: [m] what the robot does, as phrases.
         path: [m] on the map, or None without a map.
         taken: [m + 1] names of the items that are off the map after each number of steps; or none.
-        problem: label probabilities and costs behind the policies.
+        problem: label probabilities and costs behind the policies; with the questions that the
+            condition ASKING may ask.
+        clips: [Q] what these questions show.
+        clip_labels: of the M kinds as in ``true_labels``, what they would answer; None for none.
         true_labels: [M, m, 2^n] uint8, what a faultless participant would answer: of the M = N
             roles, or of the kinds.
         conditions: {condition: configuration of its solver}.
@@ -131,10 +159,16 @@ class StudyPlan(StoredPlan):
     path: Way | None
     taken: Told = ()
     problem: Problem
+    clips: tuple[Clip, ...] = ()
+    clip_labels: LabelTable | None = None
     true_labels: NDArray[np.uint8]
     conditions: Mapping[str, Mapping[str, Any]]
     belief: Mapping[str, Any]
     probes: Mapping[str, tuple[str, ...]]
+
+    def problem_of(self, condition: str) -> Problem:
+        """What the policy of a condition plans for: only one of them may ask."""
+        return self.problem if condition == ASKING else replace(self.problem, questions=None)
 
     @property
     def n_steps(self) -> int:

@@ -8,12 +8,15 @@ import numpy as np
 from hydra.utils import instantiate
 
 from xplain.errors import XplainError
-from xplain.evaluation.episode import explain
+from xplain.evaluation.episode import Episode, explain
 from xplain.evaluation.explainees import SimulatedUser
+from xplain.explanation.label_table import LabelTable, joined
 from xplain.people.analysis.stored import renamed
 from xplain.people.study.flow import State, Study
-from xplain.people.study.plan import StudyPlan
+from xplain.people.study.plan import ASKING, StudyPlan
 from xplain.randomness import derived_seed, stream
+from xplain.solvers.base import asking
+from xplain.solvers.cached_policy import CachedPolicy
 
 PROBES = 16
 """Walks with random labels, a condition, that a changed code would have to repeat."""
@@ -38,26 +41,40 @@ def at_work(plan: StudyPlan) -> Study:
     """A plan with its policies, made from its conditions' configurations."""
     seed = derived_seed(plan.seed, "solver")
     policies = {
-        condition: instantiate(renamed(solver)).plan(plan.problem, seed)
+        condition: instantiate(renamed(solver)).plan(plan.problem_of(condition), seed)
         for condition, solver in plan.conditions.items()
     }
+    if ASKING in policies:
+        # Which of two questions that are as good comes first shall not hang on rounding.
+        policies[ASKING] = CachedPolicy(asking(policies[ASKING]))
     return Study(plan, policies, instantiate(renamed(plan.belief)))
 
 
 def difference(plan: StudyPlan) -> float:
-    """How many messages more or fewer a faultless participant gets under one condition than under
-    another, on average over the types; of the two conditions that are most alike."""
-    study = at_work(plan)
+    """How many messages (and questions) more or fewer a faultless participant gets under one
+    condition than under another, on average over the types; of the two conditions that are most
+    alike."""
     given = {
-        condition: [
-            explain(plan.problem, policy, SimulatedUser.of(labels), study.belief).n_messages
-            for labels in plan.true_labels
-        ]
-        for condition, policy in study.policies.items()
+        condition: [(one.n_messages, one.n_questions) for one in met]
+        for condition, met in faultless(at_work(plan)).items()
     }
     pairs = combinations(given.values(), 2)
-    gaps = [np.abs(np.subtract(one, other)).mean() for one, other in pairs]
+    gaps = [np.abs(np.subtract(one, other)).sum(axis=1).mean() for one, other in pairs]
     return float(min(gaps, default=np.inf))
+
+
+def faultless(study: Study) -> dict[str, list[Episode]]:
+    """What people who never err meet under each condition, one of each kind."""
+    plan = study.plan
+    found: dict[str, list[Episode]] = {condition: [] for condition in study.policies}
+    for condition, policy in study.policies.items():
+        for person in range(len(plan.true_labels)):
+            labels = LabelTable.dense(plan.true_labels[[person]])
+            if plan.clip_labels is not None:
+                labels = joined([labels, plan.clip_labels.of_types([person])])
+            problem = plan.problem_of(condition)
+            found[condition].append(explain(problem, policy, SimulatedUser(labels), study.belief))
+    return found
 
 
 def probes(study: Study) -> dict[str, tuple[str, ...]]:
@@ -74,9 +91,13 @@ def _walk(study: Study, condition: str, number: int) -> str:
     before = State(stage="eligibility", user_type=0, condition=condition)
     state = study.after(before).state
     messages = [state.new]
-    while state.stage == "evaluation":
+    while state.stage in ("evaluation", "asking"):
+        if state.stage == "asking":
+            state = study.advance(state, "clip", {"label": int(rng.random() < 0.8)}).state
+            continue
         # Mostly 1, so that beliefs stay apart rather than settle at once.
         labels = (rng.random(state.step + 1) < 0.8).astype(int).tolist()
         state = study.advance(state, "labels", {"labels": labels}).state
         messages.append(state.new)
-    return f"{messages} {[float(b).hex() for b in state.belief]}"
+    asked = [one.question for one in state.asked]
+    return f"{messages} {[float(b).hex() for b in state.belief]}" + (f" {asked}" if asked else "")

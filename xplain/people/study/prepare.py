@@ -13,15 +13,16 @@ from hydra.utils import instantiate
 
 from xplain.errors import InputError
 from xplain.experiment.explanations import Costs
+from xplain.explanation.asking import Limits, Pool, Questions
 from xplain.explanation.label_table import LabelTable
 from xplain.people.own_table import no_map, own_table
 from xplain.people.plan import Asked, facts_of
 from xplain.people.study import content
 from xplain.people.study.known_types import Learned, fitting, learned_types, matched
-from xplain.people.study.plan import Known, Rules, StudyPlan, Training
+from xplain.people.study.plan import ASKING, PERSONALIZED, Clip, Known, Rules, StudyPlan, Training
 from xplain.people.study.policies import at_work, difference, probes
-from xplain.people.study.task import OfDomain, OfTable, Seen, Task
-from xplain.people.wording import each, fixed, parts, worded
+from xplain.people.study.task import MayAsk, OfDomain, OfTable, Seen, Task
+from xplain.people.wording import InWords, each, fixed, parts, worded
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -49,23 +50,51 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
         cfg.seed = secrets.randbelow(2**31)
     config = fixed(cfg)
     Rules(**config["rules"])  # refused before the work, not after it
+    config["conditions"] = conditions_of(config)
     if config["briefing"] not in ("assigned", "none"):
         raise InputError("briefing", config["briefing"], "assigned or none")
     task, learned = _task_and_types(cfg, config)
     gaps = []
     for transitions in task.traces(config["trace"], config["max_steps"], cfg.seed)[:TRIED]:
         table = task.table(learned, transitions)
-        plan = drafted(task.seen(transitions), table, config, learned)
+        clips = None
+        if ASKING in config["conditions"]:
+            clips = task.may_ask(learned, transitions, Pool(clips=config["ask"]["clips"]))
+        plan = drafted(task.seen(transitions), table, config, learned, clips)
         gaps.append(difference(plan))
         if gaps[-1] >= LEAST_DIFFERENCE:
             return stored(plan)
     raise InputError(
         "conditions",
         " and ".join(config["conditions"]),
-        f"conditions that differ by a message a participant or more, on average; on the best of "
+        f"conditions that differ by a message (or question) a participant or more, on average; on "
+        "the best of "
         f"{len(gaps)} traces these differ by {max(gaps):.1f}: another seed than {cfg.seed}, more "
         "trace.candidates, a smaller trace.min_steps, other users or another lambda",
     )
+
+
+def conditions_of(config: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The conditions; where something may be asked, with the personalized explainer that asks.
+
+    Raises:
+        InputError: asking by a condition or a key alone, of what a study cannot ask.
+    """
+    conditions, ask = config["conditions"], config.get("ask", {"kinds": []})
+    if not ask["kinds"]:
+        if ASKING in conditions:
+            raise InputError(f"conditions.{ASKING}", "set", "with ask=clips")
+        return dict(conditions)
+    if [*ask["kinds"]] != ["clips"]:
+        raise InputError("ask.kinds", [*ask["kinds"]], "clips in a study: ask=clips")
+    Limits(ask["cost"], ask["most"], ask["when"])
+    Pool(clips=ask["clips"])
+    if ASKING in conditions:
+        return dict(conditions)
+    if PERSONALIZED not in conditions:
+        wanted = f"with {PERSONALIZED}, whose explainer asks, or one of its own"
+        raise InputError(f"conditions.{ASKING}", None, wanted)
+    return {**conditions, ASKING: conditions[PERSONALIZED]}
 
 
 def _task_and_types(cfg: DictConfig, config: Mapping[str, Any]) -> tuple[Task, Learned]:
@@ -103,6 +132,7 @@ def drafted(
     table: LabelTable,
     config: Mapping[str, Any],
     learned: Learned | None = None,
+    may_ask: MayAsk | None = None,
 ) -> StudyPlan:
     """A plan from its parts, without probes.
 
@@ -111,12 +141,14 @@ def drafted(
         table: of the labelers.
         config: the study's resolved configuration (the keys of conf/study.yaml).
         learned: names and shares of the types of the table; None: those of the task.
+        may_ask: what the condition that asks may ask about, if there is one.
 
     Raises:
         XplainError: a part contradicts another.
     """
     types, natural = seen.types, config["briefing"] == "none"
-    wording = _worded(config["wording"], natural, config.get("transitions") is not None)
+    table_of_ones_own = config.get("transitions") is not None
+    wording = _worded(config["wording"], natural, table_of_ones_own, may_ask is not None)
     own, in_words = parts("study", config, wording, seen.scene)
     parameters = worded(seen.parameters, wording["facts"], in_words)
     does = wording["words"]["robot_does"]
@@ -131,6 +163,11 @@ def drafted(
     if ahead:
         said = tuple(does.format(phrase=in_words(phrase)) for phrase in ahead.steps)
         ahead = replace(ahead, steps=said)
+    problem = costs.problem(table, tuple(fact.name for fact in facts), names, shares)
+    if may_ask:
+        ask = config["ask"]
+        limits = Limits(ask["cost"], ask["most"], ask["when"])
+        problem = replace(problem, questions=Questions(may_ask.learned, limits, may_ask.shows))
     return StudyPlan(
         **own,
         domain=seen.name,
@@ -144,9 +181,9 @@ def drafted(
         kinds=tuple(role.wrong for role in roles) if natural else (),
         trace=tuple(map(in_words, seen.trace)),
         path=seen.path,
-        problem=costs.problem(table, tuple(fact.name for fact in facts), names, shares).with_habits(
-            habits
-        ),
+        problem=problem.with_habits(habits),
+        clips=tuple(_in_words(clip, in_words) for clip in may_ask.clips) if may_ask else (),
+        clip_labels=may_ask.labels if may_ask else None,
         true_labels=seen.labels,
         conditions=config["conditions"],
         belief=config["belief"],
@@ -158,9 +195,19 @@ def drafted(
     )
 
 
-def _worded(wording: Mapping[str, Any], natural: bool, table: bool) -> Mapping[str, Any]:
+def _in_words(clip: Clip, in_words: InWords) -> Clip:
+    texts = (tuple(map(in_words, t)) for t in (clip.situation, clip.gone, clip.changes))
+    situation, gone, changes = texts
+    return replace(
+        clip, phrase=in_words(clip.phrase), situation=situation, gone=gone, changes=changes
+    )
+
+
+def _worded(
+    wording: Mapping[str, Any], natural: bool, table: bool, asks: bool
+) -> Mapping[str, Any]:
     """The texts for people who are briefed, or as they are; the steps of one's own table are whole
-    sentences.
+    sentences; where some are asked in between, what is said of it.
 
     Raises:
         InputError: texts of a map that own transitions do not have.
@@ -171,6 +218,10 @@ def _worded(wording: Mapping[str, Any], natural: bool, table: bool) -> Mapping[s
         said = {**example, "action": words["robot_does"].format(phrase=example["action"])}
         words = {**words, "robot_does": "{phrase}"}
         wording = {**wording, "training": said, "words": words}
+    if asks:
+        said = wording["asking"]
+        wording = {**wording, "task": [*wording["task"], *said["task"]]}
+        wording["debriefing"] = said["debriefing"]
     if natural:
         return {
             **wording,

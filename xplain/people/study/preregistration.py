@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from xplain.people.plan import Asked
-from xplain.people.study.plan import StudyPlan
+from xplain.people.study.plan import ASKING, PERSONALIZED, StudyPlan
 from xplain.people.study.policies import difference
 from xplain.people.study.statistics import t_power
 from xplain.people.study.table2 import CONDITIONS, MEASURES, SECONDARY, paper_effect
@@ -26,6 +26,8 @@ MEANING = {
     "visible_time_s": "the first measure less the time in which no page of the study was visible",
     "messages_given": "messages that the robot sent, each counted once",
     "messages_again": "how often it said one of them again",
+    "questions_asked": "steps that the robot asked about in between",
+    "cost": "λ · messages + inexplicable labels of all steps + κ · questions, as the policies plan",
 }
 
 
@@ -41,23 +43,30 @@ def document(plan: StudyPlan) -> str:
         [
             f"# Preregistration: {plan.texts.title}",
             f"Plan `{plan.hash}`, domain {plan.domain}, seed {plan.seed}.",
-            *_hypotheses(),
+            *_hypotheses(plan),
             *_design(plan),
             *_measures(plan),
             *_exclusions(plan),
-            *_analysis(),
+            *_analysis(plan),
             *_sample(plan),
             "",
         ]
     )
 
 
-def _hypotheses() -> list[str]:
+def _hypotheses(plan: StudyPlan) -> list[str]:
+    said = {m: f"{DIRECTION[m]} ({title.lower()})" for m, title in MEASURES.items()}
     rows = [
-        f"{number}. Participants who get personalized messages need, or have, {DIRECTION[measure]} "
-        f"({title.lower()}) than those who get conformant messages."
-        for number, (measure, title) in enumerate(MEASURES.items(), 1)
+        f"{number}. Participants who get personalized messages need, or have, {what} than those "
+        "who get conformant messages."
+        for number, what in enumerate(said.values(), 1)
     ]
+    if ASKING in plan.conditions:  # questions take time
+        rows += [
+            f"{number}. Participants who are asked in between have {said[measure]} than those who "
+            "get personalized messages without questions."
+            for number, measure in enumerate([*MEASURES][1:], len(rows) + 1)
+        ]
     return ["## Hypotheses", "\n".join(rows)]
 
 
@@ -77,7 +86,9 @@ def _design(plan: StudyPlan) -> list[str]:
         "conditions, and the researcher's page hides them.",
         "\n".join(solvers),
         *([AGAIN] if plan.problem.tracks_knowledge else []),
-        f"On this plan a faultless participant gets {difference(plan):.1f} messages more or fewer "
+        *_questions_of(plan),
+        f"On this plan a faultless participant gets {difference(plan):.1f} "
+        f"messages{' or questions' * (ASKING in plan.conditions)} more or fewer "
         "in one condition than in the other, on average over the types. Types:",
         "\n".join(types),
         f"Every participant evaluates the same {plan.n_steps} steps:",
@@ -85,11 +96,24 @@ def _design(plan: StudyPlan) -> list[str]:
     ]
 
 
+def _questions_of(plan: StudyPlan) -> list[str]:
+    asked = plan.problem.questions
+    if asked is None:
+        return []
+    limits = asked.limits
+    when = "before any step" if limits.when == "anytime" else "before the first step"
+    return [
+        f"In *{ASKING}* the policy may ask about {limits.most} of {len(asked)} steps of the task "
+        f"at most, {when}; it takes a question to cost {limits.cost:g} of an inexplicable label."
+    ]
+
+
 def _measures(plan: StudyPlan) -> list[str]:
     rows = [
         f"- {title} (`{measure}`{', secondary' * (measure in SECONDARY)}): {MEANING[measure]}."
         for measure, title in {**MEASURES, **SECONDARY}.items()
-        if measure != "messages_again" or plan.problem.tracks_knowledge
+        if (measure != "messages_again" or plan.problem.tracks_knowledge)
+        and (measure != "questions_asked" or ASKING in plan.conditions)
     ]
     found = ["## Measures", "\n".join(rows)]
     for when, questions in (("Before the briefing", plan.before), ("After the quiz", plan.asked)):
@@ -126,14 +150,18 @@ def _exclusions(plan: StudyPlan) -> list[str]:
     return ["## Exclusions", "\n".join(rows)]
 
 
-def _analysis() -> list[str]:
+def _analysis(plan: StudyPlan) -> list[str]:
+    also = (
+        f" {PERSONALIZED.capitalize()} against {ASKING} in the same way, with a correction over "
+        "its own three measures."
+    ) * (ASKING in plan.conditions)
     return [
         "## Analysis",
         f"Student's t test (two-sided) of each of the {len(MEASURES)} primary measures, "
         f"{CONDITIONS[0]} against {CONDITIONS[1]}; Holm's correction over them, α = .05. Beside "
         "them: Welch's t test, Hedges' g with its 95 % interval, and a permutation test stratified "
-        "by type. Pilots and simulated participants are never in it. Computed by `xplain study "
-        "analyse`, after `xplain study replay` has found the log unchanged.",
+        f"by type.{also} Pilots and simulated participants are never in it. Computed by `xplain "
+        "study analyse`, after `xplain study replay` has found the log unchanged.",
     ]
 
 

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from xplain.errors import Refused
 from xplain.people.analysis.export import Participant
+from xplain.people.plan import Pictures
 from xplain.people.server import map_svg, site
 from xplain.people.server.database import Do
 from xplain.people.study.flow import State, Study
-from xplain.people.study.plan import StudyPlan
+from xplain.people.study.plan import ASKING, StudyPlan
 from xplain.people.study.tables import export
 from xplain.randomness import stream
 
@@ -84,6 +88,20 @@ class StudySite(site.Site[Study]):
         from xplain.people.study.policies import study_of
 
         return cls(study_of(plan))
+
+    def announcement(self) -> str:
+        """Where some are asked, what that is worth to people who never err."""
+        if ASKING not in self.plan.conditions:
+            return ""
+        from xplain.people.study.policies import faultless
+
+        met = faultless(self.flow).items()
+        costs = ", ".join(f"{np.mean([o.cost for o in every]):.2f} {name}" for name, every in met)
+        asked = np.mean([one.n_questions for name, every in met if name == ASKING for one in every])
+        return (
+            f"study: λ · messages + inexplicable labels + κ · questions of people who never err: "
+            f"{costs} ({asked:.1f} questions)\n"
+        )
 
     # Places: permuted blocks of every type and condition. A slot is reserved in the transaction
     # that admits a participant, comes back when they drop out, time out or are not eligible, and
@@ -167,9 +185,12 @@ class StudySite(site.Site[Study]):
         """Where there is a map."""
         return self.plan.path is not None
 
-    def picture(self, what: int) -> str:
-        """The map after a number of steps."""
+    def picture(self, what: int | tuple[str, int]) -> str:
+        """The map after a number of steps, or with one clip."""
         plan = self.plan
+        if isinstance(what, tuple):
+            clip = plan.clips[what[1]]
+            return map_svg.picture(plan, clip.way or None, 1, clip.gone)
         gone = plan.taken[what] if plan.taken else ()
         return map_svg.picture(plan, plan.path, what, gone)
 
@@ -177,7 +198,15 @@ class StudySite(site.Site[Study]):
         """Who is not briefed reads of the task."""
         drawn, words = super().drawing(), self.plan.texts.words
         title = words["briefing_natural" if self.plan.kinds else "briefing"]
-        return drawn | {"titles": drawn["titles"] | {"briefing": title}}
+        own = {"briefing": title, "asking": words["asking"]}
+        return drawn | {"titles": drawn["titles"] | own}
+
+    @cached_property
+    def pictures(self) -> Pictures:
+        """After those of the trace those of the clips."""
+        plan = self.plan
+        of_trace = plan.pictures or (None,) * plan.n_steps
+        return (*of_trace, *(clip.picture for clip in plan.clips))
 
     def glance(self, query: site.Query) -> dict[str, Any]:
         """Which slots are left."""
@@ -193,6 +222,8 @@ class StudySite(site.Site[Study]):
 
     def step_of(self, state: State) -> str:
         """Of the evaluation."""
+        if state.stage == "asking":
+            return f"before step {state.step + 1}"
         return f"step {state.step + 1}" if state.stage == "evaluation" else ""
 
     def about(self, state: State, blinded: bool) -> dict[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -15,13 +15,17 @@ import numpy as np
 from xplain.errors import InputError
 from xplain.people.analysis.stored import STREAMS
 from xplain.people.study.flow import ENDS
+from xplain.people.study.plan import ASKING, CONFORMANT, PERSONALIZED
 from xplain.people.study.statistics import Comparison, compare, d_from_p, holm
 from xplain.randomness import derived_seed
 
 if TYPE_CHECKING:
     import pandas as pd
 
-CONDITIONS = ("conformant", "personalized")
+CONDITIONS = (CONFORMANT, PERSONALIZED)
+"""What the paper compares."""
+COMPARED = {"table2": CONDITIONS, "asking": (PERSONALIZED, ASKING)}
+"""Which conditions, by the name of the table: the second only in studies that ask."""
 MEASURES = {
     "interaction_time_s": "Interaction time (s)",
     "inexplicable_transitions": "Inexplicable transitions",
@@ -31,6 +35,8 @@ SECONDARY = {
     "visible_time_s": "Interaction time while visible (s)",
     "messages_given": "Messages",
     "messages_again": "Messages said again",
+    "questions_asked": "Questions",
+    "cost": "Cost",
 }
 """Shown where they are known of everybody."""
 NEEDED = ("participant", "stream", "stage", "type", "condition", "eligible", *MEASURES)
@@ -52,6 +58,7 @@ class Analysis:
     """Everything that is reported.
 
     Attributes:
+        conditions: that are compared, the first less the second.
         stream: whose data: person, pilot or bot. Never mixed.
         rows: the three measures, then the secondary ones (not part of the correction).
         flow: [(stage, {condition or "all": number})] of participants, then the ends.
@@ -59,6 +66,7 @@ class Analysis:
         data: the completed, included participants.
     """
 
+    conditions: tuple[str, str]
     stream: str
     rows: tuple[Row, ...]
     flow: tuple[tuple[str, Mapping[str, int]], ...]
@@ -102,15 +110,20 @@ def read(folder: Path) -> pd.DataFrame:
 
 
 def analyse(
-    data: pd.DataFrame, stream: str, excluded: Mapping[str, str], seed: int = 0
+    data: pd.DataFrame,
+    stream: str,
+    excluded: Mapping[str, str],
+    seed: int = 0,
+    conditions: tuple[str, str] = CONDITIONS,
 ) -> Analysis:
-    """Compares the conditions.
+    """Compares two conditions.
 
     Args:
         data: table of participants.
         stream: "person", "pilot" or "bot"; only these rows count.
         excluded: {participant: reason}, decided before looking at the results.
         seed: of the permutation tests.
+        conditions: the two.
 
     Raises:
         InputError: an unknown stream, participant or condition, or nobody to analyse.
@@ -122,37 +135,57 @@ def analyse(
         raise InputError("exclude", min(unknown), "a participant in the data")
     own = data[data["stream"] == stream]
     done = own[own["stage"] == "done"]
-    others = set(done["condition"]) - set(CONDITIONS)
+    known = (*CONDITIONS, ASKING)
+    others = set(done["condition"]) - set(known)
     if others:
-        raise InputError("condition", min(others), " or ".join(CONDITIONS))
+        raise InputError("condition", min(others), " or ".join(known))
+    done = done[done["condition"].isin(conditions)]
     if "attention_missed" in done.columns:
         missed = done.loc[done["attention_missed"] > 0, "participant"]
         excluded = dict.fromkeys(missed, "attention check missed") | dict(excluded)
     reasons = [excluded[p] for p in done["participant"] if p in excluded]
     kept = done[~done["participant"].isin(list(excluded))]
-    if any((kept["condition"] == condition).sum() < 2 for condition in CONDITIONS):
-        counts = {c: int((kept["condition"] == c).sum()) for c in CONDITIONS}
+    if any((kept["condition"] == condition).sum() < 2 for condition in conditions):
+        counts = {c: int((kept["condition"] == c).sum()) for c in conditions}
         raise InputError(
             "data", counts, f"at least 2 completed participants (stream {stream}) a condition"
         )
     told = [m for m in SECONDARY if m in kept and kept[m].notna().all()]
-    found = {m: _compare(kept, m, seed) for m in (*MEASURES, *told)}
+    if ASKING not in conditions:
+        told = [m for m in told if m != "questions_asked"]
+    found = {m: _compare(kept, m, conditions, seed) for m in (*MEASURES, *told)}
     adjusted = dict(zip(MEASURES, holm([found[m].student.p for m in MEASURES]), strict=True))
+    paper = paper_table() if conditions == CONDITIONS else {}
     rows = [
-        Row(m, title, found[m], float(adjusted.get(m, np.nan)), paper_table().get(m))
+        Row(m, title, found[m], float(adjusted.get(m, np.nan)), paper.get(m))
         for m, title in {**MEASURES, **SECONDARY}.items()
         if m in found
     ]
     counted = {reason: reasons.count(reason) for reason in dict.fromkeys(reasons)}
     if untimed := int(kept["interaction_time_s"].isna().sum()):
         counted["of the time alone: the clock was set back"] = untimed
-    return Analysis(stream, tuple(rows), _flow(own), counted, kept)
+    return Analysis(conditions, stream, tuple(rows), _flow(own), counted, kept)
 
 
-def _compare(data: pd.DataFrame, measure: str, seed: int) -> Comparison:
-    """Conformant against personalized, as the paper's columns."""
+def analyses(
+    data: pd.DataFrame, stream: str, excluded: Mapping[str, str], seed: int = 0
+) -> dict[str, Analysis]:
+    """:func:`analyse` of the paper's two conditions, and of asking where somebody was to be asked,
+    by the names in COMPARED. Each corrects for its own three measures."""
+    met = set(data.loc[(data["stream"] == stream) & (data["stage"] == "done"), "condition"])
+    return {
+        name: analyse(data, stream, excluded, seed, pair)
+        for name, pair in COMPARED.items()
+        if pair == CONDITIONS or ASKING in met
+    }
+
+
+def _compare(
+    data: pd.DataFrame, measure: str, conditions: tuple[str, str], seed: int
+) -> Comparison:
+    """The first condition against the second."""
     data = data.dropna(subset=[measure])  # a time that cannot be is left out
-    a, b = (data[data["condition"] == condition] for condition in CONDITIONS)
+    a, b = (data[data["condition"] == condition] for condition in conditions)
     return compare(
         a[measure].to_numpy(),
         b[measure].to_numpy(),
@@ -173,18 +206,20 @@ def _flow(own: pd.DataFrame) -> tuple[tuple[str, Mapping[str, int]], ...]:
         **{end.replace("_", " "): own["stage"] == end for end in ENDS},
         "still on their way": ~own["stage"].isin(["done", *ENDS]),
     }
-    of = {"all": own["participant"].notna(), **{c: own["condition"] == c for c in CONDITIONS}}
+    asked = (ASKING,) if (own["condition"] == ASKING).any() else ()
+    of = {"all": own["participant"].notna()}
+    of |= {c: own["condition"] == c for c in (*CONDITIONS, *asked)}
     return tuple(
         (stage, {whose: int((who & theirs).sum()) for whose, theirs in of.items()})
         for stage, who in reached.items()
     )
 
 
-def table(rows: Sequence[Row]) -> list[dict[str, float | str]]:
+def table(analysis: Analysis) -> list[dict[str, float | str]]:
     """The rows as flat records, for CSV."""
     records: list[dict[str, float | str]] = []
-    for row in rows:
-        parts = (("conformant", row.ours.a), ("personalized", row.ours.b))
+    for row in analysis.rows:
+        parts = tuple(zip(analysis.conditions, (row.ours.a, row.ours.b), strict=True))
         tests = (("student", row.ours.student), ("welch", row.ours.welch))
         records.append(
             {

@@ -20,6 +20,8 @@ from xplain.people.study.flow import State
 from xplain.people.study.plan import StudyPlan
 
 Participant = exported.Participant[State]
+EVALUATING = ("evaluation", "asking")
+"""Stages whose pages are the evaluation."""
 
 
 def export(database: Path, folder: Path) -> str:
@@ -49,6 +51,7 @@ def tables(
         ],
         "pages": shown,
         "labels": [row for step in steps for row in _labels(plan, step)],
+        "questions": [row for one in people for row in _questions(plan, one, shown)],
         "eligibility": [row for one in people for row in _eligibility(plan, one)],
         "quiz": [row for one in people for row in _quiz(plan, one)],
         "answers": [
@@ -80,6 +83,8 @@ def _participant(plan: StudyPlan, one: Participant) -> Row:
         "steps_labelled": len(state.labels),
         "messages_given": state.given.bit_count(),
         "messages_again": state.again if plan.problem.tracks_knowledge else None,
+        "questions_asked": len(state.asked) if plan.clips else None,
+        "cost": _cost(plan, one) if finished else None,
         "inexplicable_transitions": state.labels.count(0) if finished else None,
         "quiz_score": state.score,
         "interaction_time_s": took.seconds if finished else None,
@@ -117,6 +122,37 @@ def _labels(plan: StudyPlan, step: Row) -> Iterator[Row]:
             "transition": plan.trace[i],
             "messages_shown": ";".join(on_page),
             "label": label,
+        }
+
+
+def _cost(plan: StudyPlan, one: Participant) -> float:
+    """λ · messages + inexplicable labels of all steps + κ · questions."""
+    problem, asked = plan.problem, len(one.state.asked)
+    messages = sum(float(problem.message_cost[j]) for j in one.state.heard)
+    wrong: int = sum(event["payload"]["labels"].count(0) for event in one.answers("labels"))
+    cost = problem.trade_off * messages + problem.inexplicability_cost * wrong
+    return cost + (problem.questions.limits.cost * asked if problem.questions else 0.0)
+
+
+def _questions(plan: StudyPlan, one: Participant, shown: Sequence[Row]) -> Iterator[Row]:
+    names, state = plan.problem.message_names, one.state
+    took = {page["sequence"]: page["seconds"] for page in shown if page["participant"] == one.id}
+    answers = [event["source_sequence"] for event in one.answers("clip")]
+    for number, asked in enumerate(state.asked):
+        clip = plan.clips[asked.question]
+        yield {
+            "participant": one.id,
+            "number": number,
+            "k": asked.step,
+            "clip": asked.question,
+            "transition": clip.phrase,
+            "situation": " ".join(clip.situation),
+            "messages_shown": ";".join(names[j] for j in sorted({*state.heard[: asked.told]})),
+            "worth": asked.worth,
+            "belief_before": json.dumps(asked.before),
+            "belief_after": json.dumps(asked.after) if asked.after else None,
+            "label": asked.answer,
+            "seconds": took.get(answers[number]) if number < len(answers) else None,
         }
 
 
@@ -181,9 +217,7 @@ def interaction(events: Sequence[Row]) -> Interaction:
     Args:
         events: rows of the event table in order, payloads decoded.
     """
-    evaluated = [
-        e for e in events if e["kind"] == "shown" and e["payload"]["stage"] == "evaluation"
-    ]
+    evaluated = [e for e in events if e["kind"] == "shown" and e["payload"]["stage"] in EVALUATING]
     labels = [e for e in events if e["kind"] == "labels" and e["source"] == "protocol"]
     if not evaluated or not labels:
         return Interaction()
@@ -207,7 +241,7 @@ def pages(events: Sequence[Row]) -> list[Row]:
                 "participant": event["participant"],
                 "sequence": event["source_sequence"],
                 "stage": stage,
-                "step": step if stage == "evaluation" else None,
+                "step": step if stage in EVALUATING else None,
                 "shown": event["wall"],
                 "seconds": seconds(event, answer)[0] if answer else None,
                 "browser_ms": answer["browser"] if answer else None,
@@ -239,8 +273,8 @@ def hidden(events: Sequence[Row]) -> float | None:
             continue
         if since is not None:
             total, since = total + (at - since), None
-        if began and what != "evaluation":
+        if began and what not in EVALUATING:
             break  # the quiz: the evaluation is over
-        began = began or what == "evaluation"
+        began = began or what in EVALUATING
         looked_at = page
     return total / 1000 if began else None

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from xplain.data.rollouts import sample_trace
 from xplain.domains.base import Domain, Parameter, Scene, changes_of, transition_features
 from xplain.errors import InputError, whole_number
+from xplain.experiment.asking import Clips
+from xplain.explanation.asking import Pool, alike_first, nearest_first
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.user_types import label_table
 from xplain.message_sets import indices
@@ -22,6 +24,7 @@ from xplain.people.own_table import OwnTable
 from xplain.people.plan import Ahead, Picture, Told, Way
 from xplain.people.study import content
 from xplain.people.study.known_types import Learned
+from xplain.people.study.plan import Clip
 from xplain.people.wording import of_states
 from xplain.randomness import stream
 from xplain.users.setting import Setting, UserType
@@ -56,6 +59,23 @@ class Seen:
     ahead: Ahead | None = None
 
 
+@dataclass(frozen=True)
+class MayAsk:
+    """Q clips that may be asked about while a trace of m transitions is explained, nearest first.
+
+    Attributes:
+        clips: as participants meet them; texts not yet in a lab's words.
+        learned: of the labelers.
+        labels: true ones, of M kinds of (simulated) people.
+        shows: [Q, m] whether a clip is of this transition of the trace.
+    """
+
+    clips: tuple[Clip, ...]
+    learned: LabelTable
+    labels: LabelTable
+    shows: NDArray[np.bool_]
+
+
 class Task(Protocol):
     """What a study explains; traces are arrays as its methods hand them on."""
 
@@ -73,6 +93,10 @@ class Task(Protocol):
 
     def seen(self, trace: NDArray[np.int64]) -> Seen:
         """What participants see of it."""
+        ...
+
+    def may_ask(self, learned: Learned, trace: NDArray[np.int64], pool: Pool) -> MayAsk:
+        """The clips of the pool."""
         ...
 
 
@@ -122,6 +146,21 @@ class OfDomain:
             ahead=self._ahead,
         )
 
+    def may_ask(self, learned: Learned, trace: NDArray[np.int64], pool: Pool) -> MayAsk:
+        """Of every transition that the robot can make."""
+        setting, domain = self.setting, self.setting.domain
+        every = setting.reachable
+        tables = self.table(learned, every), setting.true_labels(every)
+        features = transition_features(domain, every)
+        near = Clips(pool, setting, features, *tables).near(trace)
+        begin = near.transitions[:, 0].tolist()
+        told = [of_states(domain, what, begin) for what in ("situation", "gone")]
+        told.append(() if domain.scene else changes_of(domain, near.transitions))
+        situations, gone, changes = (one or ((),) * len(begin) for one in told)
+        ways = [_path(domain, [step[0], step[2]]) or () for step in near.transitions.tolist()]
+        clips = tuple(map(Clip, near.texts, ways, situations, gone, changes))
+        return MayAsk(clips, near.learned, near.labels, near.shows)
+
     @cached_property
     def _ahead(self) -> Ahead | None:
         domain, made = self.setting.domain, self.setting.reachable
@@ -168,6 +207,21 @@ class OfTable:
             labels=self._labels(trace),
             trace=tuple(own.hypotheses.phrases[row] for row in trace),
             pictures=pictures if any(pictures) else (),
+        )
+
+    def may_ask(self, learned: Learned, trace: NDArray[np.int64], pool: Pool) -> MayAsk:
+        """Of every row of the table."""
+        own, features = self.own, self.own.hypotheses.features
+        assert features is not None, "own tables have features"
+        order = nearest_first(features, features[trace])
+        order = order[alike_first(self.table(learned, order), pool.clips)]
+        pictures = own.pictures or (None,) * len(features)
+        phrases = own.hypotheses.phrases
+        return MayAsk(
+            tuple(Clip(phrases[row], picture=pictures[row]) for row in order),
+            self.table(learned, order),
+            LabelTable.dense(self._labels(order)),
+            order[:, None] == trace,
         )
 
     def _labels(self, trace: NDArray[np.int64]) -> NDArray[np.uint8]:

@@ -54,6 +54,20 @@ def test_time_runs_from_the_first_rendering_to_the_last_label() -> None:
     assert interaction(LABELS[:1]).seconds is None
 
 
+def test_questions_in_between_are_part_of_the_evaluation() -> None:
+    """Also the first page of it may be one, and looking at one is no end of it."""
+    asked = [
+        event("shown", "shown", -20, stage="asking"),
+        event("protocol", "clip", -10),
+        *(seen(-20, stage="asking"), gone(-15), seen(-13, stage="asking")),
+        *(seen(-8), gone(-7), seen(-3)),
+        *(seen(50, stage="asking"), seen(60), gone(70), seen(75), seen(101, stage="quiz")),
+        *LABELS,
+    ]
+    found = interaction(asked)
+    assert (found.seconds, found.hidden) == (120, pytest.approx(2 + 4 + 5))
+
+
 def test_a_clock_that_was_set_back_gives_no_time_that_cannot_be() -> None:
     back = [*LABELS[:3], LABELS[3] | {"wall": 1e9 - 259_198.0}]
     assert (interaction(back).seconds, interaction(back).clock) == (100, "monotonic")

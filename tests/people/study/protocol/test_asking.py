@@ -1,0 +1,191 @@
+"""A condition that asks: the explanation is the offline one, and nothing changes for the others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.people.study.protocol.test_machine import at_evaluation
+from tests.people.study.stand_in import ASK, CONFIG, FAULTLESS, street_plan, street_study
+from xplain.errors import InputError, Refused
+from xplain.evaluation.episode import explain
+from xplain.evaluation.explainees import Exact, Slips
+from xplain.explanation.belief import Independent, Persistent
+from xplain.explanation.label_table import LabelTable, joined
+from xplain.people.study.bot import Person
+from xplain.people.study.flow import State, Study
+from xplain.people.study.policies import difference
+from xplain.people.study.prepare import conditions_of
+from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.qmdp import QMDP
+
+
+@pytest.fixture(scope="module")
+def asking() -> Study:
+    return street_study(ask=ASK)
+
+
+def with_belief(study: Study, update: Persistent | Independent | None) -> Study:
+    """Whose agent takes people to be like that; None: as it is."""
+    if update is None:
+        return study
+    problem = study.plan.problem.with_habits(update.habits())
+    plan = replace(study.plan, problem=problem)
+    policies = {"asking": CachedPolicy(QMDP().plan(problem))}
+    return replace(study, plan=plan, policies=policies, belief=update)
+
+
+UPDATES = [None, Persistent(), Persistent(0.1), Independent("learned")]
+
+
+@pytest.mark.parametrize("update", UPDATES)
+@pytest.mark.parametrize("slips", [0.0, 0.3])
+def test_people_are_asked_what_the_offline_experiment_asks(
+    asking: Study, update: Persistent | Independent | None, slips: float
+) -> None:
+    """Questions, messages and beliefs, to the last bit; of people who err in both alike."""
+    study = with_belief(asking, update)
+    plan, people, met = study.plan, Slips(slips) if slips else Exact(), set()
+    assert plan.clip_labels is not None
+    same = np.array([*range(4), *range(4)])  # the clips are the trace's own steps
+    for seed, user_type in product(range(6), range(3)):
+        of_trace = LabelTable.dense(plan.true_labels[[user_type]])
+        labels = joined([of_trace, plan.clip_labels.of_types([user_type])])
+        offline_person, person = (people.meet(labels, same, seed) for _ in range(2))
+        offline = explain(plan.problem, study.policies["asking"], offline_person, study.belief)
+        state, pages = at_evaluation(study, user_type, "asking"), []
+        while state.stage in ("asking", "evaluation"):
+            if state.stage == "asking":
+                question = state.asked[-1].question
+                label = person.answer(plan.n_steps + question, state.given)  # type: ignore[attr-defined]
+                outcome = study.advance(state, "clip", {"label": label})
+                pages.append((state.step, question, label))
+            else:
+                assert state.new == offline.messages[state.step]
+                answers = person.react(state.given, state.step + 1).answers.tolist()
+                outcome = study.advance(state, "labels", {"labels": answers})
+                assert outcome.answer is not None
+                assert outcome.answer.belief == tuple(offline.beliefs[state.step + 1].tolist())
+            state = outcome.state
+        assert pages == [tuple(one) for one in offline.questions.tolist()]
+        assert [(one.step, one.question, one.answer) for one in state.asked] == pages
+        # Each question goes on from where the one before it led, and was worth its price.
+        for one, other in zip(state.asked, state.asked[1:], strict=False):
+            assert one.step != other.step or one.after == other.before
+        assert all(one.worth is not None and one.worth > 0 for one in state.asked)
+        met |= {one.question for one in state.asked}
+    assert len(met) > 1
+
+
+@pytest.mark.parametrize("condition", ["personalized", "conformant"])
+def test_the_other_conditions_are_as_they_were_to_the_last_bit(
+    study: Study, asking: Study, condition: str
+) -> None:
+    assert study.plan.probes[condition] == asking.plan.probes[condition]
+    for number, user_type in product(range(5), range(3)):
+        rng = np.random.default_rng(number)
+        states = [at_evaluation(one, user_type, condition) for one in (study, asking)]
+        while states[0].stage == "evaluation":
+            assert states[0].text == states[1].text
+            payload = {"labels": rng.integers(2, size=states[0].step + 1).tolist()}
+            both = zip((study, asking), states, strict=True)
+            states = [one.advance(state, "labels", payload).state for one, state in both]
+        assert states[0].text == states[1].text
+        assert "asked" not in states[1].text  # as states were stored before there were questions
+
+
+@pytest.mark.parametrize(
+    ("when", "most", "cost", "error"),
+    [("first", 10, 0.01, 0), ("anytime", 1, 0.01, 0), ("anytime", 10, 0.15, 0.3)],
+)
+def test_questions_keep_to_their_limits(when: str, most: int, cost: float, error: float) -> None:
+    """Of people who answer anyhow; the last are asked between later steps, too."""
+    ask = ASK | {"when": when, "most": most, "cost": cost}
+    study = street_study(ask=ask, belief=CONFIG["belief"] | {"error": error})
+    asked = later = 0
+    for number, user_type in product(range(8), range(3)):
+        rng, state = np.random.default_rng(number), at_evaluation(study, user_type, "asking")
+        while state.stage in ("asking", "evaluation"):
+            kind, labels = study.waits_for(state), rng.integers(2, size=state.step + 1).tolist()
+            if state.stage == "asking":
+                assert state.new == 0  # nothing on a question's page is new
+                later += bool(state.heard)
+            payload = {"label": labels[0]} if kind == "clip" else {"labels": labels}
+            state = study.advance(state, kind, payload).state
+        questions = [one.question for one in state.asked]
+        assert len(questions) == len({*questions}) <= most
+        assert when == "anytime" or all((one.step, one.told) == (0, 0) for one in state.asked)
+        asked += len(questions)
+    assert asked
+    assert (later > 0) == (error > 0)
+
+
+def test_a_question_shows_what_was_said_and_wants_an_answer(asking: Study) -> None:
+    state = at_evaluation(asking, 1, "asking")
+    assert state.stage == "asking"
+    with pytest.raises(Refused, match="say whether"):
+        asking.advance(state, "clip", {})
+    with pytest.raises(Refused):
+        asking.advance(state, "labels", {"labels": [1]})
+    later = replace(state, given=0b11, heard=(1, 0), new=0)
+    view, facts = asking.view(later), asking.plan.facts
+    assert (view["old"], view["new"]) == ([facts[1].message, facts[0].message], [])
+    assert view["clip"] == asking.plan.clips[state.asked[-1].question]
+    assert not {"belief", "condition", "worth", "user_type"} & view.keys()
+    assert asking.part("asking") == "evaluation"
+    assert "asking" not in asking.stages
+    back = asking.advance(replace(state, stage="timed_out", left="asking"), "return", {}).state
+    assert asking.view(back)["clip"] == view["clip"]
+
+
+@pytest.mark.parametrize("noise", [0, 1])
+def test_bots_answer_questions_as_they_label(asking: Study, noise: int) -> None:
+    from xplain.people.simulation.browser import Page
+
+    plan = asking.plan
+    for user_type, known, clip in product(range(3), range(16), range(4)):
+        bot = Person(plan, replace(FAULTLESS, label_noise=noise), np.random.default_rng(0))
+        bot.user_type, bot.known = user_type, known
+        fields, seconds = bot.fill(Page("asking", steps=[clip]))[0:2]
+        assert fields == [("label", str(plan.true_labels[user_type, clip, known] ^ noise))]
+        assert seconds > 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"ask": ASK | {"kinds": ["beliefs"]}}, r"ask\.kinds=\['beliefs'\]: clips in a study"),
+        ({"ask": ASK | {"kinds": ["clips", "beliefs"]}}, r"ask\.kinds=.*: clips in a study"),
+        ({"ask": ASK | {"cost": -1}}, r"ask\.cost=-1"),
+        ({"ask": ASK | {"when": "later"}}, r"ask\.when='later'"),
+        ({"ask": ASK | {"clips": 0}}, r"ask\.clips=0"),
+        ({"conditions": {"asking": {}}}, r"conditions\.asking='set': with ask=clips"),
+        ({"ask": ASK, "conditions": {"conformant": {}}}, r"conditions\.asking=None: with personal"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        conditions_of(CONFIG | changes)
+
+
+def test_a_solver_that_does_not_ask_is_refused() -> None:
+    own = {"asking": {"_target_": "xplain.solvers.known_type.Conformant"}}
+    with pytest.raises(InputError, match="one that asks"):
+        street_plan(ask=ASK, conditions=CONFIG["conditions"] | own)
+
+
+def test_conditions_may_differ_by_questions_alone_and_have_to() -> None:
+    """Questions too dear to be asked make the third condition the first again."""
+    assert difference(street_plan(ask=ASK)) >= 1
+    assert difference(street_plan(ask=ASK | {"cost": 9.0})) == 0
+
+
+def test_a_state_with_questions_comes_back_from_its_text(asking: Study) -> None:
+    state = at_evaluation(asking, 1, "asking")
+    state = asking.advance(state, "clip", {"label": 0}).state
+    assert state.asked
+    assert State.from_text(state.text) == state

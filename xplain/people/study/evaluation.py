@@ -1,0 +1,261 @@
+"""The evaluation: the robot's steps with the policy's messages, and before them what it may ask.
+
+The explanation itself is the :class:`~xplain.sessions.interaction.Interaction` of the offline
+experiments, resumed at each page.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from xplain.explanation.asking import NO_QUESTION
+from xplain.explanation.belief import BeliefUpdate
+from xplain.message_sets import indices
+from xplain.people import flow as core
+from xplain.people.flow import Answer, Decision, Fields, Flow, Form, Stage
+from xplain.people.stages import OneLabel, choices, small
+from xplain.people.study.plan import Role, StudyPlan
+from xplain.sessions.interaction import Interaction
+from xplain.solvers.base import Policy
+
+ENDS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out")
+
+
+@dataclass(frozen=True)
+class Inquiry:
+    """A question to the participant.
+
+    Attributes:
+        step: k, of the next step.
+        question: its number.
+        told: how many messages had been said.
+        worth: by how much the policy took it to be better than saying or showing something;
+            None where it tells none.
+        before: [M] belief over user types.
+        answer: 1 if the step made sense to them, else 0; None before they answered.
+        after: [M] the belief then.
+    """
+
+    step: int
+    question: int
+    told: int
+    worth: float | None
+    before: tuple[float, ...]
+    answer: int | None = None
+    after: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class State(core.State):
+    """Where a participant is. The first value is the start.
+
+    Attributes:
+        user_type, condition: the slot; None before consent.
+        orders: {"eligibility" | "quiz": the order in which questions are shown}.
+        attempts: eligibility tests taken.
+        step: k of the evaluation.
+        given: bitmask of the messages on the page, the new ones among them.
+        new: bitmask of the messages that are said at this step.
+        previous: bitmask of the messages at the step before; None at the first.
+        belief: over what is hidden.
+        labels: of the transitions 0 … k − 1, as answered last.
+        heard: the messages said, by number, in the order of their arrival; again where said again.
+        score: of the quiz.
+        asked: the questions, the one on the page last.
+    """
+
+    ENDS = ENDS
+
+    user_type: int | None = None
+    condition: str | None = None
+    orders: Mapping[str, tuple[int, ...]] | None = None
+    attempts: int = 0
+    step: int = 0
+    given: int = 0
+    new: int = 0
+    previous: int | None = None
+    belief: tuple[float, ...] = ()
+    labels: tuple[int, ...] = ()
+    score: int | None = None
+    heard: tuple[int, ...] = ()
+    asked: tuple[Inquiry, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """Without the questions where there are none, as before there were any."""
+        content = asdict(self)
+        if not self.asked:
+            del content["asked"]
+        return json.dumps(content, sort_keys=True)
+
+    @property
+    def slot_type(self) -> int:
+        """The user type, in the stages after consent: each of them has a slot."""
+        assert self.user_type is not None, f"no slot at {self.stage}"
+        return self.user_type
+
+    @property
+    def again(self) -> int:
+        """How often a message was said that had been said before."""
+        return len(self.heard) - self.given.bit_count()
+
+
+Outcome = core.Outcome[State]
+
+
+@dataclass(frozen=True)
+class Explaining(Flow[StudyPlan, State]):
+    """A flow in which a trace is explained.
+
+    Attributes:
+        policies: {condition: policy for the problem of that condition}.
+        belief: which labels are evidence.
+    """
+
+    policies: Mapping[str, Policy]
+    belief: BeliefUpdate
+
+    def role(self, state: State) -> Role:
+        """What the participant is told and asked, in the stages after consent."""
+        return self.plan.roles[state.slot_type]
+
+    def talk(self, state: State) -> Interaction:
+        """The explanation as it stands at a page of the evaluation."""
+        condition = state.condition or ""
+        problem = self.plan.problem_of(condition)
+        talk = Interaction(problem, self.policies[condition], self.belief)
+        # Who was told something, or may have forgotten something, is asked something new.
+        forgets = bool(problem.habits.forget.any())
+        same = [
+            one.question
+            for one in state.asked
+            if one.told == len(state.heard) and (one.step == state.step or not forgets)
+        ]
+        talk.resume(
+            np.array(state.belief),
+            state.step,
+            state.given,
+            [one.question for one in state.asked],
+            None if state.new or forgets else state.previous,
+            same,
+        )
+        return talk
+
+    def next_step(self, state: State, answer: Answer | None = None) -> Outcome:
+        """A question, if the policy asks one before the state's step; else the step with the
+        policy's messages."""
+        talk, belief = self.talk(state), self.of_types(state.belief)
+        question, values = talk.ask(), talk.values()
+        said = {mask: float(value) for mask, value in values.items() if mask >= 0}
+        if question != NO_QUESTION:
+            best = max(said.values(), default=0.0)
+            worth = float(values[~question]) - best if ~question in values else None
+            one = Inquiry(state.step, question, len(state.heard), worth, belief)
+            return replace(state.to(stage="asking", asked=(*state.asked, one)), answer=answer)
+        new = talk.say()
+        shown = {str(int(mask)): value for mask, value in said.items()}
+        outcome = state.to(
+            stage="evaluation",
+            given=talk.given,
+            new=new,
+            heard=(*state.heard, *indices(new)),
+            belief=tuple(talk.belief.tolist()),
+        )
+        decision = Decision(state.step, belief, state.given, new, shown)
+        return replace(outcome, decision=decision, answer=answer)
+
+    def of_types(self, belief: Sequence[float]) -> tuple[float, ...]:
+        """What is logged: over user types, whatever habits and knowledge go with them."""
+        return tuple(self.plan.problem.type_belief(np.array(belief)).tolist())
+
+    def told(self, state: State) -> dict[str, Any]:
+        """What every page of the evaluation shows: the briefing, the old messages and the new ones,
+        each where it was said last; ``again`` are those of the new ones that had been said
+        before."""
+        messages = [fact.message for fact in self.plan.facts]
+        last = [*dict.fromkeys(reversed(state.heard))][::-1]
+        old = [messages[j] for j in last if not state.new >> j & 1]
+        new = [messages[j] for j in last if state.new >> j & 1]
+        again = [messages[j] for j in last if state.new >> j & 1 and state.heard.count(j) > 1]
+        return {
+            "briefing": self.role(state).briefing,
+            "slots": len(self.plan.facts),
+            "recall": self.plan.rules.recall,
+            "old": old,
+            "new": new,
+            "again": again,
+            "told": old + new,
+        }
+
+
+class Evaluation(Stage["Explaining", State]):
+    """The robot's steps, one after the other, with the policy's messages."""
+
+    def enter(self, flow: Explaining, state: State) -> Outcome:
+        """The first step."""
+        belief = tuple(flow.plan.problem_of(state.condition or "").start.tolist())
+        return flow.next_step(replace(state, wrong=False, belief=belief))
+
+    def view(self, flow: Explaining, state: State) -> dict[str, Any]:
+        """The steps so far, the labels, the old messages and the new ones."""
+        plan = flow.plan
+        return flow.told(state) | {
+            "step": state.step,
+            "trace": plan.trace[: state.step + 1],
+            "n_steps": plan.n_steps,
+            "labels": state.labels,
+            "fields": {f"label_{i}": [] for i in range(state.step + 1)},
+        }
+
+    def read(self, flow: Explaining, state: State, form: Form) -> dict[str, Any]:
+        """An earlier label that is not sent again stays as it was."""
+        kept = [*state.labels[: state.step], None]
+        sent = [small(form.get(f"label_{i}")) for i in range(state.step + 1)]
+        pairs = zip(sent, kept, strict=True)
+        return {"labels": [old if label is None else label for label, old in pairs]}
+
+    def fields(self, payload: Mapping[str, Any]) -> Fields:
+        """All labels."""
+        return [(f"label_{i}", str(label)) for i, label in enumerate(payload["labels"])]
+
+    def advance(self, flow: Explaining, state: State, payload: Mapping[str, Any]) -> Outcome:
+        """To the next step, or on from the last one."""
+        count = [2] * (state.step + 1)
+        chosen = choices(payload.get("labels"), count, flow.words["label_missing"])
+        talk = flow.talk(state)
+        talk.hear(np.array(chosen, dtype=np.uint8))
+        belief = tuple(talk.belief.tolist())
+        answer = Answer(state.step, chosen, flow.of_types(belief))
+        state = replace(state, labels=chosen, belief=belief, previous=state.given, new=0)
+        if state.step + 1 == flow.plan.n_steps:
+            return replace(flow.after(state), answer=answer)
+        return flow.next_step(replace(state, step=state.step + 1), answer)
+
+
+class Asking(OneLabel["Explaining", State]):
+    """One step of the task, which need not be on the trace: does it make sense?"""
+
+    WITHIN: ClassVar = "evaluation"
+
+    def view(self, flow: Explaining, state: State) -> dict[str, Any]:
+        """The clip, and the messages so far."""
+        question = state.asked[-1].question
+        return flow.told(state) | {
+            "clip": flow.plan.clips[question],
+            "transitions": (question,),
+            "first_picture": flow.plan.n_steps,
+            "fields": {"label": []},
+        }
+
+    def advance(self, flow: Explaining, state: State, payload: Mapping[str, Any]) -> Outcome:
+        """To another question, or to the next step."""
+        label, talk = self.label(flow, payload), flow.talk(state)
+        talk.hear_answer(state.asked[-1].question, label)
+        belief = tuple(talk.belief.tolist())
+        answered = replace(state.asked[-1], answer=label, after=flow.of_types(belief))
+        return flow.next_step(replace(state, belief=belief, asked=(*state.asked[:-1], answered)))
