@@ -22,6 +22,7 @@ from tests.report import handmade
 from xplain.experiment.results import load_results, save_results
 from xplain.report import paper_table
 from xplain.report.combinations import differences_csv
+from xplain.report.plots import figure_of_panels
 from xplain.report.run_summary import print_summary
 from xplain.report.summary import Summary
 from xplain.report.write import write_report
@@ -313,6 +314,17 @@ def test_the_page_says_who_costs_least_and_holds_every_figure_and_episode(tmp_pa
 
 def inside_raw(text):
     return re.search(r'id="plots">(.*?)</script>', text, re.DOTALL)[1]
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 5, 9])
+def test_panels_are_as_many_as_asked_for_and_no_other_is_seen(count):
+    figure, panels = figure_of_panels(count)
+    assert len(panels) == count
+    assert [axes for axes in figure.axes if axes.get_visible()] == panels
+    places = [axes.get_subplotspec() for axes in panels]
+    assert [(place.rowspan.start, place.colspan.start) for place in places] == [
+        divmod(number, 4) for number in range(count)
+    ]
 
 
 def test_the_report_is_the_same_bytes_each_time(known):
