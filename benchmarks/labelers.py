@@ -29,7 +29,6 @@ import questions
 from discovery import FIRST_SEED, RESULTS, setting_of, shown
 from joblib import Parallel, delayed
 from matplotlib.figure import Figure
-from sklearn.calibration import CalibratedClassifierCV
 from sklearn.ensemble import GradientBoostingClassifier, RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.pipeline import make_pipeline
@@ -57,10 +56,6 @@ LABELERS = {
     "tree (paper)": LabelerTrainer(),
     "tree, leaf confidence": LabelerTrainer(confidence="leaf"),
     "tree, pruned": LabelerTrainer(DecisionTreeClassifier(ccp_alpha=0.004), confidence="leaf"),
-    "tree, isotonic": LabelerTrainer(
-        CalibratedClassifierCV(DecisionTreeClassifier(), method="isotonic", ensemble=False, cv=3),
-        confidence="leaf",
-    ),
     "forest": LabelerTrainer(RandomForestClassifier(100), confidence="leaf"),
     "boosting": LabelerTrainer(GradientBoostingClassifier(), confidence="leaf"),
     "logistic, interactions": LabelerTrainer(
