@@ -204,8 +204,6 @@ def test_who_never_asks_is_given_no_clips_and_who_cannot_ask_neither() -> None:
         replace(ASKING, solver=Conformant()).session([0], clips=[1])
     with pytest.raises(InputError, match="indices"):
         ASKING.session([0], clips=[9])
-    with pytest.raises(InputError, match="miss or forget"):
-        replace(ASKING, belief_update=Independent(accept=0.8)).session([0], clips=[1])
     assert ASKING.session([0, 0]).next() == Explainer(TYPES, trade_off=0.5).session([0, 0]).next()
 
 

@@ -184,10 +184,9 @@ def find_types(
 
 def _wrong(labelers: Iterable[Any]) -> NDArray[np.float64] | None:
     """[N, n] P(a user of a type holds a fact wrong); None where a labeler does not know."""
-    known = [labeler.classifier for labeler in labelers]
-    if not all(isinstance(one, KnowsFacts) for one in known):
-        return None
-    return np.stack([one.wrong for one in known])
+    own = [labeler.classifier for labeler in labelers if isinstance(labeler, Labeler)]
+    known = [classifier.wrong for classifier in own if isinstance(classifier, KnowsFacts)]
+    return np.stack(known) if len(known) == len([*labelers]) else None
 
 
 def learn(
