@@ -198,10 +198,11 @@ def test_the_view_of_a_sweep_begins_with_its_measure_and_has_what_was_swept() ->
         values=swept.__getitem__,
         seeds=3,
         measure=SimpleNamespace(name="above_floor", title="cost above the clairvoyant's"),
+        counted=("messages", "inexplicable labels", "questions"),
     )
     jobs = tuple(Job(value, "", (), {"lambda": value}, value, "") for value in ("1", "2"))
     view = sweep_view("parent", cast("Summary", summary), main_key(jobs))
     columns = [re.sub(r"`|params\.|metrics\.", "", column) for column in view["columnOrder"]]
-    ends = ["above_floor.low", "above_floor.high", "messages", "inexplicable_labels"]
+    ends = ["above_floor.low", "above_floor.high", "messages", "inexplicable_labels", "questions"]
     assert columns == ["above_floor", "cost", "lambda", "users.count", "seed", *ends]
     assert view["selectedColumns"] == view["columnOrder"] == list(view["columnWidths"])

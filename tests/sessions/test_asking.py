@@ -13,12 +13,11 @@ from hypothesis import strategies as st
 
 from xplain import Explainer, GivenTypes
 from xplain.errors import InputError
-from xplain.evaluation.episode import Episode, explain
-from xplain.evaluation.explainees import SimulatedUser
-from xplain.explanation.asking import Limits, Question
+from xplain.explanation.asking import NO_QUESTION, Limits, Question
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import joined
-from xplain.message_sets import mask_of
+from xplain.message_sets import indices, mask_of
+from xplain.sessions.interaction import Interaction
 from xplain.sessions.moves import Candidate, Say, Show
 from xplain.sessions.session import Session
 from xplain.solvers.hsvi.solver import Certified
@@ -43,12 +42,19 @@ class Situation:
     def session(self) -> Session:
         return self.explainer.session(range(self.steps), clips=self.clips)
 
-    def episode(self) -> Episode:
-        session = self.session()
-        problem = session._talk.problem
+    def by_hand(self) -> tuple[list[tuple[int, int]], list[int], np.ndarray]:
+        """Questions with their steps, messages, and the last belief of the experiments' loop."""
+        problem = self.session()._talk.problem
         policy = self.explainer.solver.plan(problem)
-        user = SimulatedUser.of(self.answers)
-        return explain(problem, policy, user, self.explainer.belief_update)
+        talk = Interaction(problem, policy, self.explainer.belief_update)
+        questions, messages = [], []
+        for k in range(problem.n_steps):
+            while (question := talk.ask()) != NO_QUESTION:
+                questions.append((k, question))
+                talk.hear_answer(question, int(self.answers[self.clips[question], talk.given]))
+            messages.append(talk.say())
+            talk.hear(self.answers[: k + 1, talk.given])
+        return questions, messages, problem.type_belief(talk.belief)
 
     def move(self, session: Session) -> Any:
         """One move of the session, answered."""
@@ -104,20 +110,22 @@ def situations(draw: st.DrawFn) -> Situation:
 
 @given(situations())
 @settings(max_examples=60, deadline=None)
-def test_a_session_that_asks_is_an_episode_of_the_experiments(situation: Situation) -> None:
-    session, episode = situation.session(), situation.episode()
-    moves = situation.play(session)
-    questions = [one for move in moves if isinstance(move, Question) for one in [move.number]]
-    assert questions == episode.questions[:, 1].tolist()
-    step, at = 0, []
+def test_a_session_that_asks_is_the_experiments_loop(situation: Situation) -> None:
+    session, (questions, messages, belief) = situation.session(), situation.by_hand()
+    moves, step, asked = situation.play(session), 0, []
     for move in moves:
-        at += [step] if isinstance(move, Question) else []
+        asked += [(step, move.number)] if isinstance(move, Question) else []
         step += isinstance(move, Show)
-    assert at == episode.questions[:, 0].tolist()
-    names = situation.explainer.types.messages
-    assert [mask_of(session._names(s), names) for s in session._said] == episode.messages.tolist()
-    assert session.cost == pytest.approx(episode.cost)
-    np.testing.assert_array_equal(list(session.belief.values()), episode.beliefs[-1])
+    assert asked == questions
+    assert session._said == messages
+    np.testing.assert_array_equal(list(session.belief.values()), belief)
+    problem = session._talk.problem
+    said = sum(float(problem.message_cost[j]) for new in messages for j in indices(new))
+    zeros = sum(int((labels == 0).sum()) for labels in session._answers)
+    assert problem.questions is not None
+    price = problem.questions.limits.cost * len(questions)
+    wanted = problem.trade_off * said + problem.inexplicability_cost * zeros + price
+    assert session.cost == pytest.approx(wanted)
 
 
 @given(situations())

@@ -77,11 +77,11 @@ class Known:
 
 @runtime_checkable
 class KnowsFacts(Protocol):
-    """A classifier of one type's labels that knows what its people hold wrong."""
+    """A labeler of one type that may know what its people hold wrong."""
 
     @property
-    def wrong(self) -> NDArray[np.float64]:
-        """[n] P(a person of the type holds a fact wrong)."""
+    def wrong(self) -> NDArray[np.float64] | None:
+        """[n] P(a person of the type holds a fact wrong); None where that is unknown."""
         ...
 
 
@@ -184,9 +184,9 @@ def find_types(
 
 def _wrong(labelers: Iterable[Any]) -> NDArray[np.float64] | None:
     """[N, n] P(a user of a type holds a fact wrong); None where a labeler does not know."""
-    own = [labeler.classifier for labeler in labelers if isinstance(labeler, Labeler)]
-    known = [classifier.wrong for classifier in own if isinstance(classifier, KnowsFacts)]
-    return np.stack(known) if len(known) == len([*labelers]) else None
+    every = [one.wrong if isinstance(one, KnowsFacts) else None for one in labelers]
+    known = [own for own in every if own is not None]
+    return np.stack(known) if len(known) == len(every) else None
 
 
 def learn(

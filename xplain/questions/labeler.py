@@ -59,6 +59,13 @@ class HypothesisLabeler(Labeler):
                 table[row] = self.classifier.exactly(np.full(len(every), t), every)
         return LabelTable.joined_types([relevant], [table])
 
+    @property
+    def wrong(self) -> NDArray[np.float64] | None:
+        """[n] P(a person of the type holds a fact wrong); None where the hypotheses know nothing
+        of the task."""
+        facts = isinstance(self.classifier, FactSetClassifier)
+        return self.classifier.wrong if facts else None
+
     def _looked_at(
         self, features: NDArray[np.float64]
     ) -> tuple[Sequence[int], NDArray[np.float64]]:
