@@ -25,10 +25,6 @@ CODEBOOK = {
         "eligible": "1 if the test was passed",
         "steps_labelled": "steps of the trace with a label",
         "messages_given": "messages that the robot gave (of the policy, until the last step)",
-        "questions_asked": "steps that they were asked about in between; empty where no condition "
-        "asks",
-        "cost": "λ · messages + inexplicable labels of all steps + κ · questions, as the plan has "
-        "these costs; what the policies plan for",
         "inexplicable_transitions": "labels 'makes no sense' at the last step, 0 … m; paper: "
         "measure 2",
         "quiz_score": "statements judged correctly, 0 … 4; paper: measure 3",
@@ -47,6 +43,10 @@ CODEBOOK = {
         "attention_missed": "attention checks after the quiz that were answered wrongly",
         "completion_code": "of those who finished; letters only",
         "outside_ids": "ids of the recruiting platform (JSON), only if the config keeps them",
+        "questions_asked…": "steps that they were asked about in between; only where a condition "
+        "asks",
+        "cost…": "λ · messages + inexplicable labels of all steps + κ · questions, as the plan has "
+        "these costs; what the policies plan for; only where a condition asks",
     },
     "steps": {
         "participant": "key",

@@ -27,8 +27,14 @@ def test_tables_say_what_their_codebook_says(
     for name, columns in exported.items():
         csv = pd.read_csv(tmp_path / "out" / f"{name}.csv")
         parquet = pd.read_parquet(tmp_path / "out" / f"{name}.parquet")
-        assert list(csv.columns) == list(parquet.columns) == list(columns)
-        assert pq.read_schema(tmp_path / "out" / f"{name}.parquet").names == list(columns)
+        assert (
+            list(csv.columns)
+            == list(parquet.columns)
+            == [one for one in columns if not one.endswith("…")]
+        )
+        assert pq.read_schema(tmp_path / "out" / f"{name}.parquet").names == [
+            one for one in columns if not one.endswith("…")
+        ]
         assert len(csv) == len(parquet)
     out = tmp_path / "out"
     people = pd.read_csv(out / "participants.csv").set_index("participant")
