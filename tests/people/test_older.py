@@ -119,7 +119,7 @@ def test_a_study_from_before_there_were_questions_is_exported_and_replays(
     main(["study", "replay", str(path)])
     assert "all equal" in capsys.readouterr().out
     main(["study", "export", str(path), str(tmp_path / "data")])
-    assert (tmp_path / "data" / "questions.csv").is_file()
+    assert not (tmp_path / "data" / "questions.csv").exists()
     old = read_plan(path, StudyPlan)
     assert old is not None
     with pytest.raises(InputError, match="go on with that one"):

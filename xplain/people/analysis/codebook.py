@@ -53,6 +53,7 @@ def unit_of(column: str) -> str:
 
 def kind_of(table: str, column: str) -> str:
     """What a column holds."""
+    column = column.removesuffix("…")
     names = {column, f"{table}.{column}"}
     if names & _WHOLE:
         return "whole number"

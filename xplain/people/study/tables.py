@@ -43,7 +43,8 @@ def tables(
         for page in shown
         if page["stage"] == "evaluation"
     }
-    return {
+    asked = [row for one in people for row in _questions(plan, one, shown)]
+    return ({"questions": asked} if plan.clips else {}) | {
         "participants": [_participant(plan, one) for one in people],
         "steps": [
             _step(plan, step) | {"seconds": took.get((step["participant"], step["k"]))}
@@ -51,7 +52,6 @@ def tables(
         ],
         "pages": shown,
         "labels": [row for step in steps for row in _labels(plan, step)],
-        "questions": [row for one in people for row in _questions(plan, one, shown)],
         "eligibility": [row for one in people for row in _eligibility(plan, one)],
         "quiz": [row for one in people for row in _quiz(plan, one)],
         "answers": [
@@ -83,8 +83,6 @@ def _participant(plan: StudyPlan, one: Participant) -> Row:
         "steps_labelled": len(state.labels),
         "messages_given": state.given.bit_count(),
         "messages_again": state.again if plan.problem.tracks_knowledge else None,
-        "questions_asked": len(state.asked) if plan.clips else None,
-        "cost": _cost(plan, one) if finished else None,
         "inexplicable_transitions": state.labels.count(0) if finished else None,
         "quiz_score": state.score,
         "interaction_time_s": took.seconds if finished else None,
@@ -99,6 +97,7 @@ def _participant(plan: StudyPlan, one: Participant) -> Row:
         "attention_missed": sum(missed),
         "completion_code": person["code"] if state.stage == "done" else None,
         "outside_ids": person["kept"] if person["kept"] != "{}" else None,
+        **(_asked(plan, one, finished) if plan.clips else {}),
     }
 
 
@@ -123,6 +122,11 @@ def _labels(plan: StudyPlan, step: Row) -> Iterator[Row]:
             "messages_shown": ";".join(on_page),
             "label": label,
         }
+
+
+def _asked(plan: StudyPlan, one: Participant, finished: bool) -> Row:
+    cost = _cost(plan, one) if finished else None
+    return {"questions_asked": len(one.state.asked), "cost": cost}
 
 
 def _cost(plan: StudyPlan, one: Participant) -> float:
