@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import logsumexp
 
 from xplain.errors import InputError, number, whole_number
 from xplain.questions.expectation import Questions, questions_of
@@ -227,6 +228,11 @@ class Questionnaire:
     def none(self) -> float:
         """P(no hypothesis fits | answers)."""
         return float(self._weight[-1].sum())
+
+    @property
+    def log_evidence(self) -> float:
+        """log P(answers): the sum of that of each answer before it was learned from."""
+        return float(logsumexp(self._log_joint))
 
     @property
     def classes(self) -> NDArray[np.float64]:
