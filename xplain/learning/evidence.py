@@ -75,7 +75,7 @@ class Evidence:
 
     @property
     def lost(self) -> bool:
-        """Whether hypotheses are doubted of some type, or labels alone or a coin foretell better."""
+        """Whether hypotheses are doubted of a type, or labels alone or a coin foretell better."""
         own, others = self.nats
         return bool((self.doubt > DOUBTED).any()) or own > min(others, COIN)
 

@@ -62,7 +62,7 @@ class Session:
         self._trace: list[Any] = []
         self._table = planner.unknown(0)
         problem = planner.problem(planner.unknown(1))
-        self._talk = Interaction(problem, planner.plan(problem), planner.belief_update)
+        self._talk = Interaction(problem, planner.plan(problem), planner.beliefs)
         self._said: list[int] = []
         self._answers: list[NDArray[np.uint8]] = []
         self._decision: tuple[Policy, int, int, NDArray[np.float64]] | None = None
