@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.questions.tables import joint, random_hypotheses, worlds
 from tests.questions.test_people_who_err import asked, erring, hypotheses
 from xplain.data.observers import Observed
 from xplain.learning.clustering import Single
@@ -16,7 +15,6 @@ from xplain.learning.known_types import learn
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.user_types import learn_types
 from xplain.questions.labeler import HypothesisTrainer
-from xplain.questions.questionnaire import Questionnaire
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -132,39 +130,6 @@ def test_where_labels_alone_foretell_better_their_labels_are_mixed_in():
     mixed = trust * own + (1 - trust) * alone.probability(known.features, told)
     both = weighed.fit(data, 0).probability(known.features, told)
     assert both == pytest.approx(mixed, abs=0.003)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_evidence_of_a_questionnaire_is_that_of_each_answer_before_it_is_learned(seed):
-    rng = np.random.default_rng(seed)
-    known = random_hypotheses(seed, variants=1)
-    asking, answers, total = Questionnaire(known, 0.1, none=0.05), [], 0.0
-    prior = [chance for *_, chance in worlds(known, 0.1, 0.05)]
-    before = np.array(prior) / sum(prior)
-    for _ in range(5):
-        t, told = int(rng.integers(known.n_transitions)), int(rng.integers(1 << known.n_messages))
-        label = int(rng.integers(2))
-        one, other = (
-            joint_unnormalised(known, [((t,), told, (y,))]) @ before for y in (label, 1 - label)
-        )
-        assert one + other == pytest.approx(1)
-        total += np.log(one)
-        answers.append(((t,), told, (label,)))
-        before = joint(known, 0.1, 0.05, 0.0, answers)
-        asking.answer(label, (t, told))
-        assert asking.log_evidence == pytest.approx(total)
-
-
-def joint_unnormalised(known, answers):
-    """P(answers | world) of every world."""
-    from tests.questions.tables import likelihood
-
-    return np.array(
-        [
-            np.prod([likelihood(known, table, facts, rate, 0.0, *one) for one in answers])
-            for table, facts, rate, _ in worlds(known, 0.1, 0.05)
-        ]
-    )
 
 
 def test_the_words_tell_who_foretells_better():

@@ -307,7 +307,7 @@ class Committee:
         asked = list(before)
         for o, one in enumerate(asked):
             row = pool.which[places(one.transitions, reachable)]
-            data = _with(data, o, Screen(row, one.message_sets, row), one.labels)
+            data = data.answered(o, row, one.message_sets, one.labels)
         facts = np.full(len(asked), (1 << setting.n_messages) - 1)
         for o, size in enumerate(sizes.tolist()[len(asked) :], len(asked)):
             data = replace(data, observers=tuple(map(str, range(o + 1))))
@@ -320,17 +320,7 @@ class Committee:
                 chosen = pool.draw(screen.transition, rng)
                 labels = answer(o, reachable[chosen], screen.message_set)
                 shown += chosen.tolist()
-                data = _with(data, o, screen, labels)
+                data = data.answered(o, screen.transition, screen.message_set, labels)
             rows = data.of(np.array([o]))
             asked.append(Answered(reachable[shown], rows.message_set, rows.label))
         return asked
-
-
-def _with(data: Dataset, observer: int, asked: Screen, labels: NDArray[np.uint8]) -> Dataset:
-    return replace(
-        data,
-        observer=np.append(data.observer, np.full(len(labels), observer)),
-        transition=np.append(data.transition, asked.transition),
-        message_set=np.append(data.message_set, asked.message_set),
-        label=np.append(data.label, labels.astype(np.uint8)),
-    )

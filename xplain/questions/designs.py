@@ -294,8 +294,6 @@ def _answered(
     questions: Questionnaire, transitions: NDArray[np.int64], likely: NDArray[np.int64]
 ) -> Answered:
     """All that a questionnaire asked, label by label."""
-    which = [t for one in questions.asked for t in one.transitions]
-    told = [one.message_set for one in questions.asked for _ in one.transitions]
-    labels = [label for one in questions.asked for label in one.labels]
+    which, told, labels = questions.answers
     found = None if questions.hypotheses.further is None else likely
-    return Answered(transitions[which], np.array(told), np.array(labels, dtype=np.uint8), found)
+    return Answered(transitions[which], told, labels, found)

@@ -77,19 +77,9 @@ class Contest:
     def beaten(self, asked: Questionnaire) -> bool:
         """Whether hypotheses are, once somebody more has answered."""
         person, first = len(self.best), len(self.answers)
-        label = np.array([label for one in asked.asked for label in one.labels], dtype=np.uint8)
-        told = [one.message_set for one in asked.asked for _ in one.transitions]
         self.best.append(asked.best)
-        self.answers = replace(
-            self.answers,
-            observers=(*self.answers.observers, str(person)),
-            observer=np.append(self.answers.observer, np.full(len(label), person)),
-            transition=np.append(
-                self.answers.transition, [t for one in asked.asked for t in one.transitions]
-            ),
-            message_set=np.append(self.answers.message_set, told),
-            label=np.append(self.answers.label, label),
-        )
+        known = replace(self.answers, observers=(*self.answers.observers, str(person)))
+        self.answers = known.answered(person, *asked.answers)
         alike = np.isin(self.answers.observer, np.flatnonzero(np.equal(self.best, asked.best)))
         part = np.where(np.arange(len(self.answers)) < first, -1, parts(self.answers.observer))
         for number in np.unique(part[first:]).tolist():

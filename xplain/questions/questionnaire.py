@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp
 
 from xplain.errors import InputError, number, whole_number
 from xplain.questions.expectation import Questions, questions_of
@@ -230,9 +229,11 @@ class Questionnaire:
         return float(self._weight[-1].sum())
 
     @property
-    def log_evidence(self) -> float:
-        """log P(answers): the sum of that of each answer before it was learned from."""
-        return float(logsumexp(self._log_joint))
+    def answers(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]:
+        """Transitions, message sets and labels so far, label by label: [P] each."""
+        told = [one.message_set for one in self.asked for _ in one.transitions]
+        labels = [label for one in self.asked for label in one.labels]
+        return np.array(self._seen, np.int64), np.array(told, np.int64), np.array(labels, np.uint8)
 
     @property
     def classes(self) -> NDArray[np.float64]:
