@@ -9,12 +9,15 @@ import pytest
 from tests.questions.test_people_who_err import asked, erring, hypotheses
 from xplain.data.observers import Observed
 from xplain.learning.clustering import Single
-from xplain.learning.evidence import BEFORE, COIN, LEAST, Evidence, foretold, parts, stacked
+from xplain.learning.evidence import BEATEN, BEFORE, COIN, LEAST, Evidence, foretold, parts, stacked
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.learning.known_types import learn
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.user_types import learn_types
+from xplain.questions.known_transitions import KnownTransitions
 from xplain.questions.labeler import HypothesisTrainer
+from xplain.questions.labels_alone import Contest, TwoWays
+from xplain.questions.questionnaire import Questionnaire
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -132,6 +135,34 @@ def test_where_labels_alone_foretell_better_their_labels_are_mixed_in():
     assert both == pytest.approx(mixed, abs=0.003)
 
 
+def contest(thinks, people=6, each=60):
+    """How far labels alone and a coin are ahead after each of some people, and whether hypotheses
+    are beaten: 60 transitions, random questions, one answer in twenty wrong."""
+    rng, known = np.random.default_rng(2), hypotheses(transitions=60)
+    data = erring(asked(known, [3] * people, each, rng, thinks), [0.05] * people, rng)
+    ways = TwoWays(KnownTransitions.of(known), np.arange(60))
+    match = Contest(ways, data.take(np.zeros(0, dtype=np.int64)))
+    for o in range(people):
+        somebody, own = Questionnaire(known, 0.05), data.of(np.array([o]))
+        for t, told, label in zip(own.transition, own.message_set, own.label, strict=True):
+            somebody.answer(int(label), (int(t), int(told)))
+        yield match.beaten(somebody), match.ahead.copy()
+
+
+def test_while_people_are_asked_hypotheses_are_beaten_where_they_tell_nothing():
+    """Labels that a feature tells, and nothing that people were told changes."""
+    found = list(contest(lambda label, transition: transition >= 30))
+    assert found[-1][0]
+    for beaten, ahead in found:
+        assert beaten == (ahead.max() > BEATEN)
+
+
+def test_while_people_are_asked_hypotheses_that_are_right_are_ever_more_ahead():
+    ahead = np.array([ahead for beaten, ahead in contest(None) if not beaten])
+    assert len(ahead) == 6
+    assert (np.diff(ahead, axis=0) < 0).all()
+
+
 def test_the_words_tell_who_foretells_better():
     few = np.log(np.full(4, 0.8)), np.log(np.full(4, 0.6)), np.zeros(4, dtype=np.int64)
     fits = Evidence(*few, np.array([0.1]))
@@ -139,6 +170,7 @@ def test_the_words_tell_who_foretells_better():
     assert "0.22 nats by hypotheses, 0.51 by labels alone, 0.69 by a coin" in str(fits)
     assert "people of 1 of 1 types think otherwise" in str(replace(fits, doubt=np.array([0.9])))
     worse = Evidence(few[1], few[0], few[2], np.array([0.1]))
-    assert worse.lost
-    assert not worse.beaten  # four answers are few
-    assert str(worse).startswith("hypotheses do not fit what people answer: each")
+    assert not worse.lost  # four answers are few
+    many = Evidence(*(np.tile(one, 10) for one in (few[1], few[0], few[2])), np.array([0.1]))
+    assert many.beaten
+    assert str(many).startswith("hypotheses do not fit what people answer: each")

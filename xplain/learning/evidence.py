@@ -24,8 +24,9 @@ BEFORE = 10.0
 """Hypotheses are believed as if so many answers before had been theirs alone."""
 LEAST = 0.01
 """Weight of hypotheses, at least."""
-BEATEN = 8.0
-"""Hypotheses are given up where so much log evidence speaks for labels alone, or for a coin."""
+WORSE, BEATEN = float(np.log(20)), 8.0
+"""Log evidence against hypotheses from which on this is said, and from which on they are given up:
+given up in vain they cost more than kept in vain."""
 DOUBTED = 0.5
 """Hypotheses are doubted of a type where this is less than the probability that they err often."""
 COIN = float(np.log(2))
@@ -68,16 +69,20 @@ class Evidence:
         return np.where(self.doubt > DOUBTED, weight, 1.0)
 
     @property
-    def beaten(self) -> bool:
-        """Whether labels alone, or a coin, foretell so much better that hypotheses are given up."""
+    def against(self) -> float:
+        """Log evidence for labels alone, or for a coin, over hypotheses."""
         own, others = self.nats
-        return bool((own - min(others, COIN)) * len(self.of_type) > BEATEN)
+        return (own - min(others, COIN)) * len(self.of_type)
 
     @property
     def lost(self) -> bool:
-        """Whether hypotheses are doubted of a type, or labels alone or a coin foretell better."""
-        own, others = self.nats
-        return bool((self.doubt > DOUBTED).any()) or own > min(others, COIN)
+        """Whether hypotheses are doubted of a type, or foretell worse."""
+        return bool((self.doubt > DOUBTED).any()) or self.against > WORSE
+
+    @property
+    def beaten(self) -> bool:
+        """Whether hypotheses foretell so much worse that they are given up."""
+        return self.against > BEATEN
 
     def __str__(self) -> str:
         own, others = self.nats
@@ -89,7 +94,7 @@ class Evidence:
                 fit += f" (people of {kinds} of {len(self.doubt)} types think otherwise)"
         return (
             f"{fit}: each next answer takes {own:.2f} nats by hypotheses, {others:.2f} by labels "
-            f"alone, {COIN:.2f} by a coin"
+            f"alone, {COIN:.2f} by a coin (less is better)"
         )
 
 
