@@ -24,7 +24,7 @@ BEFORE = 10.0
 """Hypotheses are believed as if so many answers before had been theirs alone."""
 LEAST = 0.01
 """Weight of hypotheses, at least."""
-WORSE, BEATEN = float(np.log(20)), 8.0
+WORSE, BEATEN = float(np.log(20)), 20.0
 """Log evidence against hypotheses from which on this is said, and from which on they are given up:
 given up in vain they cost more than kept in vain."""
 DOUBTED = 0.5
