@@ -34,6 +34,7 @@ from scipy.special import logsumexp
 from sklearn.linear_model import LogisticRegression
 
 from xplain import Hypotheses, Questionnaire
+from xplain.learning.prediction import calibration
 
 Table = NDArray[np.float64]
 """[O, T] answers, NaN where none was given, or was left out."""
@@ -152,13 +153,6 @@ def nats(one: Table, labels: Table, left: NDArray[np.bool_]) -> float:
     return float(-np.log(np.where(labels[left] == 1, p, 1 - p)).mean())
 
 
-def calibration(one: NDArray[np.float64], label: NDArray[np.float64]) -> float:
-    """By how much the mean prediction and the mean answer of a tenth of the predictions differ, at
-    most; tenths of equal size."""
-    order = np.array_split(np.argsort(one, kind="stable"), 10)
-    return max(abs(float(one[own].mean() - label[own].mean())) for own in order)
-
-
 def table_of(path: Path) -> tuple[Table, Table | None]:
     """Answers, and the skills of each item where the file beside says them."""
     wide = pd.read_csv(path).pivot_table("label", "observer", "item", aggfunc="first")
@@ -221,9 +215,12 @@ def compare(name: str, labels: Table, needed: Table | None, splits: int) -> None
         print(f"{method} | " + " | ".join(f"{v:.3f}" for v in (*values, np.mean(values))))
     print()
     for way, parts in found.items():
-        off = calibration(np.concatenate(parts), np.concatenate(label))
+        tenths = calibration(np.concatenate(parts), np.concatenate(label))
+        off = max(abs(one.said - one.ones) for one in tenths)
+        inside = sum(one.low <= one.said <= one.high for one in tenths)
         print(
-            f"{way}: {np.mean(seconds[way]):.1f} s; calibration off by {off:.3f} at most in a tenth"
+            f"{way}: {np.mean(seconds[way]):.1f} s; calibration off by {off:.3f} at most in a "
+            f"tenth, in {inside} of ten within its interval"
         )
 
 

@@ -10,7 +10,7 @@ people who are as assumed, so that kinds of one seed hold the same facts wrong.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -34,8 +34,8 @@ BY_A_VARIANT = ("half", "double")
 """Whom a variant of the hypotheses fits exactly, though they are not as assumed."""
 OTHER_VALUES = ("half or double", "x .3 to 3", "tenth", "opposite", "half a bonus")
 """Believe other values than the hypotheses and their variants say."""
-OTHERWISE = ("unwritten", "tire", "misread", "misread clips")
-"""Hold a fact wrong that no hypothesis does; answer otherwise."""
+OTHERWISE = ("unwritten", "scrambled", "tire", "misread", "misread clips")
+"""Hold a fact wrong that no hypothesis does; hypotheses are of something else; answer otherwise."""
 KINDS = (AS_ASSUMED, *BY_A_VARIANT, *OTHER_VALUES, *OTHERWISE)
 IN_WORDS = {
     "half": "half the values",
@@ -46,6 +46,7 @@ IN_WORDS = {
     "opposite": "the opposite error",
     "half a bonus": "obstacles half a bonus",
     "unwritten": "a fact in no hypothesis",
+    "scrambled": "hypotheses of something else",
 }
 """For pictures."""
 SIZES = {"half": (0.5,), "double": (2.0,), "tenth": (0.1,), "half or double": (0.5, 2.0)}
@@ -113,6 +114,15 @@ def without_a_fact(domain: Domain, seed: int, folder: Path) -> str:
         states=full.states,
         variants=full.variants[:, rows] if len(full.variants) else full.variants,
     ).save(path)
+    return str(path)
+
+
+def scrambled(domain: Domain, seed: int, folder: Path) -> str:
+    """A file of hypotheses that know nothing: each transition has the labels of another one."""
+    full = hypotheses_of(domain, None)
+    moved = stream(seed, "benchmark", "scrambled").permutation(full.n_transitions)
+    path = folder / "hypotheses.npz"
+    replace(full, labels=full.labels[:, moved], variants=full.variants[:, :, moved]).save(path)
     return str(path)
 
 

@@ -49,6 +49,7 @@ from people import (
     Altered,
     differing,
     misreading,
+    scrambled,
     setting_of,
     tired,
     without_a_fact,
@@ -189,7 +190,8 @@ def row_of(
     domain = domain_of(name, seed)
     setting = setting_of(domain, people, seed)
     with tempfile.TemporaryDirectory() as folder:
-        path = without_a_fact(domain, seed, Path(folder)) if people == "unwritten" else None
+        files = {"unwritten": without_a_fact, "scrambled": scrambled}
+        path = files[people](domain, seed, Path(folder)) if people in files else None
         queries, trainer = design_of(way, path, error, people)
         trainer = trainer or HypothesisTrainer(path=path)
         observed = observed_by(setting, queries, points, error, people, seed)

@@ -68,8 +68,13 @@ def test_types_of_simulated_observers_are_found_again(run, tmp_path: Path, name:
     wrong += [{"first_aid", "rubble"}, {"refuel", "puddle"}]
     assert [set(one["needs"]) for one in summary["types"]] == wrong
     assert pd.read_csv(tmp_path / "found" / "assignment.csv")["type"].tolist() == found
-    for picture in ("posterior", "messages"):
+    for picture in ("posterior", "messages", "calibration"):
         assert (tmp_path / "found" / f"{picture}.png").stat().st_size > 1000
+    tenths = summary["calibration"]
+    assert len(tenths) == 10
+    assert sum(one["labels"] for one in tenths) == pytest.approx(told["labels"] / 4, rel=0.1)
+    off = max(abs(one["said"] - one["ones"]) for one in tenths)
+    assert f"off by {off:.3f} at most" in " ".join(out.split())
 
 
 def test_the_papers_learner_draws_its_curve(run, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from xplain.errors import InputError
 from xplain.evaluation.episode import explain
 from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.belief import Independent, Persistent
+from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import DENSE, LabelTable, joined
 from xplain.learning.listening import learned_habits
 from xplain.message_sets import mask_of
@@ -74,7 +75,7 @@ def play(session, answers, steps=None):
 @settings(max_examples=60, deadline=None)
 def test_a_session_is_an_episode_of_the_experiments(situation):
     problem, answers, explainer, _ = situation
-    problem = problem.with_habits(explainer.belief_update.habits())
+    problem = problem.with_habits(explainer.beliefs.habits())
     policy = explainer.solver.plan(problem)
     episode = explain(problem, policy, SimulatedUser.of(answers), explainer.belief_update)
     session = explainer.session(range(problem.n_steps))
@@ -482,3 +483,25 @@ def test_solvers_that_cannot_say_a_message_again_say_so(solver):
     session = Explainer(types, solver, belief_update=Independent(forget=0.1)).session(range(3))
     with pytest.raises(InputError, match="solver=qmdp"):
         session.messages()
+
+
+RATES = Habits(np.array([0.02, 0.2]), np.ones(2), np.zeros(2), np.array([0.7, 0.3]))
+
+
+@pytest.mark.parametrize(
+    ("habits", "usual"), [(None, Independent()), (RATES, Persistent("learned"))]
+)
+def test_learned_rates_are_heeded_unless_told_otherwise(habits, usual):
+    """The same beliefs and messages as of an explainer that is told so, and others than the other
+    update gives: a label that is shown again is no news to one, and rates make it weaker."""
+    table = np.array([[[0.9, 0.9]] * 3, [[0.2, 0.9]] * 3])
+    types = GivenTypes(table, ("m",), ("a", "b"), habits=habits)
+    found = []
+    for update in (None, usual, Independent(), Persistent("learned")):
+        session = Explainer(types, trade_off=5.0, belief_update=update).session([0, 1, 2])
+        for labels in ([1], [1, 0]):
+            session.messages()
+            session.observe(labels)
+        found.append((session.belief, session.messages()))
+    assert found[0] == found[1]
+    assert found[2][0]["a"] != pytest.approx(found[3][0]["a"], abs=0.01)

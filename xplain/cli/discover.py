@@ -9,7 +9,8 @@ The file is read as :mod:`xplain.data.label_file` says. Into the folder ``output
   answer 1 of that observer;
 - ``summary.json``: what is known of each type, and how it was found;
 - ``curve.png`` (disagreements by number of types) or ``posterior.png`` (probability of each number
-  of types), as the method has them, and ``messages.png``: what each message does for each type.
+  of types), as the method has them, ``messages.png``: what each message does for each type, and
+  ``calibration.png``: how likely held-out labels were said to be 1, against how many are.
 
 The last line on standard output is one JSON object: ``n_types``, ``assignment`` {observer: type},
 ``method``, ``rule``, ``held_out`` (how well held-out labels are predicted, in nats a label, with
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from xplain.data.dataset import Dataset
+    from xplain.learning.prediction import Tenth
     from xplain.learning.user_types import UserTypes
 
 Row = dict[str, Any]
@@ -73,6 +75,8 @@ def discover(arguments: list[str]) -> Row:
     types = learn(Observed(dataset), trainer, clusterer, cfg.seed, cfg.none_of_these)
     clustering = types.clustering
     unseen = held_out(dataset, clusterer, trainer, cfg.seed) if cfg.held_out else None
+    told = None if unseen is None else asdict(unseen) | {"verdict": unseen.verdict}
+    tenths = () if told is None else told.pop("calibration")
     row: Row = {
         "n_types": clustering.n_types,
         "assignment": {
@@ -82,10 +86,10 @@ def discover(arguments: list[str]) -> Row:
         "method": clustering.method,
         "rule": clustering.rule,
         "held_out_log_likelihood": None if unseen is None else unseen.types,
-        "held_out": None if unseen is None else asdict(unseen) | {"verdict": unseen.verdict},
+        "held_out": told,
         "seconds": time.perf_counter() - began,
     }
-    _write(folder, dataset, types, row, said)
+    _write(folder, dataset, types, row, said, tenths)
     if asked is not None:
         _write_predictions(cfg.predict, predicted(dataset, types, asked), folder)
     return row
@@ -124,7 +128,12 @@ def require_writable(folder: Path) -> None:
 
 
 def _write(
-    folder: Path, dataset: Dataset, types: UserTypes, row: Row, sentences: dict[str, str]
+    folder: Path,
+    dataset: Dataset,
+    types: UserTypes,
+    row: Row,
+    sentences: dict[str, str],
+    tenths: Sequence[Tenth],
 ) -> None:
     import pandas as pd
 
@@ -141,6 +150,8 @@ def _write(
         figures["curve"] = plots.disagreements(curve, clustering.n_types, clustering.rule)
     if clustering.posterior is not None:
         figures["posterior"] = discovery_plots.posterior(clustering.posterior, clustering.n_types)
+    if tenths:
+        figures["calibration"] = discovery_plots.calibration(tenths)
     folder.mkdir(parents=True, exist_ok=True)
     LearnedTypes.of(types, dataset, sentences).save(folder / "types.npz")
     pd.DataFrame(row["assignment"].items(), columns=["observer", "type"]).to_csv(
@@ -153,9 +164,15 @@ def _write(
     summary |= {"labels": len(dataset), "types": known}
     if clustering.posterior is not None:
         summary["posterior"] = clustering.posterior
+    if types.evidence is not None:
+        hypotheses, labels = types.evidence.nats
+        summary["evidence"] = {"hypotheses": hypotheses, "labels_alone": labels}
+        summary["evidence"] |= {"verdict": str(types.evidence)}
+    if tenths:
+        summary["calibration"] = [one._asdict() for one in tenths]
     text = json.dumps(summary, indent=2)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-    _show(row, known, folder)
+    _show(row, known, folder, tenths)
 
 
 def _write_predictions(path: str, one: NDArray[np.float64], folder: Path) -> None:
@@ -198,7 +215,7 @@ def summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
     return rows
 
 
-def _show(row: Row, known: list[Row], folder: Path) -> None:
+def _show(row: Row, known: list[Row], folder: Path, tenths: Sequence[Tenth]) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -221,6 +238,8 @@ def _show(row: Row, known: list[Row], folder: Path) -> None:
         figures = {key: row["held_out"][key] for key in ("types", "one_type", "question_mean")}
         said = ", ".join(f"{key.replace('_', ' ')} {-own:.3f}" for key, own in figures.items())
         console.print(f"nats a held-out label: {said}; {row['held_out']['verdict']}")
+        off = max(abs(one.said - one.ones) for one in tenths)
+        console.print(f"calibration: off by {off:.3f} at most in a tenth of them (calibration.png)")
 
 
 def main(arguments: list[str]) -> None:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from xplain.data.dataset import Dataset
 from xplain.learning.clustering import Clustering
+from xplain.learning.prediction import Tenth
 from xplain.message_sets import bits_of
-from xplain.report.plots import COLOURS
+from xplain.report.plots import COLOURS, MARKERS
 
 
 def posterior(probability: Mapping[int, float], found: int) -> Figure:
@@ -52,6 +53,33 @@ def effects(dataset: Dataset, clustering: Clustering, names: Sequence[str]) -> F
             axes.text(j, t, f"{100 * value:+.0f}", ha="center", va="center", color=ink, fontsize=8)
     axes.set(xlabel="message", title="Explicable labels: given − not given (percentage points)")
     figure.colorbar(image, ax=axes, label="difference of shares")
+    return figure
+
+
+def calibration(tenths: Sequence[Tenth]) -> Figure:
+    """How many of the held-out labels are 1, by how likely that was said to be, with intervals."""
+    figure = Figure(figsize=(4, 3.8))
+    axes = figure.subplots()
+    said, ones = np.array([one.said for one in tenths]), np.array([one.ones for one in tenths])
+    ends = np.array([[one.ones - one.low, one.high - one.ones] for one in tenths]).T
+    axes.plot([0, 1], [0, 1], color=COLOURS[6], linewidth=1, label="as said")
+    axes.errorbar(
+        *(said, ones, ends.clip(0)),
+        color=COLOURS[0],
+        marker=MARKERS[0],
+        linestyle="none",
+        capsize=3,
+        label=f"{len(tenths)} parts of {min(one.labels for one in tenths)} labels or more",
+    )
+    axes.set(
+        xlabel="probability of label 1, as predicted",
+        ylabel="share of labels 1 (95 % interval)",
+        title="Calibration on held-out labels",
+        xlim=(-0.02, 1.02),
+        ylim=(-0.02, 1.02),
+    )
+    axes.set_aspect("equal")
+    axes.legend(loc="upper left", fontsize=8)
     return figure
 
 

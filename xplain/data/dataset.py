@@ -6,7 +6,7 @@ Simulated observers and files of labels by real people give the same table.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -61,6 +61,22 @@ class Dataset:
             self.transition[rows],
             self.message_set[rows],
             self.label[rows],
+        )
+
+    def answered(
+        self,
+        observer: int,
+        transition: ArrayLike,
+        message_set: ArrayLike,
+        label: NDArray[np.uint8],
+    ) -> Dataset:
+        """With further labels [R] of one observer (by index), at the end."""
+        return replace(
+            self,
+            observer=np.append(self.observer, np.full(len(label), observer)),
+            transition=np.append(self.transition, transition),
+            message_set=np.append(self.message_set, message_set),
+            label=np.append(self.label, label.astype(np.uint8)),
         )
 
 

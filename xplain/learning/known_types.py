@@ -5,6 +5,7 @@ Observed ── find_types ── Known (tables of any trace)
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -22,6 +23,8 @@ from xplain.learning.clustering import Clusterer, Perfect
 from xplain.learning.cross_validation import fresh_accuracy
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.user_types import AskedOnce, UserTypes, learn_types
+
+log = logging.getLogger(__name__)
 
 
 class Tables(NamedTuple):
@@ -209,7 +212,7 @@ def learn(
     """
     trainer, dataset = _given(trainer, observed), observed.dataset
     clustering = clusterer.cluster(dataset, trainer, seed, observed.behaviour)
-    return learn_types(
+    types = learn_types(
         dataset,
         clustering,
         trainer,
@@ -217,6 +220,9 @@ def learn(
         none_of_these=none_of_these,
         known=known,
     )
+    if types.evidence is not None and types.evidence.lost:
+        log.warning("%s", types.evidence)
+    return types
 
 
 def learn_references(observed: Observed, trainer: LabelerTrainer, seed: int) -> References:

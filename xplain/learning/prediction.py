@@ -4,6 +4,7 @@ predict answers that were held out."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +85,31 @@ def _of_types(labelers: tuple[Labeler, ...], asked: Dataset) -> NDArray[np.float
     return np.stack([one.probability(features, asked.message_set) for one in labelers], axis=1)
 
 
+class Tenth(NamedTuple):
+    """Of a tenth of the held-out labels, by how likely a 1 was said to be: the mean of what was
+    said, the share of ones, its 95 % interval (Wilson's), and how many labels."""
+
+    said: float
+    ones: float
+    low: float
+    high: float
+    labels: int
+
+
+def calibration(one: NDArray[np.float64], label: NDArray[np.uint8]) -> tuple[Tenth, ...]:
+    """What was said of labels [P], P(label = 1) ``one`` [P], against what they are: by tenths of as
+    many labels each, ascending; fewer than ten where labels are fewer."""
+    found = []
+    for own in np.array_split(np.argsort(one, kind="stable"), min(10, len(one))):
+        count, share = len(own), float(label[own].mean())
+        centre = (share + SURE**2 / (2 * count)) / (1 + SURE**2 / count)
+        half = SURE * np.sqrt(share * (1 - share) / count + SURE**2 / (4 * count**2))
+        half /= 1 + SURE**2 / count
+        low, high = max(float(centre - half), 0.0), min(float(centre + half), 1.0)
+        found.append(Tenth(float(one[own].mean()), share, low, high, count))
+    return tuple(found)
+
+
 @dataclass(frozen=True)
 class HeldOut:
     """Mean log P of held-out labels, in nats a label: the higher, the better predicted.
@@ -93,12 +119,14 @@ class HeldOut:
         one_type: by one labeler for everybody.
         question_mean: by everybody's answers to the same question.
         gain: [2] 95 % interval of ``types`` above the better of the others; observers are drawn.
+        calibration: of ``types``.
     """
 
     types: float
     one_type: float
     question_mean: float
     gain: tuple[float, float]
+    calibration: tuple[Tenth, ...]
 
     @property
     def verdict(self) -> str:
@@ -133,7 +161,9 @@ def held_out(dataset: Dataset, clusterer: Clusterer, trainer: LabelerTrainer, se
     gain = float(more.sum() / count.sum())
     off = SURE * float(np.sqrt(((more - gain * count) ** 2).sum())) / count.sum()
     one_type, question_mean = (float(one.mean()) for one in others)
-    return HeldOut(float(of_types.mean()), one_type, question_mean, (gain - off, gain + off))
+    said = np.where(held.label == 1, np.exp(of_types), -np.expm1(of_types))
+    ends, tenths = (gain - off, gain + off), calibration(said, held.label)
+    return HeldOut(float(of_types.mean()), one_type, question_mean, ends, tenths)
 
 
 def log_likelihoods(

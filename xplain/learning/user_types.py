@@ -14,6 +14,7 @@ from xplain.errors import InputError
 from xplain.explanation.label_table import DENSE, LabelTable, stacked
 from xplain.learning.answer_model import AnswerModel
 from xplain.learning.clustering import Clustering
+from xplain.learning.evidence import Evidence
 from xplain.learning.labelers import Labeler, LabelerTrainer
 
 
@@ -28,6 +29,7 @@ class UserTypes:
         prior: [N] P(type) of the next user.
         answers: how labels became answers, of the dataset's transitions and observers; None where
             nobody learned it.
+        evidence: how well hypotheses foretold the answers; None where there are none.
     """
 
     labelers: tuple[Labeler, ...]
@@ -35,6 +37,7 @@ class UserTypes:
     names: tuple[str, ...]
     prior: NDArray[np.float64]
     answers: AnswerModel | None = None
+    evidence: Evidence | None = None
 
     @property
     def by_observers(self) -> dict[tuple[int, ...], Labeler]:
@@ -52,8 +55,14 @@ class LearnsErrors(Protocol):
         """How a dataset's people err when they answer."""
         ...
 
+    @property
+    def evidence(self) -> Evidence | None:
+        """How well its hypotheses foretold the answers of this dataset."""
+        ...
+
     def with_errors(self, dataset: Dataset, assignment: NDArray[np.int64]) -> Any:
-        """The trainer with :attr:`answers` learned from everybody's, the types being given."""
+        """The trainer with :attr:`answers` and :attr:`evidence` learned from everybody's, the types
+        being given."""
         ...
 
 
@@ -145,10 +154,10 @@ def learn_types(
     if prior == "uniform":
         weight[:] = 1
     clusters = [clustering.members(t) for t in range(n)]
-    answers = clustering.answers
+    answers, evidence = clustering.answers, None
     if isinstance(trainer, LearnsErrors):
         heeding = trainer.with_errors(dataset, clustering.assignment)
-        trainer, answers = heeding, heeding.answers or answers
+        trainer, answers, evidence = heeding, heeding.answers or answers, heeding.evidence
         if known is not None and {tuple(own.tolist()) for own in clusters} != set(known):
             known = None  # how people err was learned with other types
     labelers = [
@@ -161,7 +170,7 @@ def learn_types(
         names.append("none of these")
         weight = np.append(weight, none_of_these)
     shares = weight / weight.sum()
-    return UserTypes(tuple(labelers), clustering, tuple(names), shares, answers)
+    return UserTypes(tuple(labelers), clustering, tuple(names), shares, answers, evidence)
 
 
 def base_rate(dataset: Dataset) -> Labeler:

@@ -9,6 +9,7 @@ probability that the tree's label is wrong (query by committee: Seung, Opper & S
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import comb
 from typing import NamedTuple
@@ -290,40 +291,36 @@ class Committee:
         whole_number("queries.screen", self.screen, 1)
 
     def ask(
-        self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
+        self,
+        setting: Setting,
+        sizes: NDArray[np.int64],
+        answer: Answer,
+        seed: int,
+        before: Sequence[Answered] = (),
     ) -> list[Answered]:
-        """Exactly ``sizes`` labels an observer, one observer after the other. Of transitions that
-        share their features, which no labeler tells apart, the one asked about is drawn by how
-        often the robot makes it."""
+        """Exactly ``sizes`` labels an observer, one observer after the other; the first of them
+        answered ``before``. Of transitions that share their features, which no labeler tells
+        apart, the one asked about is drawn by how often the robot makes it."""
         rng = stream(seed, "queries", "committee")
         reachable, pool = setting.reachable, Pool.of_setting(setting)
         data = pool.unanswered(setting.message_names)
-        shown: list[list[int]] = []
-        facts = np.zeros(0, dtype=np.int64)
-        for o, size in enumerate(sizes.tolist()):
-            data = replace(data, observers=(*data.observers, str(o)))
+        asked = list(before)
+        for o, one in enumerate(asked):
+            row = pool.which[places(one.transitions, reachable)]
+            data = data.answered(o, row, one.message_sets, one.labels)
+        facts = np.full(len(asked), (1 << setting.n_messages) - 1)
+        for o, size in enumerate(sizes.tolist()[len(asked) :], len(asked)):
+            data = replace(data, observers=tuple(map(str, range(o + 1))))
             facts = np.append(facts, (1 << setting.n_messages) - 1)
-            shown.append([])
-            while len(shown[o]) < size:
-                count = min(self.screen, size - len(shown[o]))
-                asked = next_screen(data, o, pool.weight, count, rng, facts)
-                facts = asked.facts
-                chosen = pool.draw(asked.transition, rng)
-                labels = answer(o, reachable[chosen], asked.message_set)
-                shown[o] += chosen.tolist()
-                data = _with(data, o, asked, labels)
-        return [
-            Answered(reachable[own], rows.message_set, rows.label)
-            for o, own in enumerate(shown)
-            for rows in [data.of(np.array([o]))]
-        ]
-
-
-def _with(data: Dataset, observer: int, asked: Screen, labels: NDArray[np.uint8]) -> Dataset:
-    return replace(
-        data,
-        observer=np.append(data.observer, np.full(len(labels), observer)),
-        transition=np.append(data.transition, asked.transition),
-        message_set=np.append(data.message_set, asked.message_set),
-        label=np.append(data.label, labels.astype(np.uint8)),
-    )
+            shown: list[int] = []
+            while len(shown) < size:
+                count = min(self.screen, size - len(shown))
+                screen = next_screen(data, o, pool.weight, count, rng, facts)
+                facts = screen.facts
+                chosen = pool.draw(screen.transition, rng)
+                labels = answer(o, reachable[chosen], screen.message_set)
+                shown += chosen.tolist()
+                data = data.answered(o, screen.transition, screen.message_set, labels)
+            rows = data.of(np.array([o]))
+            asked.append(Answered(reachable[shown], rows.message_set, rows.label))
+        return asked

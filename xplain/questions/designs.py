@@ -3,7 +3,8 @@ for each person (docs/what-to-ask.md)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -15,12 +16,16 @@ from xplain.data.rollouts import expected_visits
 from xplain.domains.base import Domain, transition_features
 from xplain.errors import InputError, number, whole_number
 from xplain.questions.battery import battery
-from xplain.questions.committee import LONGEST, RARE, Committee
+from xplain.questions.committee import LONGEST, RARE, Committee, Pool
 from xplain.questions.growth import grown
 from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.known_transitions import KnownTransitions
+from xplain.questions.labels_alone import Contest, TwoWays
 from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
 from xplain.randomness import derived_seed, stream
 from xplain.users.setting import Setting
+
+log = logging.getLogger(__name__)
 
 WITHOUT = "none"
 """In place of a file: there are no hypotheses."""
@@ -161,6 +166,7 @@ class Adaptive:
         checks = _Checks.of(known, transitions, setting, stream(seed, "queries", "checks"))
         asked: dict[int, Questionnaire] = {}
         found: dict[int, Posterior] = {}
+        contest = _contest(known, transitions, setting)
         for o, now in self._turns(sizes.tolist()):
             others = [one for other, one in found.items() if other != o]
             questions = self._questions(
@@ -176,6 +182,12 @@ class Adaptive:
                 left -= len(clip)
                 questions = self._grown(questions, others)
             asked[o], found[o] = questions, _likely(questions)
+            if not self.in_turn and contest.beaten(questions):
+                log.warning("hypotheses foretell answers worse than labels alone, or a coin: from "
+                            "observer %d on questions are asked without them", o + 1)  # fmt: skip
+                before = [_answered(asked[i], transitions, found[i][0]) for i in range(o + 1)]
+                asked_all = Committee(self.screen).ask(setting, sizes, answer, seed, before)
+                return [replace(one, likely=None, beaten=True) for one in asked_all]
         return [_answered(asked[o], transitions, found[o][0]) for o in range(len(sizes))]
 
     def _turns(self, sizes: list[int]) -> list[tuple[int, int]]:
@@ -263,6 +275,14 @@ class _Checks:
         return chosen, self.told
 
 
+def _contest(known: Hypotheses, transitions: NDArray[np.int64], setting: Setting) -> Contest:
+    """Before anybody is asked about these transitions [T, 3] of the hypotheses."""
+    features = transition_features(setting.domain, transitions)
+    nobody = replace(Pool.of_setting(setting).unanswered(setting.message_names), features=features)
+    by_features = KnownTransitions.of(replace(known, features=features))
+    return Contest(TwoWays(by_features, by_features.find(features)), nobody)
+
+
 def _likely(questions: Questionnaire) -> Posterior:
     """What is thought of who was asked: of a list that grew, the likely candidates alone."""
     known, posterior = questions.hypotheses, questions.posterior / questions.posterior.sum()
@@ -274,8 +294,6 @@ def _answered(
     questions: Questionnaire, transitions: NDArray[np.int64], likely: NDArray[np.int64]
 ) -> Answered:
     """All that a questionnaire asked, label by label."""
-    which = [t for one in questions.asked for t in one.transitions]
-    told = [one.message_set for one in questions.asked for _ in one.transitions]
-    labels = [label for one in questions.asked for label in one.labels]
+    which, told, labels = questions.answers
     found = None if questions.hypotheses.further is None else likely
-    return Answered(transitions[which], np.array(told), np.array(labels, dtype=np.uint8), found)
+    return Answered(transitions[which], told, labels, found)

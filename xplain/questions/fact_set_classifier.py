@@ -3,6 +3,8 @@ wrong (:mod:`xplain.questions.likelihood`)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,12 +12,15 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from xplain.errors import TooLargeError
+from xplain.learning.evidence import DOUBTED
+from xplain.learning.labelers import Labeler
 from xplain.message_sets import bits_of
 from xplain.questions.known_transitions import Answers, KnownTransitions
-from xplain.questions.likelihood import Cells, by_level, log_prior, truth
+from xplain.questions.likelihood import DEVIATION, ERROR, Cells, by_level, log_prior, truth
 
 KEPT = 1e-4
 """Fact sets with a smaller share of the posterior are left out of predictions."""
+OFTEN = 0.05
 RELEVANT = 0.01
 MOST = 12
 MAX_TABLE = 1 << 24
@@ -28,15 +33,17 @@ class FactSetClassifier:
     """The posterior over the fact sets of one type, with what labelers ask of a classifier.
 
     It predicts what people find explicable, f, not what they answer: errors in answers are left
-    out. Rows of features that the hypotheses do not know are left to ``fallback``.
+    out. Rows of features that the hypotheses do not know are left to ``alone``.
 
     Attributes:
         known: the hypotheses.
-        fallback: a fitted classifier.
+        trust: weight of the hypotheses, the rest being that of ``alone``; 1 where people think as
+            they say (:attr:`doubt`).
         facts: [R] fact sets that are likely.
         weight: [R, 1 + V, D] their posterior with variant and deviation.
         cells: the answers by cell, for each fact set.
         learned: [N] P(f = 1) of each cell, times the weight of its fact set.
+        level: [E] posterior of the levels of error.
     """
 
     classes_ = np.array([0, 1])
@@ -46,18 +53,21 @@ class FactSetClassifier:
         self,
         known: KnownTransitions,
         answers: Answers,
-        fallback: Any,
+        fit_alone: Callable[[], Labeler],
         given: NDArray[np.float64] | None = None,
+        trust: float = 1.0,
     ) -> None:
         """Works out the posterior over fact sets, variants and deviations.
 
         Args:
-            known, fallback: see above.
+            known: see above.
+            fit_alone: learns from the labels alone.
             answers: P of people of the type.
             given: [P, 2, E] log P(answer | f) for f = 0 and 1, by levels of error that are as
                 likely; None: of answers that all err as often.
+            trust: weight of the hypotheses, where they are doubted.
         """
-        self.known, self.fallback = known, fallback
+        self.known, self._fit_alone = known, fit_alone
         given = by_level(answers.label) if given is None else given
         facts = known.supported(answers)
         prior = np.log(known.prior_of(facts) + 1e-300)
@@ -66,11 +76,31 @@ class FactSetClassifier:
         posterior = np.exp(joint - logsumexp(joint))
         kept = posterior.sum(axis=(1, 2, 3)) > KEPT
         posterior = posterior[kept] / posterior[kept].sum()
+        self.level = posterior.sum(axis=(0, 1, 2))
         self.facts, self.weight = facts[kept], posterior.sum(axis=3)
+        self.trust = trust if self.doubt > DOUBTED else 1.0
         self.cells = Cells.of(known, answers, self.facts, given)
         zero, one = self.cells.log_joint()
         of_cell = np.exp(one - np.logaddexp(zero, one)) * posterior[self.cells.which]
         self.learned = of_cell.sum(axis=(1, 2, 3))
+
+    @cached_property
+    def alone(self) -> Labeler:
+        """Learned from the labels alone, when it is first asked."""
+        return self._fit_alone()
+
+    @property
+    def doubt(self) -> float:
+        """P(the hypotheses are wrong at one transition in twenty, or more)."""
+        return float(self.weight[:, :, DEVIATION >= OFTEN].sum())
+
+    def log_answered(self, answers: Answers) -> NDArray[np.float64]:
+        """log P of further answers [P], which err by the levels of
+        :func:`~xplain.questions.likelihood.by_level`: [P]."""
+        one = self.known_rows(answers.transition, answers.message_set)
+        error = self.level @ ERROR
+        same = np.where(answers.label == 1, one, 1 - one)
+        return np.asarray(np.log(same * (1 - error) + (1 - same) * error))
 
     @property
     def looked_at(self) -> int:
@@ -108,7 +138,7 @@ class FactSetClassifier:
             )
             one[here] = self.learned[own][there]
             result += one[place.ravel()]
-        return np.clip(result, EDGE, 1 - EDGE)
+        return self._weighed(result, known.features[transition], told)
 
     def exactly(
         self, transitions: NDArray[np.int64], told: NDArray[np.int64]
@@ -119,7 +149,19 @@ class FactSetClassifier:
         for r, facts in enumerate(self.facts.tolist()):
             share = self.known.share_of(facts & ~told, transitions)
             result += (truth(share, self.known.hypotheses.sizes) * self.weight[r]).sum(axis=(1, 2))
-        return np.clip(result, EDGE, 1 - EDGE)
+        features = self.known.hypotheses.features
+        assert features is not None
+        return self._weighed(result, features[transitions], told)
+
+    def _weighed(
+        self, one: NDArray[np.float64], features: NDArray[Any], told: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(f = 1) of rows of features [P, F] under message sets [P], where the hypotheses' is
+        ``one`` [P]: [P]."""
+        if self.trust < 1:
+            alone = self.alone.probability(features, told)
+            one = self.trust * one + (1 - self.trust) * alone
+        return np.clip(one, EDGE, 1 - EDGE)
 
     def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
         """P(label = 0) and P(label = 1) of rows [P, F + n]: [P, 2]."""
@@ -129,9 +171,7 @@ class FactSetClassifier:
         rows, one = transition >= 0, np.empty(len(x))
         one[rows] = self.known_rows(transition[rows], told[rows])
         if not rows.all():
-            shares = self.fallback.predict_proba(x[~rows])
-            ones = self.fallback.classes_ == 1
-            one[~rows] = np.clip(shares[:, ones].sum(axis=1), EDGE, 1 - EDGE)
+            one[~rows] = self.alone.probability(x[~rows, :-n].astype(np.float64), told[~rows])
         return np.stack([1 - one, one], axis=1)
 
     def tabulated(self) -> tuple[NDArray[np.float32], NDArray[np.float64]]:

@@ -26,10 +26,6 @@ DRAWS, FEWEST_SWEEPS = 6000, 5
 """Of observers in all; with many observers sweeps are fewer, but not fewer than these."""
 CANDIDATE = 0.01
 """A fact set starts as a candidate where somebody's own answers give it so much."""
-CANDIDATE = 0.01
-"""A fact set starts as a candidate where somebody's own answers give it so much."""
-ROUNDS, AS_SAID = 30, 5
-"""Of expectation maximisation; in the first f is as the hypotheses say."""
 MANY = 100
 """Observers from which the sampler starts with what the mixture found, nothing merged."""
 MOST_CELLS = 1 << 22

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from xplain.errors import InputError
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.learning.answer_model import AnswerModel
 from xplain.learning.clustering import Clustering
+from xplain.learning.evidence import Evidence, cheap
 from xplain.learning.labelers import (
     Labeler,
     LabelerTrainer,
@@ -34,6 +35,7 @@ from xplain.questions.fact_set_classifier import FactSetClassifier
 from xplain.questions.fact_sets import errors_of, partition
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.known_transitions import Answers, KnownTransitions
+from xplain.questions.labels_alone import TwoWays, answers_of
 from xplain.questions.likelihood import scaled
 from xplain.randomness import derived_seed, stream
 
@@ -72,10 +74,9 @@ class HypothesisLabeler(Labeler):
         if self.n_messages <= DENSE or not isinstance(self.classifier, FactSetClassifier):
             return super()._looked_at(features)
         looked_at = self.classifier.looked_at
-        unknown = self.classifier.known.find(features) < 0
-        if unknown.any():
-            tree = replace(self, classifier=self.classifier.fallback)
-            looked_at |= sum(1 << j for j in tree._looked_at(features[unknown])[0])
+        alone = (self.classifier.known.find(features) < 0) | (self.classifier.trust < 1)
+        if alone.any():
+            looked_at |= sum(1 << j for j in self.classifier.alone._looked_at(features[alone])[0])
         relevant = indices(looked_at)
         check_looked_at(len(relevant), self.n_messages)
         every = subsets(relevant)
@@ -91,24 +92,33 @@ class HypothesisTrainer(LabelerTrainer):
     """Fits labelers that know what people might hold wrong.
 
     Labels of another task (with other features or messages) say nothing about the hypotheses, and
-    are learned by the fallback alone; so are transitions that the hypotheses do not know.
+    are learned without them; so are transitions that the hypotheses do not know. Where people of a
+    type think otherwise than the hypotheses say, these are weighed against what is learned without
+    them (:mod:`xplain.learning.evidence`).
 
     Attributes:
-        classifier: the fallback, any scikit-learn classifier that gives probabilities.
+        classifier: learns from labels alone; any of scikit-learn that gives probabilities.
         holdout: share of the distinct points held out to measure the accuracy.
         path: an ``.npz`` file of hypotheses with features; None: the observers' domain's.
         hypotheses: in place of both.
         answers: how the dataset's people err when they answer; None: all as often.
+        evidence: how well the dataset's answers were foretold; None: hypotheses are believed.
+        types: [O] of the dataset's observers, as in ``evidence``.
     """
 
     classifier: Any = field(default_factory=paper_tree)
     path: str | None = None
     hypotheses: Hypotheses | None = None
     answers: AnswerModel | None = None
+    evidence: Evidence | None = None
+    types: NDArray[np.int64] | None = None
 
-    def given(self, observed: Observed) -> HypothesisTrainer:
+    def given(self, observed: Observed) -> LabelerTrainer:
         """With the hypotheses of the observers' domain, and the fact sets that their questions
-        found likely, where it has no others."""
+        found likely, where it has no others; without any where their questions found them worse
+        than labels alone."""
+        if observed.beaten:
+            return self._alone
         if self.hypotheses is not None or self.path is not None or observed.setting is None:
             return self
         own = hypotheses_of(observed.setting.domain, None)
@@ -135,24 +145,29 @@ class HypothesisTrainer(LabelerTrainer):
             InputError: no labels.
         """
         if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
-            return LabelerTrainer(self.classifier, self.holdout).fit(dataset, seed)
+            return self._alone.fit(dataset, seed)
         made = super().fit(dataset, seed)
         return HypothesisLabeler(**{one.name: getattr(made, one.name) for one in fields(made)})
 
     def fitted_to(self, dataset: Dataset, x: NDArray[np.float32], seed: int) -> Any:
         """A classifier fitted to the labels of a dataset, whose rows are x [P, F + n]."""
-        fallback = super().fitted_to(dataset, x, seed)
-        place = self.known.find(dataset.features)[dataset.transition]
-        rows = np.flatnonzero(place >= 0)
-        if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
-            return fallback
-        own = dataset.take(rows)
-        answers = _answers(place[rows], own)
-        given = None
+        place = self.known.find(dataset.features)
+        own = dataset.take(np.flatnonzero(place[dataset.transition] >= 0))
+        answers = answers_of(place, own)
+        given, trust = None, 1.0
         if self.answers is not None:
             label = answers.label
             given = scaled(self.answers.log_given(own.transition, own.observer, label), label)
-        return FactSetClassifier(self.known.grown(answers), answers, fallback, given)
+        if self.evidence is not None and self.types is not None:
+            trust = float(self.evidence.trust[self.types[own.observer]].mean())
+        trainer = self._alone if dataset.n_messages <= DENSE else cheap()
+        alone = partial(trainer.fit, dataset, seed)
+        return FactSetClassifier(self.known.grown(answers), answers, alone, given, trust)
+
+    @property
+    def _alone(self) -> LabelerTrainer:
+        """Learns from labels alone."""
+        return LabelerTrainer(self.classifier, self.holdout, "leaf")
 
     def with_errors(self, dataset: Dataset, assignment: NDArray[np.int64]) -> HypothesisTrainer:
         """With how these people err when they answer, their types [O] being given."""
@@ -162,7 +177,8 @@ class HypothesisTrainer(LabelerTrainer):
         place, known, observers = found
         made = errors_of(known, observers, assignment)
         answers = replace(made, slip=made.slip[[*place, -1]], guess=made.guess[[*place, -1]])
-        return replace(self, answers=answers)
+        evidence = TwoWays(self.known, place).evidence(dataset, assignment)
+        return replace(self, answers=answers, types=assignment, evidence=evidence)
 
     def find_types(self, dataset: Dataset, concentration: float, seed: int) -> Clustering | None:
         """The types by a Dirichlet process over fact sets; None where the hypotheses know nothing
@@ -178,6 +194,9 @@ class HypothesisTrainer(LabelerTrainer):
             return None
         place, known, observers = found_answers
         found = partition(known, observers, concentration, stream(derived_seed(seed, "types")))
+        same = np.unique(found.facts, return_inverse=True)[1]
+        if TwoWays(self.known, place).evidence(dataset, same).beaten:
+            return None
         _, first = np.unique(found.facts, return_index=True)
         needs = found.facts[np.sort(first)]
         if surprise := int(np.bitwise_or.reduce(needs & known.unwritten)):
@@ -202,18 +221,12 @@ class HypothesisTrainer(LabelerTrainer):
         place = known.find(dataset.features)
         if (place < 0).all():
             return None
-        every = _answers(place[dataset.transition], dataset)
+        every = answers_of(place, dataset)
         rows = [np.flatnonzero(dataset.observer == o) for o in range(len(dataset.observers))]
         observers = [every.take(own[every.transition[own] >= 0]) for own in rows]
         for own in observers:
             known = known.with_sets(self.known.grown(own).supported(own))
         return place, known, observers
-
-
-def _answers(place: NDArray[np.int64], dataset: Dataset) -> Answers:
-    """The labels of a dataset, about transitions [P]."""
-    label = dataset.label.astype(np.int64)
-    return Answers(place, dataset.message_set, label, np.ones(len(dataset)))
 
 
 def _same_task(

@@ -229,6 +229,13 @@ class Questionnaire:
         return float(self._weight[-1].sum())
 
     @property
+    def answers(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]:
+        """Transitions, message sets and labels so far, label by label: [P] each."""
+        told = [one.message_set for one in self.asked for _ in one.transitions]
+        labels = [label for one in self.asked for label in one.labels]
+        return np.array(self._seen, np.int64), np.array(told, np.int64), np.array(labels, np.uint8)
+
+    @property
     def classes(self) -> NDArray[np.float64]:
         """[classes] posterior of each class of candidates that behave alike, in the order of
         ``hypotheses.classes``."""

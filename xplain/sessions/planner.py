@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, number, whole_number
 from xplain.explanation.asking import Limits, Questions
-from xplain.explanation.belief import BeliefUpdate, Independent
+from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import MAX_MESSAGES, LabelTable
 from xplain.explanation.problem import DiscountPer, Problem
@@ -72,8 +72,9 @@ class Planner:
         inexplicability_cost: C_inexp of each label 0.
         discount: γ_E in (0, 1], for planning.
         discount_per: see :class:`~xplain.explanation.problem.Problem`.
-        belief_update: which labels are evidence. People repeat themselves:
-            :class:`~xplain.explanation.belief.Persistent` counts an answer once.
+        belief_update: which labels are evidence, and how users err. None: people repeat themselves
+            and err as observers did (``Persistent("learned")``) where the types tell how these
+            erred; else the paper's :class:`~xplain.explanation.belief.Independent`.
         seed: of solvers that search at random.
         ask: what questions cost and how many are asked; None for none.
     """
@@ -85,7 +86,7 @@ class Planner:
     inexplicability_cost: float = 1.0
     discount: float = 0.95
     discount_per: DiscountPer = "action"
-    belief_update: BeliefUpdate = field(default_factory=Independent)
+    belief_update: BeliefUpdate | None = None
     seed: int = 0
     ask: Limits | None = None
 
@@ -98,6 +99,8 @@ class Planner:
         wanted = {"solver": ("plan", "QMDP()"), "belief_update": ("habits", "Independent()")}
         for key, (method, example) in wanted.items():
             given = getattr(self, key)
+            if given is None and key == "belief_update":
+                continue
             if isinstance(given, type) or not hasattr(given, method):
                 raise InputError(key, given, f"an object, such as {example}")
         for key in ("trade_off", "inexplicability_cost", "discount"):
@@ -118,9 +121,19 @@ class Planner:
         types = len(self.types.names)
         return LabelTable(np.empty((types, 0), np.int64), np.ones((steps, 1, types)))
 
+    @property
+    def habits(self) -> Habits | None:
+        """How observers erred, where the types tell."""
+        return self.types.habits if isinstance(self.types, KnowsHabits) else None
+
+    @property
+    def beliefs(self) -> BeliefUpdate:
+        """How labels change the belief."""
+        usual = Independent() if self.habits is None else Persistent("learned")
+        return usual if self.belief_update is None else self.belief_update
+
     def problem(self, table: LabelTable, questions: Questions | None = None) -> Problem:
         """What the solver plans for, given the table of a trace, and what may be asked."""
-        habits = self.types.habits if isinstance(self.types, KnowsHabits) else None
         problem = Problem(
             table,
             message_cost=np.asarray(self.message_cost),
@@ -133,7 +146,7 @@ class Planner:
             type_names=tuple(self.types.names),
             questions=questions,
         )
-        return problem.with_habits(self.belief_update.habits(habits))
+        return problem.with_habits(self.beliefs.habits(self.habits))
 
     def plan(self, problem: Problem) -> Policy:
         """A policy for the problem, planned when it is first asked."""

@@ -46,7 +46,7 @@ class Session:
         problem = self._problem(planner.unknown(1))
         if clips:  # refused at once, and not by the first question
             asking(planner.solver.plan(problem, planner.seed))
-        self._talk = Interaction(problem, planner.plan(problem), planner.belief_update)
+        self._talk = Interaction(problem, planner.plan(problem), planner.beliefs)
         self._said: list[int] = []
         self._answers: list[NDArray[np.uint8]] = []
         self._questions: list[tuple[int, int, int]] = []  # (step, number, answer)

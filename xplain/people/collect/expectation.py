@@ -20,7 +20,7 @@ from xplain.domains.base import Domain, transition_feature_names
 from xplain.evaluation.explainees import Exact
 from xplain.experiment.explanations import Costs, evaluate
 from xplain.experiment.pipeline import Components, prepare
-from xplain.explanation.belief import Independent
+from xplain.explanation.belief import Persistent
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.people.collect.asking import State, shared
 from xplain.people.collect.bot import Habits, bot, take_part
@@ -141,7 +141,7 @@ def explanation_costs(
         prepared,
         Costs(1.0, 1.0, 1.0, 0.95, "action", "uniform"),
         {"qmdp": QMDP(), "clairvoyant": KnownType("labels")},
-        Independent(),
+        Persistent("learned"),
         Exact(),
         derived_seed(seed, "expectation"),
     )

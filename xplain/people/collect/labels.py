@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from xplain.data.dataset import Dataset
+from xplain.learning.evidence import Evidence
 from xplain.message_sets import names_of
 from xplain.people.collect.asking import FINISHED, STATED, State
 from xplain.people.collect.plan import CollectPlan
 from xplain.questions.fact_sets import partition
-from xplain.questions.known_transitions import Answers, KnownTransitions
+from xplain.questions.known_transitions import KnownTransitions
+from xplain.questions.labels_alone import TwoWays, answers_of
 from xplain.randomness import stream
 
 CONCENTRATION = 1.0
@@ -79,6 +81,7 @@ class Found:
         error: share of wrong answers that was learned.
         unsure: people of whom no fact set has a posterior above SURE.
         unlike: mean probability that no hypothesis fits somebody.
+        evidence: how well hypotheses foretold the answers.
         new_types: that another ten people are expected to bring.
         next_new: probability that the next person is of a type not seen so far.
     """
@@ -87,6 +90,7 @@ class Found:
     error: float
     unsure: int
     unlike: float
+    evidence: Evidence
     new_types: float
     next_new: float
 
@@ -94,19 +98,18 @@ class Found:
 def fact_sets(plan: CollectPlan, people: Sequence[State]) -> tuple[NDArray[np.int64], float]:
     """[N] the facts that each person's type holds wrong, and the share of wrong answers: the
     Dirichlet process over fact sets that ``discover`` runs with the same hypotheses."""
-    known = KnownTransitions.of(plan.hypotheses)
-    place = known.find(known.hypotheses.features)  # type: ignore[arg-type]  # never None here
-    observers = []
-    for state in people:
-        rows = [
-            (place[t], clip.told, label)
-            for clip in state.questions()
-            for t, label in zip(clip.transitions, clip.labels, strict=True)
-        ]
-        transition, told, label = np.array(rows, dtype=np.int64).reshape(-1, 3).T
-        observers.append(Answers(transition, told, label, np.ones(len(rows))))
-    found = partition(known, observers, CONCENTRATION, stream(plan.seed, "types"))
+    ways, data = _asked(plan, people)
+    every = answers_of(ways.place, data)
+    observers = [every.take(np.flatnonzero(data.observer == o)) for o in range(len(people))]
+    found = partition(ways.known, observers, CONCENTRATION, stream(plan.seed, "types"))
     return found.facts, found.error
+
+
+def _asked(plan: CollectPlan, people: Sequence[State]) -> tuple[TwoWays, Dataset]:
+    """The labels of these people, and how to foretell them."""
+    known = KnownTransitions.of(plan.hypotheses)
+    data = dataset_of(plan, {str(o): state for o, state in enumerate(people)})
+    return TwoWays(known, known.find(data.features)), data
 
 
 def found_types(plan: CollectPlan, people: Sequence[State]) -> Found | None:
@@ -114,6 +117,7 @@ def found_types(plan: CollectPlan, people: Sequence[State]) -> Found | None:
     if len(people) < 2:
         return None
     facts, error = fact_sets(plan, people)
+    ways, data = _asked(plan, people)
     types = []
     for held in np.unique(facts).tolist():
         members = np.flatnonzero(facts == held).tolist()
@@ -128,6 +132,7 @@ def found_types(plan: CollectPlan, people: Sequence[State]) -> Found | None:
         error=error,
         unsure=sum(one <= SURE for one in best),
         unlike=float(np.mean([state.belief.get("none", 0.0) for state in people])),
+        evidence=ways.evidence(data, np.unique(facts, return_inverse=True)[1]),
         new_types=new_types,
         next_new=next_new,
     )

@@ -1,0 +1,171 @@
+"""Hypotheses against labels alone: who gains when hypotheses are guesses.
+
+    python benchmarks/evidence.py --first 7300 --seeds 3     measures, and keeps each data set
+    python benchmarks/evidence.py --table                    the table of those kept
+    python benchmarks/evidence.py --quick                    one data set, nothing written
+
+Maps and people are those of questions.py, 40 labels a person, one in twenty wrong. Three ways:
+*weighed*, as shipped (queries=adaptive labeler=hypotheses: hypotheses are weighed, and given up
+where they are beaten), *believed* (the same, but hypotheses are believed come what may), and
+*labels alone* (queries=adaptive queries.hypotheses=none labeler=practice). Costs of QMDP at λ = 1,
+five traces. *scrambled* people have hypotheses that give each transition the labels of another.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import product
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import pandas as pd
+from hydra.utils import instantiate
+from people import scrambled, setting_of, without_a_fact
+from questions import MAPS, domain_of
+
+from xplain.config import composed
+from xplain.data.observers import SimulatedObservers
+from xplain.domains.base import transition_features
+from xplain.errors import XplainError
+from xplain.evaluation.episode import explain
+from xplain.evaluation.explainees import SimulatedUser
+from xplain.experiment.pipeline import draw_trace
+from xplain.explanation.belief import Independent
+from xplain.explanation.problem import Problem
+from xplain.learning import evidence
+from xplain.learning.known_types import learn
+from xplain.learning.user_types import label_table
+from xplain.questions import fact_set_classifier, labels_alone
+from xplain.questions.designs import Adaptive
+from xplain.randomness import stream
+from xplain.solvers.qmdp import QMDP
+from xplain.users.setting import Setting
+
+KEPT = Path(__file__).parent / "results/evidence.csv"
+PEOPLE = ("as assumed", "half", "opposite", "x .3 to 3", "unwritten", "half a bonus", "scrambled")
+FILES = {"unwritten": without_a_fact, "scrambled": scrambled}
+WAYS = ("weighed", "believed", "labels alone")
+KEY = ["map", "people", "seed"]
+
+
+@contextmanager
+def believing() -> Iterator[None]:
+    """Hypotheses are never doubted or beaten."""
+    never = [
+        (evidence, "BEATEN", np.inf),
+        (labels_alone, "BEATEN", np.inf),
+        (fact_set_classifier, "DOUBTED", 1.0),
+    ]
+    with patch.object(*never[0]), patch.object(*never[1]), patch.object(*never[2]):
+        yield
+
+
+def learned(way: str, setting: Setting, path: str | None, seed: int) -> Any:
+    """The types that a way finds."""
+    name = "practice" if way == "labels alone" else "hypotheses"
+    trainer = instantiate(composed("discover", [f"labeler={name}"]).labeler)
+    clusterer = instantiate(composed("discover", ["clusterer=dirichlet"]).clusterer)
+    if name == "practice":
+        queries = Adaptive(hypotheses="none")
+    else:
+        queries = Adaptive(hypotheses=path)
+        object.__setattr__(trainer, "path", path)
+    observed = SimulatedObservers(3, 40, 0.05).collect(setting, queries, seed)
+    return learn(observed, trainer, clusterer, seed)
+
+
+def costs(setting: Setting, types: Any, traces: int, seed: int) -> tuple[float, float]:
+    """Mean costs with what was learned, and with true labels."""
+    found, n = [], setting.n_messages
+    for index in range(traces):
+        trace = draw_trace(setting, 40, seed, index)
+        truth = setting.label_table(trace)
+        features = transition_features(setting.domain, trace)
+        own = label_table(types.labelers, features, trace).array(n)
+        tables: list[Any] = [own, truth.astype(float)]
+        plans = [
+            (problem, QMDP().plan(problem)) for problem in (Problem(t, np.ones(n)) for t in tables)
+        ]
+        for labels in truth:
+            user = SimulatedUser.of(labels)
+            found.append([explain(*one, user, Independent()).cost for one in plans])
+    learned_cost, true_cost = np.mean(found, axis=0).tolist()
+    return learned_cost, true_cost
+
+
+def row_of(name: str, people: str, seed: int, traces: int) -> dict[str, Any]:
+    """One data set."""
+    domain: Any = domain_of(name, seed)
+    row: dict[str, Any] = dict(zip(KEY, (name, people, seed), strict=True))
+    setting = setting_of(domain, people, seed)
+    with tempfile.TemporaryDirectory() as folder:
+        path = FILES[people](domain, seed, Path(folder)) if people in FILES else None
+        types = {way: learned(way, setting, path, seed) for way in WAYS if way != "believed"}
+        with believing():
+            types["believed"] = learned("believed", setting, path, seed)
+    for way in WAYS:
+        row[way], row["true"] = costs(setting, types[way], traces, seed)
+    found = types["weighed"].evidence
+    row["given up"] = found is None
+    row["warned"] = found is None or found.lost
+    return row
+
+
+def table(rows: pd.DataFrame) -> str:
+    """By people: means, and the gate with 95 % of its bootstrap over data sets."""
+    lines = ["| people | data sets | weighed / true | believed / true | labels alone / true | "
+             "weighed / better of both | warned | given up |", "|---" * 8 + "|"]  # fmt: skip
+    for people in (one for one in PEOPLE if one in set(rows["people"])):
+        own = rows[rows["people"] == people]
+        drawn = stream(0, "benchmark", "bootstrap").integers(0, len(own), (2000, len(own)))
+        sums = {key: own[key].to_numpy()[drawn].sum(axis=1) for key in WAYS}
+        low, high = np.quantile(
+            sums["weighed"] / np.minimum(sums["believed"], sums["labels alone"]), [0.025, 0.975]
+        )
+        mean = own[[*WAYS, "true"]].mean()
+        gate = mean["weighed"] / min(mean["believed"], mean["labels alone"])
+        figures = " | ".join(f"{mean[way] / mean['true']:.2f}" for way in WAYS)
+        shares = f"{own['warned'].mean():.0%} | {own['given up'].mean():.0%}"
+        lines.append(
+            f"| {people} | {len(own)} | {figures} | {gate:.2f} [{low:.2f}, {high:.2f}] | {shares} |"
+        )
+    loses = rows[rows["believed"] > 1.1 * rows["labels alone"]]
+    said = f"warned in {int(loses['warned'].sum())} of the {len(loses)} data sets"
+    return "\n".join([*lines, "", f"{said} where believed hypotheses lose by more than a tenth"])
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="one data set, nothing written")
+    parser.add_argument("--table", action="store_true", help="nothing is measured")
+    parser.add_argument("--first", type=int, default=7300)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--people", nargs="+", default=list(PEOPLE), choices=PEOPLE)
+    given = parser.parse_args()
+    logging.disable(logging.WARNING)
+    if given.quick:
+        print(table(pd.DataFrame([row_of("random rooms", "scrambled", 300, 1)])))
+        return
+    done = set(pd.read_csv(KEPT)[KEY].itertuples(index=False, name=None)) if KEPT.exists() else ()
+    every = product(range(given.first, given.first + given.seeds), given.people, MAPS)
+    for seed, people, name in () if given.table else every:
+        if (name, people, seed) in done:
+            continue
+        try:
+            row = pd.DataFrame([row_of(name, people, seed, 5)])
+        except XplainError as error:  # no types at other values that behave differently
+            print(name, people, seed, error)
+            continue
+        row.to_csv(KEPT, mode="a", header=not KEPT.exists(), index=False, float_format="%.5g")
+    print(table(pd.read_csv(KEPT)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,176 @@
+"""Hypotheses are guesses: how well they foretell answers, against labels alone."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.questions.test_people_who_err import asked, erring, hypotheses
+from xplain.data.observers import Observed
+from xplain.learning.clustering import Single
+from xplain.learning.evidence import BEATEN, BEFORE, COIN, LEAST, Evidence, foretold, parts, stacked
+from xplain.learning.fact_model.dirichlet import DirichletMixture
+from xplain.learning.known_types import learn
+from xplain.learning.labelers import LabelerTrainer
+from xplain.learning.user_types import learn_types
+from xplain.questions.known_transitions import KnownTransitions
+from xplain.questions.labeler import HypothesisTrainer
+from xplain.questions.labels_alone import Contest, TwoWays
+from xplain.questions.questionnaire import Questionnaire
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_weight_of_hypotheses_makes_the_answers_likeliest(seed):
+    rng = np.random.default_rng(seed)
+    first, second = np.log(rng.uniform(0.02, 0.98, (2, 60))) - [[0.3 * seed], [0.4]]
+    grid = np.linspace(LEAST, 1, 4001)
+    mixed = grid[:, None] * np.exp(first) + (1 - grid[:, None]) * np.exp(second)
+    value = np.log(mixed).sum(axis=1) + BEFORE * np.log(grid)
+    assert stacked(first, second) == pytest.approx(grid[value.argmax()], abs=5e-4)
+
+
+def test_hypotheses_that_foretell_no_worse_are_believed_alone():
+    better = np.log(np.array([0.9, 0.8, 0.7]))
+    assert stacked(better, better - 0.2) == 1.0
+    assert stacked(better, better) == 1.0
+    assert stacked(np.zeros(0), np.zeros(0)) == 1.0
+    assert stacked(np.full(400, -6.0), np.full(400, -0.1)) < 0.1
+
+
+def test_quarters_are_each_observers_own_and_in_order():
+    observer = np.random.default_rng(0).integers(0, 5, 137)
+    part = parts(observer)
+    for o in range(5):
+        own = part[observer == o]
+        assert (np.diff(own) >= 0).all()
+        size = np.bincount(own, minlength=4)
+        assert size.max() - size.min() <= 1
+
+
+def crowd(seed=0, each=24, thinks=None):
+    """Two kinds of people, three each, one answer in twenty wrong."""
+    rng, known = np.random.default_rng(seed), hypotheses()
+    data = asked(known, [3] * 3 + [12] * 3, each, rng, thinks)
+    return known, erring(data, [0.05] * 6, rng)
+
+
+TYPES = np.repeat([0, 1], 3)
+
+
+def evidence_of(known, data):
+    return HypothesisTrainer(hypotheses=known).with_errors(data, TYPES).evidence
+
+
+def test_no_answer_is_foretold_by_itself_or_a_later_one_or_by_other_types():
+    """Answers of the last quarter, or of the other type, say nothing of those before."""
+    _, data = crowd()
+    part, kind = parts(data.observer), TYPES[data.observer]
+
+    def way(train, test):
+        assert train.observer.max() <= (2 if test.observer[0] <= 2 else 5)
+        return train.label.sum() + 0.001 * len(train) + np.zeros(len(test))
+
+    rows, logs = foretold(data, TYPES, (way,))
+    assert sorted(rows.tolist()) == np.flatnonzero(part > 0).tolist()
+    for row, said in zip(rows, logs, strict=True):
+        before = (kind == kind[row]) & (part < part[row])
+        assert said == pytest.approx(data.label[before].sum() + 0.001 * before.sum())
+
+
+def test_hypotheses_and_labels_alone_give_probabilities_of_the_next_answer():
+    """Of the last quarter: what an answer and its opposite take sums to one, whatever it is."""
+    known, data = crowd()
+    last = parts(data.observer) == 3
+    turned = replace(data, label=np.where(last, 1 - data.label, data.label).astype(np.uint8))
+    one, other = evidence_of(known, data), evidence_of(known, turned)
+    early = np.arange(len(one.of_type)) < len(one.of_type) - last.sum()
+    for name in ("hypotheses", "labels"):
+        said, opposite = getattr(one, name), getattr(other, name)
+        assert said[early] == pytest.approx(opposite[early])
+        assert np.exp(said[~early]) + np.exp(opposite[~early]) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_of_people_as_assumed_hypotheses_are_believed(seed, caplog):
+    known, data = crowd(seed)
+    evidence = evidence_of(known, data)
+    assert not evidence.lost
+    assert (evidence.trust == 1).all()
+    assert evidence.nats[0] < min(evidence.nats[1], COIN)
+    learn(Observed(data), HypothesisTrainer(hypotheses=known), DirichletMixture(), 0)
+    assert "do not fit" not in caplog.text
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_of_people_who_think_something_else_a_line_says_so(seed, caplog):
+    """Labels that no fact set explains, but which people of a type share."""
+    other = np.random.default_rng(seed + 10).integers(0, 2, 30)
+    known, data = crowd(seed, each=60, thinks=lambda label, transition: other[transition])
+    evidence = evidence_of(known, data)
+    assert evidence.lost
+    assert (evidence.doubt > 0.5).all()
+    with caplog.at_level(logging.WARNING):
+        learn(Observed(data), HypothesisTrainer(hypotheses=known), Single(), 0)
+    own, others = learn_types(
+        data, Single().cluster(data, None, 0, None), HypothesisTrainer(hypotheses=known), 0
+    ).evidence.nats
+    assert f"{own:.2f} nats by hypotheses, {others:.2f} by labels alone" in caplog.text
+
+
+def test_where_labels_alone_foretell_better_their_labels_are_mixed_in():
+    """A feature tells each label; hypotheses know of nothing that has to do with it."""
+    rng, known = np.random.default_rng(1), hypotheses(transitions=60)
+    data = asked(known, [3] * 6, 50, rng, lambda label, t: known.features[t, 0] >= 30)
+    trainer = HypothesisTrainer(hypotheses=known)
+    weighed = trainer.with_errors(data, np.zeros(6, dtype=np.int64))
+    assert weighed.evidence.lost
+    assert weighed.evidence.trust[0] < 0.9
+    told = np.zeros(60, dtype=np.int64)
+    trust = weighed.evidence.trust[0]
+    own = replace(weighed, evidence=None).fit(data, 0).probability(known.features, told)
+    alone = LabelerTrainer(trainer.classifier, confidence="leaf").fit(data, 0)
+    mixed = trust * own + (1 - trust) * alone.probability(known.features, told)
+    both = weighed.fit(data, 0).probability(known.features, told)
+    assert both == pytest.approx(mixed, abs=0.003)
+
+
+def contest(thinks, people=6, each=60):
+    """How far labels alone and a coin are ahead after each of some people, and whether hypotheses
+    are beaten: 60 transitions, random questions, one answer in twenty wrong."""
+    rng, known = np.random.default_rng(2), hypotheses(transitions=60)
+    data = erring(asked(known, [3] * people, each, rng, thinks), [0.05] * people, rng)
+    ways = TwoWays(KnownTransitions.of(known), np.arange(60))
+    match = Contest(ways, data.take(np.zeros(0, dtype=np.int64)))
+    for o in range(people):
+        somebody, own = Questionnaire(known, 0.05), data.of(np.array([o]))
+        for t, told, label in zip(own.transition, own.message_set, own.label, strict=True):
+            somebody.answer(int(label), (int(t), int(told)))
+        yield match.beaten(somebody), match.ahead.copy()
+
+
+def test_while_people_are_asked_hypotheses_are_beaten_where_they_tell_nothing():
+    """Labels that a feature tells, and nothing that people were told changes."""
+    found = list(contest(lambda label, transition: transition >= 30))
+    assert found[-1][0]
+    for beaten, ahead in found:
+        assert beaten == (ahead.max() > BEATEN)
+
+
+def test_while_people_are_asked_hypotheses_that_are_right_are_ever_more_ahead():
+    ahead = np.array([ahead for beaten, ahead in contest(None) if not beaten])
+    assert len(ahead) == 6
+    assert (np.diff(ahead, axis=0) < 0).all()
+
+
+def test_the_words_tell_who_foretells_better():
+    few = np.log(np.full(4, 0.8)), np.log(np.full(4, 0.6)), np.zeros(4, dtype=np.int64)
+    fits = Evidence(*few, np.array([0.1]))
+    assert str(fits).startswith("hypotheses fit what people answer: each")
+    assert "0.22 nats by hypotheses, 0.51 by labels alone, 0.69 by a coin" in str(fits)
+    assert "people of 1 of 1 types think otherwise" in str(replace(fits, doubt=np.array([0.9])))
+    worse = Evidence(few[1], few[0], few[2], np.array([0.1]))
+    assert not worse.lost  # four answers are few
+    many = Evidence(*(np.tile(one, 20) for one in (few[1], few[0], few[2])), np.array([0.1]))
+    assert many.beaten
+    assert str(many).startswith("hypotheses do not fit what people answer: each")

@@ -1,0 +1,154 @@
+"""Evidence of hypotheses against labels alone: how well each foretells answers before it learns
+from them (prequential: Dawid 1984, "Statistical theory: the prequential approach").
+
+Answers come in the order in which each observer gave them, a quarter of everybody's at a time; each
+quarter is foretold by what the quarters before taught of the observer's type.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from xplain.data.dataset import Dataset
+from xplain.learning.labelers import LabelerTrainer
+
+PARTS = 4
+"""Of each observer's answers; the first is learned from, and not foretold."""
+BEFORE = 10.0
+"""Hypotheses are believed as if so many answers before had been theirs alone."""
+LEAST = 0.01
+"""Weight of hypotheses, at least."""
+WORSE, BEATEN = float(np.log(20)), 20.0
+"""Log evidence against hypotheses from which on this is said, and from which on they are given up:
+given up in vain they cost more than kept in vain."""
+DOUBTED = 0.5
+"""Hypotheses are doubted of a type where this is less than the probability that they err often."""
+COIN = float(np.log(2))
+
+Foretell = Callable[[Dataset, Dataset], NDArray[np.float64]]
+"""log P of each label of the second dataset, by what is learned from the first: [Q]."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What was foretold of Q answers by observers of N types.
+
+    Attributes:
+        hypotheses: [Q] log P of each answer, by hypotheses.
+        labels: [Q] the same, by labels alone.
+        of_type: [Q] the type of who gave it.
+        doubt: [N] P(people of a type think otherwise than hypotheses say at one transition in
+            twenty, or more).
+    """
+
+    hypotheses: NDArray[np.float64]
+    labels: NDArray[np.float64]
+    of_type: NDArray[np.int64]
+    doubt: NDArray[np.float64]
+
+    @property
+    def nats(self) -> tuple[float, float]:
+        """Mean −log P of an answer by hypotheses, and by labels alone; a coin's where no answer was
+        foretold."""
+        if not len(self.of_type):
+            return COIN, COIN
+        return -float(self.hypotheses.mean()), -float(self.labels.mean())
+
+    @property
+    def trust(self) -> NDArray[np.float64]:
+        """[N] weight of the hypotheses of each type, the rest being that of labels alone: 1, but
+        where hypotheses are doubted what :func:`stacked` finds."""
+        types = (np.flatnonzero(self.of_type == t) for t in range(len(self.doubt)))
+        weight = [stacked(self.hypotheses[own], self.labels[own]) for own in types]
+        return np.where(self.doubt > DOUBTED, weight, 1.0)
+
+    @property
+    def against(self) -> float:
+        """Log evidence for labels alone, or for a coin, over hypotheses."""
+        own, others = self.nats
+        return (own - min(others, COIN)) * len(self.of_type)
+
+    @property
+    def lost(self) -> bool:
+        """Whether hypotheses are doubted of a type, or foretell worse."""
+        return bool((self.doubt > DOUBTED).any()) or self.against > WORSE
+
+    @property
+    def beaten(self) -> bool:
+        """Whether hypotheses foretell so much worse that they are given up."""
+        return self.against > BEATEN
+
+    def __str__(self) -> str:
+        own, others = self.nats
+        kinds = int((self.doubt > DOUBTED).sum())
+        fit = "hypotheses fit what people answer"
+        if self.lost:
+            fit = "hypotheses do not fit what people answer"
+            if kinds:
+                fit += f" (people of {kinds} of {len(self.doubt)} types think otherwise)"
+        return (
+            f"{fit}: each next answer takes {own:.2f} nats by hypotheses, {others:.2f} by labels "
+            f"alone, {COIN:.2f} by a coin (less is better)"
+        )
+
+
+def cheap() -> LabelerTrainer:
+    """Learns from labels alone at little cost: a pruned tree foretells about as well as boosting
+    (benchmarks/README.md)."""
+    from sklearn.tree import DecisionTreeClassifier
+
+    return LabelerTrainer(DecisionTreeClassifier(ccp_alpha=0.004), confidence="leaf")
+
+
+def stacked(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    """The weight w in [LEAST, 1] that makes Σ log(w P₁ + (1 − w) P₂) + BEFORE log w largest, of
+    answers with log P ``first`` and ``second`` [Q] (Yao et al. 2018, "Using stacking to average
+    Bayesian predictive distributions")."""
+    ratio = np.exp(np.clip(second - first, -50, 50))
+
+    def slope(w: float) -> float:
+        return float(((1 - ratio) / (w + (1 - w) * ratio)).sum() + BEFORE / w)
+
+    if slope(1.0) >= 0:
+        return 1.0
+    return LEAST if slope(LEAST) <= 0 else float(brentq(slope, LEAST, 1.0))
+
+
+def foretold(
+    dataset: Dataset, assignment: NDArray[np.int64], ways: tuple[Foretell, ...]
+) -> tuple[NDArray[Any], ...]:
+    """Foretells the answers of a dataset, a type at a time.
+
+    Args:
+        dataset: answers of O observers, each one's in the order in which they were given.
+        assignment: [O] types.
+        ways: to foretell, each from the answers of one type so far.
+
+    Returns:
+        The rows of the answers that were foretold [Q], and of each way log P of them [Q].
+    """
+    part, kind = parts(dataset.observer), assignment[dataset.observer]
+    found: list[tuple[NDArray[Any], ...]] = [(np.zeros(0, np.int64), *[np.zeros(0)] * len(ways))]
+    for number in range(1, PARTS):
+        for one in np.unique(kind).tolist():
+            before, rows = (
+                np.flatnonzero((kind == one) & chosen) for chosen in (part < number, part == number)
+            )
+            if len(before) and len(rows):
+                train, test = dataset.take(before), dataset.take(rows)
+                found.append((rows, *(way(train, test) for way in ways)))
+    return tuple(np.concatenate(column) for column in zip(*found, strict=True))
+
+
+def parts(observer: NDArray[np.int64]) -> NDArray[np.int64]:
+    """[P] which quarter of their own observer's answers each is of, 0 to PARTS − 1."""
+    order, count = np.argsort(observer, kind="stable"), np.bincount(observer)
+    rank = np.empty(len(observer), dtype=np.int64)
+    rank[order] = np.arange(len(observer)) - (np.cumsum(count) - count)[observer[order]]
+    return np.asarray(rank * PARTS // count[observer])

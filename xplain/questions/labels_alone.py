@@ -1,0 +1,92 @@
+"""Hypotheses against labels alone: what both foretell of answers (:mod:`xplain.learning.evidence`),
+of a dataset, and while people are asked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.data.dataset import Dataset
+from xplain.learning.evidence import BEATEN, COIN, Evidence, cheap, foretold, parts
+from xplain.learning.prediction import log_likelihood
+from xplain.questions.fact_set_classifier import FactSetClassifier
+from xplain.questions.known_transitions import Answers, KnownTransitions
+from xplain.questions.questionnaire import Questionnaire
+
+
+@dataclass(frozen=True)
+class TwoWays:
+    """To foretell answers about transitions that the hypotheses know.
+
+    Attributes:
+        known: the hypotheses.
+        place: [T] where these know the transitions of a dataset.
+    """
+
+    known: KnownTransitions
+    place: NDArray[np.int64]
+
+    def hypotheses(self, train: Dataset, test: Dataset) -> NDArray[np.float64]:
+        """log P of each label of ``test``: [Q]."""
+        return self.learned(train).log_answered(answers_of(self.place, test))
+
+    def labels(self, train: Dataset, test: Dataset) -> NDArray[np.float64]:
+        """The same, without hypotheses."""
+        return log_likelihood(cheap().fit(train, 0), test)
+
+    def learned(self, data: Dataset) -> FactSetClassifier:
+        """Of people of one type, who err all as often."""
+        answers = answers_of(self.place, data)
+        return FactSetClassifier(self.known.grown(answers), answers, partial(cheap().fit, data, 0))
+
+    def evidence(self, dataset: Dataset, assignment: NDArray[np.int64]) -> Evidence:
+        """Of a dataset whose observers' types [O] are given."""
+        dataset = dataset.take(np.flatnonzero(self.place[dataset.transition] >= 0))
+        rows, *logs = foretold(dataset, assignment, (self.hypotheses, self.labels))
+        types = range(int(assignment.max()) + 1)
+        doubt = [self.learned(dataset.of(np.flatnonzero(assignment == t))).doubt for t in types]
+        return Evidence(logs[0], logs[1], assignment[dataset.observer[rows]], np.array(doubt))
+
+
+def answers_of(place: NDArray[np.int64], dataset: Dataset) -> Answers:
+    """The labels of a dataset, about transitions that the hypotheses have at ``place`` [T]."""
+    label, count = dataset.label.astype(np.int64), np.ones(len(dataset))
+    return Answers(place[dataset.transition], dataset.message_set, label, count)
+
+
+@dataclass
+class Contest:
+    """Of those asked so far, one after the other: who is thought to hold the same facts wrong as
+    somebody before is foretold by their answers too.
+
+    Attributes:
+        ways: hypotheses, and labels alone.
+        answers: of everybody asked so far.
+        best: what each is thought to hold wrong, as a bitmask.
+        ahead: log P of all answers by labels alone, and by a coin, less that by hypotheses.
+    """
+
+    ways: TwoWays
+    answers: Dataset
+    best: list[int] = field(default_factory=list)
+    ahead: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+
+    def beaten(self, asked: Questionnaire) -> bool:
+        """Whether hypotheses are, once somebody more has answered."""
+        person, first = len(self.best), len(self.answers)
+        self.best.append(asked.best)
+        known = replace(self.answers, observers=(*self.answers.observers, str(person)))
+        self.answers = known.answered(person, *asked.answers)
+        alike = np.isin(self.answers.observer, np.flatnonzero(np.equal(self.best, asked.best)))
+        part = np.where(np.arange(len(self.answers)) < first, -1, parts(self.answers.observer))
+        for number in np.unique(part[first:]).tolist():
+            before, rows = np.flatnonzero(alike & (part < number)), np.flatnonzero(part == number)
+            if len(before):
+                train, test = self.answers.take(before), self.answers.take(rows)
+                own = self.ways.hypotheses(train, test).sum()
+                others = self.ways.labels(train, test).sum(), -COIN * len(rows)
+                self.ahead += np.array(others) - own
+        return bool(self.ahead.max() > BEATEN)
