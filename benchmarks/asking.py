@@ -3,6 +3,7 @@
     python benchmarks/asking.py table     cost against the price of a question, by solver
     python benchmarks/asking.py learned   with types learned from 20 chosen questions, 5 % wrong
     python benchmarks/asking.py errors    where one answer in ten is wrong
+    python benchmarks/asking.py again     where messages may be missed or forgotten
     python benchmarks/asking.py speed     milliseconds of a decision with 150 clips
     python benchmarks/asking.py --quick   a smoke run
 
@@ -21,7 +22,7 @@ from explainees import DOMAINS, World, cost, figure, ratio
 from questions import domain_of
 
 from xplain.config import composed
-from xplain.evaluation.explainees import Exact, Explainee, Slips
+from xplain.evaluation.explainees import Exact, Explainee, Heedless, Slips
 from xplain.evaluation.metrics import Record
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import prepare
@@ -50,6 +51,8 @@ SOLVERS: Mapping[str, Solver] = {
 }
 KNOWN = "labeler=true", "clusterer=perfect"
 LEARNED = "labeler=hypotheses", "queries=adaptive", "points=20", "observers.label_noise=0.05"
+AGAIN = ((1.0, 0.0), (0.9, 0.0), (0.8, 0.0), (1.0, 0.05), (1.0, 0.1), (0.8, 0.1))
+"""α and φ."""
 MAPS = (*DOMAINS, "random rescue", "random rooms")
 FRESH = 9400
 """The first seed of people and traces that no setting was chosen on."""
@@ -154,6 +157,33 @@ def meets(here: World, way: str, explainee: Explainee, update: BeliefUpdate) -> 
     return at(here, 0.1, "first" if way == "first" else "anytime").meets(explainee, update, QMDP())
 
 
+def again(seeds: Iterable[int], traces: int) -> None:
+    """Messages that may be missed (α) or forgotten (φ), rates told; κ = .1, true labels."""
+    print(
+        "| α, φ | never | asking | never − asking | questions | POMCP, asking | type and K seen |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    for domain in DOMAINS:
+        print(f"| **{domain.replace('_', ' ')}** |" + " |" * 6)
+        worlds = [at(world(domain, seed, traces, *KNOWN), 0.1) for seed in seeds]
+        for accept, forget in AGAIN:
+            people, update = Heedless(accept, forget), Independent(0.0, accept, forget)
+            found: dict[str, list[float]] = defaultdict(list)
+            for here in worlds:
+                found["never"].append(cost(silent(here).meets(people, update, QMDP())))
+                records = here.meets(people, update, QMDP())
+                found["asking"].append(cost(records))
+                found["questions"].append(asked(records))
+                found["pomcp"].append(cost(here.meets(people, update, POMCP())))
+                seen = here.meets(people, Independent(), KnownType("labels"))
+                found["seen"].append(cost(seen))
+            gain = np.subtract(found["never"], found["asking"]).tolist()
+            cells = [figure(found["never"]), figure(found["asking"]), figure(gain)]
+            cells += [f"{np.mean(found['questions']):.1f}"]
+            cells += [figure(found["pomcp"]), figure(found["seen"])]
+            print(f"| {accept:g}, {forget:g} | {' | '.join(cells)} |", flush=True)
+
+
 def speed(seeds: Iterable[int], traces: int) -> None:
     """Milliseconds of a step's decision, questions and messages, where 150 clips are open."""
     print("| solver | clips | mean of a step | longest |\n|---|---|---|---|")
@@ -178,13 +208,15 @@ def decided(seeds: Iterable[int], traces: int) -> Iterator[World]:
 def main() -> None:
     """Prints the table asked for, as Markdown."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", nargs="?", choices=("table", "learned", "errors", "speed"))
+    parts = ("table", "learned", "errors", "again", "speed")
+    parser.add_argument("what", nargs="?", choices=parts)
     parser.add_argument("--quick", action="store_true", help="only that it runs")
     options = parser.parse_args()
     if options.quick:
         table(traces={"rescue": 1, "four_rooms": 1})
         learned((FRESH,), 1, MAPS[2:3])
         errors((FRESH,), 1, MAPS[1:2])
+        again((FRESH,), 1)
         speed((FRESH,), 1)
     elif options.what == "table":
         table()
@@ -192,6 +224,8 @@ def main() -> None:
         learned(range(FRESH, FRESH + 5), 30)
     elif options.what == "errors":
         errors(range(FRESH, FRESH + 8), 8)
+    elif options.what == "again":
+        again(range(FRESH, FRESH + 10), 4)
     elif options.what == "speed":
         speed(range(FRESH, FRESH + 2), 8)
 

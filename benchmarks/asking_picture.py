@@ -1,7 +1,8 @@
-"""Draws what asking saves, from the folder of ``python -m xplain sweeps=asking``, and prints the
-table of docs/asking.md.
+"""Draws what asking saves into docs/pictures/asking.png, and prints the table of docs/asking.md, of
+``python -m xplain sweeps=asking``, which is run where it was not.
 
-python benchmarks/asking_picture.py outputs/sweeps/asking-…    into docs/pictures/asking.png
+    python benchmarks/asking_picture.py
+    python benchmarks/asking_picture.py --quick    a smoke run
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+import xplain
 from xplain.report.paper import title
 from xplain.report.plots import COLOURS, save
 
-ROOT = Path(__file__).resolve().parent.parent
+PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "asking.png"
 POLICIES = {
     "never asks, certified optimum": ("certified", "never", ""),
     "never asks, QMDP": ("qmdp", "never", ""),
@@ -37,11 +39,12 @@ FLOOR = "type known (clairvoyant)"
 
 def main() -> None:
     """Draws and prints."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "pictures" / "asking.png")
-    given = parser.parse_args()
-    frame = pd.read_csv(given.folder / "report" / "regret.csv", keep_default_na=False)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="only that it runs")
+    quick = parser.parse_args().quick
+    few = ("traces=1", "ask.cost=0.1,0.5")
+    sweep = xplain.sweep("sweeps=asking", "tracking=none", *(few if quick else ()))
+    frame = pd.read_csv(sweep.folder / "report" / "regret.csv", keep_default_na=False)
     domains = list(dict.fromkeys(frame["domain"]))
     figure = Figure(figsize=(5.4 * len(domains), 4.6), layout="constrained")
     for axes, domain in zip(
@@ -51,7 +54,8 @@ def main() -> None:
         axes.set_title(title(domain), loc="left", weight="bold", fontsize=15)
     handles, names = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=2, fontsize=12)
-    save(figure, given.out)
+    if not quick:
+        save(figure, PICTURE)
     print(table(frame))
 
 
