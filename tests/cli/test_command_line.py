@@ -317,6 +317,8 @@ NO_OPTION = {
     "knows": "of a solver: which problem it is made for; the oracle's file does say it",
     "hypotheses": "of labeler=hypotheses: the observers' domain's, worked out once",
     "answers": "of labeler=hypotheses: how people err, learned with the types",
+    "types": "of labeler=hypotheses: which types the answers come from, known with these",
+    "evidence": "of labeler=hypotheses: how well hypotheses foretell answers, learned with them",
 }
 """Parameters of shipped components that a file of conf/ may leave out, and why."""
 

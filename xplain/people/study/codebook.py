@@ -26,7 +26,6 @@ CODEBOOK = {
         "steps_labelled": "steps of the trace with a label",
         "messages_given": "messages that the robot gave (of the policy, until the last step), each "
         "counted once",
-        "messages_again": "how often it said one of them again; empty where it never would",
         "inexplicable_transitions": "labels 'makes no sense' at the last step, 0 … m; paper: "
         "measure 2",
         "quiz_score": "statements judged correctly, 0 … 4; paper: measure 3",
@@ -45,6 +44,7 @@ CODEBOOK = {
         "attention_missed": "attention checks after the quiz that were answered wrongly",
         "completion_code": "of those who finished; letters only",
         "outside_ids": "ids of the recruiting platform (JSON), only if the config keeps them",
+        "messages_again…": "how often it said one of the messages again; only where it may",
         "questions_asked…": "steps that they were asked about in between; only where a condition "
         "asks",
         "cost…": "λ · messages + inexplicable labels of all steps + κ · questions, as the plan has "

@@ -82,7 +82,6 @@ def _participant(plan: StudyPlan, one: Participant) -> Row:
         "eligible": int(bool(state.belief)),
         "steps_labelled": len(state.labels),
         "messages_given": state.given.bit_count(),
-        "messages_again": state.again if plan.problem.tracks_knowledge else None,
         "inexplicable_transitions": state.labels.count(0) if finished else None,
         "quiz_score": state.score,
         "interaction_time_s": took.seconds if finished else None,
@@ -97,6 +96,7 @@ def _participant(plan: StudyPlan, one: Participant) -> Row:
         "attention_missed": sum(missed),
         "completion_code": person["code"] if state.stage == "done" else None,
         "outside_ids": person["kept"] if person["kept"] != "{}" else None,
+        **({"messages_again": state.again} if plan.problem.tracks_knowledge else {}),
         **(_asked(plan, one, finished) if plan.clips else {}),
     }
 
