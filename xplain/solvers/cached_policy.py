@@ -29,13 +29,14 @@ class CachedPolicy:
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
+        self._asks = isinstance(policy, Asks)  # once: it takes as long as a decision
         self.seconds = 0.0
         self.decisions: dict[tuple[object, ...], tuple[int, float]] = {}
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
         """See :class:`xplain.solvers.base.Policy`. The policy sees the rounded belief: which of
         two that differ by rounding came first makes no difference."""
-        if isinstance(self.policy, Asks):
+        if self._asks:
             return self._decide(self.policy.messages, step, given, rounded(belief), asked)
         return self._decide(self.policy.messages, step, given, rounded(belief))
 
