@@ -151,3 +151,16 @@ def test_certified_knows_questions(seed: int) -> None:
     best = max(values, key=lambda action: values[action])
     asked = policy.question(0, 0, problem.start)
     assert asked == (~best if best < 0 else NO_QUESTION)
+
+
+def test_a_certified_decision_does_not_depend_on_what_was_asked_before() -> None:
+    """Nor on how often: each search for a decision begins anew."""
+    problem = needy(2, questions=True)
+    hasty = Certified(gap=1e-9, nodes=1, decision_nodes=1)
+    beliefs = np.random.default_rng(0).dirichlet(np.ones(problem.start.size), 6)
+    often = asking(hasty.plan(problem))
+    for belief in [*beliefs, *beliefs[::-1], *beliefs]:
+        often.messages(0, 0, belief)
+    once = asking(hasty.plan(problem))
+    for belief in beliefs:
+        assert once.values(0, 0, belief) == often.values(0, 0, belief)

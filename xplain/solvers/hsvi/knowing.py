@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -109,6 +110,12 @@ class Bounded:
         self._lattice = Lattice(self.model.answered[:, None], rows)
         self._room: Answers = make_answers(1 << 10, steps, states)
         self.nodes: dict[tuple[int, bytes, int], Node] = {}
+
+    def afresh(self) -> Bounded:
+        """The same problem, nothing of which was searched."""
+        other = copy(self)
+        other.nodes = {}
+        return other
 
     def node(self, step: int, belief: NDArray[np.float64], asked: int) -> Node:
         """The node of a belief; made where there is none."""
@@ -275,14 +282,16 @@ class CertifiedKnowing:
     """Acts on certified bounds where they are close, as QMDP elsewhere.
 
     Attributes:
-        bounded: the search, which goes on where a decision is asked for that it did not come to.
+        bounded: the search from the start.
         root: where it began.
-        brief: the effort for a decision.
+        brief: the effort for a decision that it did not come to, a search of its own: a decision
+            does not depend on what was asked before.
     """
 
     bounded: Bounded
     root: Node
     brief: Effort
+    _last: dict[tuple[int, bytes, int], Node] = field(default_factory=dict)
 
     @property
     def lower(self) -> float:
@@ -296,8 +305,14 @@ class CertifiedKnowing:
 
     def _decided(self, step: int, belief: NDArray[np.float64], asked: int) -> Node | None:
         """The node of a belief, if its bounds are close."""
-        node = self.bounded.node(step, belief, asked)
-        self.bounded.search(node, self.brief)
+        key = step, rounded(belief).tobytes(), asked
+        node = self.bounded.nodes.get(key) or self._last.get(key)
+        if node is None or not node.actions:
+            afresh = self.bounded.afresh()
+            node = afresh.node(step, belief, asked)
+            afresh.search(node, self.brief)
+            self._last.clear()
+            self._last[key] = node
         return node if node.gap <= CLOSE * (1 + abs(node.lower)) and node.actions else None
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
