@@ -45,16 +45,16 @@ def asks_by_value(policy: Policy, problem: Problem, seed: int, memory_gib: float
     """The policy, which asks where the problem has questions.
 
     Raises:
-        InputError: users may miss or forget messages.
         TooLargeError: tables to simulate with would take more than ``memory_gib``.
     """
     if problem.questions is None:
         return policy
+    stream = derived_seed(seed, "value of information")
     if isinstance(policy, Reminding):
-        return Inquiring(policy, SimulatedKnowing(make_knowing(policy), seed))
+        return Inquiring(policy, SimulatedKnowing(make_knowing(policy), stream))
     small, kept = restricted(problem)
     check_memory("asking", model_bytes(small), memory_gib, "ask=never needs no such tables")
-    return Inquiring(policy, Simulated(model_of(small), kept, seed))
+    return Inquiring(policy, Simulated(model_of(small), kept, stream))
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,12 @@ class Simulated:
     Attributes:
         model: of the restricted problem.
         kept: its messages.
-        seed: of the simulations.
+        stream: of the simulations.
     """
 
     model: SearchModel
     kept: tuple[int, ...]
-    seed: int
+    stream: int
 
     @property
     def inquiry(self) -> Inquiry:
@@ -87,10 +87,6 @@ class Simulated:
         """One a type where answers are certain: what happens to it then is no chance."""
         return ROLLS if (self.model.reduced.answered % 1).any() else 1
 
-    @cached_property
-    def _stream(self) -> int:
-        return derived_seed(self.seed, "value of information")
-
     def gains(self, step: int, given: int, belief: NDArray[np.float64], asked: int) -> Room:
         """``found`` [count] the questions looked into, and ``news`` what each is worth."""
         room, after = make_room(self.inquiry, asked, LOOKED_INTO), np.empty_like(belief)
@@ -103,7 +99,7 @@ class Simulated:
             after,
             room,
             self._rolls,
-            self._stream,
+            self.stream,
         )
         return room._replace(found=room.found[:count], news=room.news[:count])
 
@@ -114,15 +110,11 @@ class SimulatedKnowing:
 
     Attributes:
         model: as kernels want it.
-        seed: of the simulations.
+        stream: of the simulations.
     """
 
     model: Knowing
-    seed: int
-
-    @cached_property
-    def _stream(self) -> int:
-        return derived_seed(self.seed, "value of information")
+    stream: int
 
     def gains(self, step: int, given: int, belief: NDArray[np.float64], asked: int) -> Room:
         """As :meth:`Simulated.gains`."""
@@ -131,7 +123,7 @@ class SimulatedKnowing:
         labels = np.empty(len(self.model.explain), np.bool_)
         counter, sure = np.zeros(1, np.uint64), np.ascontiguousarray(belief)
         count = gains(
-            self.model, counter, step, sure, after, path, labels, room, ROLLS // 2, self._stream
+            self.model, counter, step, sure, after, path, labels, room, ROLLS // 2, self.stream
         )
         return room._replace(found=room.found[:count], news=room.news[:count])
 
