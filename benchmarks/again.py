@@ -17,7 +17,7 @@ from explainees import DOMAINS, figure, ratio
 from matplotlib.figure import Figure
 
 import xplain
-from xplain.evaluation.statistics import clustered_mean
+from xplain.interaction.statistics import clustered_mean
 
 WAYS = {
     "paper": ("believes that all messages land", "#D55E00", "s-"),

@@ -21,14 +21,14 @@ import numpy as np
 from explainees import DOMAINS, World, cost, figure, ratio
 from questions import domain_of
 
-from xplain.config import composed
-from xplain.evaluation.explainees import Exact, Explainee, Heedless, Slips
-from xplain.evaluation.metrics import Record
+from xplain.experiment.config import composed
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import prepare
 from xplain.explanation.asking import Limits, When
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
 from xplain.explanation.habits import Assumed
+from xplain.interaction.explainees import Exact, Explainee, Heedless, Slips
+from xplain.interaction.metrics import Record
 from xplain.solvers.ask_first import AskFirst
 from xplain.solvers.base import Solver
 from xplain.solvers.hsvi.solver import Certified

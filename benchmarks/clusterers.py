@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 from sklearn.metrics import adjusted_rand_score
 
-from xplain.config import composed
+from xplain.experiment.config import composed
 from xplain.experiment.pipeline import observe
 from xplain.learning.labelers import LabelerTrainer
 

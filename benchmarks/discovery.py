@@ -38,25 +38,25 @@ from numpy.typing import NDArray
 from omegaconf import OmegaConf
 from sklearn.metrics import adjusted_rand_score
 
-from xplain.config import composed
-from xplain.data import queries as designs
-from xplain.data.dataset import Dataset
-from xplain.data.observers import SimulatedObservers
-from xplain.data.rollouts import sample_trace
 from xplain.domains.base import transition_features
-from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import SimulatedUser
+from xplain.domains.users.setting import Setting
+from xplain.domains.users.types import RandomCover
+from xplain.experiment.config import composed
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import SimulatedUser
 from xplain.learning.clustering import Clustering, Perfect
+from xplain.learning.data import queries as designs
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.observers import SimulatedObservers
+from xplain.learning.data.rollouts import sample_trace
 from xplain.learning.labelers import LabelerTrainer, split
 from xplain.learning.prediction import log_likelihoods
 from xplain.learning.user_types import UserTypes, label_table, learn_types
 from xplain.randomness import stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
 from xplain.solvers.qmdp import QMDP
-from xplain.users.setting import Setting
-from xplain.users.types import RandomCover
 
 RESULTS = Path(__file__).parent / "results"
 ROWS = Path("outputs/benchmarks/discovery_grid.csv")

@@ -20,8 +20,13 @@ import numpy as np
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from xplain.config import composed
-from xplain.data.domain_properties import (
+from xplain.domains.four_rooms import DOORS
+from xplain.domains.rescue import Rescue
+from xplain.domains.rescue_maps import random_map
+from xplain.domains.users.setting import Setting
+from xplain.errors import XplainError
+from xplain.experiment.config import composed
+from xplain.learning.data.domain_properties import (
     Trace,
     count_traces,
     inexplicable_alone,
@@ -29,14 +34,9 @@ from xplain.data.domain_properties import (
     problems,
     share_through,
 )
-from xplain.domains.four_rooms import DOORS
-from xplain.domains.rescue import Rescue
-from xplain.domains.rescue_maps import random_map
-from xplain.errors import XplainError
 from xplain.randomness import stream
 from xplain.report.plots import save
 from xplain.report.traces import Story, draw_trace
-from xplain.users.setting import Setting
 
 DOMAINS = ("four_rooms", "rescue", "taxi", "cliff_walking", "frozen_lake")
 PICTURES = Path(__file__).parent.parent / "docs" / "pictures"

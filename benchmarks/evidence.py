@@ -29,23 +29,23 @@ from hydra.utils import instantiate
 from people import scrambled, setting_of, without_a_fact
 from questions import MAPS, domain_of
 
-from xplain.config import composed
-from xplain.data.observers import SimulatedObservers
 from xplain.domains.base import transition_features
+from xplain.domains.users.setting import Setting
 from xplain.errors import XplainError
-from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import SimulatedUser
+from xplain.experiment.config import composed
 from xplain.experiment.pipeline import draw_trace
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import SimulatedUser
 from xplain.learning import evidence
+from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.known_types import learn
 from xplain.learning.user_types import label_table
 from xplain.questions import fact_set_classifier, labels_alone
 from xplain.questions.designs import Adaptive
 from xplain.randomness import stream
 from xplain.solvers.qmdp import QMDP
-from xplain.users.setting import Setting
 
 KEPT = Path(__file__).parent / "results/evidence.csv"
 PEOPLE = ("as assumed", "half", "opposite", "x .3 to 3", "unwritten", "half a bonus", "scrambled")

@@ -24,17 +24,17 @@ import numpy as np
 from numpy.typing import NDArray
 from questions import MAPS, domain_of
 
-from xplain.config import composed
-from xplain.evaluation.explainees import Exact, Explainee, Heedless, Person, Slips
-from xplain.evaluation.metrics import Record
-from xplain.evaluation.statistics import clustered_mean
+from xplain.experiment.config import composed
 from xplain.experiment.explanations import Costs, evaluate, problem_of_types
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, prepare
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
 from xplain.explanation.habits import PAPER, Assumed, Habits, habits_of
 from xplain.explanation.label_table import LabelTable
-from xplain.learning.listening import Explained, learned_habits
+from xplain.explanation.listening import Explained, learned_habits
+from xplain.interaction.explainees import Exact, Explainee, Heedless, Person, Slips
+from xplain.interaction.metrics import Record
+from xplain.interaction.statistics import clustered_mean
 from xplain.solvers.base import Solver
 from xplain.solvers.qmdp import QMDP
 

@@ -35,22 +35,22 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import MinMaxScaler, PolynomialFeatures
 from sklearn.tree import DecisionTreeClassifier
 
-from xplain.data import queries
-from xplain.data.dataset import Dataset
-from xplain.data.observers import SimulatedObservers
-from xplain.data.rollouts import sample_trace
 from xplain.domains.base import transition_features
-from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import SimulatedUser
+from xplain.domains.users.setting import Setting
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import SimulatedUser
 from xplain.learning.clustering import Perfect
+from xplain.learning.data import queries
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.observers import SimulatedObservers
+from xplain.learning.data.rollouts import sample_trace
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.user_types import UserTypes, label_table, learn_types
 from xplain.randomness import stream
 from xplain.report.plots import series_style
 from xplain.solvers.qmdp import QMDP
-from xplain.users.setting import Setting
 
 LABELERS = {
     "tree (paper)": LabelerTrainer(),

@@ -18,7 +18,7 @@ from joblib import Parallel, delayed
 from rich.console import Console
 from rich.table import Table
 
-from xplain.config import CONF, register
+from xplain.experiment.config import CONF, register
 from xplain.experiment.from_config import components_of
 from xplain.experiment.pipeline import prepare as prepared
 

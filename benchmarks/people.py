@@ -19,15 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain import Hypotheses
-from xplain.data.queries import Answer, Queries
 from xplain.domains.base import Domain, Parameter
+from xplain.domains.users.setting import Setting, UserType
+from xplain.domains.users.types import RandomCover
 from xplain.errors import XplainError
-from xplain.message_sets import indices
+from xplain.explanation.message_sets import indices
+from xplain.learning.data.queries import Answer, Queries
 from xplain.questions.designs import hypotheses_of
 from xplain.questions.inaccurate_values import without_ties
 from xplain.randomness import stream
-from xplain.users.setting import Setting, UserType
-from xplain.users.types import RandomCover
 
 AS_ASSUMED = "as assumed"
 BY_A_VARIANT = ("half", "double")

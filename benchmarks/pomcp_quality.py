@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from omegaconf import OmegaConf
 from pomcp import problem_of
 
-from xplain.config import CONF
-from xplain.evaluation.statistics import clustered_mean
+from xplain.experiment.config import CONF
 from xplain.explanation.problem import Problem
+from xplain.interaction.statistics import clustered_mean
 from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.base import Knowledge, Solver
 from xplain.solvers.bounds import bounds

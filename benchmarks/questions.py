@@ -57,18 +57,19 @@ from people import (
 from sklearn.metrics import adjusted_rand_score
 
 from xplain import Hypotheses, Questionnaire
-from xplain.config import composed
-from xplain.data.observers import Observed, SimulatedObservers
-from xplain.data.queries import Independent, Queries
 from xplain.domains.base import Domain, transition_features
 from xplain.domains.four_rooms import FourRooms
 from xplain.domains.rescue import Rescue
+from xplain.domains.users.setting import Setting
 from xplain.errors import XplainError
-from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import SimulatedUser
+from xplain.experiment.config import composed
 from xplain.experiment.pipeline import draw_trace
 from xplain.explanation.belief import Independent as IndependentLabels
 from xplain.explanation.problem import Problem
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import SimulatedUser
+from xplain.learning.data.observers import Observed, SimulatedObservers
+from xplain.learning.data.queries import Independent, Queries
 from xplain.learning.known_types import References, learn, learn_references
 from xplain.learning.user_types import UserTypes, label_table
 from xplain.questions.designs import Adaptive, Battery, hypotheses_of
@@ -76,7 +77,6 @@ from xplain.questions.labeler import HypothesisTrainer
 from xplain.randomness import stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
 from xplain.solvers.qmdp import QMDP
-from xplain.users.setting import Setting
 
 RESULTS = Path(__file__).parent / "results"
 ROWS = Path("outputs/benchmarks/questions_grid.csv")

@@ -29,7 +29,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from tests.people.server_process import ServerProcess
-from xplain.config import composed
+from xplain.experiment.config import composed
 from xplain.people.collect.bot import Habits as Answers
 from xplain.people.collect.bot import bot, collection_of
 from xplain.people.collect.prepare import collect_plan

@@ -19,10 +19,10 @@ from pathlib import Path
 import pandas as pd
 
 from xplain.cli.discover import discover
-from xplain.config import composed
-from xplain.data.label_file import write_table
 from xplain.errors import InputError
-from xplain.evaluation.statistics import clustered_mean
+from xplain.experiment.config import composed
+from xplain.interaction.statistics import clustered_mean
+from xplain.learning.data.label_file import write_table
 from xplain.people.collect.bot import Habits as Observing
 from xplain.people.collect.expectation import crowd, truth_of
 from xplain.people.collect.labels import dataset_of, why_left_out

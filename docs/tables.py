@@ -27,7 +27,7 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from xplain.config import GROUPS, named, register
+from xplain.experiment.config import GROUPS, named, register
 from xplain.experiment.fingerprint import configuration
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -11,7 +11,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.config import CONF, named, register
+from xplain.experiment.config import CONF, named, register
 
 Path = tuple[str | int, ...]
 

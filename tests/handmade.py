@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import Item, Scene
-from xplain.evaluation.episode import Episode
 from xplain.experiment.pipeline import Case, Prepared
 from xplain.explanation.label_table import LabelTable
+from xplain.interaction.episode import Episode
 
 
 def a_case(seed: int, steps: int = 2, perfect: bool = True) -> Case:

@@ -10,7 +10,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.config import CONF, composed, schema
+from xplain.experiment.config import CONF, composed, schema
 from xplain.people.server.http import Server
 from xplain.runs.mlflow import MLflow
 

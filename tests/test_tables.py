@@ -11,7 +11,7 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.test_docs import module
-from xplain.config import CONF
+from xplain.experiment.config import CONF
 
 tables = module("tables")
 

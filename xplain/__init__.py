@@ -25,8 +25,8 @@ __all__ = [
 __version__ = "0.1.0"
 
 _WHERE = {
-    "Explainer": "xplain.sessions.explainer",
-    "GivenTypes": "xplain.sessions.explainer",
+    "Explainer": "xplain.interaction.explainer",
+    "GivenTypes": "xplain.interaction.explainer",
     "Hypotheses": "xplain.questions.hypotheses",
     "LearnedTypes": "xplain.learning.saved_types",
     "Questionnaire": "xplain.questions.questionnaire",

@@ -1,3 +1,5 @@
+from xplain.interaction.explainer import Explainer as Explainer
+from xplain.interaction.explainer import GivenTypes as GivenTypes
 from xplain.learning.saved_types import LearnedTypes as LearnedTypes
 from xplain.questions.hypotheses import Hypotheses as Hypotheses
 from xplain.questions.questionnaire import Questionnaire as Questionnaire
@@ -6,7 +8,5 @@ from xplain.runs.api import Sweep as Sweep
 from xplain.runs.api import load as load
 from xplain.runs.api import run as run
 from xplain.runs.api import sweep as sweep
-from xplain.sessions.explainer import Explainer as Explainer
-from xplain.sessions.explainer import GivenTypes as GivenTypes
 
 __version__: str

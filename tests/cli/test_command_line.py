@@ -19,7 +19,7 @@ from tests.conftest import ROOT
 from xplain.cli.commands import COMMANDS
 from xplain.cli.completion import completions
 from xplain.cli.main import main
-from xplain.config import CONF, report_errors
+from xplain.experiment.config import CONF, report_errors
 from xplain.report import stages
 
 HEAVY = ("mlflow", "sklearn", "kneed", "numba", "scipy", "pandas", "matplotlib")

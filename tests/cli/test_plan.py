@@ -10,7 +10,7 @@ import pytest
 
 from xplain.cli import export, plan
 from xplain.cli.main import main
-from xplain.config import CONF
+from xplain.experiment.config import CONF
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import reduced_optimal_value

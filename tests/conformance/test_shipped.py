@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from xplain.config import CONF
+from xplain.experiment.config import CONF
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.labeler import HypothesisTrainer
 from xplain.testing import (

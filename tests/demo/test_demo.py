@@ -16,10 +16,10 @@ from xplain.cli.main import main
 from xplain.demo.page import content, page
 from xplain.demo.play import Simulated, play, stage
 from xplain.demo.terminal import Terminal
-from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.belief import Independent
-from xplain.message_sets import mask_of
+from xplain.explanation.message_sets import mask_of
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import SimulatedUser
 from xplain.people.simulation.chromium import missing
 from xplain.solvers.qmdp import QMDP
 

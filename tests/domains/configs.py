@@ -11,10 +11,10 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from xplain.config import CONF
 from xplain.domains.base import Domain
+from xplain.domains.users.setting import Setting
+from xplain.experiment.config import CONF
 from xplain.randomness import stream
-from xplain.users.setting import Setting
 
 PRIMARY = {
     "defaults": [

@@ -10,10 +10,10 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.domains.configs import configured, domain_of, setting_of
-from xplain.data.rollouts import sample_trace
 from xplain.domains import mdp
 from xplain.domains.four_rooms import DOORS, FourRooms
 from xplain.errors import InputError
+from xplain.learning.data.rollouts import sample_trace
 from xplain.randomness import stream
 
 FOUR_ROOMS = "domain=four_rooms"

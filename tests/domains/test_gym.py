@@ -13,9 +13,9 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.domains.configs import configured, domain_of, setting_of
-from xplain.data.rollouts import sample_trace
 from xplain.domains import mdp
 from xplain.errors import InputError, XplainError
+from xplain.learning.data.rollouts import sample_trace
 from xplain.randomness import stream
 
 gymnasium = pytest.importorskip("gymnasium", reason="pip install 'xplain-hri[gym]'")

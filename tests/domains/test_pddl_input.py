@@ -11,11 +11,11 @@ import pytest
 from hydra.utils import instantiate
 
 from tests.domains.test_pddl import given
-from xplain.config import composed
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.reading import read_text
+from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import XplainError
-from xplain.users.setting import Setting, UserType
+from xplain.experiment.config import composed
 
 pytest.importorskip("unified_planning", reason="pip install 'xplain-hri[pddl]'")
 

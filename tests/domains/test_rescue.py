@@ -13,7 +13,7 @@ from tests.domains.configs import domain_of, setting_of
 from xplain.domains import mdp
 from xplain.domains.rescue import Rescue
 from xplain.errors import InputError
-from xplain.message_sets import indices
+from xplain.explanation.message_sets import indices
 
 RESCUE = "domain=rescue"
 REWARD = {"A": "first_aid", "F": "fire", "U": "refuel", "r": "rubble", "p": "puddle", "f": "fence"}

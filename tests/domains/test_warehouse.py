@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tests.domains.configs import setting_of
+from xplain.domains.users.setting import Setting, UserType
+from xplain.domains.users.types import FewFacts
 from xplain.domains.warehouse import BLOCK, Warehouse, size_for
 from xplain.errors import InputError
-from xplain.users.setting import Setting, UserType
-from xplain.users.types import FewFacts
 
 
 @cache

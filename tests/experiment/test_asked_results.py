@@ -11,13 +11,13 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
 
 from tests.report import handmade
-from xplain.config import composed
-from xplain.evaluation.metrics import Record, by_step, summarise
+from xplain.experiment.config import composed
 from xplain.experiment.explanations import evaluate
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, prepare
 from xplain.experiment.results import EPISODES, episode_lines
 from xplain.explanation.asking import SENSE
+from xplain.interaction.metrics import Record, by_step, summarise
 from xplain.report.page import _episode
 from xplain.report.traces import draw_trace, stories
 

@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from xplain.config import composed
 from xplain.domains.base import transition_features
+from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
-from xplain.evaluation.explainees import Exact, Heedless, Slips
 from xplain.experiment.cache import source_fingerprint
+from xplain.experiment.config import composed
 from xplain.experiment.explanations import (
     Costs,
     evaluate,
@@ -27,9 +27,9 @@ from xplain.experiment.strangers import with_strangers
 from xplain.explanation.asking import Limits, Pool
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
+from xplain.interaction.explainees import Exact, Heedless, Slips
 from xplain.solvers.ask_first import AskFirst
 from xplain.solvers.qmdp import QMDP
-from xplain.users.setting import Setting
 
 OVERRIDES = ("domain=four_rooms", "labeler=true", "clusterer=perfect", "discount=1", "traces=3")
 

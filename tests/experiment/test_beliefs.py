@@ -7,15 +7,15 @@ import pytest
 from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
 
-from xplain.config import composed
+from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError
-from xplain.evaluation.explainees import Stranger
 from xplain.experiment.asking import Beliefs, CaseQuestions, merged
+from xplain.experiment.config import composed
 from xplain.experiment.explanations import evaluate
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, prepare
 from xplain.experiment.strangers import with_strangers
-from xplain.users.setting import Setting, UserType
+from xplain.interaction.explainees import Stranger
 
 TRUE = ("labeler=true", "clusterer=perfect", "traces=2")
 HYPOTHESES = ("labeler=hypotheses", "queries=adaptive", "points=20", "traces=2")

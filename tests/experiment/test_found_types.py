@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from tests.configurations import composed
-from xplain.evaluation.explainees import Exact
-from xplain.evaluation.metrics import Record
 from xplain.experiment.explanations import Costs, evaluate, with_true_labels
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, prepare
 from xplain.explanation.belief import Independent
+from xplain.interaction.explainees import Exact
+from xplain.interaction.metrics import Record
 from xplain.solvers.base import Solver
 from xplain.solvers.known_type import KnownType
 from xplain.solvers.pomcp.solver import POMCP

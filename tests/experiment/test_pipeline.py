@@ -11,23 +11,23 @@ from sklearn.utils import check_random_state
 
 from tests.domains.configs import domain_of
 from tests.handmade import a_prepared, with_cases
-from xplain.data.dataset import Dataset
-from xplain.data.observers import Observed
-from xplain.data.queries import Queries, Shared
 from xplain.domains.base import transition_feature_names
+from xplain.domains.users.setting import Setting
+from xplain.domains.users.types import Explicit
 from xplain.errors import InputError, XplainError
-from xplain.evaluation.explainees import Exact
 from xplain.experiment.explanations import Costs, evaluate, problem_for, with_true_labels
 from xplain.experiment.pipeline import Components, Prepared, prepare
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
+from xplain.interaction.explainees import Exact
 from xplain.learning.clustering import Clustering
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.observers import Observed
+from xplain.learning.data.queries import Queries, Shared
 from xplain.solvers.base import Knowledge
 from xplain.solvers.known_type import Baseline, KnownType
 from xplain.solvers.qmdp import QMDP
-from xplain.users.setting import Setting
-from xplain.users.types import Explicit
 
 COSTS = Costs(
     trade_off=1.5,

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from tests.handmade import a_prepared, an_episode
-from xplain.evaluation.metrics import Record, summarise
-from xplain.evaluation.statistics import Estimate
 from xplain.experiment.results import (
     Provenance,
     episode_lines,
@@ -18,6 +16,8 @@ from xplain.experiment.results import (
     results_of,
     save_results,
 )
+from xplain.interaction.metrics import Record, summarise
+from xplain.interaction.statistics import Estimate
 
 PREPARED = a_prepared(steps=(2, 3))
 RNG = np.random.default_rng(1)

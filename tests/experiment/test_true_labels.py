@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 
 from tests.configurations import composed
-from xplain.data.observers import FileObservers
 from xplain.errors import InputError
-from xplain.evaluation.explainees import Exact
-from xplain.evaluation.metrics import Record
 from xplain.experiment.explanations import (
     Costs,
     evaluate,
@@ -23,6 +20,9 @@ from xplain.experiment.explanations import (
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Prepared, observe, prepare
 from xplain.explanation.belief import Independent
+from xplain.interaction.explainees import Exact
+from xplain.interaction.metrics import Record
+from xplain.learning.data.observers import FileObservers
 from xplain.learning.true_labels import TrueLabels
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds

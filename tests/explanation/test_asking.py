@@ -19,9 +19,9 @@ from xplain.explanation.belief import Independent, Persistent, answered
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import literal_optimal_value
+from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.message_sets import indices
-from xplain.sessions.interaction import Interaction
+from xplain.interaction.interaction import Interaction
 from xplain.testing.problems import random_problem, with_questions
 
 

@@ -16,7 +16,7 @@ from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import EXPLAIN, LiteralPOMDP, State, literal_optimal_value
 from xplain.explanation.problem import Problem
-from xplain.sessions.interaction import Interaction
+from xplain.interaction.interaction import Interaction
 from xplain.solvers.qmdp import QMDP
 from xplain.solvers.reminding import Reminding
 from xplain.testing.problems import random_problem

@@ -6,9 +6,9 @@ from scipy.integrate import quad
 from scipy.special import betaln, gammaln
 from sklearn.metrics import adjusted_rand_score
 
-from xplain.data.dataset import Dataset
 from xplain.learning.answer_classes import SHRINKAGE, answer_classes
 from xplain.learning.clustering import Single
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.prediction import held_out

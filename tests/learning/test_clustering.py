@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
-from xplain.data.dataset import Dataset, query_index
 from xplain.errors import InputError
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.learning.clustering import Clusterer, Clustering, Perfect, Single
+from xplain.learning.data.dataset import Dataset, query_index
 from xplain.learning.disagreements import disagreements
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.paper_clusterer import Agglomerative, Elbow, KMeans, Partition

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.learning.conftest import made
-from xplain.data.dataset import Dataset
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.disagreements import disagreements
 
 

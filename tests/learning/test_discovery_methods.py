@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from sklearn.metrics import adjusted_rand_score
 
 from tests.learning.conftest import made
-from xplain.data.dataset import Dataset
 from xplain.errors import InputError, TooLargeError
 from xplain.learning.clustering import Clustering, Perfect, Single
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.learning.fact_model.gibbs import sample
 from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior

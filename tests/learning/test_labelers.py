@@ -10,8 +10,8 @@ from sklearn.svm import LinearSVC
 from sklearn.tree import DecisionTreeClassifier
 
 from tests.learning.conftest import made
-from xplain.data.dataset import Dataset, inputs, query_index
 from xplain.errors import InputError, TooLargeError
+from xplain.learning.data.dataset import Dataset, inputs, query_index
 from xplain.learning.labelers import Labeler, LabelerTrainer, split
 from xplain.randomness import derived_seed
 

@@ -11,8 +11,8 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.tree import DecisionTreeClassifier
 
 from tests.learning.conftest import made
-from xplain.data.dataset import inputs
 from xplain.errors import TooLargeError
+from xplain.learning.data.dataset import inputs
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.message_vectors import minimal_message_set, minimal_message_sets
 from xplain.learning.tree_leaves import cubes

@@ -12,12 +12,12 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.tree import DecisionTreeClassifier
 
 from xplain import Explainer, LearnedTypes
-from xplain.data.dataset import Dataset
-from xplain.data.encoding import encoded
-from xplain.data.label_file import read_table
 from xplain.errors import InputError
 from xplain.learning.answer_model import ErrorRates, QuestionErrors
 from xplain.learning.clustering import Clustering
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.encoding import encoded
+from xplain.learning.data.label_file import read_table
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.user_types import learn_types
 

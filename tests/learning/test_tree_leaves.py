@@ -6,7 +6,7 @@ from sklearn.ensemble import RandomForestClassifier
 from sklearn.tree import DecisionTreeClassifier
 
 from tests.learning.conftest import made
-from xplain.data.dataset import inputs
+from xplain.learning.data.dataset import inputs
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.tree_leaves import cubes
 

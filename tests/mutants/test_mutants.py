@@ -189,7 +189,7 @@ def test_a_smaller_sample_is_the_beginning_of_a_larger_one(toy: Areas) -> None:
 
 def test_every_area_has_an_equal_share() -> None:
     areas = Areas.load(ROOT)
-    some = ["mdp", "slots", "evaluation"]
+    some = ["mdp", "slots", "interaction"]
     drawn = areas.draw(12, 3, some)
     assert Counter(mutant.area for mutant in drawn) == dict.fromkeys(some, 4)
     for mutant in drawn:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hydra.utils import instantiate
 
-from xplain.config import composed
+from xplain.experiment.config import composed
 from xplain.people.ahead import ahead_of
 from xplain.questions.designs import hypotheses_of
 from xplain.questions.hypotheses import Hypotheses

@@ -83,7 +83,7 @@ def axe(request: pytest.FixtureRequest) -> str:
 @pytest.fixture(scope="module")
 def rescue() -> Study:
     """The rescue study with every kind of question, learned from few labels to save time."""
-    from xplain.config import composed
+    from xplain.experiment.config import composed
 
     questions = (
         "questions=[{name: age, label: Your age, kind: number, low: 18, high: 110},"
@@ -96,7 +96,7 @@ def rescue() -> Study:
 @pytest.fixture(scope="module")
 def asking() -> Study:
     """The rescue study with a condition that asks."""
-    from xplain.config import composed
+    from xplain.experiment.config import composed
 
     return study_of(study_plan(composed("study", ["seed=0", "observers.points=150", "ask=clips"])))
 

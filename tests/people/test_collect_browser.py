@@ -38,7 +38,7 @@ def own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
 def rescue() -> Collection:
     """The rescue task with clips of two steps and the lab's questions; no expectation, to save
     time."""
-    from xplain.config import composed
+    from xplain.experiment.config import composed
     from xplain.people.collect.prepare import assemble, source_of
     from xplain.people.wording import fixed
 

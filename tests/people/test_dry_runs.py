@@ -24,9 +24,9 @@ from tests.people.server_process import ServerProcess
 from tests.people.study.stand_in import CONFIG, FAULTLESS, street_study
 from tests.people.visitors import GENEROUS, Visitor
 from xplain.cli.main import main
-from xplain.config import composed
+from xplain.experiment.config import composed
+from xplain.explanation.message_sets import names_of
 from xplain.learning.saved_types import LearnedTypes
-from xplain.message_sets import names_of
 from xplain.people.collect.site import CollectSite
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
@@ -220,7 +220,7 @@ def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFix
 
 @pytest.mark.slow
 def test_forty_bots_in_the_rescue_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from xplain.config import composed
+    from xplain.experiment.config import composed
     from xplain.people.study.policies import study_of
     from xplain.people.study.prepare import study_plan
 

@@ -77,7 +77,7 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "facts.csv").write_text(FACTS, encoding="utf-8")
     for i in range(len(rows)):
         (tmp_path / f"{i}.png").write_bytes(png(i))
-    from xplain.config import CONF
+    from xplain.experiment.config import CONF
 
     for kind, more in (("collect", ATTENTION), ("study", "")):
         texts = tmp_path / "texts" / kind / "texts"

@@ -12,7 +12,7 @@ import pytest
 from tests.people.kinds import KINDS, filled, site_of
 from tests.people.visitors import GENEROUS, Visitor, enter
 from xplain.cli.main import main
-from xplain.config import composed
+from xplain.experiment.config import composed
 from xplain.people.analysis.stored import opened
 from xplain.people.server.app import create_app
 from xplain.people.server.database import Database

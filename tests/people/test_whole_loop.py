@@ -15,8 +15,8 @@ from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor, pages
 from xplain.cli.discover import discover
 from xplain.cli.main import main
-from xplain.config import composed
 from xplain.errors import InputError
+from xplain.experiment.config import composed
 from xplain.learning.saved_types import LearnedTypes
 from xplain.people.collect.bot import Habits, bot
 from xplain.people.collect.flow import Collection

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.users.corridor import Corridor
+from tests.domains.users.corridor import Corridor
 
 
 @pytest.fixture(scope="session")

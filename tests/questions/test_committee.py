@@ -9,18 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xplain.data.dataset import Dataset
-from xplain.data.observers import SimulatedObservers
-from xplain.data.queries import Independent
 from xplain.domains.base import transition_features
+from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.observers import SimulatedObservers
+from xplain.learning.data.queries import Independent
 from xplain.learning.fact_model.gibbs import init
 from xplain.learning.fact_model.model import CELL, NOISE, SUBSET, Answers, Prior
 from xplain.learning.labelers import LabelerTrainer
 from xplain.questions.committee import Pool, next_screen, p_explicable
 from xplain.questions.designs import Adaptive
 from xplain.testing import Chosen, QueriesConformance
-from xplain.users.setting import Setting, UserType
 
 
 class TestWithoutHypotheses(QueriesConformance):

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from tests.users.corridor import Corridor
-from xplain.data.observers import SimulatedObservers
-from xplain.data.queries import Independent
+from tests.domains.users.corridor import Corridor
+from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError
+from xplain.learning.data.observers import SimulatedObservers
+from xplain.learning.data.queries import Independent
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.learning.known_types import learn
 from xplain.questions import designs
@@ -16,7 +17,6 @@ from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.labeler import HypothesisTrainer
 from xplain.questions.labels_alone import Contest
 from xplain.questions.questionnaire import Questionnaire
-from xplain.users.setting import Setting, UserType
 
 
 @pytest.fixture(scope="module")

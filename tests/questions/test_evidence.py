@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.questions.test_people_who_err import asked, erring, hypotheses
-from xplain.data.observers import Observed
 from xplain.learning.clustering import Single
+from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import BEATEN, BEFORE, COIN, LEAST, Evidence, foretold, parts, stacked
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.learning.known_types import learn

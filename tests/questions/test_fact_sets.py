@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.special import logsumexp
 
 from tests.questions.tables import random_hypotheses
-from xplain.data.dataset import Dataset
+from xplain.learning.data.dataset import Dataset
 from xplain.questions.counted_answers import CountedAnswers
 from xplain.questions.fact_set_classifier import FactSetClassifier
 from xplain.questions.fact_sets import partition

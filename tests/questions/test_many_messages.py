@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.domains.configs import setting_of
-from xplain.data.observers import SimulatedObservers
-from xplain.data.queries import Independent
 from xplain.domains.base import transition_features
+from xplain.learning.data.observers import SimulatedObservers
+from xplain.learning.data.queries import Independent
 from xplain.questions.labeler import HypothesisTrainer
 
 

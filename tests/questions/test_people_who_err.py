@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.questions.tables import random_hypotheses
-from xplain.data.dataset import Dataset
-from xplain.data.observers import Observed
 from xplain.learning.clustering import Clustering, Single
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.observers import Observed
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.learning.known_types import learn
 from xplain.learning.labelers import Labeler

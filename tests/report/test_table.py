@@ -13,7 +13,7 @@ import pytest
 from jinja2 import Environment, StrictUndefined
 from rich.console import Console
 
-from xplain.evaluation.statistics import Estimate
+from xplain.interaction.statistics import Estimate
 from xplain.report.table import BEST, TIE, Cell, Table, number
 
 ODD = "a|b*c <d> & [bold]e[/]"

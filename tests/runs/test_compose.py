@@ -10,8 +10,8 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from xplain.config import composed
 from xplain.errors import XplainError
+from xplain.experiment.config import composed
 from xplain.experiment.fingerprint import configuration
 from xplain.runs.compose import Composer
 

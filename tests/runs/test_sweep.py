@@ -17,7 +17,7 @@ from hydra.core.global_hydra import GlobalHydra
 from tests import forked, processes
 from tests.configurations import composed
 from tests.runs import sweeps
-from xplain.config import CONF, SWEEPS
+from xplain.experiment.config import CONF, SWEEPS
 from xplain.experiment.results import RESULTS
 from xplain.runs import hydra_plugins, sweep
 from xplain.runs.folder import FAILURE

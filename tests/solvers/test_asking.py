@@ -11,8 +11,8 @@ from xplain.explanation.asking import NO_QUESTION, Limits, Questions
 from xplain.explanation.belief import answered, update
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import literal_optimal_value
+from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.message_sets import indices
 from xplain.solvers.base import Asks, best_question
 from xplain.solvers.bounds import bounds
 from xplain.solvers.cached_policy import CachedPolicy

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 
 from tests.explanation.problems import tiny_problems
-from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.belief import Independent
 from xplain.explanation.problem import Problem
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import SimulatedUser
 from xplain.solvers.base import Solver
 from xplain.solvers.open_loop import SayAll, Silent
 from xplain.solvers.policy_evaluation import evaluate

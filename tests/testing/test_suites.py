@@ -9,9 +9,10 @@ from inspect import signature
 import numpy as np
 import pytest
 
-from xplain.data.queries import Independent
 from xplain.domains.base import Parameter
+from xplain.domains.users.setting import Setting, UserType
 from xplain.learning.clustering import Clustering
+from xplain.learning.data.queries import Independent
 from xplain.learning.labelers import LabelerTrainer
 from xplain.solvers.qmdp import QMDP
 from xplain.testing import (
@@ -24,7 +25,6 @@ from xplain.testing import (
     SolverConformance,
     TypeSourceConformance,
 )
-from xplain.users.setting import Setting, UserType
 
 
 class Wrapped:

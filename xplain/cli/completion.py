@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 
 from xplain.cli.commands import COMMANDS
-from xplain.config import CONF, register
+from xplain.experiment.config import CONF, register
 
 
 def main(words: list[str]) -> None:

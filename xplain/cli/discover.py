@@ -1,6 +1,6 @@
 """Finds the user types in people's labels: ``xplain discover data=FILE``.
 
-The file is read as :mod:`xplain.data.label_file` says. Into the folder ``output`` go
+The file is read as :mod:`xplain.learning.data.label_file` says. Into the folder ``output`` go
 
 - ``types.npz``: the types and their labelers, as :class:`xplain.learning.saved_types.LearnedTypes`
   loads them (for ``xplain.Explainer``);
@@ -32,15 +32,15 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from yaml import YAMLError
 
-from xplain.config import composed
 from xplain.errors import InputError, TooLargeError, one_of
+from xplain.experiment.config import composed
 from xplain.randomness import run_seed
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from xplain.data.dataset import Dataset
+    from xplain.learning.data.dataset import Dataset
     from xplain.learning.prediction import Tenth
     from xplain.learning.user_types import UserTypes
 
@@ -50,8 +50,8 @@ Row = dict[str, Any]
 def discover(arguments: list[str]) -> Row:
     """Finds the types and writes the files; returns what the command prints. ``arguments``
     override conf/discover.yaml."""
-    from xplain.data.label_file import align, read_questions, read_table
-    from xplain.data.observers import Observed
+    from xplain.learning.data.label_file import align, read_questions, read_table
+    from xplain.learning.data.observers import Observed
     from xplain.learning.known_types import learn
     from xplain.learning.prediction import held_out, predicted
     from xplain.questions.hypotheses import Hypotheses
@@ -187,8 +187,8 @@ def _write_predictions(path: str, one: NDArray[np.float64], folder: Path) -> Non
 
 def summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
     """What is known of each type."""
+    from xplain.explanation.message_sets import names_of
     from xplain.learning.message_vectors import minimal_message_set
-    from xplain.message_sets import names_of
 
     rows: list[Row] = []
     known = types.clustering.needs

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from xplain.config import composed
 from xplain.errors import InputError
+from xplain.experiment.config import composed
 from xplain.storage import written_whole
 
 

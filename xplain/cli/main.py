@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> None:
     gc.set_threshold(*COLLECT)
     _tell(given, "loading …")
     with left_at_once():
-        from xplain.config import report_errors
+        from xplain.experiment.config import report_errors
 
     with report_errors():
         if given[:1] in (["--help"], ["-h"]):
@@ -76,7 +76,7 @@ def _run(given: list[str]) -> None:
         _tell(given, "composing …")
         run.main(given)
         return
-    from xplain.config import CONF
+    from xplain.experiment.config import CONF
 
     command = COMMANDS[name]
     module, _, function = command.module.partition(":")

@@ -14,8 +14,8 @@ from typing import Any
 
 from hydra.utils import instantiate
 
-from xplain.config import composed
 from xplain.errors import InputError
+from xplain.experiment.config import composed
 from xplain.randomness import run_seed
 
 
@@ -24,8 +24,8 @@ def observe(arguments: list[str]) -> dict[str, Any]:
     conf/observe.yaml."""
     import pandas as pd
 
-    from xplain.data.label_file import check_format, write_table
     from xplain.experiment import pipeline
+    from xplain.learning.data.label_file import check_format, write_table
 
     cfg = composed("observe", arguments, with_hydra=True)
     run_seed(cfg.seed)

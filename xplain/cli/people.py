@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import OmegaConf
 
 from xplain.cli.parser import parsed
-from xplain.config import composed
 from xplain.errors import InputError, XplainError, whole_number
+from xplain.experiment.config import composed
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from xplain.config import CONF, composed
+from xplain.experiment.config import CONF, composed
 from xplain.randomness import run_seed
 
 if TYPE_CHECKING:
@@ -55,9 +55,9 @@ def plan(arguments: list[str]) -> Row | list[Row]:
 
 def _plan_one(cfg: DictConfig, known: Bounds | None = None, compared: bool = False) -> Row:
     """One solver's row; compared with others, one that cannot ask explains without asking."""
-    from xplain.evaluation.statistics import half_width
+    from xplain.explanation.message_sets import indices
     from xplain.explanation.problem import Problem
-    from xplain.message_sets import indices
+    from xplain.interaction.statistics import half_width
     from xplain.solvers.base import Asks
     from xplain.solvers.bounds import known_type_value
     from xplain.solvers.hsvi.solver import CertifiedPolicy

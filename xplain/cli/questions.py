@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from xplain.config import composed
 from xplain.errors import InputError
+from xplain.experiment.config import composed
 from xplain.randomness import run_seed
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def _battery(cfg: DictConfig, design: Battery) -> tuple[list[Row], Row]:
     """The questions, and what is known of them."""
     import numpy as np
 
-    from xplain.message_sets import names_of
+    from xplain.explanation.message_sets import names_of
     from xplain.questions.battery import battery
 
     known, images, sentences = _known(cfg)
@@ -85,8 +85,8 @@ def _battery(cfg: DictConfig, design: Battery) -> tuple[list[Row], Row]:
 
 def _screen(cfg: DictConfig, design: Adaptive) -> tuple[list[Row], Row]:
     """As :func:`_battery`, of the next screen."""
-    from xplain.data.label_file import align, columns_of, read_table
-    from xplain.message_sets import names_of
+    from xplain.explanation.message_sets import names_of
+    from xplain.learning.data.label_file import align, columns_of, read_table
     from xplain.questions.committee import next_screen_of
     from xplain.randomness import stream
 
@@ -118,10 +118,10 @@ def _pool(cfg: DictConfig) -> tuple[Pool, tuple[str, ...], tuple[str, ...], dict
     """What can be asked about, in words, its images, and what to say for each message."""
     import numpy as np
 
+    from xplain.domains.users.setting import Setting
     from xplain.questions.committee import Pool
     from xplain.questions.own_transitions import read_transitions
     from xplain.randomness import stream
-    from xplain.users.setting import Setting
 
     if cfg.transitions is None:
         domain = instantiate(cfg.domain)

@@ -8,8 +8,8 @@ from pathlib import Path
 import hydra
 from hydra._internal.utils import get_args_parser
 
-from xplain.config import CONF, named, register
 from xplain.errors import XplainError
+from xplain.experiment.config import CONF, named, register
 from xplain.runs import hydra_plugins
 from xplain.runs.start import job, start
 

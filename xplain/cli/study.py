@@ -6,8 +6,8 @@ from pathlib import Path
 
 from xplain.cli import people
 from xplain.cli.parser import parsed
-from xplain.config import composed
 from xplain.errors import InputError, whole_number
+from xplain.experiment.config import composed
 
 
 def serve(arguments: list[str]) -> None:
@@ -99,7 +99,7 @@ def habits(arguments: list[str]) -> None:
     bot. Messages that are said again tell most: with belief.accept and belief.forget.
     """
     given = parsed("xplain study habits", arguments, "database", stream="person")
-    from xplain.learning.listening import learned_habits
+    from xplain.explanation.listening import learned_habits
     from xplain.people.study.listening import explained_in
 
     explained = explained_in(given.database, given.stream)

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from hydra.utils import instantiate
 
-from xplain.config import composed
 from xplain.errors import InputError
+from xplain.experiment.config import composed
 from xplain.experiment.results import RESULTS
 from xplain.report.summary import SWEEP
 from xplain.runs.folder import SweepFolder

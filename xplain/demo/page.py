@@ -8,7 +8,7 @@ from typing import Any
 
 from xplain.demo.play import Played, Stage
 from xplain.experiment.results import told
-from xplain.sessions.moves import Why
+from xplain.interaction.moves import Why
 
 SHOWN = 6
 """Number of values shown for a decision, the best ones."""

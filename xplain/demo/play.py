@@ -8,9 +8,8 @@ from typing import Any, Protocol
 
 from hydra.utils import instantiate
 
-from xplain.config import composed
 from xplain.errors import InputError, one_of
-from xplain.evaluation.explainees import Explainee, respondent
+from xplain.experiment.config import composed
 from xplain.experiment.explanations import Costs, what_is_thought
 from xplain.experiment.from_config import components_of, costs_of
 from xplain.experiment.pipeline import Case, Prepared, prepare
@@ -18,11 +17,12 @@ from xplain.experiment.results import domain_name
 from xplain.explanation.asking import Question
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.label_table import joined
-from xplain.message_sets import mask_of
+from xplain.explanation.message_sets import mask_of
+from xplain.interaction.explainees import Explainee, respondent
+from xplain.interaction.explainer import Explainer, GivenTypes
+from xplain.interaction.moves import Candidate, Say, Why
+from xplain.interaction.session import Session
 from xplain.randomness import derived_seed, stream
-from xplain.sessions.explainer import Explainer, GivenTypes
-from xplain.sessions.moves import Candidate, Say, Why
-from xplain.sessions.session import Session
 from xplain.solvers.base import Solver
 
 

@@ -18,16 +18,16 @@ from typing import Any
 from flask import Flask, Response, jsonify, request
 from hydra.utils import instantiate
 
-from xplain.config import composed
 from xplain.demo.play import Stage, stage
+from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError, XplainError, one_of
-from xplain.evaluation.explainees import SimulatedUser
+from xplain.experiment.config import composed
 from xplain.explanation.asking import Question
-from xplain.message_sets import mask_of
-from xplain.sessions.session import Session
+from xplain.explanation.message_sets import mask_of
+from xplain.interaction.explainees import SimulatedUser
+from xplain.interaction.session import Session
 from xplain.solvers.base import Solver
 from xplain.storage import encode
-from xplain.users.setting import Setting, UserType
 
 SOLVERS = ("qmdp", "qhr", "pomcp", "conformant", "silent", "say_all")
 """Policies that need not know the user's type, and plan while somebody waits."""

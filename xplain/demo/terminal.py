@@ -14,7 +14,7 @@ from rich.text import Text
 from xplain.demo.play import Stage, Step
 from xplain.errors import InputError
 from xplain.explanation.asking import Question
-from xplain.sessions.session import Session
+from xplain.interaction.session import Session
 
 BAR = 24
 PATH, ROBOT = "·", "@"

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import transition_features
+from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.explanation.asking import Limits, Pool, Questions, alike_first, nearest_first
 from xplain.explanation.label_table import LabelTable, joined
+from xplain.explanation.message_sets import subsets
 from xplain.learning.known_types import Tables
-from xplain.message_sets import subsets
 from xplain.randomness import stream
-from xplain.users.setting import Setting
 
 TOLD = 0.01
 """A fact less likely held wrong than this is taken to be as it was after its message."""

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.config import SOURCE_GROUPS
+from xplain.experiment.config import SOURCE_GROUPS
 from xplain.experiment.fingerprint import fingerprint
 from xplain.experiment.pipeline import Prepared
 from xplain.storage import decode, encode, written_whole

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from xplain.errors import InputError, TooLargeError, whole_number
-from xplain.evaluation.statistics import half_width
 from xplain.experiment.explanations import Costs, problem_for, problem_of_types, trace_seed
 from xplain.experiment.pipeline import Prepared
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
+from xplain.interaction.statistics import half_width
 from xplain.solvers.base import Solver
 from xplain.solvers.bounds import bounds
 from xplain.solvers.hsvi.explore import Effort

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError, number
-from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import Explainee, Habitual
-from xplain.evaluation.metrics import Record
 from xplain.experiment.pipeline import Case, Prepared, Track, untracked
 from xplain.explanation.asking import Limits
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.habits import PAPER
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.explanation.problem import DiscountPer, Problem
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import Explainee, Habitual
+from xplain.interaction.metrics import Record
 from xplain.randomness import derived_seed
 from xplain.solvers.base import Solver, asking
 from xplain.solvers.cached_policy import CachedPolicy

@@ -10,13 +10,13 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain.domains.base import Domain
+from xplain.domains.users.setting import Setting
 from xplain.experiment.cache import SOURCE
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import Components
 from xplain.explanation.asking import Limits, Pool
 from xplain.randomness import stream
-from xplain.users.setting import Setting
 
 
 def components_of(cfg: DictConfig) -> Components:

@@ -17,21 +17,21 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.observers import Observed, Observers
-from xplain.data.queries import Queries
-from xplain.data.rollouts import sample_trace
 from xplain.domains.base import Domain, Scene, changes_of
+from xplain.domains.users.setting import Setting
+from xplain.domains.users.types import TypeSource
 from xplain.errors import whole_number
 from xplain.experiment.asking import Beliefs, CaseQuestions, Clips, merged
 from xplain.explanation.asking import Pool
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.clustering import Clusterer
+from xplain.learning.data.observers import Observed, Observers
+from xplain.learning.data.queries import Queries
+from xplain.learning.data.rollouts import sample_trace
 from xplain.learning.known_types import Tables, find_types
 from xplain.learning.labelers import LabelerTrainer
 from xplain.randomness import run_seed, stream
-from xplain.users.setting import Setting
-from xplain.users.types import TypeSource
 
 T = TypeVar("T")
 Track = Callable[[Iterable[T], str, int], Iterable[T]]

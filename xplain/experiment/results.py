@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from xplain.domains.base import Scene
-from xplain.evaluation.episode import Episode
-from xplain.evaluation.metrics import Record, by_step, summarise
-from xplain.evaluation.statistics import Estimate
 from xplain.experiment.pipeline import Case, Prepared
 from xplain.explanation.asking import Question, worded
-from xplain.message_sets import names_of
+from xplain.explanation.message_sets import names_of
+from xplain.interaction.episode import Episode
+from xplain.interaction.metrics import Record, by_step, summarise
+from xplain.interaction.statistics import Estimate
 from xplain.storage import decode, encode, write_text
 
 RESULTS = "results.json"
@@ -110,14 +110,14 @@ class Results(Provenance):
     """The content of ``results.json``.
 
     Attributes:
-        metrics: by name, of the chosen solver (:func:`xplain.evaluation.metrics.summarise`).
+        metrics: by name, of the chosen solver (:func:`xplain.interaction.metrics.summarise`).
         bounds: certified figures of the explanation problems, by name.
         learning: figures of the learning stage, by name.
         elbow: how the number of types was chosen.
         messages: sentences by name.
         scene: the map, if there is one.
         types: true and learned ones.
-        steps: means by step (:func:`xplain.evaluation.metrics.by_step`).
+        steps: means by step (:func:`xplain.interaction.metrics.by_step`).
         episodes: of the solver and of its references.
         id: names this result for ever.
         stamp: the fingerprint of all that its numbers depend on.

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from xplain.domains.base import Domain
+from xplain.domains.users.setting import Setting, UserType
+from xplain.domains.users.types import user_type
 from xplain.errors import DomainError, InputError
 from xplain.experiment.pipeline import Components, Prepared
 from xplain.randomness import stream
-from xplain.users.setting import Setting, UserType
-from xplain.users.types import user_type
 
 TRIES = 40
 """Sets of facts drawn."""

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from xplain.explanation import knowledge
 from xplain.explanation.habits import Assumed, Habits, check_assumed, habits_of
 from xplain.explanation.label_table import LabelTable
+from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.message_sets import indices
 
 Evidence = slice | NDArray[np.bool_]
 """Which labels of an answer are evidence: [k + 1] by place."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln, gammaln, softmax
 
-from xplain.data.dataset import Dataset
+from xplain.learning.data.dataset import Dataset
 from xplain.randomness import stream
 
 MOST = 30

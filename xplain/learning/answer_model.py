@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaln, softmax
 
-from xplain.data.dataset import places
 from xplain.errors import InputError
 from xplain.explanation.habits import UNKNOWN, Habits
+from xplain.learning.data.dataset import places
 
 RATES, RATE_PRIOR = map(np.array, UNKNOWN["error"])
 """The error rates e that are told apart, here as in explanations, and their probabilities where no

@@ -17,9 +17,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
 from xplain.errors import InputError
 from xplain.learning.answer_model import AnswerModel
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from xplain.data.dataset import Dataset, query_index
+from xplain.learning.data.dataset import Dataset, query_index
 from xplain.learning.labelers import LabelerTrainer, by_question
 from xplain.randomness import derived_seed, stream
 

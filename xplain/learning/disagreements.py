@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset, query_index
+from xplain.learning.data.dataset import Dataset, query_index
 from xplain.numba_kernels import lean_kernel
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from xplain.data.dataset import Dataset
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
 
 PARTS = 4

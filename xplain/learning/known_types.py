@@ -13,14 +13,14 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
-from xplain.data.observers import Observed
 from xplain.domains.base import Domain, transition_feature_names, transition_features
 from xplain.errors import InputError, TooLargeError, XplainError
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.clustering import Clusterer, Perfect
 from xplain.learning.cross_validation import fresh_accuracy
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.user_types import AskedOnce, UserTypes, learn_types
 

@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset, inputs, query_index
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.label_table import DENSE, MAX_RELEVANT, LabelTable
+from xplain.explanation.message_sets import indices
+from xplain.learning.data.dataset import Dataset, inputs, query_index
 from xplain.learning.tree_leaves import cubes
-from xplain.message_sets import indices
 from xplain.randomness import derived_seed, stream
 
 

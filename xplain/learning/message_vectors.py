@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset, inputs
 from xplain.errors import TooLargeError
+from xplain.explanation.message_sets import indices
+from xplain.learning.data.dataset import Dataset, inputs
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.tree_leaves import cubes
-from xplain.message_sets import indices
 from xplain.numba_kernels import lean_kernel
 
 MAX_PREDICTIONS = 1 << 28
@@ -53,8 +53,8 @@ def minimal_message_set(classifier: Any, features: NDArray[np.float64], n_messag
     """The smallest message set that makes every transition [T, F] explicable, as a bitmask.
 
     Args:
-        classifier: fitted on :func:`xplain.data.dataset.inputs`. A decision tree is searched
-            by its paths, n = 30 in milliseconds; any other classifier by its predictions.
+        classifier: fitted on :func:`xplain.learning.data.dataset.inputs`. A decision tree is
+            searched by its paths, n = 30 in milliseconds; any other classifier by its predictions.
         features: of the distinct transitions.
         n_messages: n.
 

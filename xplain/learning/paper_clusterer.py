@@ -13,14 +13,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
 from xplain.errors import InputError
+from xplain.explanation.message_sets import bits_of
 from xplain.learning.clustering import Clustering
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.disagreements import Cells
 from xplain.learning.elbow import elbow
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.message_vectors import minimal_message_sets
-from xplain.message_sets import bits_of
 from xplain.randomness import derived_seed
 
 

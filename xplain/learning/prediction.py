@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from xplain.data.dataset import Dataset, places, query_index
 from xplain.learning.answer_model import truth
 from xplain.learning.clustering import Clusterer, Clustering, Single
+from xplain.learning.data.dataset import Dataset, places, query_index
 from xplain.learning.labelers import Labeler, LabelerTrainer, split
 from xplain.learning.user_types import LearnsErrors, UserTypes, learn_types
 from xplain.randomness import derived_seed, stream

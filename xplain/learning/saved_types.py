@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
-from xplain.data.encoding import encoded
-from xplain.data.label_file import MAX_MASK
 from xplain.errors import InputError
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.answer_model import ErrorRates, QuestionErrors
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.encoding import encoded
+from xplain.learning.data.label_file import MAX_MASK
 from xplain.learning.labelers import Labeler
 from xplain.learning.user_types import UserTypes, label_table
 

@@ -56,7 +56,7 @@ def cubes(tree: Any, features: NDArray[np.float64], n_messages: int) -> Cubes:
     """The leaves that transitions can reach in a fitted tree (``DecisionTreeClassifier.tree_``).
 
     Args:
-        tree: fitted on :func:`xplain.data.dataset.inputs`.
+        tree: fitted on :func:`xplain.learning.data.dataset.inputs`.
         features: [T, F].
         n_messages: n ≤ 62.
     """

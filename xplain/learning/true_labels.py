@@ -7,8 +7,8 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.observers import Observed
 from xplain.errors import InputError
+from xplain.learning.data.observers import Observed
 from xplain.learning.known_types import Known, Tables, unless_too_large
 from xplain.learning.labelers import LabelerTrainer
 

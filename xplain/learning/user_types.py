@@ -9,11 +9,11 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset, inputs
 from xplain.errors import InputError
 from xplain.explanation.label_table import DENSE, LabelTable, stacked
 from xplain.learning.answer_model import AnswerModel
 from xplain.learning.clustering import Clustering
+from xplain.learning.data.dataset import Dataset, inputs
 from xplain.learning.evidence import Evidence
 from xplain.learning.labelers import Labeler, LabelerTrainer
 

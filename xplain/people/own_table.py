@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from xplain.errors import InputError
-from xplain.message_sets import names_of
+from xplain.explanation.message_sets import names_of
 from xplain.people.plan import Fact, Picture
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.own_transitions import read_transitions, with_features

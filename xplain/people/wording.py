@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.config import CONF
 from xplain.domains.base import Domain, Parameter, Scene, cell_name
 from xplain.errors import InputError
+from xplain.experiment.config import CONF
 from xplain.people.plan import Fact, Texts, Told
 
 InWords = Callable[[str], str]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import TooLargeError, whole_number
-from xplain.message_sets import indices, subsets
+from xplain.explanation.message_sets import indices, subsets
 from xplain.questions.hypotheses import Hypotheses
 from xplain.randomness import stream
 

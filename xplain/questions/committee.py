@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit, logsumexp
 
-from xplain.data.dataset import Dataset, inputs, places
-from xplain.data.queries import Answer, Answered
-from xplain.data.rollouts import expected_visits
 from xplain.domains.base import transition_feature_names, transition_features
+from xplain.domains.users.setting import Setting
 from xplain.errors import InputError, whole_number
+from xplain.learning.data.dataset import Dataset, inputs, places
+from xplain.learning.data.queries import Answer, Answered
+from xplain.learning.data.rollouts import expected_visits
 from xplain.learning.fact_model.counts import REACH
 from xplain.learning.fact_model.gibbs import sample
 from xplain.learning.fact_model.model import (
@@ -35,7 +36,6 @@ from xplain.learning.fact_model.model import (
 )
 from xplain.learning.labelers import paper_tree
 from xplain.randomness import stream
-from xplain.users.setting import Setting
 
 MAX_SUBSETS = 256
 """Sets of facts that may matter at a transition, which are summed over."""

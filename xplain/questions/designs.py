@@ -10,11 +10,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import places
-from xplain.data.queries import Answer, Answered
-from xplain.data.rollouts import expected_visits
 from xplain.domains.base import Domain, transition_features
+from xplain.domains.users.setting import Setting
 from xplain.errors import InputError, number, whole_number
+from xplain.learning.data.dataset import places
+from xplain.learning.data.queries import Answer, Answered
+from xplain.learning.data.rollouts import expected_visits
 from xplain.questions.battery import battery
 from xplain.questions.committee import LONGEST, RARE, Committee, Pool
 from xplain.questions.growth import grown
@@ -23,7 +24,6 @@ from xplain.questions.known_transitions import KnownTransitions
 from xplain.questions.labels_alone import Contest, TwoWays
 from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
 from xplain.randomness import derived_seed, stream
-from xplain.users.setting import Setting
 
 log = logging.getLogger(__name__)
 

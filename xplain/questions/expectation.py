@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import TooLargeError
-from xplain.message_sets import indices, names_of, subsets
+from xplain.explanation.message_sets import indices, names_of, subsets
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.interactions import Interactions, Nearest
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from xplain.errors import TooLargeError
+from xplain.explanation.message_sets import bits_of
 from xplain.learning.evidence import DOUBTED
 from xplain.learning.labelers import Labeler
-from xplain.message_sets import bits_of
 from xplain.questions.known_transitions import Answers, KnownTransitions
 from xplain.questions.likelihood import DEVIATION, ERROR, Cells, by_level, log_prior, truth
 

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.domains.base import Domain, transition_feature_names, transition_features
+from xplain.domains.users.setting import MAX_MODELS
 from xplain.errors import InputError, TooLargeError, whole_number
-from xplain.message_sets import names_of
+from xplain.explanation.message_sets import names_of
 from xplain.questions.inaccurate_values import (
     FurtherLabels,
     few,
@@ -32,7 +33,6 @@ from xplain.questions.inaccurate_values import (
 )
 from xplain.questions.label_tables import prior_over, table_of_labels
 from xplain.storage import written_whole
-from xplain.users.setting import MAX_MODELS
 
 AS_ASSUMED = 0.6
 """Prior of the assumed values, where there are variants."""

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import Domain, Parameter
+from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import DomainError, InputError, XplainError
-from xplain.message_sets import indices, names_of, subsets
-from xplain.users.setting import Setting, UserType
+from xplain.explanation.message_sets import indices, names_of, subsets
 
 log = logging.getLogger(__name__)
 

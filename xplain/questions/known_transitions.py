@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.domains.users.setting import MAX_MODELS
 from xplain.questions.growth import grown, posterior_by
 from xplain.questions.hypotheses import Hypotheses
-from xplain.users.setting import MAX_MODELS
 
 UNWRITTEN = 0.1
 """Probability that somebody holds a fact wrong that has a message, but is in no hypothesis."""

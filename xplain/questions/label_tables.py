@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xplain.domains.users.setting import MAX_MODELS
 from xplain.errors import InputError, TooLargeError
-from xplain.users.setting import MAX_MODELS
 
 SUM = 1e-6
 """A prior sums to 1 within this."""

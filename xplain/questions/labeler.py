@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset, inputs
-from xplain.data.observers import Observed
 from xplain.errors import InputError
 from xplain.explanation.label_table import DENSE, LabelTable
+from xplain.explanation.message_sets import indices, names_of, subsets
 from xplain.learning.answer_model import AnswerModel
 from xplain.learning.clustering import Clustering
+from xplain.learning.data.dataset import Dataset, inputs
+from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import Evidence, cheap
 from xplain.learning.labelers import (
     Labeler,
@@ -29,7 +30,6 @@ from xplain.learning.labelers import (
     check_looked_at,
     paper_tree,
 )
-from xplain.message_sets import indices, names_of, subsets
 from xplain.questions.designs import hypotheses_of
 from xplain.questions.fact_set_classifier import FactSetClassifier
 from xplain.questions.fact_sets import errors_of, partition

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.evidence import BEATEN, COIN, Evidence, cheap, foretold, parts
 from xplain.learning.prediction import log_likelihood
 from xplain.questions.fact_set_classifier import FactSetClassifier

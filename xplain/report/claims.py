@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from xplain.evaluation.statistics import Estimate, Range, clustered_mean, clustered_share
+from xplain.interaction.statistics import Estimate, Range, clustered_mean, clustered_share
 from xplain.report.combinations import paired
 from xplain.report.paper import title
 from xplain.report.table import Cell, Table, interval, number

@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from xplain.evaluation.statistics import Estimate, clustered_mean
+from xplain.interaction.statistics import Estimate, clustered_mean
 from xplain.report.measure import is_choice
 from xplain.report.paper import title
 from xplain.report.summary import Summary, Value

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from xplain.evaluation.statistics import Estimate
+from xplain.interaction.statistics import Estimate
 from xplain.report import paper_table
 from xplain.report.combinations import (
     apart,

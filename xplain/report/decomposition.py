@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from xplain.evaluation.statistics import Estimate, clustered_mean
+from xplain.interaction.statistics import Estimate, clustered_mean
 from xplain.report.paper import title
 from xplain.report.summary import Summary
 from xplain.report.table import Cell, Table

@@ -13,8 +13,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from xplain.evaluation.statistics import Estimate
 from xplain.experiment.results import EPISODES, Results
+from xplain.interaction.statistics import Estimate
 from xplain.report import claims, comparison, decomposition, learning, paper_table
 from xplain.report.combinations import grouped, heading, label, value_title
 from xplain.report.layout import plot_layout, shown_keys, table_layout

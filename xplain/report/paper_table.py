@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from xplain.evaluation.statistics import Estimate
+from xplain.interaction.statistics import Estimate
 from xplain.report.combinations import csv_text
 from xplain.report.paper import table1, title
 from xplain.report.summary import Summary

@@ -17,9 +17,9 @@ import numpy as np
 import pandas as pd
 
 from xplain.errors import InputError
-from xplain.evaluation.metrics import possible
-from xplain.evaluation.statistics import Estimate, clustered_mean
 from xplain.experiment.results import RESULTS, Results, load_results
+from xplain.interaction.metrics import possible
+from xplain.interaction.statistics import Estimate, clustered_mean
 from xplain.report.measure import Measure, measure_of
 from xplain.report.settings import method_of, setting_of
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from xplain.evaluation.statistics import Estimate
+from xplain.interaction.statistics import Estimate
 from xplain.report.summary import is_number
 
 if TYPE_CHECKING:

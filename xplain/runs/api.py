@@ -29,8 +29,8 @@ from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from xplain.config import one_line
 from xplain.errors import InputError, XplainError, one_of
+from xplain.experiment.config import one_line
 from xplain.runs.start import start
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from xplain.config import require_usable
+from xplain.experiment.config import require_usable
 from xplain.experiment.fingerprint import configuration
 
 

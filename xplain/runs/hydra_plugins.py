@@ -19,8 +19,8 @@ from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.config import CONF, SWEEPS
 from xplain.errors import checks
+from xplain.experiment.config import CONF, SWEEPS
 
 GROUP = "sweeps"
 

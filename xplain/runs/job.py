@@ -19,10 +19,9 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__
-from xplain.config import GROUPS, one_line, require_usable
-from xplain.evaluation.explainees import Stranger
 from xplain.experiment.cache import prepared_once, source_fingerprint
 from xplain.experiment.certificates import Certify
+from xplain.experiment.config import GROUPS, one_line, require_usable
 from xplain.experiment.explanations import evaluate, with_true_labels
 from xplain.experiment.fingerprint import code_version, configuration, fingerprint, git_state
 from xplain.experiment.from_config import components_of, costs_of
@@ -38,6 +37,7 @@ from xplain.experiment.results import (
     save_results,
 )
 from xplain.experiment.strangers import with_strangers
+from xplain.interaction.explainees import Stranger
 from xplain.numba_kernels import tell_when_compiling
 from xplain.report.run_summary import print_certificates, print_summary
 from xplain.report.stages import stages

@@ -13,8 +13,8 @@ from typing import Any
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import ConfigCompositionException
 
-from xplain.config import GROUPS, missing_key, named
 from xplain.errors import InputError
+from xplain.experiment.config import GROUPS, missing_key, named
 
 Compose = Callable[[list[str]], dict[str, Any]]
 """From overrides to the resolved configuration of a job."""

@@ -18,8 +18,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from xplain.config import CONF, named, register
 from xplain.errors import InputError, left_at_once
+from xplain.experiment.config import CONF, named, register
 from xplain.runs import hydra_plugins
 
 

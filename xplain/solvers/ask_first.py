@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.asking import NO_QUESTION
+from xplain.explanation.message_sets import compress
 from xplain.explanation.problem import Problem
-from xplain.message_sets import compress
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.inquiry import Inquiry, look, make_inquiry, make_room
 from xplain.solvers.memory import check_memory_gib

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
+from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.message_sets import indices
 from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.count_lattice import branch, make_answers

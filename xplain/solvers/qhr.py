@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.explanation.message_sets import subsets
 from xplain.explanation.problem import Problem
-from xplain.message_sets import subsets
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.model import Model, best_of, model_of
 from xplain.solvers.restriction import Restricted, coupled

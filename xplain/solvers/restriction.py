@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from xplain.errors import TooLargeError
 from xplain.explanation.label_table import DENSE, MAX_RELEVANT
+from xplain.explanation.message_sets import compress, expand
 from xplain.explanation.problem import Problem
-from xplain.message_sets import compress, expand
 from xplain.solvers.base import Asks, Policy
 from xplain.solvers.model import model_of, optimal_values
 

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.asking import NO_QUESTION
+from xplain.explanation.message_sets import compress
 from xplain.explanation.problem import Problem
-from xplain.message_sets import compress
 from xplain.numba_kernels import inlined, lean_kernel
 from xplain.randomness import derived_seed
 from xplain.solvers.base import TIE, Policy

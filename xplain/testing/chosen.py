@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from xplain.config import CONF, named, register
+from xplain.experiment.config import CONF, named, register
 
 
 class Chosen:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
 from xplain.learning.clustering import Clustering, by_first_appearance
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
 from xplain.testing.data import rule_data
 from xplain.testing.suite import Conformance

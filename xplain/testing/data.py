@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
+from xplain.learning.data.dataset import Dataset
 
 MESSAGES = ("m0", "m1", "m2", "m3")
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from xplain.domains.base import Domain, transition_feature_names, transition_features
+from xplain.domains.users.setting import MAX_MODELS, Setting, UserType
 from xplain.errors import DomainError
 from xplain.testing.suite import Conformance
-from xplain.users.setting import MAX_MODELS, Setting, UserType
 
 
 class DomainConformance(Conformance):

@@ -1,4 +1,4 @@
-"""Properties of every explainee (see :mod:`xplain.evaluation.explainees`)."""
+"""Properties of every explainee (see :mod:`xplain.interaction.explainees`)."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.evaluation.explainees import Reaction
 from xplain.explanation.label_table import LabelTable
+from xplain.interaction.explainees import Reaction
 from xplain.testing.suite import Conformance
 
 STEPS, MESSAGES = 6, 3
 
 
 class ExplaineeConformance(Conformance):
-    """Tests an :class:`~xplain.evaluation.explainees.Explainee` for what episodes need: above all,
+    """Tests an :class:`~xplain.interaction.explainees.Explainee` for what episodes need: above all,
     every solver must meet the same person."""
 
     def test_reacts_with_zeros_and_ones_to_all_that_is_shown(self, component: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset, query_index
+from xplain.learning.data.dataset import Dataset, query_index
 from xplain.testing.data import rule_data
 from xplain.testing.suite import Conformance
 

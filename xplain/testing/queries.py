@@ -1,4 +1,4 @@
-"""Properties of every query design (see :mod:`xplain.data.queries`)."""
+"""Properties of every query design (see :mod:`xplain.learning.data.queries`)."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from xplain.data.queries import Answered
 from xplain.domains.base import Domain
+from xplain.domains.users.setting import Setting, UserType
+from xplain.learning.data.queries import Answered
 from xplain.testing.chosen import Chosen
 from xplain.testing.suite import Conformance
-from xplain.users.setting import Setting, UserType
 
 RESCUE = Chosen("domain", "rescue")
 SIZES = np.array([23, 1, 12, 40])
@@ -35,7 +35,7 @@ class QueriesConformance(Conformance):
         return _setting(domain, 0)
 
     def test_everybody_is_asked_no_more_than_agreed(self, component: Any, setting: Setting) -> None:
-        """One :class:`~xplain.data.queries.Answered` per observer, 1 to ``sizes[o]`` questions."""
+        """Observer o answers 1 to ``sizes[o]`` questions: an ``Answered`` each."""
         asked, _ = _asked(component, setting)
         assert len(asked) == len(SIZES), "not one for each observer"
         counts = [len(one.labels) for one in asked]

@@ -9,11 +9,11 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.belief import Independent
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import SimulatedUser
 from xplain.solvers.base import Knowledge, Solver
 from xplain.testing.problems import random_problem
 from xplain.testing.suite import Conformance

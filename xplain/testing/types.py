@@ -1,4 +1,4 @@
-"""Properties of every source of user types (see :mod:`xplain.users.types`)."""
+"""Properties of every source of user types (see :mod:`xplain.domains.users.types`)."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from xplain.domains.base import Domain
+from xplain.domains.users.setting import Setting, UserType
 from xplain.testing.chosen import Chosen
 from xplain.testing.suite import Conformance
-from xplain.users.setting import Setting, UserType
 
 RESCUE = Chosen("domain", "rescue")
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from xplain.data.dataset import Dataset, query_index
 from xplain.errors import InputError
 from xplain.learning.clustering import Clustering
+from xplain.learning.data.dataset import Dataset, query_index
 from xplain.learning.labelers import LabelerTrainer
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
-from xplain.evaluation.explainees import Person, Reaction, SimulatedUser
 from xplain.explanation.label_table import LabelTable
+from xplain.interaction.explainees import Person, Reaction, SimulatedUser
 from xplain.randomness import stream
 
 

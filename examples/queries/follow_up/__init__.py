@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xplain.data.queries import Answer, Answered, RandomTraces
+from xplain.domains.users.setting import Setting
+from xplain.learning.data.queries import Answer, Answered, RandomTraces
 from xplain.randomness import stream
-from xplain.users.setting import Setting
 
 
 @dataclass(frozen=True)

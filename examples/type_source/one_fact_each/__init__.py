@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from xplain.domains.base import Domain
+from xplain.domains.users.setting import UserType
 from xplain.errors import InputError
-from xplain.users.setting import UserType
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.learning.fact_model.states import counted
-from xplain.data.dataset import Dataset
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.fact_model.counts import REACH
 from xplain.learning.fact_model.gibbs import init
 from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior, State

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.learning.fact_model.states import begun, counted
-from xplain.data.dataset import Dataset
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.fact_model.model import Answers, Prior
 from xplain.learning.fact_model.split_merge import merge_types
 

@@ -8,13 +8,13 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from tests.people.study.stand_in import AHEAD, TYPES, Street
-from xplain.config import CONF
+from xplain.domains.users.types import Explicit
+from xplain.experiment.config import CONF
 from xplain.people.collect.bot import Habits, collection_of, probes
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan, Rules
 from xplain.people.collect.prepare import assemble, domain_source
 from xplain.questions.designs import Adaptive, Battery
-from xplain.users.types import Explicit
 
 FAULTLESS = Habits(error=0.0, mistake=0.0)
 RULES: dict[str, Any] = {"people": 6, "repeats": 2, "attention": True, "timeout_minutes": 30}

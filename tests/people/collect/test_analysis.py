@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 from tests.people.collect.stand_in import FAULTLESS, street_collection
-from xplain.data.label_file import read_table, write_table
 from xplain.errors import InputError
+from xplain.learning.data.label_file import read_table, write_table
 from xplain.people.analysis.stored import opened, plan_of
 from xplain.people.collect.asking import ATTENTION, State, shared
 from xplain.people.collect.bot import Habits, bot, take_part

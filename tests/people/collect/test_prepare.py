@@ -12,15 +12,15 @@ from tests.people.collect.stand_in import RULES, STREET, street_plan, wording
 from tests.people.study.stand_in import TYPES
 from xplain.cli.main import main
 from xplain.cli.people import configured
-from xplain.config import CONF
+from xplain.domains.users.types import Explicit
 from xplain.errors import InputError
+from xplain.experiment.config import CONF
 from xplain.people.collect.bot import Habits
 from xplain.people.collect.expectation import crowd, expect, rand_index, truth_of
 from xplain.people.collect.plan import Rules
 from xplain.people.collect.prepare import assemble, domain_source, own_source
 from xplain.people.own_table import read_facts
 from xplain.questions.designs import Adaptive, Battery
-from xplain.users.types import Explicit
 
 TABLE = """text,image,alt,inexplicable_if,floor,place
 Drives over the cable,cable.png,A red cable,cable,0,hall
@@ -216,7 +216,7 @@ def test_24_people_and_20_questions_find_the_types(domain: str, types: int) -> N
     """What the page promises: 5 % wrong answers, adjusted Rand index at least .95."""
     from hydra.utils import instantiate
 
-    from xplain.config import composed
+    from xplain.experiment.config import composed
     from xplain.people.collect.prepare import source_of
     from xplain.people.wording import fixed
 

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from xplain.config import CONF
 from xplain.domains.base import Item, Parameter, Scene
 from xplain.domains.mdp import MDP
+from xplain.domains.users.setting import Setting, UserType
+from xplain.experiment.config import CONF
 from xplain.explanation.label_table import LabelTable
 from xplain.people.plan import Ahead
 from xplain.people.study.bot import Habits
@@ -24,7 +25,6 @@ from xplain.people.study.plan import Clip, StudyPlan
 from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import conditions_of, drafted, stored
 from xplain.people.study.task import MayAsk, OfDomain
-from xplain.users.setting import Setting, UserType
 
 FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
 """Of a participant who errs, forgets and leaves nowhere."""

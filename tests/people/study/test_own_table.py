@@ -15,9 +15,9 @@ from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor, pages
 from xplain.cli.people import configured
 from xplain.errors import InputError
+from xplain.explanation.message_sets import mask_of
 from xplain.learning.labelers import Labeler
 from xplain.learning.saved_types import LearnedTypes, SavedTable
-from xplain.message_sets import mask_of
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.study.bot import Person

@@ -11,12 +11,13 @@ import pytest
 from tests.domains.configs import setting_of
 from tests.people.study.stand_in import CONFIG, FAULTLESS, TYPES, Street, street_plan
 from tests.people.visitors import GENEROUS, Visitor
-from xplain.config import composed
 from xplain.domains.base import cell_name
+from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
-from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import SimulatedUser
+from xplain.experiment.config import composed
 from xplain.explanation.label_table import LabelTable
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import SimulatedUser
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import visit
@@ -29,7 +30,6 @@ from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite
 from xplain.people.study.task import OfDomain
 from xplain.people.wording import phrases_of
-from xplain.users.setting import Setting
 
 
 def test_the_rescue_study_is_prepared_from_its_configuration() -> None:

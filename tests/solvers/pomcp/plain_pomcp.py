@@ -13,8 +13,8 @@ from functools import cache
 
 import numpy as np
 
+from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.message_sets import indices
 from xplain.solvers.pomcp.solver import POMCP
 
 ALL = (1 << 64) - 1

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
 from xplain.errors import InputError, TooLargeError
 from xplain.learning.answer_classes import answer_classes
 from xplain.learning.clustering import Clustering, KnowsFactSets, by_first_appearance
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.fact_model.errors import errors_of
 from xplain.learning.fact_model.gibbs import Chain, sample
 from xplain.learning.fact_model.model import Answers, Prior, facts_that_matter

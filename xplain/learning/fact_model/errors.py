@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from xplain.data.dataset import Dataset
 from xplain.learning.answer_model import AnswerModel, CellAnswers, learned
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.fact_model.model import NOISE, Prior, State
 
 

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.fact_model.counts import REACH
 from xplain.learning.fact_model.resample_transitions import WIDE
 

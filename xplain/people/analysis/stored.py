@@ -17,26 +17,31 @@ Plan = TypeVar("Plan", bound=StoredPlan)
 STREAMS = ("person", "pilot", "bot")
 """Whose data it is; fixed by the invitation, and never mixed in an analysis."""
 MOVED = {
-    "xplain.learning.dirichlet.DirichletMixture": (
-        "xplain.learning.fact_model.dirichlet.DirichletMixture"
-    ),
-    "xplain.solvers.certified.Certified": "xplain.solvers.hsvi.solver.Certified",
-    "xplain.solvers.pomcp.POMCP": "xplain.solvers.pomcp.solver.POMCP",
-    "xplain.users.observers.FileObservers": "xplain.data.observers.FileObservers",
-    "xplain.users.observers.SimulatedObservers": "xplain.data.observers.SimulatedObservers",
+    "xplain.data.observers": "xplain.learning.data.observers",
+    "xplain.data.queries": "xplain.learning.data.queries",
+    "xplain.evaluation.explainees": "xplain.interaction.explainees",
+    "xplain.learning.dirichlet": "xplain.learning.fact_model.dirichlet",
+    "xplain.solvers.certified": "xplain.solvers.hsvi.solver",
+    "xplain.solvers.pomcp": "xplain.solvers.pomcp.solver",
+    "xplain.users.observers": "xplain.learning.data.observers",
+    "xplain.users.types": "xplain.domains.users.types",
 }
-"""Classes by the names that older plans carry. A stored plan is never rewritten: its hash is in
+"""Modules by the names that older plans carry. A stored plan is never rewritten: its hash is in
 the data. What it names is looked up here whenever it is used."""
 
 
 def renamed(config: Any) -> Any:
-    """A stored configuration with today's names of classes, wherever a ``_target_`` stands."""
+    """A stored configuration with today's names of modules, wherever a ``_target_`` stands."""
     if isinstance(config, Mapping):
         return {
-            key: MOVED.get(value, value) if key == "_target_" else renamed(value)
-            for key, value in config.items()
+            key: _today(one) if key == "_target_" else renamed(one) for key, one in config.items()
         }
-    return [renamed(value) for value in config] if isinstance(config, list | tuple) else config
+    return [renamed(one) for one in config] if isinstance(config, list | tuple) else config
+
+
+def _today(target: str) -> str:
+    module, _, name = target.rpartition(".")
+    return f"{MOVED.get(module, module)}.{name}"
 
 
 @contextmanager

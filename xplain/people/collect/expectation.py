@@ -12,15 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.dataset import Dataset
-from xplain.data.label_file import align
-from xplain.data.observers import Observed
-from xplain.data.queries import Queries
 from xplain.domains.base import Domain, transition_feature_names
-from xplain.evaluation.explainees import Exact
+from xplain.domains.users.setting import Setting
+from xplain.domains.users.types import TypeSource
 from xplain.experiment.explanations import Costs, evaluate
 from xplain.experiment.pipeline import Components, prepare
 from xplain.explanation.belief import Persistent
+from xplain.interaction.explainees import Exact
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.label_file import align
+from xplain.learning.data.observers import Observed
+from xplain.learning.data.queries import Queries
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.people.collect.asking import State, shared
 from xplain.people.collect.bot import Habits, bot, take_part
@@ -31,8 +33,6 @@ from xplain.questions.labeler import HypothesisTrainer
 from xplain.randomness import derived_seed
 from xplain.solvers.known_type import KnownType
 from xplain.solvers.qmdp import QMDP
-from xplain.users.setting import Setting
-from xplain.users.types import TypeSource
 
 RUNS = 2
 """Simulated collections."""

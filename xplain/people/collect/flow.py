@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar
 
-from xplain.message_sets import indices
+from xplain.explanation.message_sets import indices
 from xplain.people import flow as core
 from xplain.people import stages
 from xplain.people.collect import asking

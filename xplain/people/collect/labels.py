@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from xplain.data.dataset import Dataset
+from xplain.explanation.message_sets import names_of
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.evidence import Evidence
-from xplain.message_sets import names_of
 from xplain.people.collect.asking import FINISHED, STATED, State
 from xplain.people.collect.plan import CollectPlan
 from xplain.questions.fact_sets import partition
@@ -33,8 +33,8 @@ def why_left_out(state: State) -> str:
 
 
 def dataset_of(plan: CollectPlan, people: Mapping[str, State]) -> Dataset:
-    """The labels of the questions of these people, as :mod:`xplain.data.label_file` writes them.
-    Second looks and the obvious step are no questions."""
+    """The labels of the questions of these people, as :mod:`xplain.learning.data.label_file` writes
+    them. Second looks and the obvious step are no questions."""
     known = plan.hypotheses
     assert known.features is not None, "a plan's hypotheses have features"
     rows = [

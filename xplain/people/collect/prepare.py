@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xplain.domains.base import Domain, Scene, changes_of
+from xplain.domains.users.types import TypeSource
 from xplain.errors import InputError, number
-from xplain.message_sets import mask_of
+from xplain.explanation.message_sets import mask_of
 from xplain.people.ahead import ahead_of
 from xplain.people.collect.bot import probes
 from xplain.people.collect.expectation import expect
@@ -29,7 +30,6 @@ from xplain.questions.battery import battery
 from xplain.questions.designs import Adaptive, Battery, hypotheses_of
 from xplain.questions.hypotheses import Hypotheses
 from xplain.randomness import derived_seed, run_seed, stream
-from xplain.users.types import TypeSource
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from xplain.data.label_file import write_table
-from xplain.message_sets import names_of
+from xplain.explanation.message_sets import names_of
+from xplain.learning.data.label_file import write_table
 from xplain.people.analysis import export as exported
 from xplain.people.analysis.export import Row, events_of, seconds, write
 from xplain.people.analysis.stored import STREAMS

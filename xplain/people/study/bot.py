@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from xplain.message_sets import indices
+from xplain.explanation.message_sets import indices
 from xplain.people.flow import Fields
 from xplain.people.simulation import bots
 from xplain.people.simulation.browser import Page

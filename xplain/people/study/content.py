@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import Parameter
-from xplain.message_sets import indices
+from xplain.domains.users.setting import UserType
+from xplain.explanation.message_sets import indices
 from xplain.people.plan import Fact, facts_of
 from xplain.people.study.plan import Known, Question, Role, Statement
-from xplain.users.setting import UserType
 
 NATURAL = "natural"
 """Name of the role of people who are not briefed."""

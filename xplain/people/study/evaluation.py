@@ -1,6 +1,6 @@
 """The evaluation: the robot's steps with the policy's messages, and before them what it may ask.
 
-The explanation itself is the :class:`~xplain.sessions.interaction.Interaction` of the offline
+The explanation itself is the :class:`~xplain.interaction.interaction.Interaction` of the offline
 experiments, resumed at each page.
 """
 
@@ -15,12 +15,12 @@ import numpy as np
 
 from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.belief import BeliefUpdate
-from xplain.message_sets import indices
+from xplain.explanation.message_sets import indices
+from xplain.interaction.interaction import Interaction
 from xplain.people import flow as core
 from xplain.people.flow import Answer, Decision, Fields, Flow, Form, Stage
 from xplain.people.stages import OneLabel, choices, small
 from xplain.people.study.plan import Role, StudyPlan
-from xplain.sessions.interaction import Interaction
 from xplain.solvers.base import Policy
 
 ENDS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out")

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from xplain.data.rollouts import sample_trace
 from xplain.domains.base import transition_feature_names, transition_features
+from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.experiment.pipeline import observe
 from xplain.explanation.habits import Habits
 from xplain.learning.clustering import Perfect
+from xplain.learning.data.rollouts import sample_trace
 from xplain.learning.known_types import learn
 from xplain.learning.labelers import Labeler
 from xplain.learning.saved_types import LearnedTypes
 from xplain.learning.user_types import label_table
 from xplain.randomness import stream
-from xplain.users.setting import Setting
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from xplain.errors import InputError, one_of
-from xplain.learning.listening import Explained
+from xplain.explanation.listening import Explained
 from xplain.people.analysis.stored import STREAMS, plan_of, reading
 from xplain.people.study.plan import StudyPlan
 

@@ -8,9 +8,9 @@ import numpy as np
 from hydra.utils import instantiate
 
 from xplain.errors import XplainError
-from xplain.evaluation.episode import Episode, explain
-from xplain.evaluation.explainees import SimulatedUser
 from xplain.explanation.label_table import LabelTable, joined
+from xplain.interaction.episode import Episode, explain
+from xplain.interaction.explainees import SimulatedUser
 from xplain.people.analysis.stored import renamed
 from xplain.people.study.flow import State, Study
 from xplain.people.study.plan import ASKING, StudyPlan

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from xplain.message_sets import names_of
+from xplain.explanation.message_sets import names_of
 from xplain.people.analysis import export as exported
 from xplain.people.analysis.export import Row, events_of, seconds, write
 from xplain.people.study.codebook import CODEBOOK

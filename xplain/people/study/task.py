@@ -11,14 +11,15 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.data.rollouts import sample_trace
 from xplain.domains.base import Domain, Parameter, Scene, changes_of, transition_features
+from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError, whole_number
 from xplain.experiment.asking import Clips
 from xplain.explanation.asking import Pool, alike_first, nearest_first
 from xplain.explanation.label_table import LabelTable
+from xplain.explanation.message_sets import indices
+from xplain.learning.data.rollouts import sample_trace
 from xplain.learning.user_types import label_table
-from xplain.message_sets import indices
 from xplain.people.ahead import ahead_of
 from xplain.people.own_table import OwnTable
 from xplain.people.plan import Ahead, Picture, Told, Way
@@ -27,7 +28,6 @@ from xplain.people.study.known_types import Learned
 from xplain.people.study.plan import Clip
 from xplain.people.wording import of_states
 from xplain.randomness import stream
-from xplain.users.setting import Setting, UserType
 
 Rules = Mapping[str, Any]
 """The configuration's ``trace``."""

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from xplain.errors import TooLargeError
 from xplain.explanation import knowledge
 from xplain.explanation.belief import answered, rounded, told
-from xplain.message_sets import indices, subsets
+from xplain.explanation.message_sets import indices, subsets
 from xplain.numba_kernels import lean_kernel
 from xplain.solvers.base import best_question
 from xplain.solvers.count_lattice import Answers, branch, make_answers

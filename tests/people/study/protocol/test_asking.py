@@ -12,10 +12,10 @@ import pytest
 from tests.people.study.protocol.test_machine import at_evaluation
 from tests.people.study.stand_in import ASK, CONFIG, FAULTLESS, street_plan, street_study
 from xplain.errors import InputError, Refused
-from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import Exact, Slips
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable, joined
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import Exact, Slips
 from xplain.people.study.bot import Person
 from xplain.people.study.flow import State, Study
 from xplain.people.study.policies import difference

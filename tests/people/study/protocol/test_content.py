@@ -8,7 +8,7 @@ import numpy as np
 from omegaconf import OmegaConf
 
 from tests.people.study.stand_in import TYPES
-from xplain.config import composed
+from xplain.experiment.config import composed
 from xplain.people.study import content
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import StudyPlan

@@ -10,10 +10,10 @@ import pytest
 
 from tests.people.study.stand_in import CONFIG, FAULTLESS, street_study
 from xplain.errors import Refused
-from xplain.evaluation.episode import explain
-from xplain.evaluation.explainees import Exact, Heedless, SimulatedUser
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import Exact, Heedless, SimulatedUser
 from xplain.people.study.bot import take_part
 from xplain.people.study.flow import State, Study
 from xplain.solvers.qmdp import QMDP

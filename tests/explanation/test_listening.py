@@ -1,0 +1,191 @@
+"""Habits learned from explanations, against enumeration, and of simulated people."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xplain.errors import InputError
+from xplain.explanation.belief import Independent
+from xplain.explanation.habits import Habits, habits_of
+from xplain.explanation.label_table import LabelTable
+from xplain.explanation.listening import PRIOR_PEOPLE, Explained, learned_habits, posterior
+from xplain.explanation.message_sets import indices
+from xplain.explanation.problem import Problem
+from xplain.interaction.explainees import Heedless, Knower
+from xplain.interaction.interaction import Interaction
+from xplain.solvers.qmdp import QMDP
+
+FACTS, STEPS = 4, 10
+PAIRS = ((0, 1), (1, 2), (2, 3))
+UNKNOWN = habits_of("learned", "learned", "learned")
+
+
+def enumerated(one: Explained, habits: Habits) -> np.ndarray:
+    """[F] the posterior, over every way in which this person may miss and forget messages."""
+    problem, found = one.problem, np.zeros(len(habits))
+    for t, f in product(range(problem.n_user_types), range(len(habits))):
+        accept, lose, error = habits.accept[f], habits.forget[f], habits.error[f]
+        ways = {0: problem.prior[t] * habits.prior[f]}
+        for said, labels in zip(one.said, one.answers, strict=True):
+            for j in indices(said):
+                ways = _moved(ways, j, True, accept)
+            p = {known: problem.p_explicable[t, : len(labels), known] for known in ways}
+            for known, right in p.items():
+                one_said = right * (1 - error) + (1 - right) * error
+                ways[known] *= np.where(labels == 1, one_said, 1 - one_said).prod()
+            for j in range(problem.n_messages):
+                ways = _moved(ways, j, False, lose)
+        found[f] += sum(ways.values())
+    return found / found.sum()
+
+
+def _moved(ways: dict[int, float], j: int, right: bool, chance: float) -> dict[int, float]:
+    """Fact j is right, or wrong, from now on with some chance."""
+    after: dict[int, float] = defaultdict(float)
+    for known, p in ways.items():
+        after[known | 1 << j if right else known & ~(1 << j)] += p * chance
+        after[known] += p * (1 - chance)
+    return dict(after)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=40)
+def test_what_one_explanation_tells_equals_enumeration(seed: int) -> None:
+    """Whatever habits the problem that it comes with was planned for."""
+    rng = np.random.default_rng(seed)
+    problem = Problem(rng.random((2, 3, 4)), np.ones(2), prior=rng.dirichlet(np.ones(2)))
+    said = rng.integers(4, size=3).tolist()
+    answers = [rng.integers(2, size=k + 1).astype(np.uint8) for k in range(3)]
+    habits = Habits(
+        rng.choice([0.0, 0.2], 3), rng.choice([1.0, 0.6], 3), [0.0, 0.3, 0.1], np.full(3, 1 / 3)
+    )
+    told = enumerated(Explained(problem, said, answers), habits)
+    for planned in (
+        problem,
+        problem.with_habits(UNKNOWN),
+        problem.with_habits(habits_of(0.3, 1, 0)),
+    ):
+        assert posterior(Explained(planned, said, answers), habits) == pytest.approx(told, abs=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=10)
+def test_the_shares_are_the_mode_of_their_posterior(seed: int) -> None:
+    """Against all shares of two habits on a fine grid."""
+    rng = np.random.default_rng(seed)
+    problem = Problem(rng.random((2, 2, 4)), np.ones(2))
+    habits = Habits([0.0, 0.2], [1.0, 0.5], [0.0, 0.2], [0.7, 0.3])
+    people = [
+        Explained(
+            problem,
+            rng.integers(4, size=2).tolist(),
+            [rng.integers(2, size=k + 1).astype(np.uint8) for k in range(2)],
+        )
+        for _ in range(6)
+    ]
+    likely = np.array([enumerated(one, habits) for one in people]) / habits.prior
+    share = np.linspace(0, 1, 10_001)[1:-1]
+    shares = np.stack([share, 1 - share])
+    log = np.log(likely @ shares).sum(axis=0) + PRIOR_PEOPLE * habits.prior @ np.log(shares)
+    assert learned_habits(people, habits).prior[0] == pytest.approx(share[log.argmax()], abs=2e-4)
+
+
+class Counts(NamedTuple):
+    """How often each thing could happen that a rate is of."""
+
+    heard: int
+    kept: int
+    labels: int
+
+
+@dataclass
+class Crowd:
+    """People who heed and answer as told, each explained one trace by an explainer that says
+    messages again."""
+
+    accept: float
+    forget: float
+    error: float
+    explained: list[Explained] = field(default_factory=list)
+
+    def explain(self, people: int) -> Counts:
+        sets = np.arange(1 << FACTS)
+        about = np.arange(STEPS) % FACTS
+        truth = np.array(
+            [~np.isin(about, own)[:, None] | (sets >> about[:, None] & 1 == 1) for own in PAIRS]
+        )
+        problem = Problem(truth.astype(float), np.ones(FACTS))
+        update = Independent("learned", "learned", "learned")
+        aware = problem.with_habits(update.habits())
+        policy, rng = QMDP().plan(aware), np.random.default_rng(people)
+        heard = kept = labels = 0
+        for number in range(people):
+            table = LabelTable.dense(truth[number % len(PAIRS)][None].astype(float))
+            person = Heedless(self.accept, self.forget).meet(table, about, number)
+            assert isinstance(person, Knower)
+            talk, said, answers = Interaction(aware, policy, update), [], []
+            for k in range(STEPS):
+                new = talk.say()
+                heard += (new & ~person.knows).bit_count()
+                person.hear(new)
+                kept += person.knows.bit_count()
+                answer = person.react(talk.given, k + 1).answers ^ (rng.random(k + 1) < self.error)
+                labels += k + 1
+                talk.hear(answer.astype(np.uint8))
+                said.append(new)
+                answers.append(answer.astype(np.uint8))
+            self.explained.append(Explained(aware, said, answers))
+        return Counts(heard, kept, labels)
+
+
+@pytest.mark.parametrize(
+    "crowd", [Crowd(0.8, 0.05, 0.04), Crowd(0.7, 0.03, 0.1), Crowd(1, 0, 0)], ids=str
+)
+def test_rates_of_simulated_people_are_found_again(crowd: Crowd) -> None:
+    """Within four standard deviations of who sees every message land and every fact go, and what
+    the documented shares pull, had there been half as much to see."""
+    people = 120
+    counts = crowd.explain(people)
+    found = learned_habits(crowd.explained)
+    pull = PRIOR_PEOPLE / (people / 2 + PRIOR_PEOPLE)
+    for key, seen in zip(("accept", "forget", "error"), counts, strict=True):
+        true, before = getattr(crowd, key), float(getattr(UNKNOWN, key) @ UNKNOWN.prior)
+        mean = float(getattr(found, key) @ found.prior)
+        tolerance = 4 * np.sqrt(true * (1 - true) / (seen / 2)) + pull * abs(true - before)
+        assert abs(mean - true) <= tolerance, key
+        assert tolerance < 0.15
+
+
+def test_what_was_learned_is_what_a_belief_takes() -> None:
+    crowd = Crowd(0.6, 0.1, 0.1)
+    crowd.explain(12)
+    found = learned_habits(crowd.explained)
+    taken = Independent("learned", "learned", "learned").habits(found)
+    for key in ("error", "accept", "forget"):
+        shares = [getattr(h, key) @ h.prior for h in (found, taken)]
+        assert shares[0] == pytest.approx(shares[1])
+    only = Independent(0.0, "learned", 0.0).habits(found)
+    assert (len(only), only.take_all_in) == (3, False)
+
+
+def test_answers_to_questions_tell_nothing_of_messages_that_do_not_land() -> None:
+    """Whoever weighs α and φ weighs the documented ones, whatever is known of errors."""
+    errors = Habits([0.1, 0.3], np.ones(2), np.zeros(2), [0.9, 0.1])
+    taken = Independent("learned", "learned", "learned").habits(errors)
+    assert sorted(set(taken.error.tolist())) == [0.1, 0.3]
+    for key in ("accept", "forget"):
+        rates, shares = getattr(UNKNOWN, key), UNKNOWN.prior
+        assert getattr(taken, key) @ taken.prior == pytest.approx(rates @ shares)
+
+
+def test_nobody_tells_nothing() -> None:
+    with pytest.raises(InputError, match="at least one explanation"):
+        learned_habits([])

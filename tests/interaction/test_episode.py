@@ -1,0 +1,150 @@
+"""Episodes against Definition 2 of the paper, written out, and against Bayes' rule."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from xplain.explanation.belief import Independent, Persistent
+from xplain.explanation.label_table import LabelTable
+from xplain.explanation.problem import Problem
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import SimulatedUser
+from xplain.solvers.cached_policy import CachedPolicy
+
+
+class Scripted:
+    """Gives the messages of a list, whatever happens."""
+
+    def __init__(self, messages: list[int]) -> None:
+        self.script = messages
+
+    def messages(self, step: int, given: int, belief: np.ndarray) -> int:
+        return self.script[step] & ~given
+
+    def values(self, step: int, given: int, belief: np.ndarray) -> dict[int, float]:
+        return {}
+
+
+@st.composite
+def interactions(draw):
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    types, steps, n = rng.integers(1, 4), rng.integers(1, 6), rng.integers(0, 4)
+    problem = Problem(
+        table=rng.uniform(0.02, 0.98, (types, steps, 1 << n)),
+        message_cost=rng.uniform(0, 2, n),
+        inexplicability_cost=float(rng.uniform(0, 2)),
+        trade_off=float(rng.uniform(0, 3)),
+        prior=rng.dirichlet(np.ones(types)),
+    )
+    table = rng.integers(0, 2, (steps, 1 << n)).astype(np.uint8)
+    script = [int(mask) for mask in rng.integers(0, 1 << n, steps)]
+    return problem, table, script
+
+
+@given(interactions())
+@settings(max_examples=60, deadline=None)
+def test_cost_is_definition_2(interaction):
+    problem, table, script = interaction
+    episode = explain(problem, Scripted(script), SimulatedUser.of(table), Independent())
+    total = 0.0
+    zeros = 0
+    given_so_far: set[int] = set()
+    for i in range(problem.n_steps):
+        new = {j for j in range(problem.n_messages) if script[i] >> j & 1} - given_so_far
+        given_so_far |= new
+        total += problem.trade_off * sum(problem.message_cost[j] for j in new)
+        mask = sum(1 << j for j in given_so_far)
+        for j in range(i + 1):
+            zeros += 1 - int(table[j, mask])
+            total += (1 - int(table[j, mask])) * problem.inexplicability_cost
+        asked = table[: i + 1, mask].tolist()
+        assert episode.labels[i].tolist() == asked + [-1] * (problem.n_steps - i - 1)
+        assert episode.messages[i] == sum(1 << j for j in new)
+    assert episode.cost == pytest.approx(total)
+    assert episode.communication == pytest.approx(
+        sum(problem.message_cost[j] for j in given_so_far)
+    )
+    assert episode.inexplicability == pytest.approx(zeros * problem.inexplicability_cost)
+    assert episode.n_messages == len(given_so_far)
+    assert episode.n_inexplicable == zeros
+
+
+@given(interactions())
+@settings(max_examples=40, deadline=None)
+def test_beliefs_are_bayes_over_all_labels_given(interaction):
+    problem, table, script = interaction
+    episode = explain(problem, Scripted(script), SimulatedUser.of(table), Independent())
+    weight = problem.prior.copy()
+    mask = 0
+    for k in range(problem.n_steps):
+        mask |= script[k]
+        for i in range(k + 1):
+            p = problem.p_explicable[:, i, mask]
+            weight = weight * (p if table[i, mask] else 1 - p)
+        np.testing.assert_allclose(episode.beliefs[k + 1], weight / weight.sum(), rtol=1e-9)
+
+
+@given(interactions())
+@settings(max_examples=40, deadline=None)
+def test_persistent_belief_counts_each_label_of_a_message_set_once(interaction):
+    problem, table, script = interaction
+    episode = explain(problem, Scripted(script), SimulatedUser.of(table), Persistent())
+    weight = problem.prior.copy()
+    seen: set[tuple[int, int]] = set()
+    mask = 0
+    for k in range(problem.n_steps):
+        mask |= script[k]
+        for i in range(k + 1):
+            if (i, mask) not in seen:
+                seen.add((i, mask))
+                p = problem.p_explicable[:, i, mask]
+                weight = weight * (p if table[i, mask] else 1 - p)
+        np.testing.assert_allclose(episode.beliefs[k + 1], weight / weight.sum(), rtol=1e-9)
+
+
+class Counted(Scripted):
+    """Counts its decisions."""
+
+    asked = 0
+
+    def messages(self, step: int, given: int, belief: np.ndarray) -> int:
+        self.asked += 1
+        return super().messages(step, given, belief)
+
+
+def test_users_who_answer_alike_share_a_cached_policys_decisions_and_their_seconds():
+    problem = Problem(np.full((2, 3, 4), 0.5), np.ones(2))
+    policy = Counted([1, 0, 2])
+    cached, user = CachedPolicy(policy), SimulatedUser.of(np.ones((3, 4)))
+    first, second = (explain(problem, cached, user, Independent()) for _ in range(2))
+    assert policy.asked == 3
+    # What was cached does not pass for fast.
+    assert second.seconds.tolist() == first.seconds.tolist()
+
+
+class Careless(Scripted):
+    """Gives its messages again and again."""
+
+    def messages(self, step: int, given: int, belief: np.ndarray) -> int:
+        return self.script[step]
+
+
+@pytest.mark.parametrize("script", [[1, 1], [4, 0]])
+def test_a_policy_that_repeats_or_invents_messages_is_caught(script):
+    problem = Problem(np.full((1, 2, 4), 0.5), np.ones(2))
+    with pytest.raises(ValueError, match="policy gave message set"):
+        explain(problem, Careless(script), SimulatedUser.of(np.ones((2, 4))), Independent())
+
+
+@given(interactions())
+@settings(max_examples=20, deadline=None)
+def test_a_user_answers_alike_whatever_messages_the_table_is_over(interaction):
+    problem, table, script = interaction
+    whole = LabelTable.dense(table[None])
+    one, other = (
+        explain(problem, Scripted(script), SimulatedUser(labels), Independent())
+        for labels in (whole, whole.over(whole.effective()))
+    )
+    assert np.array_equal(one.labels, other.labels)
+    assert one.cost == other.cost

@@ -1,0 +1,164 @@
+"""Simulated users: what they think costs, what they answer teaches, and chance is their own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from xplain.errors import InputError
+from xplain.explanation.belief import Independent
+from xplain.explanation.label_table import LabelTable
+from xplain.explanation.problem import Problem
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import Exact, Heedless, Reaction, SimulatedUser, Slips
+from xplain.solvers.open_loop import Silent
+
+PEOPLE = 400
+STEPS = 8
+
+
+def labels(seed: int = 0, messages: int = 2) -> LabelTable:
+    rng = np.random.default_rng(seed)
+    return LabelTable.dense(rng.integers(0, 2, (1, STEPS, 1 << messages)))
+
+
+def reactions(explainee, table=None, said=(0,) * STEPS, same=None, seed=0) -> list[Reaction]:
+    same = np.arange(STEPS) if same is None else same
+    person = explainee.meet(table or labels(), same, seed)
+    given = np.bitwise_or.accumulate(np.array(said)).tolist()
+    found = []
+    for k, new in enumerate(said):
+        person.hear(new)
+        found.append(person.react(given[k], k + 1))
+    return found
+
+
+def within(count: int, of: int, probability: float) -> bool:
+    """Whether a count is as a binomial's would be but once in 15,000 times."""
+    return abs(count - of * probability) <= 4 * (of * probability * (1 - probability)) ** 0.5
+
+
+def test_who_never_errs_answers_what_they_think() -> None:
+    table = labels()
+    for k, (thoughts, answers) in enumerate(
+        reactions(Exact(), table, said=(0, 1, 0, 2, 0, 0, 0, 0))
+    ):
+        given = 0 if k < 1 else 1 if k < 3 else 3
+        assert thoughts.tolist() == table.p[: k + 1, given, 0].tolist()
+        assert np.array_equal(thoughts, answers)
+
+
+@pytest.mark.parametrize("repeats", [True, False])
+def test_answers_are_the_opposite_of_thoughts_at_the_rate(repeats: bool) -> None:
+    """Thoughts stay true; the last answers of many people, each drawn once, err at the rate."""
+    truth = [thoughts.tolist() for thoughts, _ in reactions(Exact())]
+    wrong = 0
+    for seed in range(PEOPLE):
+        found = reactions(Slips(0.3, repeats), seed=seed)
+        assert [thoughts.tolist() for thoughts, _ in found] == truth
+        wrong += int((found[-1].thoughts != found[-1].answers).sum())
+    assert within(wrong, PEOPLE * STEPS, 0.3)
+
+
+def mistakes(repeats: bool, said: tuple[int, ...], seed: int) -> list[list[int]]:
+    found = reactions(Slips(0.5, repeats), said=said, seed=seed)
+    return [(thoughts != answers).astype(int).tolist() for thoughts, answers in found]
+
+
+def test_a_mistake_is_made_again_until_something_new_is_told() -> None:
+    for seed in range(20):
+        rows = mistakes(True, (0, 0, 0, 0, 1, 0, 0, 0), seed)
+        for earlier, later in zip(rows[:3] + rows[4:7], rows[1:4] + rows[5:], strict=True):
+            assert later[: len(earlier)] == earlier
+    told = [mistakes(True, (0, 0, 0, 0, 1, 0, 0, 0), seed) for seed in range(PEOPLE)]
+    kept = sum(rows[4][i] == rows[3][i] for rows in told for i in range(4))
+    assert within(kept, 4 * PEOPLE, 0.5)  # a message is a new question
+
+
+def test_afresh_each_answer_is_drawn_for_itself() -> None:
+    rows = [mistakes(False, (0,) * STEPS, seed) for seed in range(PEOPLE)]
+    kept = sum(r[7][i] == r[6][i] for r in rows for i in range(7))
+    assert within(kept, 7 * PEOPLE, 0.5)
+
+
+def test_a_person_errs_alike_about_copies_of_a_transition() -> None:
+    same = np.array([0, 1, 0, 3, 1, 5, 0, 7])
+    for repeats in (True, False):
+        for seed in range(20):
+            thoughts, answers = reactions(Slips(0.5, repeats), same=same, seed=seed)[-1]
+            wrong = thoughts != answers
+            assert np.array_equal(wrong, wrong[same])
+
+
+def knowing(steps: int = STEPS) -> LabelTable:
+    """Transitions that make sense exactly where message 0 is known."""
+    return LabelTable.dense(np.tile([0.0, 1.0], (1, steps, 1)))
+
+
+def test_a_message_is_taken_in_with_its_probability_and_kept() -> None:
+    said = (1,) + (0,) * (STEPS - 1)
+    taken = 0
+    for seed in range(PEOPLE):
+        found = [
+            thoughts.all() for thoughts, _ in reactions(Heedless(0.7), knowing(), said, seed=seed)
+        ]
+        assert len(set(found)) == 1, "without forgetting what is known stays"
+        taken += found[0]
+    assert within(taken, PEOPLE, 0.7)
+
+
+def told(person, new: int):
+    person.hear(new)
+    return person
+
+
+def test_what_was_told_again_may_be_taken_in_then() -> None:
+    """A second telling is another chance."""
+    person = [Heedless(0.5).meet(knowing(), np.arange(STEPS), seed) for seed in range(PEOPLE)]
+    first, second = (
+        sum(told(p, 1).react(1, count).thoughts.all() for p in person) for count in (1, 2)
+    )
+    assert within(first, PEOPLE, 0.5)
+    assert within(second, PEOPLE, 0.75)
+
+
+def test_facts_are_lost_after_the_labels_of_a_step() -> None:
+    said = (1,) + (0,) * (STEPS - 1)
+    known = np.zeros(STEPS)
+    for seed in range(PEOPLE):
+        found = reactions(Heedless(1.0, 0.2), knowing(), said, seed=seed)
+        row = np.array([thoughts.all() for thoughts, _ in found])
+        assert (np.diff(row.astype(int)) <= 0).all(), "nobody remembers again by themselves"
+        known += row
+    assert known[0] == PEOPLE, "what was taken in is known when the step is shown"
+    assert all(within(int(known[k]), PEOPLE, 0.8**k) for k in range(1, STEPS))
+
+
+def test_costs_are_by_thoughts_and_beliefs_by_answers() -> None:
+    """Two people who think alike and answer the opposite cost the same, and are believed to be of
+    opposite types."""
+
+    class Contrary:
+        def hear(self, new: int) -> None:
+            pass
+
+        def react(self, given: int, count: int) -> Reaction:
+            thoughts = SimulatedUser.of(np.zeros((STEPS, 1))).labels(count, given)
+            return Reaction(thoughts, 1 - thoughts)
+
+    problem = Problem(np.array([0.9, 0.1])[:, None, None].repeat(STEPS, 1), np.empty(0))
+    plain, contrary = (
+        explain(problem, Silent().plan(problem), user, Independent())
+        for user in (SimulatedUser.of(np.zeros((STEPS, 1))), Contrary())
+    )
+    assert plain.cost == contrary.cost == STEPS * (STEPS + 1) / 2
+    assert plain.beliefs[-1] == pytest.approx(contrary.beliefs[-1][::-1])
+    assert plain.beliefs[-1, 1] > 0.99
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: Slips(1.5), lambda: Heedless(accept=-0.1), lambda: Heedless(forget=2)]
+)
+def test_a_probability_out_of_range_is_refused(make) -> None:
+    with pytest.raises(InputError, match=r"explainee\.(rate|accept|forget)=.*a number in"):
+        make()

@@ -1,0 +1,308 @@
+import gzip
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.learning.conftest import made
+from xplain.errors import InputError
+from xplain.learning.data.label_file import align, columns_of, read_table, write_table
+
+ROWS = {
+    "observer": ["a", "a", "a", "b", "b", "b"],
+    "messages": ["", "m1", "m1;m0", "", "m0", "m0"],
+    "row": [1, 2, 2, 1, 2, 1],
+    "action": ["up", "left", "left", "up", "left", "up"],
+    "label": [0, 1, 1, 0, 0, 1],
+}
+
+
+def table(tmp_path: Path, **changes: object) -> Path:
+    path = tmp_path / "labels.csv"
+    rows = {**ROWS, **changes}
+    pd.DataFrame({k: v for k, v in rows.items() if v is not None}).to_csv(path, index=False)
+    return path
+
+
+def test_columns_become_a_dataset(tmp_path: Path) -> None:
+    dataset = read_table(table(tmp_path))
+    assert dataset.observers == ("a", "b")
+    assert dataset.messages == ("m0", "m1")
+    assert dataset.feature_names == ("row", "action=left", "action=up")
+    assert dataset.message_set.tolist() == [0, 2, 3, 0, 1, 1]
+    assert dataset.label.tolist() == ROWS["label"]
+    shown = dataset.features[dataset.transition]
+    assert shown.tolist() == [
+        [r, float(a == "left"), float(a == "up")]
+        for r, a in zip(ROWS["row"], ROWS["action"], strict=True)
+    ]
+    # Equal features are the same transition.
+    assert len(dataset.features) == 2
+
+
+@pytest.mark.parametrize("name", ["labels.csv", "labels.csv.gz", "labels.parquet"])
+def test_what_is_written_is_read_back(tmp_path: Path, rng: np.random.Generator, name: str) -> None:
+    dataset, _ = made(rng, [[0], [1]])
+    write_table(dataset, tmp_path / name)
+    again = read_table(tmp_path / name, dataset.messages)
+    assert again.observers == dataset.observers
+    assert again.feature_names == dataset.feature_names
+    for field in ("observer", "message_set", "label"):
+        assert (getattr(again, field) == getattr(dataset, field)).all()
+    shown, expected = again.features[again.transition], dataset.features[dataset.transition]
+    assert (shown == expected).all()
+
+
+def test_one_hot_columns_are_text_again_when_written(tmp_path: Path) -> None:
+    dataset = read_table(table(tmp_path))
+    write_table(dataset, tmp_path / "again.csv")
+    again = pd.read_csv(tmp_path / "again.csv", keep_default_na=False)
+    assert again["action"].tolist() == ROWS["action"]
+    assert [set(cell.split(";")) for cell in again["messages"]] == [
+        set(str(cell).split(";")) for cell in ROWS["messages"]
+    ]
+
+
+@pytest.mark.parametrize("name", ["again.csv", "again.parquet"])
+def test_values_that_hold_an_equals_sign_stay_whole(tmp_path: Path, name: str) -> None:
+    action = ["a=b=c", "a=b", "a=b", "a=b=c", "a=b", "="]
+    dataset = read_table(table(tmp_path, action=action))
+    write_table(dataset, tmp_path / name)
+    load = pd.read_csv if name.endswith("csv") else pd.read_parquet
+    assert load(tmp_path / name)["action"].tolist() == action
+    assert columns_of(dataset)["action"][dataset.transition].tolist() == action
+    again = read_table(tmp_path / name)
+    assert again.feature_names == ("row", "action==", "action=a=b", "action=a=b=c")
+    assert np.array_equal(again.features[again.transition], dataset.features[dataset.transition])
+    # A value that the data lack, and those that share its beginning.
+    wider = align(dataset, ("row", "action==", "action=a", "action=a=b", "action=a=b=c"))
+    assert columns_of(wider)["action"][wider.transition].tolist() == action
+    assert not wider.features[:, 2].any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"label": None}, "lacks the column label"),
+        ({"observer": None}, "lacks the column observer"),
+        ({"row": None, "action": None}, "describes the transition"),
+        ({"label": [0, 1, 2, 0, 1, 1]}, "row 3: a label is 0 or 1"),
+        ({"label": ["yes", 1, 1, 0, 1, 1]}, "data='yes'"),
+        ({"label": [0.5, 1, 1, 0, 1, 1]}, "^data=0.5: label in row 1"),
+        ({"label": [0, 1, None, 0, 1, 1]}, "missing in 1 rows, first in row 3"),
+        ({"label": [1] * 6}, "all labels are equal"),
+        ({"observer": ["a"] * 6}, "one observer; types need"),
+        ({"observer": ["a", "", "", "b", "b", "b"]}, "missing in 2 rows, first in row 2"),
+        ({"row": [1, 2, None, 1, 2, 1]}, "ignore=\\[row\\]"),
+        ({"row": [1, 2, np.inf, 1, 2, 1]}, "infinite in row 3"),
+        ({"messages": ["m0"] * 6, "row": [1, 1, 1, 2, 2, 2], "action": None}, "at least 4"),
+        ({"messages": [f"x{i}" for i in range(5)] + [";".join(f"y{i}" for i in range(60))]}, "62"),
+    ],
+)
+def test_bad_tables_are_named_in_a_line(
+    tmp_path: Path, changes: dict[str, object], said: str
+) -> None:
+    with pytest.raises(InputError, match=said) as caught:
+        read_table(table(tmp_path, **changes))
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_messages_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="data='m1': unknown message in row 2; known: m0, m9"):
+        read_table(table(tmp_path), messages=("m0", "m9"))
+    with pytest.raises(InputError, match="data='m1': unknown message in row 3"):
+        read_table(table(tmp_path, messages=["", "", "m1;m0", *[""] * 3]), messages=("m9",))
+
+
+@pytest.mark.parametrize("name", ["nowhere.csv", "labels.xlsx"])
+def test_files_that_cannot_be_read(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=name):
+        read_table(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["bad.csv", "bad.parquet"])
+def test_files_that_are_no_tables(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"\x00\x01\xff" * 9)
+    with pytest.raises(InputError):
+        read_table(tmp_path / name)
+    (tmp_path / name).write_bytes(b"")
+    with pytest.raises(InputError, match="not a readable table"):
+        read_table(tmp_path / name)
+
+
+def test_a_file_cut_short(tmp_path: Path) -> None:
+    whole = gzip.compress(table(tmp_path).read_bytes())
+    (tmp_path / "cut.csv.gz").write_bytes(whole[:-12])
+    with pytest.raises(InputError, match="not a readable table"):
+        read_table(tmp_path / "cut.csv.gz")
+
+
+def test_two_columns_of_one_name(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    path.write_text(path.read_text().replace("row,action", "label,action", 1))
+    with pytest.raises(InputError, match="data='label': two columns"):
+        read_table(path)
+
+
+def test_a_column_without_a_name_is_left_out_by_the_name_that_pandas_gives(tmp_path: Path) -> None:
+    pd.read_csv(table(tmp_path)).to_csv(tmp_path / "labels.csv")
+    names = read_table(tmp_path / "labels.csv", ignore=["Unnamed: 0"]).feature_names
+    assert names == ("row", "action=left", "action=up")
+
+
+def test_named_features_and_columns_left_out(tmp_path: Path) -> None:
+    path = table(tmp_path, age=[30, 30, None, 40, 40, 40])
+    assert read_table(path, features=["row", "action"]).feature_names[0] == "row"
+    assert "age" not in read_table(path, ignore=["age"]).feature_names
+    with pytest.raises(InputError, match="age"):
+        read_table(path)
+    with pytest.raises(InputError, match="lacks the column colour"):
+        read_table(path, features=["colour"])
+
+
+def test_a_feature_may_have_thousands_of_values(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Rows that differ are told apart, and equal ones are one, in whatever columns they differ."""
+    count = 4000
+    rows = pd.DataFrame(
+        {
+            "observer": np.arange(count) % 3,
+            "messages": np.array(["", "m0"])[np.arange(count) % 2],
+            "near": rng.integers(1500, size=count),
+            "far": rng.integers(3, size=count),
+            "farther": rng.integers(1500, size=count) / 7,
+            "label": rng.integers(2, size=count),
+        }
+    )
+    rows = pd.concat([rows, rows.iloc[:50]])
+    rows.to_parquet(tmp_path / "many.parquet", index=False)
+    dataset = read_table(tmp_path / "many.parquet")
+    told = rows[["near", "far", "farther"]].to_numpy(dtype=float)
+    assert np.array_equal(dataset.features[dataset.transition], told)
+    assert len(dataset.features) == len(np.unique(told, axis=0))
+
+
+def test_spaces_around_names_are_none_of_them(tmp_path: Path) -> None:
+    path = table(
+        tmp_path,
+        observer=["a", "a ", " a", "b", "b", "b"],
+        messages=["", " m1", "m1 ; m0", "", "m0;", " m0"],
+    )
+    dataset = read_table(path)
+    assert dataset.observers == ("a", "b")
+    assert dataset.messages == ("m0", "m1")
+    assert dataset.message_set.tolist() == [0, 2, 3, 0, 1, 1]
+
+
+def test_observers_are_called_what_they_are_called(tmp_path: Path) -> None:
+    """Numbers keep their zeros, and "NA" is a name; written in any order, each keeps the own."""
+    dataset = read_table(table(tmp_path, observer=["NA", "NA", "007", "007", "null", "null"]))
+    assert dataset.observers == ("007", "NA", "null")
+    numbers = read_table(table(tmp_path, observer=["007", "07", "7"] * 2))
+    assert numbers.observers == ("007", "07", "7")
+    turned = replace(dataset, observers=("null", "NA", "007"))
+    write_table(turned, tmp_path / "turned.csv")
+    again = read_table(tmp_path / "turned.csv")
+    assert again.observers == ("007", "NA", "null")
+    assert (again.observer == 2 - dataset.observer).all()
+
+
+def test_yes_and_no_are_numbers(tmp_path: Path) -> None:
+    wet = [True, False, False, True, False, True]
+    pd.DataFrame({**ROWS, "wet": wet}).to_parquet(tmp_path / "labels.parquet", index=False)
+    for path in (table(tmp_path, wet=wet), tmp_path / "labels.parquet"):
+        dataset = read_table(path)
+        assert dataset.feature_names == ("row", "action=left", "action=up", "wet")
+        assert dataset.features[dataset.transition][:, 3].tolist() == wet
+
+
+def test_62_messages_are_the_most(tmp_path: Path) -> None:
+    for count in (62, 63):
+        names = [f"m{j:02}" for j in range(count)]
+        path = table(tmp_path, messages=["", *names[:4], ";".join(names)])
+        if count == 62:
+            assert read_table(path).message_set.tolist()[-1] == (1 << 62) - 1
+        else:
+            with pytest.raises(InputError, match="at most 62"):
+                read_table(path)
+
+
+def test_columns_that_are_asked_for_or_left_out_must_be_there_once(tmp_path: Path) -> None:
+    path = table(tmp_path, age=[30, 30, None, 40, 40, 40])
+    with pytest.raises(InputError, match="lacks the column height"):
+        read_table(path, ignore=["height"])
+    with pytest.raises(InputError, match="each column once"):
+        read_table(path, features=["row", "row"])
+    # Who is asked what is always read.
+    assert read_table(path, ignore=["age", "label", "observer"]).observers == ("a", "b")
+
+
+def test_a_table_without_rows(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    path.write_text(path.read_text().splitlines()[0] + "\n")
+    with pytest.raises(InputError, match="has no rows"):
+        read_table(path)
+
+
+def test_only_ones_own_other_answer_is_a_contradiction(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One question is answered both ways by b; that a and b differ is none."""
+    given = {"messages": ["", "m0;m1", "m1", "m1", "m0", "m0"], "label": [1, 1, 0, 1, 1, 0]}
+    one_place = {"row": [1] * 6, "action": ["up"] * 6}
+    read_table(table(tmp_path, **given, **one_place))
+    assert "1 questions were answered both ways" in caplog.text
+
+
+def test_people_may_contradict_themselves_or_stop_early(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = table(
+        tmp_path, observer=["a", "a", "a", "a", "a", "b"], messages=["", "", "m1", "m0", "m1", "m0"]
+    )
+    dataset = read_table(table(tmp_path, observer=["a"] * 5 + ["b"]))
+    assert (dataset.observer == 1).sum() == 1
+    assert "one label only" in caplog.text
+    path = table(
+        tmp_path,
+        label=[0, 1, 1, 0, 0, 1],
+        row=[1] * 6,
+        action=["up"] * 6,
+        messages=["m0", "m0", "m1", "", "m0;m1", "m0"],
+    )
+    assert len(read_table(path)) == 6
+    assert "answered both ways" in caplog.text
+
+
+def test_features_are_put_in_the_order_of_a_domain(tmp_path: Path) -> None:
+    dataset = read_table(table(tmp_path))
+    names = ("action=down", "action=left", "action=up", "row")
+    aligned = align(dataset, names)
+    assert aligned.feature_names == names
+    assert aligned.features[aligned.transition][:, 3].tolist() == ROWS["row"]
+    assert not aligned.features[:, 0].any()
+    with pytest.raises(InputError, match="column"):
+        align(dataset, (*names, "column"))
+    with pytest.raises(InputError, match="unknown feature"):
+        align(dataset, names[:3])
+    with pytest.raises(InputError, match="row=3"):
+        align(dataset, (*names, "row=3"))  # rows are numbers here
+
+
+def test_a_million_rows(tmp_path: Path, rng: np.random.Generator) -> None:
+    size = 1_000_000
+    rows = pd.DataFrame(
+        {
+            "observer": rng.integers(500, size=size).astype(str),
+            "messages": np.array(["", "m0", "m1", "m0;m1"])[rng.integers(4, size=size)],
+            "row": rng.integers(10, size=size),
+            "action": np.array(["up", "down"])[rng.integers(2, size=size)],
+            "label": rng.integers(2, size=size),
+        }
+    )
+    rows.to_parquet(tmp_path / "many.parquet", index=False)
+    dataset = read_table(tmp_path / "many.parquet")
+    assert len(dataset) == size
+    assert len(dataset.features) == 20
+    assert dataset.label.sum() == rows["label"].sum()

@@ -1,0 +1,99 @@
+"""Random traces, asked of everybody or of each their own."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.domains.users.corridor import Corridor
+from xplain.domains.users.setting import Setting, UserType
+from xplain.domains.warehouse import Warehouse
+from xplain.errors import InputError
+from xplain.learning.data.queries import Answered, Independent, Queries, RandomTraces, Shared
+
+DESIGNS = [pytest.param(Independent, id="independent"), pytest.param(Shared, id="shared")]
+
+
+def corridor(starts: Sequence[int] = range(1, 5)) -> Setting:
+    return Setting.build(Corridor(starts), (UserType("A", {"end": "left"}),))
+
+
+def asked(queries: Queries, sizes: list[int], setting: Setting | None = None) -> list[Answered]:
+    """Everybody answers 1."""
+
+    def answer(
+        observer: int, transitions: NDArray[np.int64], message_sets: NDArray[np.int64]
+    ) -> NDArray[np.uint8]:
+        return np.ones(len(transitions), dtype=np.uint8)
+
+    return queries.ask(setting or corridor(), np.array(sizes), answer, 3)
+
+
+@pytest.mark.parametrize("length", [1, 2, 3])
+@pytest.mark.parametrize("design", DESIGNS)
+def test_traces_run_from_a_start_to_their_length_under_one_message_set(
+    length: int, design: type[RandomTraces]
+) -> None:
+    (one,) = asked(design(length), [600], corridor(starts=(1,)))
+    cell = one.transitions[:, 0]
+    assert cell.tolist() == [1 + i % length for i in range(600)]
+    traces = one.message_sets.reshape(-1, length)
+    assert (traces == traces[:, :1]).all()
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+def test_messages_are_given_one_by_one(design: type[RandomTraces]) -> None:
+    (one,) = asked(design(1, 0.3), [4000])
+    share = np.bincount(one.message_sets, minlength=4) / 4000
+    expected = np.array([0.49, 0.21, 0.21, 0.09])
+    assert (abs(share - expected) < 4 * (expected * (1 - expected) / 4000) ** 0.5).all()
+
+
+@pytest.mark.parametrize(("probability", "told"), [(0.0, 0), (1.0, 3)])
+def test_message_probability_at_its_limits(probability: float, told: int) -> None:
+    (one,) = asked(Independent(message_probability=probability), [40])
+    assert (one.message_sets == told).all()
+
+
+def test_forty_messages_are_given_as_well_as_two() -> None:
+    warehouse = Warehouse(40)
+    wrong = warehouse.parameters[0]
+    setting = Setting.build(warehouse, (UserType("A", {wrong.name: wrong.inaccurate}),))
+    (one,) = asked(Independent(message_probability=1.0), [5], setting)
+    assert one.message_sets.tolist() == [(1 << 40) - 1] * 5
+    (one,) = asked(Independent(trace_length=1), [400], setting)
+    share = (one.message_sets[:, None] >> np.arange(40) & 1).mean(axis=0)
+    assert (abs(share - 0.5) < 5 * (0.25 / 400) ** 0.5).all()
+
+
+def test_shared_questions_are_shared_and_independent_ones_are_not() -> None:
+    def batteries(queries: Queries) -> set[tuple[bytes, bytes]]:
+        return {
+            (one.transitions[:30].tobytes(), one.message_sets[:30].tobytes())
+            for one in asked(queries, [30, 70, 40, 30])
+        }
+
+    assert len(batteries(Shared())) == 1
+    assert len(batteries(Independent())) == 4
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+def test_everybody_answers_as_often_as_agreed(design: type[RandomTraces]) -> None:
+    assert [len(one.labels) for one in asked(design(), [1, 30, 7])] == [1, 30, 7]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("trace_length", 0),
+        ("trace_length", 2.5),
+        ("message_probability", 1.5),
+        ("message_probability", float("nan")),
+        ("message_probability", "often"),
+    ],
+)
+@pytest.mark.parametrize("design", DESIGNS)
+def test_bad_values_are_named(design: type, field: str, value: object) -> None:
+    with pytest.raises(InputError, match=f"queries.{field}"):
+        design(**{field: value})

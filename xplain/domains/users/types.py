@@ -1,0 +1,221 @@
+"""Type sources: where the user types of a setting come from (docs/choices.md, "Lost or not
+given").
+
+Each has one method, ``types(domain, rng)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+from typing import Any, Protocol
+
+import numpy as np
+
+from xplain.domains.base import Domain
+from xplain.domains.users.setting import Setting, UserType
+from xplain.errors import Count, InputError, checks, one_of, whole_number
+
+
+class TypeSource(Protocol):
+    """Gives a domain its user types."""
+
+    def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
+        """The types, in the order in which they are numbered.
+
+        Args:
+            domain: whose parameters they hold inaccurately.
+            rng: of the stream ``types``.
+
+        Raises:
+            InputError: they do not fit the domain.
+        """
+        ...
+
+
+def user_type(domain: Domain, name: str, facts: Sequence[str] | Mapping[str, Any]) -> UserType:
+    """A type that holds these parameters inaccurately.
+
+    Args:
+        domain: whose parameters.
+        name: of the type.
+        facts: names of parameters, or a mapping to the type's own values; ``None`` for the
+            domain's inaccurate value.
+
+    Raises:
+        InputError: no facts, or an unknown parameter.
+    """
+    default = {parameter.name: parameter.inaccurate for parameter in domain.parameters}
+    key = f"users.{name}"
+    if isinstance(facts, str) or not isinstance(facts, (Sequence, Mapping)) or not facts:
+        raise InputError(key, facts, f"some of the parameters {', '.join(default)}")
+    own = facts if isinstance(facts, Mapping) else dict.fromkeys(facts)
+    for fact in own:
+        one_of(key, fact, default, f"parameter of {domain.name}")
+    return UserType(name, {f: default[f] if own[f] is None else own[f] for f in own})
+
+
+@dataclass(frozen=True)
+class Explicit:
+    """Types given in YAML.
+
+    Attributes:
+        groups: ``{name: [parameter, ...]}``, or ``{name: {parameter: its value for the type}}``
+            where a type has its own values (null: the domain's inaccurate value).
+    """
+
+    groups: Mapping[str, Sequence[str] | Mapping[str, Any]]
+
+    def __post_init__(self) -> None:
+        """Raises InputError if ``groups`` is not a mapping with at least one type."""
+        if not isinstance(self.groups, Mapping) or not self.groups:
+            raise InputError("users.groups", self.groups, "at least one user type, {name: [facts]}")
+
+    def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
+        """The types as written; ``rng`` is not used."""
+        return tuple(user_type(domain, name, facts) for name, facts in self.groups.items())
+
+
+@dataclass(frozen=True)
+class Completions:
+    """The completions of a partly known list of types: the paper's figure with three of its five
+    rescue types is lost (docs/choices.md).
+
+    A completion gives each free name one bonus and one obstacle, so that all types are distinct
+    and all facts are in use. For ``rescue`` there are 27 (as sets of types: it does not matter
+    which of the free names has which pair).
+
+    Attributes:
+        known: ``{name: [bonus, obstacle]}`` of the types that the paper's text names.
+        free: names of the types to complete.
+        bonuses, obstacles: the facts.
+        index: of the completion, from 0, in the order of the facts.
+    """
+
+    known: Mapping[str, Sequence[str]]
+    free: Sequence[str]
+    bonuses: Sequence[str]
+    obstacles: Sequence[str]
+    index: int = 0
+
+    def __post_init__(self) -> None:
+        """Raises InputError if there is no completion ``index``."""
+        whole_number("users.index", self.index, 0, len(self.completions()) - 1)
+
+    def completions(self) -> tuple[tuple[tuple[str, str], ...], ...]:
+        """All completions: each has one (bonus, obstacle) for each free name."""
+        known = {tuple(pair) for pair in self.known.values()}
+        pairs = [p for p in product(self.bonuses, self.obstacles) if p not in known]
+        facts = {*self.bonuses, *self.obstacles}
+        return tuple(
+            chosen
+            for chosen in combinations(pairs, len(self.free))
+            if {fact for pair in (*known, *chosen) for fact in pair} == facts
+        )
+
+    def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
+        """The types of the completion chosen, by name; ``rng`` is not used."""
+        groups = dict(self.known) | dict(
+            zip(self.free, self.completions()[self.index], strict=True)
+        )
+        return tuple(user_type(domain, name, groups[name]) for name in sorted(groups))
+
+
+@checks("users")
+@dataclass(frozen=True)
+class RandomCover:
+    """Types drawn at random: each is a non-empty subset of the parameters, and their union is all
+    parameters (paper, four rooms).
+
+    Attributes:
+        count: types to draw.
+        distinct: only types that differ in the label of some reachable (transition, message
+            set). Whole draws are then repeated until one fits.
+        attempts: draws before giving up.
+    """
+
+    count: Count
+    distinct: bool = True
+    attempts: Count = 1000
+
+    def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
+        """Uniform over the lists of distinct subsets that cover all parameters (and, if required,
+        differ in behaviour): other draws are rejected as a whole.
+
+        Raises:
+            InputError: there are fewer subsets than ``count``, or no draw fitted.
+        """
+        names = [parameter.name for parameter in domain.parameters]
+        full = (1 << len(names)) - 1
+        if len(names) < 31 and self.count > full:
+            raise InputError("users.count", self.count, f"at most {full} subsets exist")
+        for _ in range(self.attempts):
+            masks = [int(rng.integers(1, full + 1)) for _ in range(self.count)]
+            if len(set(masks)) < self.count or np.bitwise_or.reduce(masks) != full:
+                continue
+            drawn = tuple(
+                user_type(domain, f"T{i + 1}", [x for j, x in enumerate(names) if mask >> j & 1])
+                for i, mask in enumerate(masks)
+            )
+            if not self.distinct:
+                return drawn
+            behaviour = Setting.build(domain, drawn).distinct
+            if len(np.unique(behaviour)) == self.count:
+                return drawn
+        kind = "behaviourally distinct types" if self.distinct else "types"
+        raise InputError(
+            "users.count",
+            self.count,
+            f"no {kind} that use all of {domain.name}'s parameters in {self.attempts} draws; "
+            "ask for fewer, or set users.distinct=false",
+        )
+
+
+@checks("users")
+@dataclass(frozen=True)
+class FewFacts:
+    """Types drawn at random for domains with many facts: each type holds a few facts wrong.
+
+    Attributes:
+        count: types to draw.
+        fewest, most: facts of a type; first their number is drawn uniformly, then the facts.
+        attempts: draws before giving up.
+    """
+
+    count: Count
+    fewest: Count = 2
+    most: Count = 6
+    attempts: Count = 1000
+
+    def __post_init__(self) -> None:
+        """Raises InputError if ``most`` < ``fewest``."""
+        whole_number("users.most", self.most, self.fewest)
+
+    def types(self, domain: Domain, rng: np.random.Generator) -> tuple[UserType, ...]:
+        """Types that differ in the label of some reachable (transition, message set): whole draws
+        are repeated until one fits.
+
+        Raises:
+            InputError: fewer parameters than ``most``, or no draw fitted.
+        """
+        names = [parameter.name for parameter in domain.parameters]
+        if self.most > len(names):
+            raise InputError(
+                "users.most", self.most, f"at most {len(names)}, {domain.name}'s facts"
+            )
+        for _ in range(self.attempts):
+            sizes = rng.integers(self.fewest, self.most + 1, self.count)
+            chosen = [np.sort(rng.permutation(len(names))[:size]) for size in sizes]
+            drawn = tuple(
+                user_type(domain, f"T{i + 1}", [names[j] for j in own])
+                for i, own in enumerate(chosen)
+            )
+            if len(np.unique(Setting.build(domain, drawn).distinct)) == self.count:
+                return drawn
+        raise InputError(
+            "users.count",
+            self.count,
+            f"no {self.count} types of {domain.name} that behave differently in {self.attempts} "
+            "draws; ask for fewer",
+        )

@@ -1,0 +1,299 @@
+"""What every command shares: where configs are, types of the top-level keys, one-line errors."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import secrets
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any, NoReturn
+
+from hydra.core.config_store import ConfigStore
+from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException
+from omegaconf import (
+    AnyNode,
+    BooleanNode,
+    DictConfig,
+    FloatNode,
+    IntegerNode,
+    OmegaConf,
+    StringNode,
+)
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from yaml import MarkedYAMLError, YAMLError
+
+from xplain.errors import InputError, XplainError, one_of
+
+_PACKAGE = Path(__file__).parents[1]
+
+
+def _shipped(folder: str) -> Path:
+    """A folder of configs: inside the package in a wheel, beside it in a checkout."""
+    inside = _PACKAGE / folder
+    return inside if inside.is_dir() else _PACKAGE.parent / folder
+
+
+CONF = _shipped("conf")
+SWEEPS = _shipped("sweeps")
+
+SOURCE_GROUPS = ("domain", "users", "observers", "queries", "labeler", "clusterer")
+"""Groups of components that decide data and types."""
+GROUPS = (*SOURCE_GROUPS, "solver", "belief", "explainee", "ask")
+"""Groups of components that decide a number; a choice says what it is without its key."""
+MOVED = {
+    "observers.queries": "queries=independent, queries=shared, queries=battery or queries=adaptive",
+    "observers.trace_length": "queries.trace_length",
+    "observers.message_probability": "queries.message_probability",
+}
+"""Keys that are called otherwise today."""
+
+RESUME = ("missing", "failed", "none")
+"""Which jobs of a sweep run: those not finished, those that failed, or all of them anew."""
+
+NO_PACKAGE = (
+    "domain: the file of this choice has to begin with the line '# @package _global_', since it "
+    "sets keys beside domain"
+)
+
+_unique = secrets.token_hex(3)
+
+
+def schema() -> DictConfig:
+    """Types of the top-level keys: 1 and 1.0 are the same λ, text is refused at once. Values are in
+    conf/config.yaml alone."""
+    kinds = {
+        IntegerNode: ("seed", "points", "traces", "max_steps"),
+        FloatNode: ("lambda", "discount", "inexplicability_cost"),
+        StringNode: ("discount_per", "prior", "resume"),
+        BooleanNode: ("dry_run",),
+        AnyNode: ("message_cost",),  # a number, or one by name; checked with the messages
+    }
+    typed = {key: kind("???") for kind, keys in kinds.items() for key in keys}
+    # Absolute, so that it is the same folder in every worker.
+    return OmegaConf.create({**typed, "outputs": StringNode(str(Path.cwd() / "outputs"))})
+
+
+def register() -> None:
+    """Registers what the configs refer to. Safe to call twice (workers import this module)."""
+    ConfigStore.instance().store("base", schema())
+    OmegaConf.register_new_resolver("unique", lambda: _unique, replace=True)
+    # Hydra prints errors over several lines and exits; with this it raises, and we print one.
+    os.environ.setdefault("HYDRA_FULL_ERROR", "1")
+
+
+def composed(name: str, overrides: Sequence[str], with_hydra: bool = False) -> DictConfig:
+    """conf/<name>.yaml with overrides.
+
+    Args:
+        name: of the file, without its ending.
+        overrides: ``key=value`` each.
+        with_hydra: whether the ``hydra`` node comes along, which knows the choices made.
+
+    Raises:
+        InputError: an override that is no ``key=value``, or of a key that there is not.
+        HydraException, OmegaConfBaseException: a choice or a value that there is not.
+    """
+    from hydra import compose, initialize_config_dir
+
+    register()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        known = [str(key) for key in compose(name)]
+        for override in overrides:
+            key, equals, _ = override.partition("=")
+            if not equals:
+                raise InputError("argument", override, f"key=value; keys: {', '.join(known)}")
+            group, at, package = key.lstrip("+~").partition("@")  # such as study/texts@wording
+            if (package if at else group).split(".")[0].split("/")[0] not in (*known, "hydra"):
+                near = difflib.get_close_matches(key, known, 1)
+                hint = f"did you mean {near[0]}? " if near else ""
+                raise InputError(key, override, f"no such key; {hint}keys: {', '.join(known)}")
+        return compose(name, named(overrides), return_hydra_config=with_hydra)
+
+
+def named(overrides: Sequence[str]) -> list[str]:
+    """Overrides whose choice of a group is a name to Hydra too: it reads ``labeler=true`` as a
+    truth value, where only text can name a file."""
+
+    def quoted(override: str) -> str:
+        key, _, value = override.partition("=")
+        return f"{key}='{value}'" if key in GROUPS and value in ("true", "false") else override
+
+    return [quoted(override) for override in overrides]
+
+
+def require_usable(cfg: DictConfig) -> None:
+    """Refuses an experiment's configuration whose types fit and which makes no sense all the same.
+
+    Raises:
+        XplainError: a ``resume`` that there is not, or a domain's file in the wrong package.
+    """
+    one_of("resume", cfg.resume, RESUME)
+    if "_target_" not in cfg.domain and "domain" in cfg.domain:
+        raise XplainError(NO_PACKAGE)
+
+
+@contextmanager
+def report_errors() -> Iterator[None]:
+    """Turns errors of the user's making into one line on stderr and exit code 2.
+
+    With ``XPLAIN_TRACEBACK=1`` the traceback is shown instead.
+    """
+    try:
+        yield
+    except BrokenPipeError:  # whoever read the output has gone
+        sys.exit(1)
+    except KeyboardInterrupt as error:
+        _say_interrupted(error)
+    except (XplainError, HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
+        text = one_line(error)
+        if text is None or os.environ.get("XPLAIN_TRACEBACK"):
+            raise
+        print(f"xplain: {text}", file=sys.stderr)
+        sys.exit(2)
+    except Exception as error:
+        for cause in _causes(error):
+            if isinstance(cause, KeyboardInterrupt):  # it became another error on its way
+                _say_interrupted(cause)
+        raise
+
+
+def _say_interrupted(error: BaseException) -> NoReturn:
+    print(": ".join(["xplain: interrupted", *map(str, error.args)]), file=sys.stderr)
+    sys.exit(130)
+
+
+def one_line(error: BaseException) -> str | None:
+    """The line that a person can act on; None where the error is our fault, not theirs."""
+    for cause in _causes(error):
+        if isinstance(cause, XplainError):
+            return str(cause)
+        if isinstance(cause, MissingConfigException):
+            return _unknown_choice(cause)
+        if isinstance(cause, ConfigCompositionException):
+            return _composition(cause)
+        if isinstance(cause, OmegaConfBaseException):
+            key = getattr(cause, "full_key", None) or "config"
+            return f"{key}: {_first_line(cause)}"
+        if isinstance(cause, MarkedYAMLError) and (mark := cause.problem_mark) is not None:
+            return f"{mark.name}: line {mark.line + 1}: {cause.problem}"
+        if isinstance(cause, OSError) and cause.strerror is not None:
+            where = "" if cause.filename is None else f"{cause.filename}: "
+            return f"{where}{cause.strerror}"
+    if isinstance(error, HydraException):
+        return " ".join(str(error).split())
+    return None
+
+
+def _causes(error: BaseException) -> list[BaseException]:
+    """The chain of causes, the innermost error of ours first."""
+    chain: list[BaseException] = []
+    current: BaseException | None = error
+    while current is not None and current not in chain:
+        chain.append(current)
+        current = current.__cause__ or current.__context__
+    return sorted(chain, key=lambda item: not isinstance(item, XplainError))
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def _unknown_choice(error: MissingConfigException) -> str:
+    missing = str(error.missing_cfg_file or "?")
+    group, _, choice = missing.rpartition("/")
+    options = list(error.options or ())
+    if not group:
+        return _first_line(error)
+    hint = _did_you_mean(choice, options)
+    return f"{group}={choice}: unknown choice;{hint} allowed: {', '.join(options)}"
+
+
+def missing_key(error: BaseException) -> str | None:
+    """The key that a configuration lacks and an override sets; None where the error is another."""
+    cause: Any = error.__cause__
+    lacks = isinstance(cause, ConfigAttributeError | ConfigKeyError)
+    return str(cause.full_key) if lacks else None
+
+
+def _composition(error: ConfigCompositionException) -> str:
+    cause: Any = error.__cause__
+    if missing := missing_key(error):
+        if missing.count(".") > 1:
+            return _unknown_inside(missing, cause.parent_node)
+        return unknown_key(missing)
+    if isinstance(cause, OmegaConfBaseException):
+        return f"{getattr(cause, 'full_key', None) or 'config'}: {_first_line(cause)}"
+    if "@domain." in str(error):
+        return NO_PACKAGE
+    return " ".join(str(error).split())
+
+
+def unknown_key(key: str) -> str:
+    """What a key of the experiment that there is not might have been."""
+    if key in MOVED:
+        return f"{key}: no such key; it is {MOVED[key]} now"
+    top, _, inner = key.partition(".")
+    known = known_keys()
+    if not inner or top not in known:
+        hint = _did_you_mean(top, list(known))
+        return f"{key}: no such key;{hint} allowed: {', '.join(known)}"
+    takes = known[top]
+    if top == "message_cost":
+        return f"{key}: no such key; one a message: {top}={{{inner}: 2, …}}, all of them by name"
+    if not takes:
+        return f"{key}: no such key; {top} has none inside (--cfg job shows it)"
+    name = inner.partition(".")[0]
+    if name in takes:
+        needs = " or ".join(f"{top}={choice}" for choice in takes[name])
+        return f"{key}: no such key; it needs {needs}"
+    hint = _did_you_mean(name, list(takes), f"{top}.") or f" {top} takes {', '.join(takes)}"
+    return f"{key}: no such key;{hint} (--cfg job shows them)"
+
+
+def _unknown_inside(key: str, parent: Any) -> str:
+    """What a key below one of a component's own might have been; others can be added there."""
+    above, _, name = key.rpartition(".")
+    known = [str(one) for one in parent or ()]
+    hint = _did_you_mean(name, known, f"{above}.")
+    there = ", ".join(known) or "none"
+    return f"{key}: no such key;{hint} {above} has {there}; +{key}=… adds this one"
+
+
+@cache
+def known_keys() -> dict[str, dict[str, list[str]]]:
+    """``{key of the experiment: {key inside: choices of the group that have it}}``."""
+    content = _yaml(CONF / "config.yaml")
+    keys: dict[str, dict[str, list[str]]] = {str(key): {} for key in schema()}
+    for key, value in content.items():
+        if key not in ("defaults", "hydra"):
+            keys[key] = {name: [] for name in value} if isinstance(value, dict) else {}
+    for entry in content["defaults"]:
+        for group in entry if isinstance(entry, dict) else ():
+            if " " not in group:  # no "override ..."
+                keys[group] = _inside(group)
+    return keys
+
+
+def _inside(group: str) -> dict[str, list[str]]:
+    """``{key: choices of the group that have it}``."""
+    found: dict[str, list[str]] = {}
+    for path in sorted((CONF / group).glob("*.yaml")):
+        content = _yaml(path)
+        for name in content.get(group, content):
+            if not name.startswith("_"):
+                found.setdefault(name, []).append(path.stem)
+    return found
+
+
+def _yaml(path: Path) -> dict[str, Any]:
+    content: Any = OmegaConf.to_container(OmegaConf.load(path))
+    return dict(content)
+
+
+def _did_you_mean(word: str, known: Sequence[str], before: str = "") -> str:
+    near = difflib.get_close_matches(word, known, 1)
+    return f" did you mean {before}{near[0]}?" if near else ""

@@ -1,0 +1,135 @@
+"""One interaction: a policy explains a trace, step by step, to a user who answers.
+
+docs/method.md, sections 5 and 7.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.asking import NO_QUESTION
+from xplain.explanation.belief import BeliefUpdate
+from xplain.explanation.message_sets import indices
+from xplain.explanation.problem import Problem
+from xplain.interaction.explainees import Knower, Person, respondent
+from xplain.interaction.interaction import Interaction
+from xplain.solvers.base import Policy
+from xplain.solvers.cached_policy import CachedPolicy
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What happened while one trace of m transitions was explained.
+
+    Attributes:
+        messages: [m] int64, the messages (bitmask) said before each *explain*.
+        labels: [m, m] int8, row k the answers given at step k; −1 right of the diagonal.
+        thoughts: [m, m] int8, row k the labels that the user truly holds; costs are by these.
+        beliefs: [m + 1, M] over user types, before the first step and after each.
+        seconds: [m], time the policy took to decide on questions and messages, when it was first
+            asked that.
+        communication: Σ C_e of all messages given (not multiplied by λ).
+        inexplicability: Σ C_inexp over every transition found inexplicable at every step.
+        cost: Definition 2, λ · communication + inexplicability, undiscounted; and ``asking``.
+        asking: κ of every question.
+        questions: [J, 3] the step at which each was asked, its number, and the answer.
+    """
+
+    messages: NDArray[np.int64]
+    labels: NDArray[np.int8]
+    thoughts: NDArray[np.int8]
+    beliefs: NDArray[np.float64]
+    seconds: NDArray[np.float64]
+    communication: float
+    inexplicability: float
+    cost: float
+    asking: float = 0.0
+    questions: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 3), np.int64))
+
+    @property
+    def n_questions(self) -> int:
+        """Number of questions asked."""
+        return len(self.questions)
+
+    @property
+    def n_messages(self) -> int:
+        """Number of messages said over all steps, again or for the first time."""
+        return sum(int(mask).bit_count() for mask in self.messages)
+
+    @property
+    def n_again(self) -> int:
+        """How many of them had been said before."""
+        return self.n_messages - int(np.bitwise_or.reduce(self.messages)).bit_count()
+
+    @property
+    def n_inexplicable(self) -> int:
+        """Number of transitions found inexplicable, over all steps."""
+        return int((self.thoughts == 0).sum())
+
+
+def explain(
+    problem: Problem,
+    policy: Policy,
+    user: Person,
+    belief_update: BeliefUpdate,
+    sees_knowledge: bool = False,
+) -> Episode:
+    """Explains the whole trace of ``problem`` to ``user``.
+
+    Args:
+        problem: what the agent believes of users; its costs are those that count.
+        policy: planned for that problem; a cached one shares its decisions between users.
+        user: who reacts; new to the trace.
+        belief_update: which labels change the belief.
+        sees_knowledge: whether the agent sees what a user of known type has right now.
+
+    Raises:
+        InputError: the problem has questions, and the policy or the user knows none.
+        ValueError: the policy gives a message again, or one that does not exist.
+    """
+    m = problem.n_steps
+    asked = policy if isinstance(policy, CachedPolicy) else CachedPolicy(policy)
+    talk = Interaction(problem, asked, belief_update)
+    messages = np.zeros(m, dtype=np.int64)
+    labels, thoughts = np.full((2, m, m), -1, dtype=np.int8)
+    beliefs = np.empty((m + 1, problem.n_user_types))
+    beliefs[0] = problem.type_belief(talk.belief)
+    seconds = np.zeros(m)
+    questions = []
+    for k in range(m):
+        if sees_knowledge and isinstance(user, Knower):
+            talk.belief = problem.sure(0, user.knows)
+        while (question := talk.ask()) != NO_QUESTION:
+            seconds[k] += asked.seconds
+            answer = respondent(user).answer(m + question, talk.given)
+            talk.hear_answer(question, answer)
+            questions.append((k, question, answer))
+        if problem.questions is not None:
+            seconds[k] += asked.seconds
+        messages[k] = talk.say()
+        user.hear(int(messages[k]))
+        seconds[k] += asked.seconds
+        thought, given = user.react(talk.given, k + 1)
+        thoughts[k, : k + 1], labels[k, : k + 1] = thought, given
+        talk.hear(given)
+        beliefs[k + 1] = problem.type_belief(talk.belief)
+    communication = float(
+        sum(problem.message_cost[j] for said in messages.tolist() for j in indices(said))
+    )
+    inexplicability = problem.inexplicability_cost * int((thoughts == 0).sum())
+    asking = problem.questions.limits.cost * len(questions) if problem.questions else 0.0
+    return Episode(
+        messages,
+        labels,
+        thoughts,
+        beliefs,
+        seconds,
+        communication,
+        inexplicability,
+        problem.trade_off * communication + inexplicability + asking,
+        asking,
+        np.array(questions, np.int64).reshape(-1, 3),
+    )

@@ -1,0 +1,185 @@
+"""What a session plans with: who users may be, what costs what, and the solver.
+
+types ── Planner.problem(table of a trace) ── Planner.plan(problem) ── policy
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xplain.errors import InputError, number, whole_number
+from xplain.explanation.asking import Limits, Questions
+from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
+from xplain.explanation.habits import Habits
+from xplain.explanation.label_table import MAX_MESSAGES, LabelTable
+from xplain.explanation.problem import DiscountPer, Problem
+from xplain.solvers.base import Policy, Solver, asking
+from xplain.solvers.qmdp import QMDP
+
+
+class Types(Protocol):
+    """What an explainer knows of users: N types, n messages.
+
+    :class:`~xplain.interaction.explainer.GivenTypes` takes plain arrays and functions; learned
+    types are :class:`~xplain.learning.saved_types.LearnedTypes`.
+    """
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """N names of the types."""
+        ...
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """n names of the messages; bit j of a message set is message j."""
+        ...
+
+    @property
+    def prior(self) -> ArrayLike:
+        """[N] P(type) of a user not seen before; empty for all alike."""
+        ...
+
+    def label_table(self, transitions: Sequence[Any]) -> LabelTable:
+        """P(label is 1 | type, message set) of T ≥ 1 transitions."""
+        ...
+
+
+@runtime_checkable
+class KnowsHabits(Protocol):
+    """Types that were learned from answers, and with them people's habits."""
+
+    @property
+    def habits(self) -> Habits | None:
+        """None where nothing was learned of it."""
+        ...
+
+
+@dataclass(frozen=True)
+class Planner:
+    """Plans the explanation of any trace to people of unknown type.
+
+    Attributes:
+        types: who the users may be.
+        solver: plans the messages; any that does without knowing the user's type.
+        trade_off: λ ≥ 0, cost of communication against inexplicability.
+        message_cost: C_e, one number or one a message.
+        inexplicability_cost: C_inexp of each label 0.
+        discount: γ_E in (0, 1], for planning.
+        discount_per: see :class:`~xplain.explanation.problem.Problem`.
+        belief_update: which labels are evidence, and how users err. None: people repeat themselves
+            and err as observers did (``Persistent("learned")``) where the types tell how these
+            erred; else the paper's :class:`~xplain.explanation.belief.Independent`.
+        seed: of solvers that search at random.
+        ask: what questions cost and how many are asked; None for none.
+    """
+
+    types: Types
+    solver: Solver = field(default_factory=QMDP)
+    trade_off: float = 1.0
+    message_cost: ArrayLike = 1.0
+    inexplicability_cost: float = 1.0
+    discount: float = 0.95
+    discount_per: DiscountPer = "action"
+    belief_update: BeliefUpdate | None = None
+    seed: int = 0
+    ask: Limits | None = None
+
+    def __post_init__(self) -> None:
+        """Raises InputError: a value that no session could plan with."""
+        for key in ("messages", "names"):
+            names = getattr(self.types, key, "")
+            if isinstance(names, str) or len(set(names)) < len(names):
+                raise InputError(f"types.{key}", names, "names, each once")
+        wanted = {"solver": ("plan", "QMDP()"), "belief_update": ("habits", "Independent()")}
+        for key, (method, example) in wanted.items():
+            given = getattr(self, key)
+            if given is None and key == "belief_update":
+                continue
+            if isinstance(given, type) or not hasattr(given, method):
+                raise InputError(key, given, f"an object, such as {example}")
+        for key in ("trade_off", "inexplicability_cost", "discount"):
+            number(key, getattr(self, key))
+        whole_number("seed", self.seed, 0)
+        if not isinstance(self.ask, Limits | None):
+            raise InputError("ask", self.ask, "Limits(cost=0.1), or None")
+        if len(self.types.messages) > MAX_MESSAGES:
+            raise InputError("types.messages", len(self.types.messages), f"at most {MAX_MESSAGES}")
+        if self.solver.knows in ("type", "labels"):
+            raise InputError(
+                "solver", type(self.solver).__name__, "a solver that need not know the user's type"
+            )
+        self.problem(self.unknown(1))
+
+    def unknown(self, steps: int) -> LabelTable:
+        """So many transitions that nobody finds inexplicable, whatever is said."""
+        types = len(self.types.names)
+        return LabelTable(np.empty((types, 0), np.int64), np.ones((steps, 1, types)))
+
+    @property
+    def habits(self) -> Habits | None:
+        """How observers erred, where the types tell."""
+        return self.types.habits if isinstance(self.types, KnowsHabits) else None
+
+    @property
+    def beliefs(self) -> BeliefUpdate:
+        """How labels change the belief."""
+        usual = Independent() if self.habits is None else Persistent("learned")
+        return usual if self.belief_update is None else self.belief_update
+
+    def problem(self, table: LabelTable, questions: Questions | None = None) -> Problem:
+        """What the solver plans for, given the table of a trace, and what may be asked."""
+        problem = Problem(
+            table,
+            message_cost=np.asarray(self.message_cost),
+            inexplicability_cost=self.inexplicability_cost,
+            trade_off=self.trade_off,
+            discount=self.discount,
+            prior=np.asarray(self.types.prior),
+            discount_per=self.discount_per,
+            message_names=tuple(self.types.messages),
+            type_names=tuple(self.types.names),
+            questions=questions,
+        )
+        return problem.with_habits(self.beliefs.habits(self.habits))
+
+    def plan(self, problem: Problem) -> Policy:
+        """A policy for the problem, planned when it is first asked."""
+        return LazyPolicy(self.solver, problem, self.seed)
+
+
+@dataclass(frozen=True)
+class LazyPolicy:
+    """A policy that is planned at the first question: a trace that grows by ten transitions
+    before the next decision is planned for once."""
+
+    solver: Solver
+    problem: Problem
+    seed: int
+
+    @cached_property
+    def _policy(self) -> Policy:
+        return self.solver.plan(self.problem, self.seed)
+
+    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """See :meth:`xplain.solvers.base.Asks.messages`."""
+        if self.problem.questions is None:
+            return self._policy.messages(step, given, belief)
+        return asking(self._policy).messages(step, given, belief, asked)
+
+    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+        """See :meth:`xplain.solvers.base.Asks.question`."""
+        return asking(self._policy).question(step, given, belief, asked)
+
+    def values(
+        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
+    ) -> Mapping[int, float]:
+        """See :meth:`xplain.solvers.base.Asks.values`."""
+        if self.problem.questions is None:
+            return self._policy.values(step, given, belief)
+        return asking(self._policy).values(step, given, belief, asked)

@@ -1,0 +1,107 @@
+"""Labels by observers: each has an observer, a transition, a message set and the label
+(docs/method.md, section 2).
+
+Simulated observers and files of labels by real people give the same table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xplain.explanation.message_sets import bits_of
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """P labels by O observers on T distinct transitions.
+
+    Attributes:
+        features: [T, F] float64 of the distinct transitions.
+        feature_names: F names.
+        messages: n names; bit j of a message set is message j.
+        observers: O names.
+        observer: [P] int64 index into ``observers``.
+        transition: [P] int64 index into ``features``.
+        message_set: [P] int64 bitmask (n ≤ 62).
+        label: [P] uint8, 1 = explicable.
+    """
+
+    features: NDArray[np.float64]
+    feature_names: tuple[str, ...]
+    messages: tuple[str, ...]
+    observers: tuple[str, ...]
+    observer: NDArray[np.int64]
+    transition: NDArray[np.int64]
+    message_set: NDArray[np.int64]
+    label: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.label)
+
+    @property
+    def n_messages(self) -> int:
+        """n, the number of messages."""
+        return len(self.messages)
+
+    def of(self, observers: NDArray[np.int64]) -> Dataset:
+        """The labels of some observers (by index); the tables of names stay."""
+        return self.take(np.flatnonzero(np.isin(self.observer, observers)))
+
+    def take(self, rows: NDArray[np.int64]) -> Dataset:
+        """The labels ``rows`` [R], in this order; tables of names and features stay."""
+        return Dataset(
+            self.features,
+            self.feature_names,
+            self.messages,
+            self.observers,
+            self.observer[rows],
+            self.transition[rows],
+            self.message_set[rows],
+            self.label[rows],
+        )
+
+    def answered(
+        self,
+        observer: int,
+        transition: ArrayLike,
+        message_set: ArrayLike,
+        label: NDArray[np.uint8],
+    ) -> Dataset:
+        """With further labels [R] of one observer (by index), at the end."""
+        return replace(
+            self,
+            observer=np.append(self.observer, np.full(len(label), observer)),
+            transition=np.append(self.transition, transition),
+            message_set=np.append(self.message_set, message_set),
+            label=np.append(self.label, label.astype(np.uint8)),
+        )
+
+
+def places(rows: ArrayLike, known: ArrayLike) -> NDArray[np.int64]:
+    """[P] where rows of features [P, F] stand among known ones [U, F], of which no two are equal;
+    −1 where they do not. 0 and −0 are one."""
+    number = {row.tobytes(): u for u, row in enumerate(np.asarray(known, np.float64) + 0.0)}
+    found = [number.get(row.tobytes(), -1) for row in np.asarray(rows, np.float64) + 0.0]
+    return np.array(found, dtype=np.int64)
+
+
+def query_index(dataset: Dataset) -> NDArray[np.int64]:
+    """The number of each label's query (transition, message set): [P], 0 … distinct queries − 1,
+    in the order of (transition, message set)."""
+    key = np.stack([dataset.transition, dataset.message_set])
+    order = np.lexsort(key[::-1])
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (key[:, order[1:]] != key[:, order[:-1]]).any(axis=0)
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.cumsum(new) - 1
+    return number
+
+
+def inputs(
+    features: NDArray[np.float64], message_sets: NDArray[np.int64], n_messages: int
+) -> NDArray[np.float32]:
+    """The classifier's input, features [P, F] and one bit for each message: [P, F + n] float32."""
+    return np.hstack([features, bits_of(message_sets, n_messages)]).astype(np.float32)

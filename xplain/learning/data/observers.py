@@ -1,0 +1,182 @@
+"""Observers: simulated or real people. The user types are learned from their labels
+(docs/method.md, section 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.domains.base import transition_feature_names, transition_features
+from xplain.domains.users.setting import Setting
+from xplain.errors import InputError, Range, checks
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.label_file import align, read_table
+from xplain.learning.data.queries import Queries
+from xplain.randomness import stream
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What observers gave, and what is known of them: all that types are learned from.
+
+    Attributes:
+        dataset: the labels.
+        truth: [O] index of each observer's true type; None where nobody knows it.
+        setting: the domain, the true types and their models; None where there is only a table.
+        likely: fact sets (bitmasks) that the questions found likely beside the hypotheses.
+        beaten: whether the questions found the hypotheses worse than labels alone.
+    """
+
+    dataset: Dataset
+    truth: NDArray[np.int64] | None = None
+    setting: Setting | None = None
+    likely: NDArray[np.int64] | None = None
+    beaten: bool = False
+
+    @property
+    def behaviour(self) -> NDArray[np.int64] | None:
+        """[O] the ``distinct`` number of each observer's type: types that label everything alike
+        are one, for whoever clusters and whoever scores. None where the truth is unknown."""
+        if self.truth is None or self.setting is None:
+            return self.truth
+        return self.setting.distinct[self.truth]
+
+
+class Observers(Protocol):
+    """Where the labels come from: the interface of every component ``observers``."""
+
+    def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
+        """P labels of transitions of ``setting.domain``, with its features and its messages.
+
+        Args:
+            setting: the domain and the true types.
+            queries: what observers are asked, where they can be asked.
+            seed: of every draw.
+
+        Returns:
+            The labels, and what is known of who gave them, ``setting`` included.
+
+        Raises:
+            InputError: the labels, or the component's options, do not fit the setting.
+        """
+        ...
+
+
+@checks("observers")
+@dataclass(frozen=True)
+class SimulatedObservers:
+    """Observers of each type, who answer the queries. They are in the order of their types.
+
+    Attributes:
+        per_type: observers per type; a list has a number for each type.
+        points: labels per observer (fewer if the queries need fewer); with a pair [low, high] it
+            is drawn uniformly for each observer.
+        label_noise: probability that a label is flipped, independently for each label.
+    """
+
+    per_type: int | Sequence[int] = 3
+    points: int | Sequence[int] = 300
+    label_noise: Annotated[float, Range(0, 0.5)] = 0.0
+
+    def __post_init__(self) -> None:
+        counts = _whole_numbers(self.per_type)
+        if not counts or min(counts) < 1:
+            raise InputError("observers.per_type", self.per_type, "a number ≥ 1, or one a type")
+        points = _whole_numbers(self.points)
+        single = isinstance(self.points, int)
+        if len(points) != (1 if single else 2) or points[0] < 1 or points[0] > points[-1]:
+            raise InputError("observers.points", self.points, "a number ≥ 1, or [low, high]")
+
+    def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
+        """Labels of all observers and their true types.
+
+        Raises:
+            InputError: ``per_type`` does not fit the types.
+        """
+        truth = np.repeat(np.arange(len(setting.types)), self._counts(len(setting.types)))
+        low, *_, high = _whole_numbers(self.points) * 2
+        sizes = stream(seed, "observers", "points").integers(low, high + 1, len(truth))
+        noise = [stream(seed, "observers", "noise", o) for o in range(len(truth))]
+
+        def answer(
+            observer: int, transitions: NDArray[np.int64], message_sets: NDArray[np.int64]
+        ) -> NDArray[np.uint8]:
+            true = setting.labels(int(truth[observer]), transitions, message_sets)
+            flip = noise[observer].random(len(true)) < self.label_noise
+            return true ^ flip.astype(np.uint8)
+
+        asked = queries.ask(setting, sizes, answer, seed)
+        shown = np.concatenate([one.transitions for one in asked])
+        features = transition_features(setting.domain, shown)
+        distinct, transition = np.unique(features, axis=0, return_inverse=True)
+        width = len(str(len(truth) - 1))
+        dataset = Dataset(
+            features=distinct,
+            feature_names=transition_feature_names(setting.domain),
+            messages=setting.message_names,
+            observers=tuple(f"observer_{o:0{width}d}" for o in range(len(truth))),
+            observer=np.repeat(np.arange(len(truth)), [len(one.labels) for one in asked]),
+            transition=transition.ravel(),
+            message_set=np.concatenate([one.message_sets for one in asked]),
+            label=np.concatenate([one.labels for one in asked]),
+        )
+        found = [one.likely for one in asked if one.likely is not None]
+        likely = np.unique(np.concatenate(found)) if found else None
+        return Observed(dataset, truth, setting, likely, any(one.beaten for one in asked))
+
+    def _counts(self, types: int) -> list[int]:
+        counts = _whole_numbers(self.per_type)
+        if isinstance(self.per_type, int):
+            return counts * types
+        if len(counts) != types:
+            raise InputError("observers.per_type", self.per_type, f"a number, or {types} of them")
+        return counts
+
+
+def _whole_numbers(value: object) -> list[int]:
+    """One number or several, as a list; empty where something else is among them."""
+    several = list(value) if isinstance(value, Sequence) else [value]
+    whole = [one for one in several if isinstance(one, int) and not isinstance(one, bool)]
+    return whole if len(whole) == len(several) else []
+
+
+@dataclass(frozen=True)
+class FileObservers:
+    """Real people's labels, from a table (see :func:`xplain.learning.data.label_file.read_table`).
+
+    Attributes:
+        path: a CSV or Parquet file.
+        features: columns that describe a transition; None: all other columns.
+        ignore: columns to leave out.
+    """
+
+    path: str
+    features: Sequence[str] | None = None
+    ignore: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        """Raises InputError where there is no such file."""
+        if not Path(self.path).is_file():
+            raise InputError("observers.path", str(self.path), "no such file")
+
+    def collect(self, setting: Setting, queries: Queries, seed: int) -> Observed:
+        """The table, its features in the order of the domain's, so that labelers trained on it
+        can be asked about the domain's traces; ``queries`` and ``seed`` are not used, for these
+        people have been asked.
+
+        Raises:
+            InputError: the file cannot be read, or its messages or features are not the domain's.
+        """
+        try:
+            dataset = read_table(self.path, setting.message_names, self.features, self.ignore)
+            dataset = align(dataset, transition_feature_names(setting.domain))
+            return Observed(dataset, setting=setting)
+        except InputError as error:
+            if error.key != "data":  # what the command that finds types calls its table
+                raise
+            raise InputError("observers.path", error.value, error.allowed) from error

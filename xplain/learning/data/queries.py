@@ -1,0 +1,129 @@
+"""Queries: which transitions observers label, under which message sets
+(docs/method.md, section 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.domains.users.setting import Setting
+from xplain.errors import Count, Probability, checks
+from xplain.learning.data.rollouts import sample_trace
+from xplain.randomness import stream
+
+Answer = Callable[[int, NDArray[np.int64], NDArray[np.int64]], NDArray[np.uint8]]
+"""``answer(observer, transitions [c, 3], message_sets [c])`` → labels [c], with that observer's
+errors. It is called for each screen of questions: an observer who is asked again may give another
+answer."""
+
+
+@dataclass(frozen=True)
+class Answered:
+    """The questions and the answers of one observer, in this order.
+
+    Attributes:
+        transitions: [p, 3].
+        message_sets: [p] bitmasks.
+        labels: [p], 1 = explicable.
+        likely: fact sets (bitmasks) that the answers made likely, where the design found some that
+            were no hypotheses before.
+        beaten: whether the design found its hypotheses worse than labels alone.
+    """
+
+    transitions: NDArray[np.int64]
+    message_sets: NDArray[np.int64]
+    labels: NDArray[np.uint8]
+    likely: NDArray[np.int64] | None = None
+    beaten: bool = False
+
+
+class Queries(Protocol):
+    """A query design: the interface of every component ``queries``."""
+
+    def ask(
+        self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
+    ) -> list[Answered]:
+        """Asks O observers; each question may depend on all earlier answers.
+
+        A design knows the domain. The types in ``setting`` are those of the observers, which it
+        must not use: it helps to find them.
+
+        Args:
+            setting: the domain, its messages, and what the robot does.
+            sizes: [O] largest number of labels of each observer.
+            answer: gives an observer's labels.
+            seed: of every draw.
+
+        Returns:
+            One for each observer: between 1 and ``sizes[o]`` questions with their answers.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class RandomTraces:
+    """The paper's questions: transitions of the robot's traces, which start at random and follow an
+    optimal policy (ties broken at random). Each trace comes with one random message set.
+
+    Attributes:
+        trace_length: where a trace is cut.
+        message_probability: that a message is in the message set of a trace.
+    """
+
+    trace_length: Count = 10
+    message_probability: Probability = 0.5
+
+    def draw(
+        self, setting: Setting, count: int, rng: np.random.Generator
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Transitions [count, 3] and the message set [count] of each; the last trace is cut."""
+        weights = 1 << np.arange(setting.n_messages, dtype=np.int64)
+        robot, optimal, starts = setting.models[0], setting.optimal[0], setting.domain.starts
+        traces: list[NDArray[np.int64]] = []
+        message_sets: list[NDArray[np.int64]] = []
+        total = 0
+        while total < count:
+            traces.append(sample_trace(robot, optimal, starts, rng, self.trace_length))
+            given = rng.random(setting.n_messages) < self.message_probability
+            message_sets.append(np.full(len(traces[-1]), int(weights[given].sum())))
+            total += len(traces[-1])
+        return np.concatenate(traces)[:count], np.concatenate(message_sets)[:count]
+
+
+@checks("queries")
+@dataclass(frozen=True)
+class Independent(RandomTraces):
+    """Each observer is asked about their own random traces (the paper, as it reads)."""
+
+    def ask(
+        self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
+    ) -> list[Answered]:
+        """Exactly ``sizes`` questions, with one random stream for each observer."""
+        asked = []
+        for o, size in enumerate(sizes):
+            questions = self.draw(setting, int(size), stream(seed, "queries", o))
+            asked.append(Answered(*questions, answer(o, *questions)))
+        return asked
+
+
+@checks("queries")
+@dataclass(frozen=True)
+class Shared(RandomTraces):
+    """All observers are asked about the same random traces. This is best for a clusterer that
+    counts coinciding questions (the paper's). Without errors, observers of one type then give
+    identical data."""
+
+    def ask(
+        self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
+    ) -> list[Answered]:
+        """The first ``sizes`` questions of one battery."""
+        battery = self.draw(setting, int(sizes.max()), stream(seed, "queries", "shared"))
+        asked = []
+        for o, size in enumerate(sizes):
+            questions = battery[0][:size], battery[1][:size]
+            asked.append(Answered(*questions, answer(o, *questions)))
+        return asked
