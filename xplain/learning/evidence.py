@@ -25,8 +25,8 @@ BEFORE = 10.0
 LEAST = 0.01
 """Weight of hypotheses, at least."""
 WORSE, BEATEN = float(np.log(20)), 20.0
-"""Log evidence against hypotheses from which on this is said, and from which on they are given up:
-given up in vain they cost more than kept in vain."""
+"""Log evidence against hypotheses from which on this is said, and from which on they are given up
+for labels alone: given up in vain they cost more than kept in vain."""
 DOUBTED = 0.5
 """Hypotheses are doubted of a type where this is less than the probability that they err often."""
 COIN = float(np.log(2))
@@ -81,8 +81,11 @@ class Evidence:
 
     @property
     def beaten(self) -> bool:
-        """Whether hypotheses foretell so much worse that they are given up."""
-        return self.against > BEATEN
+        """Whether labels alone foretell so much better that hypotheses are given up. A coin that
+        foretells better does not count: where many answers are wrong, what is learned from so few
+        is too sure either way, and labels alone are what would be left."""
+        own, others = self.nats
+        return (own - others) * len(self.of_type) > BEATEN
 
     def __str__(self) -> str:
         own, others = self.nats

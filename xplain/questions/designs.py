@@ -183,8 +183,8 @@ class Adaptive:
                 questions = self._grown(questions, others)
             asked[o], found[o] = questions, _likely(questions)
             if not self.in_turn and contest.beaten(questions):
-                log.warning("hypotheses foretell answers worse than labels alone, or a coin: from "
-                            "observer %d on questions are asked without them", o + 1)  # fmt: skip
+                log.warning("hypotheses foretell answers worse than labels alone: from observer %d "
+                            "on questions are asked without them", o + 1)  # fmt: skip
                 before = [_answered(asked[i], transitions, found[i][0]) for i in range(o + 1)]
                 asked_all = Committee(self.screen).ask(setting, sizes, answer, seed, before)
                 return [replace(one, likely=None, beaten=True) for one in asked_all]

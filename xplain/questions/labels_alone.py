@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.evidence import BEATEN, COIN, Evidence, cheap, foretold, parts
+from xplain.learning.evidence import BEATEN, Evidence, cheap, foretold, parts
 from xplain.learning.prediction import log_likelihood
 from xplain.questions.fact_set_classifier import FactSetClassifier
 from xplain.questions.known_transitions import Answers, KnownTransitions
@@ -66,13 +66,13 @@ class Contest:
         ways: hypotheses, and labels alone.
         answers: of everybody asked so far.
         best: what each is thought to hold wrong, as a bitmask.
-        ahead: log P of all answers by labels alone, and by a coin, less that by hypotheses.
+        ahead: log P of all answers by labels alone, less that by hypotheses.
     """
 
     ways: TwoWays
     answers: Dataset
     best: list[int] = field(default_factory=list)
-    ahead: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+    ahead: float = 0.0
 
     def beaten(self, asked: Questionnaire) -> bool:
         """Whether hypotheses are, once somebody more has answered."""
@@ -86,7 +86,6 @@ class Contest:
             before, rows = np.flatnonzero(alike & (part < number)), np.flatnonzero(part == number)
             if len(before):
                 train, test = self.answers.take(before), self.answers.take(rows)
-                own = self.ways.hypotheses(train, test).sum()
-                others = self.ways.labels(train, test).sum(), -COIN * len(rows)
-                self.ahead += np.array(others) - own
-        return bool(self.ahead.max() > BEATEN)
+                self.ahead += float(self.ways.labels(train, test).sum())
+                self.ahead -= float(self.ways.hypotheses(train, test).sum())
+        return self.ahead > BEATEN

@@ -8,8 +8,8 @@ import pytest
 
 from tests.people.study.stand_in import street_plan, street_study
 from xplain.errors import XplainError
-from xplain.people.study.plan import StudyPlan
 from xplain.people.study.evaluation import State
+from xplain.people.study.plan import StudyPlan
 from xplain.people.study.policies import study_of
 from xplain.randomness import stream
 
