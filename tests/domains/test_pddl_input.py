@@ -207,6 +207,17 @@ def test_facts_and_words_are_taken_from_the_command_line(sign: str) -> None:
     assert made.describe(np.array([0, grasp, 0])) == "grasps a"
 
 
+def test_an_empty_conjunction_among_conditions_asks_for_nothing(tmp_path: Path) -> None:
+    own = edited(tmp_path, "file", PRECONDITION, f"(and) {PRECONDITION}")
+    plain = edited(tmp_path, "problem", "(:goal", "(:goal")
+    one, other = (PDDL(**given) for given in (own, plain))
+    assert one.actions == other.actions
+    robots = [made.model({p.name: p.accurate for p in made.parameters}) for made in (one, other)]
+    for field in ("successor", "probability", "reward"):
+        ours, theirs = (getattr(model, field) for model in robots)
+        assert (ours == theirs).all()
+
+
 def test_a_type_whose_beliefs_leave_no_plan_is_named() -> None:
     """Each of two facts alone leaves a plan below the cost of a dead end, 1000."""
     facts = {

@@ -230,3 +230,8 @@ def test_24_people_and_20_questions_find_the_types(domain: str, types: int) -> N
     ]
     assert min(found) >= 0.9
     assert np.mean(found) >= 0.95
+
+
+def test_a_plan_carries_as_many_probes_as_ever() -> None:
+    """With more or fewer, no collection that has begun could go on."""
+    assert len(street_plan().probes) == 4
