@@ -22,8 +22,9 @@ from packaging.requirements import Requirement
 from xplain import numba_kernels
 from xplain.numba_kernels import (
     PACKAGE,
-    _Listener,
-    _listener,
+    _Compilation,
+    _compilation,
+    _tell_once,
     cache_folder,
     kernel,
     kernel_sources,
@@ -129,7 +130,7 @@ def test_other_packages_cache_where_they_did() -> None:
 def test_machine_code_long_unused_is_removed_and_its_folder_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Only once there are new sources; what another checkout used lately stays."""
+    """What another checkout used lately stays."""
     base = tmp_path / "xplain" / "kernels"
     for name, days in (("old", 31), ("recent", 29)):
         (base / name / "solvers_1").mkdir(parents=True)
@@ -185,38 +186,39 @@ def test_what_kernels_take_from_other_files_is_in_the_digest() -> None:
 
 
 @pytest.fixture
-def nobody_else_listens() -> Iterator[None]:
-    """The process's own listener may be there, and not have told anything yet, where what ran
-    before found its kernels compiled."""
-    shared = _listener()
-    event.unregister("numba:compile", shared)
-    yield
-    event.register("numba:compile", shared)
+def compilation() -> Iterator[_Compilation]:
+    """Another listener than the process's own, which has perhaps told of something."""
+    event.unregister("numba:compile", _compilation)
+    with event.install_listener("numba:compile", _Compilation()) as alone:
+        yield alone
+    event.register("numba:compile", _compilation)
 
 
-@pytest.mark.usefixtures("nobody_else_listens")
-def test_tells_of_a_compilation_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_tells_of_a_compilation_once(
+    compilation: _Compilation, caplog: pytest.LogCaptureFixture
+) -> None:
     """One line for the first kernel of ours; none for another package's."""
 
     def add(x):  # type: ignore[no-untyped-def]
         return x + 1
 
     caplog.set_level(logging.WARNING)
-    with event.install_listener("numba:compile", _Listener()):
-        numba.njit(add)(1)
-        assert not caplog.messages
-        add.__module__ = "xplain.somewhere"
-        numba.njit(add)(1)
-        numba.njit(add)(1.5)
+    compilation.say = _tell_once
+    numba.njit(add)(1)
+    assert not caplog.messages
+    add.__module__ = "xplain.somewhere"
+    numba.njit(add)(1)
+    numba.njit(add)(1.5)
     assert len(caplog.messages) == 1
     assert "compiling" in caplog.messages[0]
 
 
-def test_tells_which_kernel_of_how_many_is_compiled_and_when_it_is_done() -> None:
+def test_tells_which_kernel_of_how_many_is_compiled_and_when_it_is_done(
+    compilation: _Compilation,
+) -> None:
     """A number never exceeds its total, whatever is compiled beside the kernels of the package."""
     said: list[str] = []
-    listener = _Listener()
-    listener.say = said.append
+    compilation.say = said.append
 
     def first(x):  # type: ignore[no-untyped-def]
         return x + 1
@@ -224,10 +226,9 @@ def test_tells_which_kernel_of_how_many_is_compiled_and_when_it_is_done() -> Non
     def second(x):  # type: ignore[no-untyped-def]
         return x + 2
 
-    with event.install_listener("numba:compile", listener):
-        for function in (first, second):
-            function.__module__ = "xplain.somewhere"
-            numba.njit(function)(1)
+    for function in (first, second):
+        function.__module__ = "xplain.somewhere"
+        numba.njit(function)(1)
     begun = [text for text in said if text]
     assert said[1::2] == ["", ""]
     assert [text.split()[1] for text in begun] == ["1", "2"]

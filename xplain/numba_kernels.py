@@ -24,9 +24,7 @@ import llvmlite
 import numba
 import numpy as np
 from numba.core import event
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.compiler_machinery import FunctionPass, register_pass
-from numba.core.untyped_passes import IRProcessing
+from numba.core.compiler import Compiler
 from numba.extending import typeof_impl
 
 log = logging.getLogger(__name__)
@@ -67,7 +65,6 @@ def cache_folder() -> str:
     try:
         base = Path(numba.config.CACHE_DIR or _user_cache_folder()) / "xplain" / "kernels"
         folder = base / sources_digest()
-        is_new = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)  # in use now
         if not os.access(folder, os.W_OK | os.X_OK):
@@ -75,8 +72,7 @@ def cache_folder() -> str:
     except (OSError, RuntimeError) as error:  # RuntimeError: the user has no home folder
         log.warning("kernels are compiled anew by every process (%s): set NUMBA_CACHE_DIR", error)
         return ""
-    if is_new:
-        _remove_unused(base)
+    _remove_unused(base)
     return str(folder)
 
 
@@ -128,31 +124,20 @@ def kernel(function: Callable[..., Any]) -> Any:
     return _compiled(function)
 
 
-@register_pass(mutates_CFG=False, analysis_only=False)
-class _LeaveUnoptimized(FunctionPass):  # type: ignore[misc]
-    """numba links what a kernel calls into the kernel, and optimizes all of it there: whatever is
-    only called by kernels need not be optimized before, by itself and in each of its callers."""
+class _PartCompiler(Compiler):  # type: ignore[misc]
+    """Compiles what is only called by kernels, and leaves it unoptimized: numba links it into each
+    kernel, and optimizes all of it there. Half of the time that kernels take to compile.
 
-    _name = "leave_unoptimized"
+    The one place that changes an inner part of numba, which has no setting for it.
+    """
 
-    def __init__(self) -> None:
-        FunctionPass.__init__(self)
-
-    def run_pass(self, state: Any) -> bool:
-        state.library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
-        state.library.enable_object_caching()
-        state.library._optimize_final_module = lambda: None
-        return False
-
-
-class _PartCompiler(CompilerBase):  # type: ignore[misc]
-    """Compiles what is only called by kernels."""
-
-    def define_pipelines(self) -> list[Any]:
-        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes.add_pass_after(_LeaveUnoptimized, IRProcessing)
-        passes.finalize()
-        return [passes]
+    def define_pipelines(self) -> Any:
+        state = self.state
+        library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
+        library.enable_object_caching()
+        library._optimize_final_module = lambda: None
+        state.library = library
+        return super().define_pipelines()
 
 
 def lean_kernel(function: Callable[..., Any]) -> Any:
@@ -205,22 +190,33 @@ def inlined(function: Callable[..., Any]) -> Part:
     return Part(part, function)
 
 
-class _Quickly(event.Listener):  # type: ignore[misc]
-    """Compiles kernels of ours in about three quarters of the time. Garbage is not looked for: a
-    compilation makes millions of objects, hardly any of them garbage. And loops are not vectorized:
-    those of solvers run over some five types, the wide code would not be reached."""
+class _Compilation(event.Listener):  # type: ignore[misc]
+    """Hears of each kernel of ours that numba did not find in its cache: tells of it, and lets it
+    be compiled in about three quarters of the time. Garbage is not looked for: a compilation makes
+    millions of objects, hardly any of them garbage. And loops are not vectorized: those of solvers
+    run over some five types, the wide code would not be reached.
+
+    Attributes:
+        say: hears which kernel of how many, and "" when it is done; None: nobody is told.
+    """
 
     def __init__(self) -> None:
-        self.nested = 0
+        self.say: Callable[[str], None] | None = None
+        self.nested = self.number = 0
         self.before = True, 1
 
     def on_start(self, event: event.Event) -> None:
-        if self.nested == 0 and not _is_ours(event):
-            return
+        function = event.data["dispatcher"].py_func
         if self.nested == 0:
+            if not str(function.__module__).startswith("xplain."):
+                return
             self.before = gc.isenabled(), numba.config.LOOP_VECTORIZE
             gc.disable()
             numba.config.LOOP_VECTORIZE = 0
+            if self.say is not None:
+                self.number += 1
+                of = max(len(_entries), self.number)
+                self.say(f"kernel {self.number} of at most {of} ({function.__name__.strip('_')})")
         self.nested += 1
 
     def on_end(self, event: event.Event) -> None:
@@ -231,46 +227,17 @@ class _Quickly(event.Listener):  # type: ignore[misc]
             collects, numba.config.LOOP_VECTORIZE = self.before
             if collects:
                 gc.enable()
+            if self.say is not None:
+                self.say("")
 
 
-event.register("numba:compile", _Quickly())
-
-
-def _is_ours(compiling: event.Event) -> bool:
-    return str(compiling.data["dispatcher"].py_func.__module__).startswith("xplain.")
-
-
-class _Listener(event.Listener):  # type: ignore[misc]
-    """Speaks of each kernel of ours that numba did not find in its cache."""
-
-    def __init__(self) -> None:
-        self.say: Callable[[str], None] = _tell_once
-        self.nested = self.number = 0
-
-    def on_start(self, event: event.Event) -> None:
-        self.nested += 1
-        if self.nested == 1 and _is_ours(event):
-            self.number += 1
-            of = max(len(_entries), self.number)
-            name = event.data["dispatcher"].py_func.__name__.strip("_")
-            self.say(f"kernel {self.number} of at most {of} ({name})")
-
-    def on_end(self, event: event.Event) -> None:
-        self.nested -= 1
-        if self.nested == 0 and self.number:
-            self.say("")
+_compilation = _Compilation()
+event.register("numba:compile", _compilation)
 
 
 def _tell_once(text: str) -> None:
     if text.startswith("kernel 1 "):
         log.warning("compiling the solvers' kernels, once (seconds; later runs load them)")
-
-
-@cache
-def _listener() -> _Listener:
-    listener = _Listener()
-    event.register("numba:compile", listener)
-    return listener
 
 
 def tell_when_compiling(say: Callable[[str], None] | None = None) -> None:
@@ -280,6 +247,4 @@ def tell_when_compiling(say: Callable[[str], None] | None = None) -> None:
         say: hears which kernel of how many, and "" when it is done; None leaves it to whoever was
             given before, or else to one line in the log.
     """
-    listener = _listener()
-    if say is not None:
-        listener.say = say
+    _compilation.say = say or _compilation.say or _tell_once
