@@ -11,19 +11,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
+from xplain.errors import InputError, Positive, checks
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy
-from xplain.solvers.memory import check_memory_gib
 from xplain.solvers.qmdp import greedy_policy
 
 INSTEAD = "qhr plans without tables"
 
 
+@checks("solver")
 @dataclass(frozen=True)
 class Baseline:
     """One labeler for everybody. A problem of several types is taken as the mixture of their
@@ -33,12 +34,8 @@ class Baseline:
         memory_gib: most that the tables [steps, 2^messages] may take.
     """
 
-    memory_gib: float = 8.0
+    memory_gib: Positive = 8.0
     knows: Knowledge = "everyone"
-
-    def __post_init__(self) -> None:
-        """Raises InputError for a setting out of its range."""
-        check_memory_gib(self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
@@ -46,6 +43,7 @@ class Baseline:
         return BeliefBlind(greedy_policy(one, "baseline", self.memory_gib, INSTEAD))
 
 
+@checks("solver")
 @dataclass(frozen=True)
 class Conformant:
     """Explain costs C_inexp Σ_t Σ_i (1 − P[t, i, H]): the sum over all user types, neither weighed
@@ -55,12 +53,8 @@ class Conformant:
         memory_gib: most that the tables [steps, 2^messages] may take.
     """
 
-    memory_gib: float = 8.0
+    memory_gib: Positive = 8.0
     knows: Knowledge = "types"
-
-    def __post_init__(self) -> None:
-        """Raises InputError for a setting out of its range."""
-        check_memory_gib(self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
@@ -72,6 +66,7 @@ class Conformant:
         return BeliefBlind(greedy_policy(summed, "conformant", self.memory_gib, INSTEAD))
 
 
+@checks("solver")
 @dataclass(frozen=True)
 class KnownType:
     """Knows the type: the oracle, or with true labels the clairvoyant.
@@ -81,14 +76,8 @@ class KnownType:
         memory_gib: most that the tables [steps, 2^messages, types] may take.
     """
 
-    knows: Knowledge = "type"
-    memory_gib: float = 8.0
-
-    def __post_init__(self) -> None:
-        """Raises InputError for a setting out of its range."""
-        check_memory_gib(self.memory_gib)
-        if self.knows not in ("type", "labels"):
-            raise InputError("solver.knows", self.knows, "type (oracle) or labels (clairvoyant)")
+    knows: Literal["type", "labels"] = "type"
+    memory_gib: Positive = 8.0
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Its policy of a problem with several types asks for a belief that names one."""

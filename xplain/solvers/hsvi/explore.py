@@ -7,10 +7,11 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from xplain.errors import InputError
+from xplain.errors import Count, Positive, Range, checks
 from xplain.explanation.problem import Problem
 from xplain.solvers.count_lattice import make_answers
 from xplain.solvers.hsvi.initial_bounds import Tables
@@ -37,7 +38,7 @@ from xplain.solvers.hsvi.tree import (
     store_bytes,
 )
 from xplain.solvers.inquiry import make_room
-from xplain.solvers.memory import GIB, check_memory_gib
+from xplain.solvers.memory import GIB
 
 log = logging.getLogger(__name__)
 
@@ -47,10 +48,12 @@ COARSER = 2
 """A search asks for a gap this much smaller than the last that it closed."""
 GROWTH = 1.2
 """All nodes are backed up once their number has grown by this factor."""
+Gap = Annotated[float, Range(1e-9)]
 WORTH = 4
 """Tables of pairs are made once they cost at most this many times what was spent."""
 
 
+@checks("solver")
 @dataclass(frozen=True)
 class Effort:
     """When a search may stop.
@@ -62,20 +65,10 @@ class Effort:
         memory_gib: rather than take more.
     """
 
-    gap: float = 1e-3
-    nodes: int = 1_000_000
+    gap: Gap = 1e-3
+    nodes: Count = 1_000_000
     seconds: float = math.inf
-    memory_gib: float = 8.0
-
-    def __post_init__(self) -> None:
-        """Raises InputError for a setting out of its range."""
-        if not self.gap >= 1e-9:
-            raise InputError("solver.gap", self.gap, "a number ≥ 1e-9")
-        if not self.nodes >= 1:
-            raise InputError("solver.nodes", self.nodes, "a number ≥ 1")
-        if not self.seconds > 0:
-            raise InputError("solver.seconds", self.seconds, "a number > 0")
-        check_memory_gib(self.memory_gib)
+    memory_gib: Positive = 8.0
 
 
 @dataclass(frozen=True)

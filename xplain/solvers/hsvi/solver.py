@@ -16,10 +16,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
+from xplain.errors import Count, Positive, checks
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy, best_question
-from xplain.solvers.hsvi.explore import Effort, Found, explore
+from xplain.solvers.hsvi.explore import Effort, Found, Gap, explore
 from xplain.solvers.hsvi.initial_bounds import Tables, make_tables, table_bytes
 from xplain.solvers.hsvi.knowing import Bounded, CertifiedKnowing
 from xplain.solvers.hsvi.search import Start
@@ -37,6 +37,7 @@ SAME = 1e-9
 """Beliefs that differ by less in every entry are the same belief."""
 
 
+@checks("solver")
 @dataclass(frozen=True)
 class Certified:
     """Args:
@@ -47,18 +48,12 @@ class Certified:
     memory_gib: most memory; tables beyond it are refused, the search stops before it.
     """
 
-    gap: float = 1e-3
-    nodes: int = 1_000_000
-    seconds: float | None = None
-    decision_nodes: int = 50
-    memory_gib: float = 8.0
+    gap: Gap = 1e-3
+    nodes: Count = 1_000_000
+    seconds: Positive | None = None
+    decision_nodes: Count = 50
+    memory_gib: Positive = 8.0
     knows: Knowledge = "types"
-
-    def __post_init__(self) -> None:
-        """Raises InputError for a setting out of its range."""
-        if not self.decision_nodes >= 1:
-            raise InputError("solver.decision_nodes", self.decision_nodes, "a number ≥ 1")
-        _ = self._effort
 
     @property
     def _effort(self) -> Effort:

@@ -27,19 +27,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
+from xplain.errors import Count, InputError, Positive, Range, checks
 from xplain.explanation.belief import rounded, told
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import tell_when_compiling
 from xplain.solvers.base import Knowledge, Policy, best_question
 from xplain.solvers.inquiry import Inquiry
 from xplain.solvers.knowing import make_knowing
-from xplain.solvers.memory import check_memory, check_memory_gib
+from xplain.solvers.memory import check_memory
 from xplain.solvers.model import best_set, one_by_one, table_bytes
 from xplain.solvers.pomcp.forest import Forest, Run, Start
 from xplain.solvers.pomcp.kernel import simulate
@@ -56,12 +56,13 @@ from xplain.solvers.restriction import Restricted, RestrictedAsking, restricted
 from xplain.solvers.rows import rows_at
 
 # Positions are the kernel's numbers.
-DEPTH_UNITS = ("steps", "actions")
-LEAVES = ("max_of_mean", "mean_of_max")
-ROLLOUTS = ("random", "qmdp", "silent")
-BACKUPS = ("mean", "max")
+DepthUnit = Literal["steps", "actions"]
+Leaf = Literal["max_of_mean", "mean_of_max"]
+Rollout = Literal["random", "qmdp", "silent"]
+Backup = Literal["mean", "max"]
 
 
+@checks("solver")
 @dataclass(frozen=True)
 class POMCP:
     """Args:
@@ -80,38 +81,22 @@ class POMCP:
     memory_gib: most that tables and trees may take.
     """
 
-    simulations: int = 6_000
-    depth: int | None = 3
-    depth_unit: Literal["actions", "steps"] = "actions"
-    exploration: float = 8.0
-    leaf: Literal["max_of_mean", "mean_of_max"] = "max_of_mean"
-    rollout: Literal["random", "qmdp", "silent"] = "qmdp"
-    backup: Literal["mean", "max"] = "max"
-    trees: int = 1
-    threads: int = 1
-    memory_gib: float = 8.0
+    simulations: Count = 6_000
+    depth: Count | None = 3
+    depth_unit: DepthUnit = "actions"
+    exploration: Annotated[float, Range(0)] = 8.0
+    leaf: Leaf = "max_of_mean"
+    rollout: Rollout = "qmdp"
+    backup: Backup = "max"
+    trees: Count = 1
+    threads: Count = 1
+    memory_gib: Positive = 8.0
     knows: Knowledge = "types"
 
     def __post_init__(self) -> None:
-        """Raises InputError for a setting out of its range."""
-        for key in ("simulations", "trees", "threads"):
-            if not _is_count(getattr(self, key)):
-                raise InputError(f"solver.{key}", getattr(self, key), "an integer ≥ 1")
+        """Raises InputError for more trees than simulations."""
         if self.trees > self.simulations:
             raise InputError("solver.trees", self.trees, "at most solver.simulations")
-        if self.depth is not None and not _is_count(self.depth):
-            raise InputError("solver.depth", self.depth, "an integer ≥ 1, or null for no limit")
-        if not (isinstance(self.exploration, int | float) and 0 <= self.exploration < np.inf):
-            raise InputError("solver.exploration", self.exploration, "a number ≥ 0")
-        for key, allowed in (
-            ("depth_unit", DEPTH_UNITS),
-            ("leaf", LEAVES),
-            ("rollout", ROLLOUTS),
-            ("backup", BACKUPS),
-        ):
-            if getattr(self, key) not in allowed:
-                raise InputError(f"solver.{key}", getattr(self, key), " or ".join(allowed))
-        check_memory_gib(self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
@@ -158,11 +143,11 @@ class POMCP:
         again = steps if problem.tracks_knowledge else 1
         return Options(
             depth=self.depth or steps + again * messages + 1,
-            message_depth=DEPTH_UNITS.index(self.depth_unit),
+            message_depth=get_args(DepthUnit).index(self.depth_unit),
             exploration=float(self.exploration * unit),
-            leaf=LEAVES.index(self.leaf),
-            rollout=ROLLOUTS.index(self.rollout),
-            backup=BACKUPS.index(self.backup),
+            leaf=get_args(Leaf).index(self.leaf),
+            rollout=get_args(Rollout).index(self.rollout),
+            backup=get_args(Backup).index(self.backup),
         )
 
 
@@ -295,7 +280,3 @@ def once(
         last.clear()
         last[key] = found
     return last[key]
-
-
-def _is_count(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 1
