@@ -37,6 +37,12 @@ def configured(*overrides: str) -> Any:
             return compose("primary", list(overrides))
 
 
+def given(name: str) -> dict[str, Any]:
+    """The domain's arguments in the configuration."""
+    node: Any = OmegaConf.to_container(configured(f"domain={name}").domain, resolve=True)
+    return {k: v for k, v in node.items() if not k.startswith("_")}
+
+
 @cache
 def domain_of(*overrides: str) -> Domain:
     """The domain of :func:`configured`."""

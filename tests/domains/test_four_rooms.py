@@ -7,22 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from omegaconf import OmegaConf
 
-from tests.domains.configs import configured, domain_of, setting_of
-from xplain.domains import mdp
+from tests.domains.configs import domain_of, given, setting_of
 from xplain.domains.four_rooms import DOORS, FourRooms
 from xplain.errors import InputError
 from xplain.learning.data.rollouts import sample_trace
 from xplain.randomness import stream
 
 FOUR_ROOMS = "domain=four_rooms"
-
-
-def given() -> dict[str, Any]:
-    """The arguments in the configuration."""
-    node: Any = OmegaConf.to_container(configured(FOUR_ROOMS).domain, resolve=True)
-    return {k: v for k, v in node.items() if not k.startswith("_")}
 
 
 def accurate(domain: FourRooms) -> dict[str, Any]:
@@ -96,34 +88,11 @@ def test_phrases_and_scene_tell_the_place() -> None:
     ]
 
 
-def test_no_trace_starts_at_a_goal() -> None:
-    domain = domain_of(FOUR_ROOMS)
-    goals = {tuple(goal["cell"]) for goal in accurate(domain)["goals"]}
-    assert not goals & {domain.position(start) for start in domain.starts}
-    assert len(set(domain.starts.tolist())) == len(domain.starts) > 0
-
-
 def test_starts_may_be_marked_on_the_map() -> None:
-    rows = given()["map"].splitlines()
+    rows = given("four_rooms")["map"].splitlines()
     rows[1] = "#s...s#.....#"
     domain = FourRooms(**edited("map", "\n".join(rows)))
     assert [domain.position(start) for start in domain.starts] == [(1, 1), (1, 5)]
-
-
-def test_no_tie_is_ambiguous_in_any_of_the_32_models() -> None:
-    domain = domain_of(FOUR_ROOMS)
-    models = [
-        domain.model(
-            {
-                p.name: p.inaccurate if wrong >> j & 1 else p.accurate
-                for j, p in enumerate(domain.parameters)
-            }
-        )
-        for wrong in range(32)
-    ]
-    optimal = mdp.optimal_actions(models)
-    for model, actions in zip(models, optimal, strict=True):
-        assert np.array_equal(actions.any(axis=1), ~model.terminal)
 
 
 def test_traces_end_at_a_goal() -> None:
@@ -136,7 +105,7 @@ def test_traces_end_at_a_goal() -> None:
 
 
 def edited(path: str, value: Any) -> dict[str, Any]:
-    arguments = deepcopy(given())
+    arguments = deepcopy(given("four_rooms"))
     node: Any = arguments
     *way, last = path.split(".")
     for part in way:
@@ -182,7 +151,7 @@ def test_bad_input_is_one_clear_line(path: str, value: Any, text: str) -> None:
 
 
 def test_a_missing_parameter_is_named() -> None:
-    arguments = given()
+    arguments = given("four_rooms")
     del arguments["parameters"]["penalty"]
     with pytest.raises(InputError, match="penalty"):
         FourRooms(**arguments)
@@ -190,7 +159,7 @@ def test_a_missing_parameter_is_named() -> None:
 
 def test_a_goal_behind_walls_is_refused() -> None:
     """The four doors are shut; nothing else lies in the walls."""
-    rows = [list(row) for row in given()["map"].splitlines()]
+    rows = [list(row) for row in given("four_rooms")["map"].splitlines()]
     for row, column in DOORS:
         rows[row][column] = "#"
     arguments = edited("map", "\n".join("".join(row) for row in rows))

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from omegaconf import OmegaConf
 
-from tests.domains.configs import configured, domain_of, setting_of
+from tests.domains.configs import domain_of, given, setting_of
 from xplain.domains import mdp
 from xplain.errors import InputError, XplainError
 from xplain.learning.data.rollouts import sample_trace
@@ -22,12 +21,6 @@ gymnasium = pytest.importorskip("gymnasium", reason="pip install 'xplain-hri[gym
 from xplain.domains.gym import Gymnasium  # noqa: E402
 
 NAMES = ["taxi", "cliff_walking", "frozen_lake"]
-
-
-def given(name: str) -> dict[str, Any]:
-    """The arguments in the configuration."""
-    node: Any = OmegaConf.to_container(configured(f"domain={name}").domain, resolve=True)
-    return {k: v for k, v in node.items() if not k.startswith("_")}
 
 
 def domain(name: str) -> Gymnasium:
@@ -82,15 +75,6 @@ def test_each_parameter_held_wrong_alone_matters(name: str) -> None:
     inexplicable = 1 - mdp.labels(models, optimal, transitions).mean(axis=1)
     assert inexplicable[0] == 0
     assert (inexplicable[1:] >= 0.02).all(), dict(zip(parameters, inexplicable[1:], strict=True))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_no_tie_is_ambiguous(name: str) -> None:
-    names = [p.name for p in domain(name).parameters]
-    wrong = [[p for j, p in enumerate(names) if mask >> j & 1] for mask in range(1 << len(names))]
-    models = [held(name, *some) for some in wrong]
-    for model, actions in zip(models, mdp.optimal_actions(models), strict=True):
-        assert np.array_equal(actions.any(axis=1), ~model.terminal)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -157,11 +141,7 @@ def test_like_another_action_takes_its_chances_too(monkeypatch: pytest.MonkeyPat
     """A task of two states with one sure action and one that may do nothing."""
     sure, unsure = [(1.0, 1, 3.0, True)], [(0.25, 1, 3.0, True), (0.75, 0, 0.0, False)]
     stays = [(1.0, 1, 0.0, True)]
-    shown = SimpleNamespace(
-        P={0: {0: sure, 1: unsure}, 1: {0: stays, 1: stays}}, initial_state_distrib=[1.0, 0.0]
-    )
-    made = SimpleNamespace(unwrapped=shown, close=lambda: None)
-    monkeypatch.setattr(gymnasium, "make", lambda *a, **k: made)
+    shown({0: {0: sure, 1: unsure}, 1: {0: stays, 1: stays}}, monkeypatch)
     wrong = [{"actions": ["sure"], "like": "unsure"}]
     parameters = {"luck": {"inaccurate": wrong, "message": "It is sure."}}
     task = Gymnasium("Two", {"place": 2}, ["sure", "unsure"], 0.9, parameters)

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from omegaconf import OmegaConf
 
-from tests.domains.configs import configured, domain_of, setting_of
+from tests.domains.configs import domain_of, given, setting_of
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.grounding import Ground
 from xplain.domains.pddl.reading import read_text
@@ -23,12 +22,6 @@ from xplain.errors import TooLargeError
 up = pytest.importorskip("unified_planning", reason="pip install 'xplain-hri[pddl]'")
 
 NAMES = ["blocks", "logistics", "rover", "search_and_rescue"]
-
-
-def given(name: str) -> dict[str, Any]:
-    """The arguments in the configuration."""
-    node: Any = OmegaConf.to_container(configured(f"domain={name}").domain, resolve=True)
-    return {k: v for k, v in node.items() if not k.startswith("_")}
 
 
 def domain(name: str) -> PDDL:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.domains.test_pddl import given
+from tests.domains.configs import given
 from xplain.domains.pddl.changes import applied
 from xplain.domains.pddl.differences import differences
 from xplain.domains.pddl.domain import PDDL

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hydra.utils import instantiate
 
-from tests.domains.test_pddl import given
+from tests.domains.configs import given
 from xplain.domains.pddl.domain import PDDL
 from xplain.domains.pddl.reading import read_text
 from xplain.domains.users.setting import Setting, UserType

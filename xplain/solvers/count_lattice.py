@@ -136,9 +136,8 @@ def _list_counts(groups, weight, evidence, negligible, answers):  # type: ignore
             if found == len(answers.weight):
                 return -1
             copy(weights[level], answers.weight[found])
+            copy(evidence, answers.evidence[found])
             normalise(weights[level], logs[level], answers.evidence[found])
-            for w in range(types, len(evidence)):
-                answers.evidence[found, w] = evidence[w]
             found += 1
             level -= 1
         elif count[level] > size[level]:

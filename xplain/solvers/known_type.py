@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -40,7 +40,7 @@ class Baseline:
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         one = problem.mixture(problem.prior)
-        return BeliefBlind(greedy_policy(one, "baseline", self.memory_gib, INSTEAD))
+        return Believing(greedy_policy(one, "baseline", self.memory_gib, INSTEAD), one_type)
 
 
 @checks("solver")
@@ -63,7 +63,7 @@ class Conformant:
             problem.mixture(np.full(problem.n_types, 1 / problem.n_types)),
             inexplicability_cost=problem.inexplicability_cost * problem.n_user_types,
         )
-        return BeliefBlind(greedy_policy(summed, "conformant", self.memory_gib, INSTEAD))
+        return Believing(greedy_policy(summed, "conformant", self.memory_gib, INSTEAD), one_type)
 
 
 @checks("solver")
@@ -81,44 +81,45 @@ class KnownType:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Its policy of a problem with several types asks for a belief that names one."""
-        return RequiresKnownType(
-            greedy_policy(problem, f"knowing the {self.knows}", self.memory_gib, INSTEAD)
-        )
+        what = f"knowing the {self.knows}"
+        return Believing(greedy_policy(problem, what, self.memory_gib, INSTEAD), named_type)
 
 
 @dataclass(frozen=True)
-class BeliefBlind:
-    """A one-type policy in a world of several: the belief is not looked at."""
+class Believing:
+    """A policy that is handed another belief than the one held.
+
+    Attributes:
+        policy: that decides.
+        belief_of: what it is handed.
+    """
 
     policy: Policy
+    belief_of: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
         """The messages to give before the next *explain*, as
         :class:`xplain.solvers.base.Policy` says."""
-        return self.policy.messages(step, given, np.ones(1))
+        return self.policy.messages(step, given, self.belief_of(belief))
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
         """What the sets or messages to choose from are worth, as
         :class:`xplain.solvers.base.Policy` says."""
-        return self.policy.values(step, given, np.ones(1))
+        return self.policy.values(step, given, self.belief_of(belief))
 
 
-@dataclass(frozen=True)
-class RequiresKnownType:
-    """A policy that must be told the type: a belief of 1 on it. With such a belief QMDP's value
-    is the type's own optimal value."""
+def one_type(belief: NDArray[np.float64]) -> NDArray[np.float64]:
+    """That of a one-type policy in a world of several: the belief is not looked at."""
+    return np.ones(1)
 
-    policy: Policy
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
-        """Raises InputError: the belief leaves the type open."""
-        return self.policy.messages(step, given, self._sure(belief))
+def named_type(belief: NDArray[np.float64]) -> NDArray[np.float64]:
+    """That of a policy that must be told the type. With a belief of 1 on it QMDP's value is the
+    type's own optimal value.
 
-    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
-        """Raises InputError: the belief leaves the type open."""
-        return self.policy.values(step, given, self._sure(belief))
-
-    def _sure(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
-        if belief.max() < 1 - 1e-9:  # a sum of probabilities may be 1 but for rounding
-            raise InputError("belief", belief.tolist(), "this solver is told the type: 1 on one")
-        return belief
+    Raises:
+        InputError: the belief leaves the type open.
+    """
+    if belief.max() < 1 - 1e-9:  # a sum of probabilities may be 1 but for rounding
+        raise InputError("belief", belief.tolist(), "this solver is told the type: 1 on one")
+    return belief

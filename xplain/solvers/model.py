@@ -164,11 +164,6 @@ def backwards(model: Model) -> Iterator[tuple[int, int]]:
         yield max(0, end - together), end
 
 
-def explain_values(model: Model, optimal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Q_t(k, H) of *explain* for all: [m, rows, N], from :func:`optimal_values`."""
-    return model.discount * optimal[1:] - explain_costs(model)
-
-
 class SetPrices(NamedTuple):
     """Sets of messages, each given the cheapest message first, as is best where giving discounts.
 
@@ -193,8 +188,10 @@ def set_prices(model: Model) -> SetPrices:
 
 
 def best_set(values: Mapping[int, float]) -> int:
-    """The message set (0 is *explain* at once) that :func:`best_of` takes."""
-    return best_of(np.array(list(values)), np.array(list(values.values())))
+    """The message set (0 is *explain* at once) that :func:`best_of` takes, of values that may also
+    be of questions, ~q."""
+    said = {chosen: value for chosen, value in values.items() if chosen >= 0}
+    return best_of(np.array(list(said)), np.array(list(said.values())))
 
 
 def best_of(sets: NDArray[np.int64], values: NDArray[np.float64]) -> int:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,36 +48,20 @@ def counts(
                 raise InputError(key, text, f"unknown object {argument}")
         wanted.append(tuple(node))
     result = np.zeros(len(table), dtype=np.int64)
-    for columns in _ways(wanted, {}, sorted({*number, *task.initial}), number):
-        result += table[:, columns].all(axis=1)
+    atoms = sorted({*number, *task.initial})
+    for chosen in product(*([atom for atom in atoms if atom[0] == x[0]] for x in wanted)):
+        if _match(wanted, chosen):
+            # Atoms that never change are here only if they hold in all states.
+            columns = [number[atom] for atom in chosen if atom in number]
+            result += table[:, columns].all(axis=1)
     return result
 
 
-def _ways(
-    patterns: Sequence[Atom], binding: Mapping[str, str], atoms: Sequence[Atom],
-    number: Mapping[Atom, int],
-) -> Iterator[list[int]]:  # fmt: skip
-    """The columns that must hold, for each way of replacing the parameters."""
-    if not patterns:
-        yield []
-        return
-    for atom in atoms:
-        more = _matched(patterns[0], atom, binding)
-        if more is not None:
-            for columns in _ways(patterns[1:], more, atoms, number):
-                # Atoms that never change are here only if they hold in all states.
-                yield ([number[atom]] if atom in number else []) + columns
-
-
-def _matched(pattern: Atom, atom: Atom, binding: Mapping[str, str]) -> dict[str, str] | None:
-    """The binding that turns the pattern into this atom; None if there is none."""
-    if pattern[0] != atom[0]:
-        return None
-    more = dict(binding)
-    for asked, given in zip(pattern[1:], atom[1:], strict=True):
-        if not asked.startswith("?"):
-            if asked != given:
-                return None
-        elif more.setdefault(asked, given) != given:
-            return None
-    return more
+def _match(patterns: Sequence[Atom], atoms: Sequence[Atom]) -> bool:
+    """Whether one binding of the parameters turns each pattern into its atom."""
+    binding: dict[str, str] = {}
+    return all(
+        (binding.setdefault(asked, given) if asked.startswith("?") else asked) == given
+        for pattern, atom in zip(patterns, atoms, strict=True)
+        for asked, given in zip(pattern, atom, strict=True)
+    )

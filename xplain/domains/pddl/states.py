@@ -32,13 +32,9 @@ class Bits:
 
     def rows(self, sets: Iterable[Iterable[Atom]]) -> Words:
         """[n, W] one row for each set."""
-        listed = list(sets)
-        result = np.zeros((len(listed), self.width), dtype=np.uint64)
-        for i, atoms in enumerate(listed):
-            for atom in atoms:
-                if (bit := self.number.get(atom)) is not None:
-                    result[i, bit // 64] |= np.uint64(1 << bit % 64)
-        return result
+        masks = [sum({1 << self.number[x] for x in atoms if x in self.number}) for atoms in sets]
+        packed = b"".join(mask.to_bytes(8 * self.width, "little") for mask in masks)
+        return np.frombuffer(packed, "<u8").astype(np.uint64).reshape(-1, self.width)
 
     def table(self, rows: Words) -> NDArray[np.bool_]:
         """[n, atoms] whether each row has each atom."""

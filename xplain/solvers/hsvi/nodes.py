@@ -97,11 +97,7 @@ def open_node(tables, store, index):  # type: ignore[no-untyped-def]
         # Some messages, or none, are always among them: for who may not ask any more.
         spoken = action.messages >= 0 and action.upper == said
         if action.upper >= lower or action.upper == best or spoken:
-            store.actions[kept].messages = action.messages
-            store.actions[kept].later = action.later
-            store.actions[kept].base = action.base
-            store.actions[kept].lower = action.lower
-            store.actions[kept].upper = action.upper
+            store.actions[kept] = action
             store.actions[kept].first_answer = NONE
             kept += 1
     node.first_action = begin
@@ -258,9 +254,8 @@ def _list_replies(tables, store, index, a, answers):  # type: ignore[no-untyped-
             total += weights[t]
         if total > 0.0:
             copy(weights, answers.weight[found])
+            copy(evidence, answers.evidence[found])
             normalise(weights, logs, answers.evidence[found])
-            for w in range(types, len(evidence)):
-                answers.evidence[found, w] = evidence[w]
             if len(evidence) > types:
                 answers.evidence[found, types + q // WORD] |= 1 << (q % WORD)
             found += 1

@@ -129,8 +129,7 @@ class Searched:
     def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
         """The messages to give before the next *explain*, as
         :class:`xplain.solvers.base.Policy` says."""
-        values = self.values(step, given, belief, asked)
-        return best_set({chosen: value for chosen, value in values.items() if chosen >= 0})
+        return best_set(self.values(step, given, belief, asked))
 
     def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
         """The question to ask, as :class:`xplain.solvers.base.Asks` says."""

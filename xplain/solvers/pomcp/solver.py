@@ -120,8 +120,7 @@ class POMCP:
         check_memory("pomcp", size, self.memory_gib, "fewer messages or habits fit")
         model = KnowingSearch(make_knowing(Reminding(problem)))
         forest = self._forest(problem, model.reduced.inquiry, seed)
-        policy = Remembering(problem, model, self._options(problem), forest)
-        return policy
+        return Remembering(problem, model, self._options(problem), forest)
 
     def _forest(self, problem: Problem, inquiry: Inquiry, seed: int) -> Forest:
         return Forest(
@@ -171,12 +170,10 @@ class Search:
     def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
         """The messages to give before the next *explain*, as
         :class:`xplain.solvers.base.Policy` says."""
-
-        def best_action(shown: int) -> int:
-            values = self._values(Start(step, shown, belief, asked, shown == given))
-            return best_set({action: value for action, value in values.items() if action >= 0})
-
-        return one_by_one(best_action, given)
+        return one_by_one(
+            lambda said: best_set(self._values(Start(step, said, belief, asked, said == given))),
+            given,
+        )
 
     def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
         """The question to ask, as :class:`xplain.solvers.base.Asks` says."""
@@ -240,8 +237,7 @@ class Remembering:
         """The messages to give before the next *explain*, some of them perhaps again."""
         said = 0
         while True:
-            values = self._values(Start(step, said, belief, asked, not said))
-            new = best_set({action: value for action, value in values.items() if action >= 0})
+            new = best_set(self._values(Start(step, said, belief, asked, not said)))
             if not new:
                 return said
             said |= new
