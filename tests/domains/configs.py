@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from copy import deepcopy
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -37,10 +38,14 @@ def configured(*overrides: str) -> Any:
             return compose("primary", list(overrides))
 
 
+@cache
+def _arguments(name: str) -> Any:
+    return OmegaConf.to_container(configured(f"domain={name}").domain, resolve=True)
+
+
 def given(name: str) -> dict[str, Any]:
-    """The domain's arguments in the configuration."""
-    node: Any = OmegaConf.to_container(configured(f"domain={name}").domain, resolve=True)
-    return {k: v for k, v in node.items() if not k.startswith("_")}
+    """The domain's arguments in the configuration, a copy of one's own."""
+    return {k: deepcopy(v) for k, v in _arguments(name).items() if not k.startswith("_")}
 
 
 @cache

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -105,8 +104,7 @@ def test_traces_end_at_a_goal() -> None:
 
 
 def edited(path: str, value: Any) -> dict[str, Any]:
-    arguments = deepcopy(given("four_rooms"))
-    node: Any = arguments
+    node = arguments = given("four_rooms")
     *way, last = path.split(".")
     for part in way:
         node = node[part]

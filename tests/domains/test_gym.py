@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from copy import deepcopy
 from itertools import product
 from types import SimpleNamespace
 from typing import Any
@@ -329,7 +328,7 @@ def change(**fields: Any) -> dict[str, Any]:
 )
 def test_bad_input_is_one_clear_line(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(InputError, match=text) as caught:
-        Gymnasium(**deepcopy(given("cliff_walking")) | changes)
+        Gymnasium(**given("cliff_walking") | changes)
     assert caught.value.key.startswith("domain.")
     assert "\n" not in str(caught.value)
 

@@ -62,7 +62,7 @@ def test_a_completion_that_does_not_exist_is_refused(index: Any) -> None:
         Completions(node.known, node.free, node.bonuses, node.obstacles, index)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from([2, 3, 4]), st.booleans())
 def test_random_types_cover_all_parameters(seed: int, count: int, distinct: bool) -> None:
     domain = domain_of("domain=four_rooms")

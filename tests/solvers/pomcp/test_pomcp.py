@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from numba import njit
 
 from tests.explanation.problems import misleading_problem
 from tests.solvers.plain_values import plain_optimal_value
@@ -24,6 +23,7 @@ from tests.solvers.pomcp.plain_pomcp import PlainPOMCP
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import kernel
 from xplain.solvers.model import best_set
 from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.pomcp import forest, search_model
@@ -83,7 +83,10 @@ def test_is_the_plain_search(
         soft_problem(5, trade_off=4.0),
         replace(repeated, table=p),
     ]
-    for problem, middle in product(problems, [False, True]):
+    # Each problem from the start in some settings, from the middle in the others.
+    turn = len(backup) + len(rollout) + (depth or 0)
+    for number, problem in enumerate(problems):
+        middle = (number + turn) % 2 == 1
         step, given = (2, 4 if problem.n_messages > 1 else 0) if middle else (0, 0)
         search = search_of(solver, problem)
         tree = Tree.rooted(700, problem.n_messages, problem.n_steps, step, given, problem.prior, 99)
@@ -204,7 +207,7 @@ def test_labels_are_drawn_with_their_probabilities() -> None:
     assert beliefs == pytest.approx(expected, rel=1e-9)
 
 
-@njit
+@kernel
 def _draw_many(draws, model, tree, prior):  # type: ignore[no-untyped-def]
     """Labels [draws, m] of a user of the first type after all is shown, and beliefs after them."""
     steps = model.p.shape[1]
