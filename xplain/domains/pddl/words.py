@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from xplain.domains.pddl.task import Action, Atom, Literal, Task
-from xplain.errors import InputError
+from xplain.errors import InputError, one_of
 
 INFIX = ("above", "at", "behind", "below", "beside", "in", "inside", "near", "on", "under")
 """Predicates that stand between their two arguments, because they read better so."""
@@ -29,22 +29,19 @@ class Words:
         """Checks the templates."""
         self._task = task
         self._given = {str(name).lower(): template for name, template in given.items()}
+        actions = {name: action.parameters for name, action in task.actions.items()}
+        lifted = {**task.predicates, **actions}
+        known = {
+            **{name: [str(i + 1) for i in range(n)] for name, n in task.functions.items()},
+            **{name: [parameter[1:] for parameter, _ in own] for name, own in lifted.items()},
+        }
         for name, template in self._given.items():
-            key = f"domain.words.{name}"
-            if name in task.actions:
-                known = [p[0][1:] for p in task.actions[name].parameters]
-            elif name in task.predicates:
-                known = [p[0][1:] for p in task.predicates[name]]
-            elif name in task.functions:
-                known = [str(i) for i in range(1, task.functions[name] + 1)]
-            else:
-                names = (*task.actions, *task.predicates, *task.functions)
-                raise InputError("domain.words", name, f"unknown; known: {', '.join(names)}")
+            key = f"domain.words.{one_of('domain.words', name, known, 'name')}"
             if not isinstance(template, str) or not template.strip() or "\n" in template:
                 raise InputError(key, template, "a line of text")
             for used in re.findall(r"\{(.*?)\}", template):
-                if used not in known:
-                    raise InputError(key, template, f"{used} is none of {', '.join(known)}")
+                if used not in known[name]:
+                    raise InputError(key, template, f"{used} is none of {', '.join(known[name])}")
 
     def atom(self, atom: Atom, action: Action | None = None) -> str:
         """Such as "a on b"; the parameters of an action by their types."""

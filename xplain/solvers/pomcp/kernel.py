@@ -107,8 +107,6 @@ def expand(model, tree, node, edge, action, user_type):  # type: ignore[no-untyp
     child = np.int64(tree.edges[edge].child)
     question, answer = np.int64(-1), 0
     if action < len(model.reduced.price):
-        if child != UNVISITED:
-            return child, False
         given |= 1 << action
         parent, code = ~base, uint64(given)
     elif action > len(model.reduced.price):
@@ -116,14 +114,12 @@ def expand(model, tree, node, edge, action, user_type):  # type: ignore[no-untyp
         yes = answer_probability(model.reduced.inquiry, question, given, user_type)
         answer = int(next_uniform(tree.counter) < yes)
         parent, code = node, splitmix64(uint64(2 * question + answer + 1) * GOLDEN)
-        if child != UNVISITED and tree.nodes[child].code == code:  # the last answer, as often
-            return child, False
     else:
         if step + 1 == model.informative.shape[1]:
             return np.int64(END), False
         parent, code = node, draw_labels(model, tree, step, given, user_type)
-        if child != UNVISITED and tree.nodes[child].code == code:  # the last answer, as often
-            return child, False
+    if child != UNVISITED and tree.nodes[child].code == code:  # the last answer, as often
+        return child, False
     slot, tag = find(tree, parent, code)
     child = np.int64(tree.table[slot].node)
     is_new = child == UNVISITED
