@@ -14,7 +14,7 @@ import importlib.util
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -47,7 +47,7 @@ def configuration(cfg: DictConfig) -> dict[str, Any]:
     }
 
 
-def fingerprint(config: dict[str, Any]) -> str:
+def fingerprint(config: Mapping[str, Any]) -> str:
     """The digest of a resolved configuration and of all that it makes run: 32 hex digits."""
     content = {
         "config": config,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Any
 
 from hydra.utils import instantiate
@@ -13,10 +14,28 @@ from xplain.domains.base import Domain
 from xplain.domains.users.setting import Setting
 from xplain.experiment.cache import SOURCE
 from xplain.experiment.certificates import Certify
+from xplain.experiment.experiment import Experiment
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import Components
 from xplain.explanation.asking import Limits, Pool
 from xplain.randomness import stream
+
+
+def experiment_of(cfg: DictConfig) -> Experiment:
+    """All that a run needs; made, and so checked, before any work.
+
+    Raises:
+        XplainError, HydraException: a value that a component refuses.
+    """
+    return Experiment(
+        components=partial(components_of, cfg),
+        costs=costs_of(cfg),
+        solver=instantiate(cfg.solver),
+        belief=instantiate(cfg.belief),
+        explainee=instantiate(cfg.explainee),
+        certify=Certify(**cfg.certify),
+        seed=cfg.seed,
+    )
 
 
 def components_of(cfg: DictConfig) -> Components:

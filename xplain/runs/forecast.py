@@ -13,7 +13,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from xplain.experiment.fingerprint import configuration, fingerprint
+from xplain.experiment.fingerprint import fingerprint
 from xplain.experiment.from_config import check
 from xplain.experiment.results import load_results
 from xplain.runs.plan import Plan
@@ -92,9 +92,8 @@ def print_dry_run(
         print(_time(expected, _workers(config, len(todo.run)), len(known)))
 
 
-def print_dry_job(cfg: DictConfig, outputs: Path) -> None:
+def print_dry_job(config: Mapping[str, Any], outputs: Path) -> None:
     """The same for a run on its own, which is run again even where it is done already."""
-    config = configuration(cfg)
     check([config])
     key = fingerprint(config)
     done = finished_elsewhere(outputs, {key}).get(key)

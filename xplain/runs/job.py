@@ -9,7 +9,8 @@ import os
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,12 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__
-from xplain.experiment.cache import prepared_once, source_fingerprint
-from xplain.experiment.certificates import Certify
+from xplain.experiment.cache import source_fingerprint
 from xplain.experiment.config import GROUPS, one_line, require_usable
-from xplain.experiment.explanations import evaluate, with_true_labels
+from xplain.experiment.experiment import Experiment
 from xplain.experiment.fingerprint import code_version, configuration, fingerprint, git_state
-from xplain.experiment.from_config import components_of, costs_of
-from xplain.experiment.pipeline import Prepared, prepare
+from xplain.experiment.from_config import experiment_of
+from xplain.experiment.pipeline import Prepared
 from xplain.experiment.progress import SILENT, Progress
 from xplain.experiment.results import (
     EPISODES,
@@ -36,20 +36,58 @@ from xplain.experiment.results import (
     results_of,
     save_results,
 )
-from xplain.experiment.strangers import with_strangers
-from xplain.interaction.explainees import Stranger
 from xplain.numba_kernels import tell_when_compiling
 from xplain.report.run_summary import print_certificates, print_summary
 from xplain.report.stages import stages
 from xplain.runs.folder import SweepFolder, is_ours, job_of, mark_failed, mark_started
 from xplain.runs.forecast import print_dry_job
+from xplain.runs.mlflow import Tracking
 from xplain.runs.plan import Job
 from xplain.runs.worker import end_with_parent
-from xplain.solvers.base import Solver
-from xplain.solvers.known_type import KnownType
 from xplain.storage import write_text
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Composed:
+    """A job's configuration, which nobody else looks into.
+
+    Attributes:
+        cfg: as Hydra composed it.
+    """
+
+    cfg: DictConfig
+
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        """All that decides a number, resolved."""
+        return configuration(self.cfg)
+
+    @cached_property
+    def choices(self) -> dict[str, str]:
+        """The components by group."""
+        chosen = HydraConfig.get().runtime.choices
+        return {group: str(chosen[group]) for group in GROUPS}
+
+    @property
+    def outputs(self) -> Path:
+        """The outputs folder."""
+        return Path(self.cfg.outputs).absolute()
+
+    @property
+    def text(self) -> str:
+        """All keys, resolved, as YAML."""
+        return OmegaConf.to_yaml(self.cfg, resolve=True)
+
+    def experiment(self) -> Experiment:
+        """What it describes; see :func:`xplain.experiment.from_config.experiment_of`."""
+        return experiment_of(self.cfg)
+
+    def tracking(self) -> Tracking:
+        """Where results go besides the disk."""
+        found: Tracking = instantiate(self.cfg.tracking)
+        return found
 
 
 def run_job(cfg: DictConfig) -> float | None:
@@ -58,36 +96,36 @@ def run_job(cfg: DictConfig) -> float | None:
     A job of a sweep never raises: the others go on, and what went wrong is in its folder. Where
     the configuration or the data of a single run cannot be used, its folder is removed.
     """
-    folder = Path(HydraConfig.get().runtime.output_dir)
+    folder, composed = Path(HydraConfig.get().runtime.output_dir), Composed(cfg)
     job = job_of(folder)
     if job is not None:
-        return _run_in_sweep(cfg, *job)
+        return _run_in_sweep(composed, *job)
     try:
         require_usable(cfg)
         if cfg.dry_run:
-            print_dry_job(cfg, Path(cfg.outputs).absolute())
+            print_dry_job(composed.config, composed.outputs)
             shutil.rmtree(folder, ignore_errors=True)
             return None
-        return _run_alone(cfg, folder)
+        return _run_alone(composed, folder)
     except Exception as error:  # whatever it is: it is raised again
         if HydraConfig.get().mode == RunMode.RUN and one_line(error) is not None:
             shutil.rmtree(folder, ignore_errors=True)
         raise
 
 
-def _run_alone(cfg: DictConfig, folder: Path) -> float | None:
+def _run_alone(composed: Composed, folder: Path) -> float | None:
     progress = stages()
     tell_when_compiling(progress.compiling)
-    tracking = instantiate(cfg.tracking)
-    config, outputs = configuration(cfg), Path(cfg.outputs).absolute()
-    results, prepared = run_experiment(cfg, config, folder, progress, print_summary)
+    tracking = composed.tracking()
+    results, prepared = run_experiment(composed, folder, progress, print_summary)
     print_certificates(results.bounds)
-    results = replace(results, id=result_id(results, folder), stamp=fingerprint(config))
+    stamp = fingerprint(composed.config)
+    results = replace(results, id=result_id(results, folder), stamp=stamp)
     with progress.stage("drawing one explanation"):
         drawn = _draw(folder, prepared)
     save_results(folder, results)
     with progress.stage("sending the run to MLflow"):
-        lines = tracking.log(folder, outputs)
+        lines = tracking.log(folder, composed.outputs)
     log.info("folder: %s", os.path.relpath(folder))
     log.info("  trace.png is one explanation: %s", drawn)
     log.info("  results.json has all figures")
@@ -96,18 +134,17 @@ def _run_alone(cfg: DictConfig, folder: Path) -> float | None:
     return results.regret
 
 
-def _run_in_sweep(cfg: DictConfig, sweep: SweepFolder, job: Job) -> float | None:
+def _run_in_sweep(composed: Composed, sweep: SweepFolder, job: Job) -> float | None:
     folder = sweep.of(job)
     end_with_parent()
     mark_started(folder)
     try:
-        config = configuration(cfg)
-        if fingerprint(config) != job.fingerprint:
+        if fingerprint(composed.config) != job.fingerprint:
             raise RuntimeError(
                 "this worker runs other code, libraries or data than the process that started "
                 "the sweep; install the same versions on every machine"
             )
-        results, _ = run_experiment(cfg, config, folder, SILENT)
+        results, _ = run_experiment(composed, folder, SILENT)
     except Exception as error:  # any failure of a job is a result of the sweep
         if is_ours(folder):
             log.exception("failed")
@@ -119,8 +156,7 @@ def _run_in_sweep(cfg: DictConfig, sweep: SweepFolder, job: Job) -> float | None
 
 
 def run_experiment(
-    cfg: DictConfig,
-    config: dict[str, Any],
+    composed: Composed,
     folder: Path,
     progress: Progress,
     tell: Callable[[Results], None] | None = None,
@@ -128,52 +164,20 @@ def run_experiment(
     """The experiment itself: writes its episodes into the folder, returns the results.
 
     Args:
-        cfg: composed.
-        config: the same, resolved (:func:`xplain.experiment.fingerprint.configuration`).
+        composed: the job.
         folder: of the run.
         progress: hears how far it is.
         tell: hears the results before the certificates, which take as long again, are sought.
     """
-    choices = {group: str(HydraConfig.get().runtime.choices[group]) for group in GROUPS}
-    outputs = Path(cfg.outputs).absolute()
-    started = time.time()
-
-    # Everything is instantiated, and so checked, before any work; but for the source, where what
-    # it leads to is known: its classifiers' imports take longer than all the rest then.
-    costs = costs_of(cfg)
-    solver = instantiate(cfg.solver)
-    belief = instantiate(cfg.belief)
-    explainee = instantiate(cfg.explainee)
-    certify = Certify(**cfg.certify)
-
-    clock = Clock()
-    with progress.stage("data, user types and labelers"):
-        prepared = prepared_once(
-            outputs / "cache",
-            source_fingerprint(config),
-            lambda: prepare(components_of(cfg), progress.track),
-        )
+    config, choices, started, clock = composed.config, composed.choices, time.time(), Clock()
+    experiment = composed.experiment()
+    prepared = experiment.prepared(composed.outputs / "cache", source_fingerprint(config), progress)
     clock.lap("prepare")
-    solvers: dict[str, Solver] = {"solver": solver, "clairvoyant": KnownType("labels")}
-    if all(case.perfect is not None for case in prepared.cases):
-        solvers["oracle"] = KnownType("type")
-    stranger = isinstance(explainee, Stranger)
-    if stranger:
-        prepared = with_strangers(prepared, components_of(cfg))
-        del solvers["oracle"]
-    records = evaluate(prepared, costs, solvers, belief, explainee, cfg.seed, progress.track)
-    # Of solvers that plan for others the learned types are not what they plan with, and of
-    # strangers no true type is known.
-    if solver.knows == "types" and not stranger:
-        known = with_true_labels(prepared)
-        what = "explaining, true labels known"
-        again = {"true_labels": solver}
-        records += evaluate(known, costs, again, belief, explainee, cfg.seed, progress.track, what)
+    prepared, records = experiment.explained(prepared, progress)
     clock.lap("explain")
-
     domain = domain_name(choices, config)
     provenance = Provenance(
-        name=f"{domain} {choices['solver']} λ={cfg['lambda']:g} seed={cfg.seed}",
+        name=f"{domain} {choices['solver']} λ={config['lambda']:g} seed={config['seed']}",
         xplain=__version__,
         code=code_version(),
         git=git_state(),
@@ -183,11 +187,11 @@ def run_experiment(
         config=config,
     )
     write_text(folder / EPISODES, episode_lines(prepared, records))
-    write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
+    write_text(folder / "config.yaml", composed.text)
     results = results_of(prepared, records, {}, provenance)
     if tell is not None:
         tell(results)
-    bounds = certify.certificates(prepared, costs, solver, belief, cfg.seed, progress)
+    bounds = experiment.certificates(prepared, progress)
     clock.lap("bounds")
     return replace(results, bounds=bounds, seconds=dict(clock.laps)), prepared
 

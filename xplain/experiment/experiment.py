@@ -1,0 +1,73 @@
+"""One run, all of it, as values: the two halves of the method, and certificates of the second.
+
+Components ── Prepared ── Records ── certificates
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from xplain.experiment.cache import prepared_once
+from xplain.experiment.certificates import Certify
+from xplain.experiment.explanations import Costs, evaluate, with_true_labels
+from xplain.experiment.pipeline import Components, Prepared, prepare
+from xplain.experiment.progress import Progress
+from xplain.experiment.strangers import with_strangers
+from xplain.explanation.belief import BeliefUpdate
+from xplain.interaction.explainees import Explainee, Stranger
+from xplain.interaction.metrics import Record
+from xplain.solvers.base import Solver
+from xplain.solvers.known_type import KnownType
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What a run is made of.
+
+    Attributes:
+        components: makes what decides data, types and traces. Only where it is needed: with a full
+            cache, the imports of its classifiers take longer than all the rest.
+        costs: λ and the rest.
+        solver, belief, explainee, certify: chosen in the configuration.
+        seed: of every stream.
+    """
+
+    components: Callable[[], Components]
+    costs: Costs
+    solver: Solver
+    belief: BeliefUpdate
+    explainee: Explainee
+    certify: Certify
+    seed: int
+
+    def prepared(self, cache: Path, key: str, progress: Progress) -> Prepared:
+        """The first half: observers label, types and labelers are learned, traces drawn; kept in
+        the folder ``cache`` under this key."""
+        with progress.stage("data, user types and labelers"):
+            return prepared_once(cache, key, lambda: prepare(self.components(), progress.track))
+
+    def explained(self, prepared: Prepared, progress: Progress) -> tuple[Prepared, list[Record]]:
+        """The second half: each trace explained to a user of each type, by the solver and by those
+        that it is compared with; and the traces with the users that there were."""
+        solvers = {"solver": self.solver, "clairvoyant": KnownType("labels")}
+        stranger = isinstance(self.explainee, Stranger)
+        if stranger:
+            prepared = with_strangers(prepared, self.components())
+        elif all(case.perfect is not None for case in prepared.cases):
+            solvers["oracle"] = KnownType("type")
+        rest = self.belief, self.explainee, self.seed, progress.track
+        records = evaluate(prepared, self.costs, solvers, *rest)
+        # Of solvers that plan for others the learned types are not what they plan with, and of
+        # strangers no true type is known.
+        if self.solver.knows == "types" and not stranger:
+            known, again = with_true_labels(prepared), {"true_labels": self.solver}
+            records += evaluate(known, self.costs, again, *rest, "explaining, true labels known")
+        return prepared, records
+
+    def certificates(self, prepared: Prepared, progress: Progress) -> dict[str, float]:
+        """Of the solver's problems; see :meth:`Certify.certificates`."""
+        return self.certify.certificates(
+            prepared, self.costs, self.solver, self.belief, self.seed, progress
+        )
