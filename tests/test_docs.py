@@ -36,12 +36,12 @@ TEXTS = [
     *(ROOT / name for name in ("benchmarks/README.md", "Makefile", "pyproject.toml")),
     *(
         file
-        for folder in ("xplain", "conf", "sweeps", "examples", "benchmarks", "docs")
+        for folder in ("xplain", "conf", "examples", "benchmarks", "docs")
         for ending in ("py", "yaml", "html", "js")
         for file in sorted((ROOT / folder).rglob(f"*.{ending}"))
     ),
 ]
-ELSEWHERE = ("xplain/conf", "xplain/sweeps", "xplain/kernels")
+ELSEWHERE = ("xplain/conf", "xplain/kernels")
 """Folders in a wheel, and below the user's cache folder."""
 WITH_KEYS = {command.config for command in COMMANDS.values() if command.config}
 OURS = (
@@ -178,7 +178,7 @@ def resolves(name):
 
 
 def test_files_that_are_named_exist():
-    folders = "xplain|conf|sweeps|examples|benchmarks|tests|docs"
+    folders = "xplain|conf|examples|benchmarks|tests|docs"
     paths = rf"(?<![\w./-])((?:{folders})/[\w./-]*\w)"
     missing = [
         f"{file}: {path}"

@@ -17,7 +17,7 @@ from hydra.core.global_hydra import GlobalHydra
 from tests import forked, processes
 from tests.configurations import composed
 from tests.runs import sweeps
-from xplain.experiment.config import CONF, SWEEPS
+from xplain.experiment.config import CONF
 from xplain.experiment.results import RESULTS
 from xplain.runs import hydra_plugins, sweep
 from xplain.runs.folder import FAILURE
@@ -388,7 +388,7 @@ def test_sync_sends_a_sweep_once(finished, folder):
     assert [(n, s, p is None) for n, s, p in sent] == [(n, s, p is None) for n, s, p in reference]
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in SWEEPS.glob("*.yaml")))
+@pytest.mark.parametrize("name", sorted(path.stem for path in (CONF / "sweeps").glob("*.yaml")))
 def test_sweep_files_set_known_keys_and_open_with_their_command(name):
     plain = composed()
     hydra_plugins.register()
@@ -397,7 +397,7 @@ def test_sweep_files_set_known_keys_and_open_with_their_command(name):
         chosen = compose("config", [f"sweeps={name}"], return_hydra_config=True)
     assert set(chosen) - {"hydra"} == set(plain)
     assert set(chosen.certify) == set(plain.certify)
-    first = (SWEEPS / f"{name}.yaml").read_text().splitlines()[:2]
+    first = (CONF / "sweeps" / f"{name}.yaml").read_text().splitlines()[:2]
     assert first == ["# @package _global_", f"# python -m xplain sweeps={name}"]
     assert chosen.hydra.mode.name == "MULTIRUN"
 

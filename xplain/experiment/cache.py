@@ -54,18 +54,15 @@ def prepared_once(folder: Path, key: str, make: Callable[[], Prepared]) -> Prepa
         return kept
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / f"{key}.lock")
-        lock.acquire()
+        lock = FileLock(folder / f"{key}.lock").acquire()
     except OSError:
         return make()
-    try:
+    with lock:
         kept = _read(path)
         if kept is None:
             kept = make()
             _write(path, kept)
         return kept
-    finally:
-        lock.release()
 
 
 def _read(path: Path) -> Prepared | None:

@@ -28,17 +28,9 @@ from yaml import MarkedYAMLError, YAMLError
 
 from xplain.errors import InputError, XplainError, one_of
 
-_PACKAGE = Path(__file__).parents[1]
-
-
-def _shipped(folder: str) -> Path:
-    """A folder of configs: inside the package in a wheel, beside it in a checkout."""
-    inside = _PACKAGE / folder
-    return inside if inside.is_dir() else _PACKAGE.parent / folder
-
-
-CONF = _shipped("conf")
-SWEEPS = _shipped("sweeps")
+_INSIDE = Path(__file__).parents[1] / "conf"
+CONF = _INSIDE if _INSIDE.is_dir() else _INSIDE.parents[1] / "conf"
+"""Every choice as YAML: inside the package in a wheel, beside it in a checkout."""
 
 SOURCE_GROUPS = ("domain", "users", "observers", "queries", "labeler", "clusterer")
 """Groups of components that decide data and types."""

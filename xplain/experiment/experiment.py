@@ -46,7 +46,7 @@ class Experiment:
         """The first half: observers label, types and labelers are learned, traces drawn; kept in
         the folder ``cache`` under this key."""
         with progress.stage("data, user types and labelers"):
-            return prepared_once(cache, key, lambda: prepare(self.components(), progress.track))
+            return prepared_once(cache, key, lambda: prepare(self.components(), progress))
 
     def explained(self, prepared: Prepared, progress: Progress) -> tuple[Prepared, list[Record]]:
         """The second half: each trace explained to a user of each type, by the solver and by those
@@ -57,7 +57,7 @@ class Experiment:
             prepared = with_strangers(prepared, self.components())
         elif all(case.perfect is not None for case in prepared.cases):
             solvers["oracle"] = KnownType("type")
-        rest = self.belief, self.explainee, self.seed, progress.track
+        rest = self.belief, self.explainee, self.seed, progress
         records = evaluate(prepared, self.costs, solvers, *rest)
         # Of solvers that plan for others the learned types are not what they plan with, and of
         # strangers no true type is known.

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError, number
-from xplain.experiment.pipeline import Case, Prepared, Track, untracked
+from xplain.experiment.pipeline import Case, Prepared
+from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.asking import Limits
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.habits import PAPER
@@ -160,7 +161,7 @@ def evaluate(
     belief_update: BeliefUpdate,
     explainee: Explainee,
     seed: int,
-    track: Track[Any] = untracked,
+    progress: Progress = SILENT,
     what: str = "explaining",
 ) -> list[Record]:
     """Each solver explains each trace to a user of each true type.
@@ -173,12 +174,12 @@ def evaluate(
         explainee: how the users hear, think and answer.
         seed: the policies' streams come from it and the trace, not from the solver's name; the
             users' from it, the trace and their type.
-        track: shows progress.
+        progress: hears how far it is.
         what: is done, in its words.
     """
     records = []
     seen = explainee.habits if isinstance(explainee, Habitual) else PAPER
-    for index, case in track(enumerate(prepared.cases), what, len(prepared.cases)):
+    for index, case in progress.track(enumerate(prepared.cases), what, len(prepared.cases)):
         truth, same = what_is_thought(case)
         for name, solver in solvers.items():
             shared = solver.knows in ("types", "everyone")

@@ -10,9 +10,8 @@ call as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from xplain.domains.users.setting import Setting
 from xplain.domains.users.types import TypeSource
 from xplain.errors import whole_number
 from xplain.experiment.asking import Beliefs, CaseQuestions, Clips, merged
+from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.asking import Pool
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
@@ -32,15 +32,6 @@ from xplain.learning.data.rollouts import sample_trace
 from xplain.learning.known_types import Tables, find_types
 from xplain.learning.labelers import LabelerTrainer
 from xplain.randomness import run_seed, stream
-
-T = TypeVar("T")
-Track = Callable[[Iterable[T], str, int], Iterable[T]]
-"""Shows progress: ``track(items, what, how many)`` yields the items."""
-
-
-def untracked(items: Iterable[Any], what: str, count: int) -> Iterator[Any]:
-    """Yields the items without showing progress."""
-    return iter(items)
 
 
 @dataclass(frozen=True)
@@ -136,7 +127,7 @@ class Prepared:
     habits: Habits | None = None
 
 
-def prepare(components: Components, track: Track[Any] = untracked) -> Prepared:
+def prepare(components: Components, progress: Progress = SILENT) -> Prepared:
     """Builds the setting, lets observers label, finds the types and learns their labelers.
 
     Raises:
@@ -147,7 +138,7 @@ def prepare(components: Components, track: Track[Any] = untracked) -> Prepared:
     setting = observed.setting
     assert setting is not None
     known = find_types(observed, components.labeler, components.clusterer, seed)
-    traces = track(range(components.traces), "labelling traces", components.traces)
+    traces = progress.track(range(components.traces), "labelling traces", components.traces)
     pool = components.ask
     clips = Clips.of(setting, known.tables, pool) if pool and "clips" in pool.kinds else None
     beliefs = Beliefs.of(setting, known.wrong, seed) if pool and "beliefs" in pool.kinds else None

@@ -17,17 +17,7 @@ Run them with pytest. Each test states a property that the rest of xplain relies
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from xplain.testing.chosen import Chosen
-    from xplain.testing.clusterer import ClustererConformance, PartitionConformance
-    from xplain.testing.domain import DomainConformance
-    from xplain.testing.explainee import ExplaineeConformance
-    from xplain.testing.labeler import LabelerConformance
-    from xplain.testing.queries import QueriesConformance
-    from xplain.testing.solver import SolverConformance
-    from xplain.testing.types import TypeSourceConformance
+from typing import Any
 
 __all__ = [
     "Chosen",
@@ -55,7 +45,8 @@ _WHERE = {
 
 
 def __getattr__(name: str) -> Any:
-    # Imported on demand: the data and problems need no pytest.
+    # Imported on demand: the data and problems need no pytest. What each name is for type checkers,
+    # __init__.pyi says.
     if name not in _WHERE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

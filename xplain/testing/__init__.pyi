@@ -1,0 +1,9 @@
+from xplain.testing.chosen import Chosen as Chosen
+from xplain.testing.clusterer import ClustererConformance as ClustererConformance
+from xplain.testing.clusterer import PartitionConformance as PartitionConformance
+from xplain.testing.domain import DomainConformance as DomainConformance
+from xplain.testing.explainee import ExplaineeConformance as ExplaineeConformance
+from xplain.testing.labeler import LabelerConformance as LabelerConformance
+from xplain.testing.queries import QueriesConformance as QueriesConformance
+from xplain.testing.solver import SolverConformance as SolverConformance
+from xplain.testing.types import TypeSourceConformance as TypeSourceConformance
