@@ -14,12 +14,16 @@ READY = $(VENV)/.ready
 # A process a core and a file at a time, in the order of tests/conftest.py: the longest first.
 SPREAD = --numprocesses auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: run test test-docs test-slow browser-test mutants lint docs outputs bench bench-quick study ui clean
+.PHONY: run test style types tests test-docs test-slow browser-test mutants lint docs outputs bench bench-quick study ui clean
 
 run: $(READY)
 	$(BIN)/python -m xplain solver=pomcp domain=rescue lambda=1.5
 
-test: lint
+# mypy needs one core for a while: the tests begin beside it.
+test: style
+	$(MAKE) --jobs 2 types tests
+
+tests: $(READY)
 	$(BIN)/python -m pytest -q -m "not browser and not slow" $(SPREAD)
 
 test-docs: $(READY)
@@ -28,8 +32,9 @@ test-docs: $(READY)
 test-slow: $(READY)
 	$(BIN)/python -m pytest -q -m "slow and not browser"
 
+# One file has most of them: they go a test at a time, and those that share what is dear together.
 browser-test: $(READY)
-	$(BIN)/python -m pytest -q -m browser $(SPREAD)
+	$(BIN)/python -m pytest -q -m browser --numprocesses auto --dist loadgroup --no-loadscope-reorder
 
 # Interrupted, it goes on where it was; another SEED is another sample.
 SAMPLE ?= 60
@@ -40,11 +45,15 @@ mutants: $(READY)
 	$(BIN)/python -m pytest -q tests/mutants
 	$(BIN)/python -m tests.mutants --sample $(SAMPLE) --seed $(SEED) --jobs $(JOBS)
 
-lint: $(READY)
+lint: style types
+
+style: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+types: $(READY)
+	$(BIN)/mypy
 
 # Warnings are errors, also of links to pages, headings and pictures that are not there.
 docs: $(READY)

@@ -128,14 +128,14 @@ Slip = Annotated[float, Range(0, 1, "[)")]
 Discount = Annotated[float, Range(0, 1, "()")]
 
 
-def checks(prefix: str) -> Callable[[type[T]], type[T]]:
+def checks(prefix: str = "") -> Callable[[type[T]], type[T]]:
     """A class whose constructor refuses what its annotations do not allow, before its body runs.
 
     ``Annotated[int, Range(1)]`` allows whole numbers ≥ 1, ``Annotated[float, Range(0, 1)]``
     numbers in [0, 1], ``Literal["a", "b"]`` one of two words; beside ``| None`` None is allowed
     too. Other annotations are not looked at, but their names have to be there at run time. The
-    error's key is ``prefix.parameter``. It stands above ``@dataclass``; a subclass with a
-    constructor of its own needs it again.
+    error's key is ``prefix.parameter``, or ``parameter`` without a prefix. It stands above
+    ``@dataclass``; a subclass with a constructor of its own needs it again.
     """
 
     def of(kind: type[T]) -> type[T]:
@@ -147,7 +147,7 @@ def checks(prefix: str) -> Callable[[type[T]], type[T]]:
             given = takes.bind(self, *values, **named).arguments
             for name, hint in _hints(made).items():
                 if name in given:
-                    check(f"{prefix}.{name}", given[name], hint)
+                    check(f"{prefix}.{name}".lstrip("."), given[name], hint)
             made(self, *values, **named)
 
         kind.__init__ = init  # type: ignore[method-assign, assignment]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from xplain.domains.base import Domain, Scene, changes_of
 from xplain.domains.users.setting import Setting
 from xplain.domains.users.types import TypeSource
-from xplain.errors import whole_number
+from xplain.errors import Count, Range, checks
 from xplain.experiment.asking import Beliefs, CaseQuestions, Clips, merged
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.asking import Pool
@@ -31,9 +32,10 @@ from xplain.learning.data.queries import Queries
 from xplain.learning.data.rollouts import sample_trace
 from xplain.learning.known_types import Tables, find_types
 from xplain.learning.labelers import LabelerTrainer
-from xplain.randomness import run_seed, stream
+from xplain.randomness import MOST, stream
 
 
+@checks()
 @dataclass(frozen=True)
 class Components:
     """What decides the data, the types and the traces, but no explanation.
@@ -52,16 +54,10 @@ class Components:
     queries: Queries
     labeler: LabelerTrainer
     clusterer: Clusterer
-    traces: int
-    max_steps: int
-    seed: int
+    traces: Count
+    max_steps: Count
+    seed: Annotated[int, Range(0, MOST)]
     ask: Pool | None = None
-
-    def __post_init__(self) -> None:
-        """Raises InputError for a number out of its range."""
-        for key in ("traces", "max_steps"):
-            whole_number(key, getattr(self, key), 1)
-        run_seed(self.seed)
 
 
 @dataclass(frozen=True)

@@ -117,6 +117,11 @@ def _ends(estimate: Estimate, name: str = "") -> dict[str, float]:
     return {f"{name}{end}": getattr(estimate, end) for end in ("mean", "low", "high")}
 
 
+def where(frame: pd.DataFrame, values: Mapping[str, Value]) -> pd.DataFrame:
+    """The rows with these values."""
+    return frame[(frame[list(values)] == list(values.values())).all(axis=1)]
+
+
 def paired(
     frame: pd.DataFrame,
     by: Sequence[str],
@@ -133,7 +138,7 @@ def paired(
         one, two: their values in the two ways.
         on: columns that are the same in a pair.
     """
-    left, right = (frame[(frame[list(by)] == list(way)).all(axis=1)] for way in (one, two))
+    left, right = (where(frame, dict(zip(by, way, strict=True))) for way in (one, two))
     key = [*on]
     both = left.merge(right[[*key, "cost"]], on=key, suffixes=("", "_other"), validate="one_to_one")
     return both.assign(difference=both["cost"] - both["cost_other"])

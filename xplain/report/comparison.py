@@ -17,6 +17,7 @@ from xplain.report.combinations import (
     label,
     value_label,
     value_title,
+    where,
 )
 from xplain.report.layout import shown_keys, table_layout
 from xplain.report.measure import NEGATIVE, TITLES, is_choice
@@ -121,8 +122,8 @@ def _marked(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> dict[Wa
         mark = "" if one.decided or not fair else TIE
         if fair and round(one.estimate.mean - order[0].estimate.mean, 9) == 0:
             mark = BEST
-        own = frame[(frame[list(by)] == list(one.way)).all(axis=1)]
-        note = "" if summary.measure.name == "cost" else f"cost {number(own['cost'].mean())}"
+        cost = where(frame, dict(zip(by, one.way, strict=True)))["cost"].mean()
+        note = "" if summary.measure.name == "cost" else f"cost {number(cost)}"
         cells[one.way] = Cell(estimate=one.estimate, mark=mark, note=note)
     return cells
 

@@ -80,34 +80,30 @@ def _asks(results: Results) -> str:
 
 
 def _headline(results: Results) -> str:
-    learning = results.learning
-    lines = [
-        f"{results.domain} · {results.solver} · λ = {results.trade_off:g} · "
-        f"{_count(results.config['traces'], 'trace')} × "
-        f"{_count(len(results.types.true), 'type')} · "
-        + (f"explainee={_users(results)} · " if _users(results) != "exact" else "")
-        + (f"{_asks(results)} · " if _asks(results) else "")
-        + f"seed {results.seed}",
-        f"user types found: {learning['types_found']:.0f}"
-        + (f" of {learning['true_types']:.0f}" if "true_types" in learning else "")
-        + (
-            f", adjusted Rand index {learning['adjusted_rand_index']:.2f}"
-            if "adjusted_rand_index" in learning
-            else ""
-        )
-        + f" ({results.elbow.rule})"
-        + (
-            f"; labelers {learning['labeler_accuracy']:.1%} right on held-out labels"
-            if "labeler_accuracy" in learning
-            else ""
-        )
-        + (
-            f", {learning['fresh_accuracy']:.1%} on fresh questions"
-            if "fresh_accuracy" in learning
-            else ""
-        ),
+    """Two lines: what was run, and what was learned."""
+    what = [
+        results.domain,
+        results.solver,
+        f"λ = {results.trade_off:g}",
+        f"{_count(results.config['traces'], 'trace')} × {_count(len(results.types.true), 'type')}",
+        "" if _users(results) == "exact" else f"explainee={_users(results)}",
+        _asks(results),
+        f"seed {results.seed}",
     ]
-    return "\n".join(lines)
+    known = results.learning
+
+    def figure(text: str, name: str) -> str:
+        return text.format(known[name]) if name in known else ""
+
+    learned = [
+        figure("user types found: {:.0f}", "types_found"),
+        figure(" of {:.0f}", "true_types"),
+        figure(", adjusted Rand index {:.2f}", "adjusted_rand_index"),
+        f" ({results.elbow.rule})",
+        figure("; labelers {:.1%} right on held-out labels", "labeler_accuracy"),
+        figure(", {:.1%} on fresh questions", "fresh_accuracy"),
+    ]
+    return f"{' · '.join(filter(None, what))}\n{''.join(learned)}"
 
 
 def _interval(figure: Figure) -> str:

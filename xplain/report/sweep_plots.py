@@ -3,7 +3,6 @@ rest, intervals over seeds."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,7 +13,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from xplain.report.combinations import grouped, heading, label, plain_text, value_title
+from xplain.report.combinations import (
+    grouped,
+    heading,
+    label,
+    plain_text,
+    value_title,
+    where,
+)
 from xplain.report.layout import PlotLayout, plot_layout
 from xplain.report.paper import table1
 from xplain.report.plots import figure_of_panels, series_style
@@ -50,7 +56,7 @@ def against_main_key(summary: Summary, measure: str, title: str) -> Figure | Non
     gap = min(np.diff(sorted(place.values())), default=1.0)
     for panel, (values, frame) in zip(axes, panels, strict=True):
         for index, line in enumerate(lines):
-            points = _points(summary, _where(frame, line), layout.x, measure)
+            points = _points(summary, where(frame, line), layout.x, measure)
             if not points:
                 continue
             shift = 0.12 * gap * (index - (len(lines) - 1) / 2)
@@ -79,7 +85,10 @@ def has_roots(summary: Summary) -> bool:
     layout, measure = plot_layout(summary), summary.measure.name
     keys = [*([layout.x] if layout.x else []), *layout.lines, *layout.panels]
     found = [summary.estimate(frame, measure) for _, frame in grouped(summary, keys)]
-    return summary.report == "table1" or wide_range([one.mean for one in found if one is not None])
+    means = [one.mean for one in found if one is not None and one.mean > 0]
+    # A linear axis would press most of them together.
+    wide = bool(means) and max(means) > WIDE_RANGE * float(np.median(means))
+    return wide or summary.report == "table1"
 
 
 def belief_over_steps(summary: Summary) -> Figure | None:
@@ -134,19 +143,8 @@ def _points(
     summary: Summary, frame: pd.DataFrame, x: str, measure: str
 ) -> dict[Value, tuple[float, float, float]]:
     """``{value of x: (mean, low, high)}``."""
-    found = {}
-    for value in summary.values(x):
-        own = frame[frame[x] == value].dropna(subset=[measure])
-        if len(own):
-            estimate = summary.mean(own, measure)
-            found[value] = (estimate.mean, estimate.low, estimate.high)
-    return found
-
-
-def _where(frame: pd.DataFrame, values: Mapping[str, Value]) -> pd.DataFrame:
-    for key, value in values.items():
-        frame = frame[frame[key] == value]
-    return frame
+    found = {at: summary.estimate(frame[frame[x] == at], measure) for at in summary.values(x)}
+    return {at: (own.mean, own.low, own.high) for at, own in found.items() if own is not None}
 
 
 def _places(ticks: list[Value], layout: PlotLayout) -> dict[Value, float]:
@@ -214,27 +212,17 @@ def _share_scale(axes: list[Axes], layout: PlotLayout) -> None:
             panel.set_ylim(min(low), max(high))
 
 
-def wide_range(means: list[float]) -> bool:
-    """Whether a linear axis would press most of the means together."""
-    known = [mean for mean in means if math.isfinite(mean) and mean > 0]
-    return bool(known) and max(known) > WIDE_RANGE * float(np.median(known))
-
-
 def by_step(
     summary: Summary, name: str, wanted: Mapping[str, Value]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean at each step over all episodes of these values that last so long, and how many do."""
-    total: NDArray[np.float64] = np.zeros(0)
-    count: NDArray[np.float64] = np.zeros(0)
-    for job, results in summary.results:
-        values = summary.values_of(job, results)
-        if any(values[key] != value for key, value in wanted.items()) or name not in results.steps:
-            continue
-        series = np.array(results.steps[name])
-        weight = np.array(results.steps["episodes"])[: len(series)]
-        longest = max(len(total), len(series))
-        total = np.pad(total, (0, longest - len(total)))
-        count = np.pad(count, (0, longest - len(count)))
-        total[: len(series)] += series * weight
-        count[: len(series)] += weight
-    return total / count, count
+    rows = [
+        (step, count * mean, count)
+        for job, results in summary.results
+        if wanted.items() <= summary.values_of(job, results).items() and name in results.steps
+        for step, (mean, count) in enumerate(
+            zip(results.steps[name], results.steps["episodes"], strict=False)
+        )
+    ]
+    sums = pd.DataFrame(rows, columns=["step", "total", "count"]).groupby("step").sum()
+    return (sums["total"] / sums["count"]).to_numpy(), sums["count"].to_numpy(float)

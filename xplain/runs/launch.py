@@ -19,11 +19,11 @@ from xplain.runs.plan import Job
 
 
 def launch(
-    jobs: list[Job],
-    folder: SweepFolder,
     context: HydraContext,
     task: TaskFunction,
     config: DictConfig,
+    folder: SweepFolder,
+    jobs: list[Job],
 ) -> None:
     """Has the configured launcher run the jobs; failures end up in the jobs' folders."""
     with open_dict(config):

@@ -7,6 +7,7 @@ import os
 import shlex
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -55,15 +56,13 @@ def run_sweep(
     began = time.time()
     configurations: dict[str, dict[str, Any]] = {}
 
-    def load(overrides: list[str]) -> DictConfig:
-        return context.config_loader.load_sweep_config(config, overrides)
-
     def fingerprints(resolved: dict[str, Any]) -> tuple[str, str]:
         own = fingerprint(resolved)
         configurations[own] = resolved
         return own, source_fingerprint(resolved)
 
     name = config.hydra.runtime.choices.get("sweeps") or "multirun"
+    load = partial(context.config_loader.load_sweep_config, config)
     compose = Composer(load, config.hydra.runtime.choices)
     plan = make_plan(name, settings, arguments, compose, fingerprints)
     for note in plan.notes:
@@ -77,23 +76,11 @@ def run_sweep(
         print_dry_run(plan, todo, outputs, config, configurations)
         return None
     with folder.alone(f"{plan.identity}: another process runs this sweep; waiting for it"):
-        folder.save(
-            plan,
-            {
-                "started": began,
-                "command": _command(config),
-                "code": code_version(),
-                "git": git_state(),
-                **shown,
-            },
-        )
+        made = {"command": _command(config), "code": code_version(), "git": git_state()}
+        folder.save(plan, {"started": began, **made, **shown})
         todo = _todo(plan, folder, outputs, config.resume)
-        tracking = instantiate(config.tracking)
-
-        def start(jobs: list[Job]) -> None:
-            launch(jobs, folder, context, task, config)
-
-        carry_out(todo, plan, folder, tracking, outputs, start)
+        start = partial(launch, context, task, config, folder)
+        carry_out(todo, plan, folder, instantiate(config.tracking), outputs, start)
     return folder.path
 
 
