@@ -36,7 +36,8 @@ from xplain.learning.data.domain_properties import (
 )
 from xplain.randomness import stream
 from xplain.report.plots import save
-from xplain.report.traces import Story, draw_trace
+from xplain.report.story import Story
+from xplain.report.traces import draw_trace
 
 DOMAINS = ("four_rooms", "rescue", "taxi", "cliff_walking", "frozen_lake")
 PICTURES = Path(__file__).parent.parent / "docs" / "pictures"

@@ -19,7 +19,8 @@ from xplain.experiment.results import EPISODES, episode_lines
 from xplain.explanation.asking import SENSE
 from xplain.interaction.metrics import Record, by_step, summarise
 from xplain.report.page import _episode
-from xplain.report.traces import draw_trace, stories
+from xplain.report.story import stories
+from xplain.report.traces import draw_trace
 
 OVERRIDES = ("labeler=true", "clusterer=perfect", "ask=clips", "ask.cost=0.2", "traces=3")
 

@@ -8,7 +8,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Annotation
 
 from xplain.domains.base import Scene
-from xplain.report.traces import Story, draw_trace, typical, which
+from xplain.report.story import Story, typical, which
+from xplain.report.traces import draw_trace
 
 
 def story(trace: int, user: str, cost: float) -> Story:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 
 from xplain.cli.commands import COMMANDS
-from xplain.experiment.config import CONF, register
+from xplain.experiment.config import CONF
 
 
 def main(words: list[str]) -> None:
@@ -52,7 +52,6 @@ def _keys(config: str, line: str) -> list[str]:
 
     from xplain.runs import hydra_plugins
 
-    register()
     hydra_plugins.register()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         plugin = DefaultCompletionPlugin(GlobalHydra.instance().config_loader())

@@ -50,7 +50,7 @@ def main(arguments: list[str] | None = None) -> None:
 
     with report_errors():
         if given[:1] in (["--help"], ["-h"]):
-            print(_help(), end="")
+            print(HELP.format(commands="\n".join(_commands(""))), end="")
         elif given == ["--version"]:
             print(f"xplain {__version__}")
         elif given and given[0] in ("-sc", "--shell-completion"):
@@ -125,10 +125,6 @@ def split(words: list[str]) -> tuple[str | None, list[str]]:
         allowed = ", ".join(name for name in COMMANDS if " " not in name)
         raise InputError("command", words[0], f"key=value, or one of {allowed}")
     return None, words
-
-
-def _help() -> str:
-    return HELP.format(commands="\n".join(_commands("")))
 
 
 def _commands(group: str) -> list[str]:

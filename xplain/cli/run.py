@@ -9,7 +9,7 @@ import hydra
 from hydra._internal.utils import get_args_parser
 
 from xplain.errors import XplainError
-from xplain.experiment.config import CONF, named, register
+from xplain.experiment.config import CONF, named
 from xplain.runs import hydra_plugins
 from xplain.runs.start import job, start
 
@@ -48,7 +48,6 @@ def _any_failed(folder: Path) -> bool:
 def _show(words: list[str]) -> None:
     """What Hydra tells of the configuration: it runs nothing. Overrides come before flags: Hydra
     takes none on both sides of a flag."""
-    register()
     hydra_plugins.register()
     before, sys.argv = sys.argv, ["xplain", *named(words)]  # Hydra reads nothing else
     try:

@@ -69,7 +69,7 @@ def claims(episodes: pd.DataFrame, found: pd.DataFrame | None = None) -> list[Cl
         episodes: a row an episode, with domain, setting, method, lambda, seed, trace, type, cost
             and oracle (:attr:`xplain.report.summary.Summary.episodes`).
         found: a row a data set that types were sought in, with domain, seed and
-            adjusted_rand_index (:attr:`xplain.report.summary.Summary.data_sets`).
+            adjusted_rand_index (:func:`xplain.report.learning.data_sets`).
     """
     tested = []
     for domain in dict.fromkeys(episodes["domain"]):

@@ -7,9 +7,11 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from xplain.report.paper import title
+from xplain.report.settings import setting_of
 from xplain.report.summary import Summary
 from xplain.report.table import Cell, Table
 
@@ -23,9 +25,28 @@ FIGURES = {
 }
 
 
+def data_sets(summary: Summary) -> pd.DataFrame:
+    """A row a data set, one a domain, setting and seed: these, the disagreements for each number of
+    types (``curve``), the number found (``chosen``), and the figures of the learning stage by name,
+    NaN where there is none."""
+    rows = [
+        {
+            "domain": results.domain,
+            "setting": setting_of(job["values"]),
+            "seed": results.seed,
+            "curve": results.elbow.disagreements,
+            "chosen": len(results.types.found),
+            "adjusted_rand_index": math.nan,
+            **results.learning,
+        }
+        for job, results in summary.results
+    ]
+    return pd.DataFrame(rows).drop_duplicates(["domain", "setting", "seed"], keep="last")
+
+
 def elbows(summary: Summary, domain: str) -> dict[str, tuple[NDArray[np.float64], Counter[int]]]:
     """``{setting: (mean curve over seeds, how often each k was chosen)}``."""
-    found = summary.data_sets
+    found = data_sets(summary)
     own = found[(found["domain"] == domain) & (found["curve"].map(len) > 0)]
     curves: Any = own.groupby("setting", sort=False)
     means = {}
@@ -38,7 +59,7 @@ def elbows(summary: Summary, domain: str) -> dict[str, tuple[NDArray[np.float64]
 
 def table(summary: Summary) -> Table:
     """How well types and labels were learned, a row a setting."""
-    found = summary.data_sets
+    found = data_sets(summary)
     heads = [name for name in FIGURES if name in found and found[name].notna().any()]
     groups: Any = found.groupby(["domain", "setting"], sort=False)
     rows = []

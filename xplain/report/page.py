@@ -73,7 +73,7 @@ def page(summary: Summary, pictures: Pictures) -> str:
         size=_size(summary),
         is_table1=is_table1,
         table=comparison.main_table(summary),
-        claims=claims.table(claims.claims(summary.episodes, summary.data_sets)),
+        claims=claims.table(claims.claims(summary.episodes, learning.data_sets(summary))),
         parts=decomposition.table(summary),
         ranges=paper_table.ranges(summary),
         figures=pictures,
@@ -83,7 +83,7 @@ def page(summary: Summary, pictures: Pictures) -> str:
                 "domain": title(domain),
                 "sentences": sorted(
                     (name.replace("_", " "), text)
-                    for name, text in summary.messages(domain).items()
+                    for name, text in _messages(summary, domain).items()
                 ),
                 "figures": found,
             }
@@ -94,6 +94,11 @@ def page(summary: Summary, pictures: Pictures) -> str:
         episodes=packed(list(_episodes(summary))),
         player=packed(player),
     )
+
+
+def _messages(summary: Summary, domain: str) -> Mapping[str, str]:
+    """``{message: its sentence}`` of a domain."""
+    return next(own.messages for _, own in summary.results if own.domain == domain)
 
 
 def _heading(summary: Summary) -> str:
@@ -205,7 +210,7 @@ def _episodes(summary: Summary) -> Iterator[Mapping[str, Any]]:
 
 
 def _lines(summary: Summary, job: Mapping[str, Any]) -> list[str]:
-    path = summary.folder / "jobs" / job["name"] / EPISODES
+    path = summary.folder_of(job) / EPISODES
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     return [line for line in text.splitlines() if '"solver": "solver"' in line]
 

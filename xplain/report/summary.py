@@ -75,17 +75,20 @@ class Summary:
         self.jobs: list[dict[str, Any]] = self.about["jobs"]
         self.results: list[tuple[dict[str, Any], Results]] = []
         for job in self.jobs:
-            own = folder / "jobs" / job["name"]
-            if (own / RESULTS).exists():
-                self.results.append((job, load_results(own)))
+            if (self.folder_of(job) / RESULTS).exists():
+                self.results.append((job, load_results(self.folder_of(job))))
+
+    def folder_of(self, job: Mapping[str, Any]) -> Path:
+        """Path of a job's own folder."""
+        return self.folder / "jobs" / str(job["name"])
 
     @property
     def failures(self) -> list[tuple[str, str]]:
         """(job, error) of the failed jobs."""
         found = []
         for job in self.jobs:
-            folder = self.folder / "jobs" / job["name"]
-            if (folder / "failure.json").exists() and not (folder / "results.json").exists():
+            folder = self.folder_of(job)
+            if (folder / "failure.json").exists() and not (folder / RESULTS).exists():
                 content = json.loads((folder / "failure.json").read_text("utf-8"))
                 found.append((job["label"], content["error"]))
         return found
@@ -121,7 +124,7 @@ class Summary:
         ascending, solvers in the paper's order, other text as it was swept."""
         found: list[Value] = list(dict.fromkeys(self._value(key, *one) for one in self.results))
         if key == "solver":
-            return sorted(found, key=lambda name: (_rank(str(name)), name))
+            return sorted(found, key=lambda name: (rank(str(name)), name))
         if all(isinstance(value, float) or value == "" for value in found):
             return sorted(found, key=lambda value: (value != "", value))
         return found
@@ -206,7 +209,7 @@ class Summary:
     def methods(self) -> list[str]:
         """Names of the methods that were run, those of the paper's columns first."""
         names = set(self.episodes["method"]) if len(self.episodes) else set()
-        return sorted(names, key=lambda name: (_rank(name), name))
+        return sorted(names, key=lambda name: (rank(name), name))
 
     @cached_property
     def domains(self) -> list[str]:
@@ -241,18 +244,6 @@ class Summary:
         first = min(set(known["method"]), key=self.methods.index, default="")
         return known[known["method"] == first]
 
-    def example(self, domain: str) -> tuple[Path, str, Results] | None:
-        """Folder, label and results of one job of a domain: at λ = 1 where that was run, else
-        at the middle one, with the solver that comes first."""
-        own = [(job, results) for job, results in self.results if results.domain == domain]
-        trade_offs = sorted({results.trade_off for _, results in own})
-        middle = 1.0 if 1.0 in trade_offs else trade_offs[len(trade_offs) // 2] if own else 0.0
-        at = [one for one in own if one[1].trade_off == middle]
-        if not at:
-            return None
-        job, results = min(at, key=lambda one: (_rank(one[1].solver), one[1].solver))
-        return self.folder / "jobs" / job["name"], job["label"], results
-
     def complete(self, values: Mapping[str, Value]) -> bool:
         """Whether all jobs of these values (of the finished ones, and as planned) are there."""
         finished = {job["name"] for job, _ in self.results}
@@ -275,32 +266,6 @@ class Summary:
     def _named(self) -> dict[str, str]:
         """What the domains of the finished jobs are called, by what was chosen."""
         return {results.choices["domain"]: results.domain for _, results in self.results}
-
-    def messages(self, domain: str) -> dict[str, str]:
-        """``{message: its sentence}`` of a domain; empty where no job of it has finished."""
-        for _, results in self.results:
-            if results.domain == domain:
-                return dict(results.messages)
-        return {}
-
-    @cached_property
-    def data_sets(self) -> pd.DataFrame:
-        """A row a data set, one a domain, setting and seed: these, the disagreements for each
-        number of types (``curve``), the number found (``chosen``), and the figures of the learning
-        stage by name, NaN where there is none."""
-        rows = [
-            {
-                "domain": results.domain,
-                "setting": setting_of(job["values"]),
-                "seed": results.seed,
-                "curve": results.elbow.disagreements,
-                "chosen": len(results.types.found),
-                "adjusted_rand_index": math.nan,
-                **results.learning,
-            }
-            for job, results in self.results
-        ]
-        return pd.DataFrame(rows).drop_duplicates(["domain", "setting", "seed"], keep="last")
 
     def estimate(self, frame: pd.DataFrame, measure: str) -> Estimate | None:
         """:meth:`mean` over the episodes that have the measure; None where none has."""
@@ -326,6 +291,7 @@ def is_number(text: str) -> bool:
         return False
 
 
-def _rank(method: str) -> int:
+def rank(method: str) -> int:
+    """Place of a method's column: the paper's first, others after them."""
     name = method.partition(" ")[0]
     return ORDER.index(name) if name in ORDER else len(ORDER)

@@ -4,13 +4,8 @@ answered. Drawn from a run's files alone."""
 from __future__ import annotations
 
 import itertools
-import json
-import math
 import textwrap
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from statistics import median_low
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -18,6 +13,7 @@ from matplotlib.patches import Rectangle
 
 from xplain.domains.base import Scene
 from xplain.report.plots import COLOURS, save
+from xplain.report.story import Story, counted, stories, typical, which
 
 ITEM_COLOURS = (*COLOURS[:6], "#F0E442", "#777777")
 CELL = 0.46
@@ -29,87 +25,6 @@ ASKED = "#7A3F8F"
 LISTED = 6
 """Questions told in words below the steps."""
 EXPLICABLE, INEXPLICABLE = "#CFE8F5", "#F5C4A1"
-
-
-@dataclass(frozen=True)
-class Story:
-    """One episode, for drawing.
-
-    Attributes:
-        user_type: whom the trace was explained to.
-        cost: of the episode.
-        phrases: the m transitions in words.
-        positions: m + 1 cells, or none.
-        messages: names of the new messages before each step.
-        labels: row k the k + 1 labels given at step k.
-        changes: what each transition changes, or none.
-        questions: (what was asked about, the reply) of each question before each step; or none.
-    """
-
-    solver: str
-    trace: int
-    user_type: str
-    cost: float
-    phrases: tuple[str, ...]
-    positions: tuple[tuple[int, int], ...]
-    messages: tuple[tuple[str, ...], ...]
-    labels: tuple[tuple[int, ...], ...]
-    changes: tuple[tuple[str, ...], ...] = ()
-    questions: tuple[tuple[tuple[str, str], ...], ...] = ()
-
-    @property
-    def n_questions(self) -> int:
-        """Number of questions asked over all steps."""
-        return sum(map(len, self.questions))
-
-    @property
-    def n_messages(self) -> int:
-        """Number of messages given over all steps."""
-        return sum(map(len, self.messages))
-
-    @property
-    def n_inexplicable(self) -> int:
-        """Number of labels 0 over all steps."""
-        return sum(row.count(0) for row in self.labels)
-
-
-def stories(folder: Path, solver: str) -> Iterator[Story]:
-    """The episodes of a run's folder, of one solver ("solver", "oracle" or "clairvoyant")."""
-    with (folder / "episodes.jsonl").open(encoding="utf-8") as file:
-        for line in file:
-            if f'"solver": "{solver}"' not in line:
-                continue
-            content = json.loads(line)
-            yield Story(
-                solver=content["solver"],
-                trace=content["trace"],
-                user_type=content["type"],
-                cost=content["cost"],
-                phrases=tuple(content["transitions"]),
-                positions=tuple((row, column) for row, column in content["positions"]),
-                messages=tuple(tuple(step["messages"]) for step in content["steps"]),
-                labels=tuple(tuple(step["labels"]) for step in content["steps"]),
-                changes=tuple(map(tuple, content.get("changes", ()))),
-                questions=tuple(
-                    tuple((one["about"] or one["text"], one["reply"]) for one in step["questions"])
-                    for step in content["steps"]
-                    if "questions" in step
-                ),
-            )
-
-
-def typical(found: Sequence[Story]) -> Story:
-    """The first episode whose cost is the median of all (of an even number, the lower middle)."""
-    median = median_low(story.cost for story in found)
-    return next(story for story in found if math.isclose(story.cost, median, abs_tol=1e-9))
-
-
-def which(story: Story, episodes: int) -> str:
-    """Which of a run's episodes a :func:`typical` one is, and by what rule it was taken."""
-    return (
-        f"trace {story.trace}, user of type {story.user_type}: cost {story.cost:g}, the median of "
-        f"{_count(episodes, 'episode')} (the first that costs this)"
-    )
 
 
 def draw_trace(scene: Scene | None, story: Story, caption: str) -> Figure:
@@ -248,12 +163,17 @@ def _draw_steps(axes: Axes, story: Story, caption: str) -> None:
     else:
         below = -0.3 - 0.05 * len(told)
         axes.legend(loc="upper left", bbox_to_anchor=(0, below), ncols=2 + (not told), fontsize=8)
+    _draw_title(axes, story, caption)
+
+
+def _draw_title(axes: Axes, story: Story, caption: str) -> None:
+    """Above the names of the messages, which stand upright."""
     longest = max((len(" + ".join(new)) for new in story.messages), default=0)
     title = axes.set_title(
         f"What a user of type {story.user_type} said: "
-        + (f"{_count(story.n_questions, 'question')}, " if story.n_questions else "")
-        + f"{_count(story.n_messages, 'message')}, "
-        f"{_count(story.n_inexplicable, 'inexplicable label')}",
+        + (f"{counted(story.n_questions, 'question')}, " if story.n_questions else "")
+        + f"{counted(story.n_messages, 'message')}, "
+        f"{counted(story.n_inexplicable, 'inexplicable label')}",
         loc="left",
         pad=14 + (18 + 3.2 * longest if story.n_messages else 0),
         weight="bold",
@@ -280,7 +200,7 @@ def _draw_questions(axes: Axes, story: Story) -> list[str]:
                 axes.text(k + 1.2, 0.36, str(len(asked)), color=ASKED, fontsize=9, va="center")
         lines += [f"asked before step {k + 1}: “{what}”? {reply}" for what, reply in asked]
     more = len(lines) - LISTED
-    return lines[:LISTED] + ([f"… and {_count(more, 'question')} more"] if more > 0 else [])
+    return lines[:LISTED] + ([f"… and {counted(more, 'question')} more"] if more > 0 else [])
 
 
 def _draw_changes(axes: Axes, told: list[str]) -> None:
@@ -300,7 +220,3 @@ def _draw_changes(axes: Axes, told: list[str]) -> None:
             fontsize=7.5,
             color="#666666",
         )
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number or 'no'} {what}{'' if number == 1 else 's'}"

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from xplain.report import claims, comparison, decomposition, paper_table
+from xplain.experiment.results import Results
+from xplain.report import claims, comparison, decomposition, learning, paper_table
 from xplain.report.combinations import differences_csv, regret_csv
 from xplain.report.page import Picture, Pictures, page
 from xplain.report.paper import title
-from xplain.report.summary import Summary
+from xplain.report.summary import Summary, rank
 from xplain.storage import write_text
 
 REPORT = "report"
@@ -49,7 +51,7 @@ def _tables(summary: Summary) -> Iterator[tuple[str, str]]:
             yield f"{name}.csv", paper_table.as_csv(summary, measure)
         yield "table1.tex", paper_table.table(summary).latex()
         yield "table1_by_setting.md", paper_table.table(summary, by_setting=True).markdown()
-        tested = claims.claims(summary.episodes, summary.data_sets)
+        tested = claims.claims(summary.episodes, learning.data_sets(summary))
         yield "claims.md", claims.table(tested).markdown()
         yield "decomposition.md", decomposition.table(summary).markdown()
 
@@ -87,11 +89,18 @@ def _trace_pictures(summary: Summary, report: Path) -> Iterator[tuple[str, Path,
     from xplain.report import traces
 
     for domain in summary.domains:
-        found = summary.example(domain)
-        if found is None:
-            continue
-        folder, label, results = found
+        job, results = _example(summary, domain)
         path = report / f"trace_{domain}.png"
-        drawn = traces.save_typical(folder, results.scene, path)
-        run = f"{title(domain)}, {title(results.solver)}, λ = {results.trade_off:g} (job “{label}”)"
-        yield domain, path, f"{run}: {drawn}."
+        drawn = traces.save_typical(summary.folder_of(job), results.scene, path)
+        which = f"{title(results.solver)}, λ = {results.trade_off:g} (job “{job['label']}”)"
+        yield domain, path, f"{title(domain)}, {which}: {drawn}."
+
+
+def _example(summary: Summary, domain: str) -> tuple[dict[str, Any], Results]:
+    """One job of a domain: at λ = 1 where that was run, else at the middle one, with the solver
+    that comes first."""
+    own = [one for one in summary.results if one[1].domain == domain]
+    trade_offs = sorted({results.trade_off for _, results in own})
+    middle = 1.0 if 1.0 in trade_offs else trade_offs[len(trade_offs) // 2]
+    at = [one for one in own if one[1].trade_off == middle]
+    return min(at, key=lambda one: (rank(one[1].solver), one[1].solver))

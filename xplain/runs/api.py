@@ -69,12 +69,11 @@ class Run:
 
     def plot(self) -> list[Axes]:
         """Draws the episode of median cost; returns the axes, whose ``figure`` is the drawing."""
-        from xplain.report import traces
+        from xplain.report import story, traces
 
-        found = list(traces.stories(self.folder, "solver"))
-        story = traces.typical(found)
-        caption = traces.which(story, len(found))
-        return traces.draw_trace(self.results.scene, story, caption).axes
+        found = list(story.stories(self.folder, "solver"))
+        own = story.typical(found)
+        return traces.draw_trace(self.results.scene, own, story.which(own, len(found))).axes
 
     def _repr_html_(self) -> str:
         import pandas as pd
@@ -113,7 +112,7 @@ class Sweep:
     @property
     def runs(self) -> list[Run]:
         """Its finished jobs, in order."""
-        return [Run(self.folder / "jobs" / job["name"]) for job, _ in self.summary.results]
+        return [Run(self.summary.folder_of(job)) for job, _ in self.summary.results]
 
     def frame(self, rows: str = "jobs") -> pd.DataFrame:
         """The swept values and what came out.
@@ -157,14 +156,14 @@ class Sweep:
         return figure.axes
 
     def _repr_html_(self) -> str:
+        import pandas as pd
+
         from xplain.report.comparison import main_table
 
         table = main_table(self.summary)
-        head = "".join(f"<th>{head}</th>" for head in table.heads)
-        rows = ("".join(f"<td>{table.text(cell)}</td>" for cell in row) for row in table.body)
-        body = "".join(f"<tr>{row}</tr>" for row in rows)
-        told = f"<p>{self.answer}</p><p>{table.about}</p>"
-        return f"{told}<table><tr>{head}</tr>{body}</table><p>{table.caption}</p>"
+        rows = [[table.text(cell) for cell in row] for row in table.body]
+        shown = pd.DataFrame(rows, columns=[*table.heads]).to_html(index=False, border=0)
+        return f"<p>{self.answer}</p><p>{table.about}</p>{shown}<p>{table.caption}</p>"
 
 
 def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
@@ -248,12 +247,12 @@ def _told() -> Iterator[None]:
 
 def _words(keys: Mapping[str, Any]) -> list[str]:
     """``key=value`` of keywords."""
+    several = {
+        key: value if isinstance(value, list | tuple) else [value] for key, value in keys.items()
+    }
     return [
-        f"{PYTHON.get(key, key)}="
-        + ",".join(
-            _text(key, one) for one in (value if isinstance(value, list | tuple) else [value])
-        )
-        for key, value in keys.items()
+        f"{PYTHON.get(key, key)}={','.join(_text(key, one) for one in values)}"
+        for key, values in several.items()
     ]
 
 

@@ -14,6 +14,7 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
 from xplain.errors import checks
+from xplain.experiment.config import register as register_keys
 
 
 @checks("hydra.sweeper")
@@ -60,7 +61,8 @@ NAME = "hydra_plugins.xplain.ResumingSweeper"
 
 
 def register() -> None:
-    """Makes it known to Hydra in this process. Safe to call twice."""
+    """Makes known to Hydra in this process what the experiment needs. Safe to call twice."""
+    register_keys()
     plugins = Plugins.instance()
     plugins.register(ResumingSweeper)
     plugins.class_name_to_class[NAME] = ResumingSweeper

@@ -87,7 +87,34 @@ def make_plan(
     Raises:
         InputError: a kind of sweep without a finite list of values, or no job is left.
     """
-    given = _parse(arguments)
+    combinations = _combinations(settings, _parse(arguments))
+    swept = _swept(combinations)
+    jobs: dict[str, Job] = {}
+    names: set[str] = set()
+    lacking: dict[str, _Lacking] = {}
+    for values in combinations:
+        resolved = _composed(values, swept, compose, lacking)
+        overrides = _overrides(values)
+        fingerprint, source = fingerprints(resolved)
+        if fingerprint in jobs:
+            continue
+        varied = {key: values[key] for key in swept if key in values}
+        folder = _folder(varied)
+        if folder in names:
+            folder = f"{folder[:100]},{fingerprint[:8]}"
+        names.add(folder)
+        jobs[fingerprint] = Job(folder, _label(varied), overrides, varied, fingerprint, source)
+    for key, (error, _) in lacking.items():
+        if not any(key in values for values in combinations):
+            raise error  # no choice has it
+    notes = (f"{key}: no key of {', '.join(dict.fromkeys(c))}" for key, (_, c) in lacking.items())
+    return Plan(name, tuple(jobs.values()), tuple(notes))
+
+
+def _combinations(
+    settings: list[dict[str, Any]], given: dict[str, list[str]]
+) -> list[dict[str, str]]:
+    """Values of keys, a mapping a job; each only once."""
     apart = [key for key in given if len({str(setting.get(key)) for setting in settings}) > 1]
     chosen: dict[tuple[str, ...], dict[str, str]] = {}
     for setting in settings:
@@ -104,27 +131,7 @@ def make_plan(
         )
         asked = ",".join(given[apart[0]])
         raise InputError(apart[0], asked, f"values of one of the sweep's settings: {has}")
-    swept = _swept(list(chosen.values()))
-    jobs: dict[str, Job] = {}
-    names: set[str] = set()
-    lacking: dict[str, _Lacking] = {}
-    for values in chosen.values():
-        resolved = _composed(values, swept, compose, lacking)
-        overrides = _overrides(values)
-        fingerprint, source = fingerprints(resolved)
-        if fingerprint in jobs:
-            continue
-        varied = {key: values[key] for key in swept if key in values}
-        folder = _folder(varied)
-        if folder in names:
-            folder = f"{folder[:100]},{fingerprint[:8]}"
-        names.add(folder)
-        jobs[fingerprint] = Job(folder, _label(varied), overrides, varied, fingerprint, source)
-    for key, (error, _) in lacking.items():
-        if not any(key in values for values in chosen.values()):
-            raise error  # no choice has it
-    notes = (f"{key}: no key of {', '.join(dict.fromkeys(c))}" for key, (_, c) in lacking.items())
-    return Plan(name, tuple(jobs.values()), tuple(notes))
+    return list(chosen.values())
 
 
 def _overrides(values: Mapping[str, str]) -> tuple[str, ...]:

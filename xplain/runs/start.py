@@ -19,7 +19,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from xplain.errors import InputError, left_at_once
-from xplain.experiment.config import CONF, named, register
+from xplain.experiment.config import CONF, named
 from xplain.runs import hydra_plugins
 
 
@@ -43,7 +43,6 @@ def start(
     Raises:
         XplainError, HydraException, OmegaConfBaseException: the configuration is wrong.
     """
-    register()
     hydra_plugins.register()
     path = create_config_search_path(str(CONF))
     if config_dir is not None:
