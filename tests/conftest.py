@@ -31,9 +31,9 @@ LONGEST = (
     "test_docs.py",
     "runs/test_api.py",
     "people/collect/test_protocol.py",
+    "people/test_browser.py",
     "report/test_browser.py",
     "people/test_lab_browser.py",
-    "people/test_browser.py",
     "people/test_dry_runs.py",
 )
 """Files that take half a minute and more."""

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, Range, number, one_of
+from xplain.errors import InputError, number, one_of
 from xplain.experiment.pipeline import Case, Prepared
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.asking import Limits
@@ -66,7 +66,7 @@ class Costs:
         """
         costs = self.message_cost
         if not isinstance(costs, Mapping):
-            return np.full(len(names), number("message_cost", costs, Range(0)))
+            return np.full(len(names), _cost("message_cost", costs))
         unknown = [name for name in costs if name not in names]
         if unknown:
             raise InputError("message_cost", unknown[0], f"messages: {', '.join(names)}")
@@ -74,7 +74,7 @@ class Costs:
         if missing:
             wanted = f"a cost of each message; {', '.join(missing)} missing"
             raise InputError("message_cost", dict(costs), wanted)
-        return np.array([number(f"message_cost.{name}", costs[name], Range(0)) for name in names])
+        return np.array([_cost(f"message_cost.{name}", costs[name]) for name in names])
 
     def problem(
         self,
@@ -95,6 +95,13 @@ class Costs:
             message_names=message_names,
             type_names=type_names,
         )
+
+
+def _cost(key: str, value: object) -> float:
+    cost = number(key, value)
+    if cost < 0:
+        raise InputError(key, value, "a number ≥ 0")
+    return cost
 
 
 def problem_of_types(
