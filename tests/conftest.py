@@ -26,6 +26,7 @@ Command = Callable[..., subprocess.CompletedProcess[str]]
 LONGEST = (
     "fixed/test_fixed.py",
     "runs/test_sweep.py",
+    "runs/test_interrupted.py",
     "runs/test_kill.py",
     "cli/test_plan.py",
     "test_docs.py",

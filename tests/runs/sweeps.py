@@ -35,6 +35,12 @@ TINY = (
 )
 """Six jobs of well under a second: what is learned, and how well, is no matter here."""
 
+QUICK = (*TINY[:-1], "lambda=1", SERIAL)
+"""Two jobs in one process."""
+
+SINGLE = (*(word for word in QUICK[1:-1] if word != "solver=qmdp,qhr"), "solver=qhr")
+"""One of them, on its own."""
+
 
 def planned(outputs: Path, jobs: int) -> tuple[Plan, SweepFolder]:
     """A sweep of so many jobs, of which none was begun, and its folder."""

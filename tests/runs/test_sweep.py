@@ -3,33 +3,21 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
-import signal
-import sqlite3
-import time
 
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 
-from tests import forked, processes
+from tests import forked
 from tests.configurations import composed
 from tests.runs import sweeps
 from xplain.experiment.config import CONF
-from xplain.experiment.results import RESULTS
 from xplain.runs import hydra_plugins, sweep
-from xplain.runs.folder import FAILURE
 from xplain.runs.mlflow import Disk
 from xplain.runs.sweep import carry_out
-from xplain.runs.todo import Todo, decide
-
-QUICK = (*sweeps.TINY[:-1], "lambda=1", sweeps.SERIAL)
-"""Two jobs in one process."""
-
-SINGLE = (*(word for word in QUICK[1:-1] if word != "solver=qmdp,qhr"), "solver=qhr")
-"""One of them, on its own."""
+from xplain.runs.todo import Todo
 
 
 def results(folder):
@@ -173,7 +161,7 @@ def test_all_anew_on_demand(finished, tmp_path):
     ],
 )
 def test_bad_values_are_found_before_any_job_starts(tmp_path, arguments, said):
-    code, output = sweeps.run(tmp_path, *QUICK, *arguments)
+    code, output = sweeps.run(tmp_path, *sweeps.QUICK, *arguments)
     assert code == 2
     assert output.strip().splitlines() == [f"xplain: {said}"]
     assert not (tmp_path / "outputs").exists()
@@ -221,13 +209,13 @@ def test_a_sweep_that_grows_runs_what_is_new_and_shows_all_of_it(finished, tmp_p
 
 
 def test_a_run_on_its_own_is_taken_into_a_sweep(folder):
-    code, output = forked.run(folder, *SINGLE)
+    code, output = forked.run(folder, *sweeps.SINGLE)
     assert code == 0, output
     assert "folder: outputs/runs/" in output
     (picture,) = (folder / "outputs" / "runs").rglob("trace.png")
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert re.search(r"MLflow: http://127.0.0.1:5000/#/experiments/\d+/runs/[0-9a-f]{32}", output)
-    code, output = sweeps.run(folder, *QUICK)
+    code, output = sweeps.run(folder, *sweeps.QUICK)
     assert code == 0, output
     assert "1 jobs to run, 1 copied" in output
     assert len(sweeps.runs(folder)) == 1 + (1 + 2)
@@ -256,127 +244,6 @@ def test_launchers_of_the_extras_give_the_same_table(finished, tmp_path, package
     assert sweeps.tables(tmp_path) == sweeps.tables(folder)
 
 
-def test_a_job_that_raises_lets_the_others_go_on(folder):
-    (folder / "failing.py").write_text(
-        "from dataclasses import dataclass\n"
-        "from xplain.errors import InputError\n"
-        "from xplain.solvers.qmdp import QMDP\n"
-        "@dataclass(frozen=True)\n"
-        "class Failing(QMDP):\n"
-        "    fails: bool = False\n"
-        "    def plan(self, problem, seed=0):\n"
-        "        if self.fails:\n"
-        "            raise InputError('fails', True, 'false')\n"
-        "        return super().plan(problem, seed)\n"
-    )
-    group = folder / "conf" / "solver"
-    group.mkdir(parents=True)
-    (group / "failing.yaml").write_text("_target_: failing.Failing\nfails: false\n")
-    arguments = (
-        f"--config-dir={folder / 'conf'}",
-        *QUICK[:-3],
-        "solver=failing",
-        "solver.fails=true,false",
-        "lambda=0.5,1",
-        sweeps.SERIAL,
-    )
-    code, output = sweeps.run(folder, *arguments)
-    assert code == 1
-    assert "2 of 4 jobs finished" in output
-    summary = output[output.index("2 of 4 jobs finished") :]
-    assert "InputError: fails=True: false" in summary
-    states = {name: status for name, status, _ in sweeps.runs(folder)}
-    assert {s for name, s in states.items() if "fails=true" in name} == {"FAILED"}
-    assert {s for name, s in states.items() if "fails=false" in name} == {"FINISHED"}
-    assert {s for name, s in states.items() if name.startswith("multirun")} == {"FAILED"}
-
-    # Only what failed runs again; jobs that were lost besides do not.
-    jobs = sweeps.sweep_folder(folder) / "jobs"
-    (lost,) = jobs.glob("*fails=false*lambda=1/results.json")
-    lost.unlink()
-    code, output = sweeps.run(folder, *arguments, "resume=failed")
-    assert code == 1
-    assert "2 jobs to run" in output
-    assert not lost.exists()
-    assert len(sweeps.runs(folder)) == 5
-
-
-def test_a_worker_that_always_dies_fails_its_job_alone(tmp_path):
-    (tmp_path / "deadly.py").write_text(
-        "import os\n"
-        "from dataclasses import dataclass\n"
-        "from xplain.solvers.qmdp import QMDP\n"
-        "@dataclass(frozen=True)\n"
-        "class Deadly(QMDP):\n"
-        "    deadly: bool = False\n"
-        "    def plan(self, problem, seed=0):\n"
-        "        if self.deadly:\n"
-        "            os._exit(9)\n"
-        "        return super().plan(problem, seed)\n"
-    )
-    group = tmp_path / "conf" / "solver"
-    group.mkdir(parents=True)
-    (group / "deadly.yaml").write_text("_target_: deadly.Deadly\ndeadly: false\n")
-    code, output = sweeps.run(
-        tmp_path,
-        f"--config-dir={tmp_path / 'conf'}",
-        *sweeps.TINY[:-2],
-        "solver=deadly,qhr",  # the third job waits when the first kills its worker
-        "solver.deadly=true,false",
-        "lambda=1",
-        "hydra.launcher.n_jobs=2",
-        "tracking=none",
-    )
-    assert code == 1
-    assert "2 of 3 jobs finished" in output
-    summary = output[output.index("2 of 3 jobs finished") :]
-    assert summary.count("its worker died") == 1
-    assert "deadly=False" not in summary.split("report:")[0]
-
-
-def test_ctrl_c_leaves_no_run_open(folder):
-    process = sweeps.start(folder, *sweeps.TINY[:-1], "lambda=range(0,15)", sweeps.SERIAL)
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline:
-        try:
-            if any(status == "FINISHED" for _, status, _ in sweeps.runs(folder)):
-                break
-        except sqlite3.OperationalError:
-            pass
-        time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
-    code, output = sweeps.wait(folder, process)
-    assert code == 130, output
-    states = {name: status for name, status, _ in sweeps.runs(folder)}
-    assert {s for name, s in states.items() if name.startswith("multirun")} == {"KILLED"}
-    assert set(states.values()) <= {"FINISHED", "KILLED"}
-    # Where the signal falls into a callback of Python's own, it is Python that tells of it.
-    own = re.sub(r"Exception ignored in: .*?KeyboardInterrupt: ?\n", "", output, flags=re.DOTALL)
-    assert "Traceback" not in own
-    last = output.strip().splitlines()[-1]
-    assert re.fullmatch(
-        r"xplain: interrupted: \d+ of 30 jobs are finished; the same command goes on", last
-    )
-
-
-def test_four_at_once_on_an_empty_folder(tmp_path):
-    """Two of one sweep, one of another, and a single run."""
-    commands = [QUICK, QUICK, (*QUICK, "seed=1"), (*SINGLE, "seed=2")]
-    processes = []
-    for index, arguments in enumerate(commands):
-        own = tmp_path / str(index)
-        processes.append((own, forked.start(own, *arguments, f"outputs={tmp_path / 'outputs'}")))
-    for own, process in processes:
-        code, output = forked.wait(own, process)
-        assert code == 0, output
-        assert "MLflow d" not in output  # it did take everything
-    found = sweeps.runs(tmp_path)
-    assert {status for _, status, _ in found} == {"FINISHED"}
-    assert len(found) == (1 + 2) + (1 + 2) + 1
-    with sweeps.database(tmp_path) as database:
-        assert database.execute("pragma integrity_check").fetchone() == ("ok",)
-
-
 def test_sync_sends_a_sweep_once(finished, folder):
     reference = sweeps.runs(finished.folder)
     sweep, outputs = sweeps.sweep_folder(finished.folder), f"outputs={folder / 'outputs'}"
@@ -400,43 +267,6 @@ def test_sweep_files_set_known_keys_and_open_with_their_command(name):
     first = (CONF / "sweeps" / f"{name}.yaml").read_text().splitlines()[:2]
     assert first == ["# @package _global_", f"# python -m xplain sweeps={name}"]
     assert chosen.hydra.mode.name == "MULTIRUN"
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, processes.HANG_UP])
-def test_an_interruption_that_became_another_error_is_one_all_the_same(tmp_path, number):
-    plan, folder = sweeps.planned(tmp_path, 1)
-    todo = Todo((), {}, tuple(job.fingerprint for job in plan.jobs))
-    launched = []
-
-    def launch(jobs):
-        launched.append(jobs)
-        try:
-            os.kill(os.getpid(), number)
-            time.sleep(10)
-        except KeyboardInterrupt as error:
-            raise ValueError("while composing") from error
-
-    before = signal.getsignal(number)
-    with pytest.raises(KeyboardInterrupt):
-        carry_out(todo, plan, folder, Disk(), tmp_path, launch)
-    assert len(launched) == 1
-    assert signal.getsignal(number) is before
-
-
-def test_damaged_results_of_another_job_do_not_disturb_what_failed(tmp_path):
-    plan, folder = sweeps.planned(tmp_path, 3)
-    failed, damaged, _ = plan.jobs
-    sweeps.put(folder, failed, FAILURE, "{}")
-    sweeps.put(folder, damaged, RESULTS, '{"metrics": ')
-    states = {job.fingerprint: folder.checked_state(job) for job in plan.jobs}
-    todo = decide(states, "failed", {})
-    assert (todo.finished, todo.run) == ((), (failed.fingerprint,))
-
-    def fail_again(jobs):
-        sweeps.put(folder, failed, FAILURE, '{"error": "no memory"}')
-
-    carry_out(todo, plan, folder, Disk(), tmp_path, fail_again)
-    assert [folder.state(job) for job in plan.jobs] == ["failed", "waiting", "waiting"]
 
 
 def test_progress_counts_what_was_finished_before_and_what_was_copied(tmp_path, monkeypatch):
@@ -478,14 +308,3 @@ def test_a_damaged_sweep_hides_no_other_and_its_command_mends_it(finished, tmp_p
     code, output = sweeps.run(tmp_path, *sweeps.TINY, sweeps.SERIAL)
     assert code == 0, output
     assert "nothing is missing" in output
-
-
-@pytest.mark.parametrize("seconds", [0.5, 6])
-def test_ctrl_c_in_the_first_seconds_is_no_traceback(tmp_path, seconds):
-    """The terminal sends it to the workers as well, while they import."""
-    process = sweeps.start(tmp_path, *sweeps.TINY)
-    time.sleep(seconds)
-    if process.poll() is None:
-        os.killpg(process.pid, signal.SIGINT)
-    _, output = sweeps.wait(tmp_path, process)
-    assert "Traceback" not in output

@@ -1,0 +1,188 @@
+"""Sweeps from the command line whose jobs fail, whose workers die, and that are interrupted."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import sqlite3
+import time
+
+import pytest
+
+from tests import forked, processes
+from tests.runs import sweeps
+from xplain.experiment.results import RESULTS
+from xplain.runs.folder import FAILURE
+from xplain.runs.mlflow import Disk
+from xplain.runs.sweep import carry_out
+from xplain.runs.todo import Todo, decide
+
+
+def test_a_job_that_raises_lets_the_others_go_on(folder):
+    (folder / "failing.py").write_text(
+        "from dataclasses import dataclass\n"
+        "from xplain.errors import InputError\n"
+        "from xplain.solvers.qmdp import QMDP\n"
+        "@dataclass(frozen=True)\n"
+        "class Failing(QMDP):\n"
+        "    fails: bool = False\n"
+        "    def plan(self, problem, seed=0):\n"
+        "        if self.fails:\n"
+        "            raise InputError('fails', True, 'false')\n"
+        "        return super().plan(problem, seed)\n"
+    )
+    group = folder / "conf" / "solver"
+    group.mkdir(parents=True)
+    (group / "failing.yaml").write_text("_target_: failing.Failing\nfails: false\n")
+    arguments = (
+        f"--config-dir={folder / 'conf'}",
+        *sweeps.QUICK[:-3],
+        "solver=failing",
+        "solver.fails=true,false",
+        "lambda=0.5,1",
+        sweeps.SERIAL,
+    )
+    code, output = sweeps.run(folder, *arguments)
+    assert code == 1
+    assert "2 of 4 jobs finished" in output
+    summary = output[output.index("2 of 4 jobs finished") :]
+    assert "InputError: fails=True: false" in summary
+    states = {name: status for name, status, _ in sweeps.runs(folder)}
+    assert {s for name, s in states.items() if "fails=true" in name} == {"FAILED"}
+    assert {s for name, s in states.items() if "fails=false" in name} == {"FINISHED"}
+    assert {s for name, s in states.items() if name.startswith("multirun")} == {"FAILED"}
+
+    # Only what failed runs again; jobs that were lost besides do not.
+    jobs = sweeps.sweep_folder(folder) / "jobs"
+    (lost,) = jobs.glob("*fails=false*lambda=1/results.json")
+    lost.unlink()
+    code, output = sweeps.run(folder, *arguments, "resume=failed")
+    assert code == 1
+    assert "2 jobs to run" in output
+    assert not lost.exists()
+    assert len(sweeps.runs(folder)) == 5
+
+
+def test_a_worker_that_always_dies_fails_its_job_alone(tmp_path):
+    (tmp_path / "deadly.py").write_text(
+        "import os\n"
+        "from dataclasses import dataclass\n"
+        "from xplain.solvers.qmdp import QMDP\n"
+        "@dataclass(frozen=True)\n"
+        "class Deadly(QMDP):\n"
+        "    deadly: bool = False\n"
+        "    def plan(self, problem, seed=0):\n"
+        "        if self.deadly:\n"
+        "            os._exit(9)\n"
+        "        return super().plan(problem, seed)\n"
+    )
+    group = tmp_path / "conf" / "solver"
+    group.mkdir(parents=True)
+    (group / "deadly.yaml").write_text("_target_: deadly.Deadly\ndeadly: false\n")
+    code, output = sweeps.run(
+        tmp_path,
+        f"--config-dir={tmp_path / 'conf'}",
+        *sweeps.TINY[:-2],
+        "solver=deadly,qhr",  # the third job waits when the first kills its worker
+        "solver.deadly=true,false",
+        "lambda=1",
+        "hydra.launcher.n_jobs=2",
+        "tracking=none",
+    )
+    assert code == 1
+    assert "2 of 3 jobs finished" in output
+    summary = output[output.index("2 of 3 jobs finished") :]
+    assert summary.count("its worker died") == 1
+    assert "deadly=False" not in summary.split("report:")[0]
+
+
+def test_ctrl_c_leaves_no_run_open(folder):
+    process = sweeps.start(folder, *sweeps.TINY[:-1], "lambda=range(0,15)", sweeps.SERIAL)
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline:
+        try:
+            if any(status == "FINISHED" for _, status, _ in sweeps.runs(folder)):
+                break
+        except sqlite3.OperationalError:
+            pass
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    code, output = sweeps.wait(folder, process)
+    assert code == 130, output
+    states = {name: status for name, status, _ in sweeps.runs(folder)}
+    assert {s for name, s in states.items() if name.startswith("multirun")} == {"KILLED"}
+    assert set(states.values()) <= {"FINISHED", "KILLED"}
+    # Where the signal falls into a callback of Python's own, it is Python that tells of it.
+    own = re.sub(r"Exception ignored in: .*?KeyboardInterrupt: ?\n", "", output, flags=re.DOTALL)
+    assert "Traceback" not in own
+    last = output.strip().splitlines()[-1]
+    assert re.fullmatch(
+        r"xplain: interrupted: \d+ of 30 jobs are finished; the same command goes on", last
+    )
+
+
+def test_four_at_once_on_an_empty_folder(tmp_path):
+    """Two of one sweep, one of another, and a single run."""
+    commands = [sweeps.QUICK, sweeps.QUICK, (*sweeps.QUICK, "seed=1"), (*sweeps.SINGLE, "seed=2")]
+    processes = []
+    for index, arguments in enumerate(commands):
+        own = tmp_path / str(index)
+        processes.append((own, forked.start(own, *arguments, f"outputs={tmp_path / 'outputs'}")))
+    for own, process in processes:
+        code, output = forked.wait(own, process)
+        assert code == 0, output
+        assert "MLflow d" not in output  # it did take everything
+    found = sweeps.runs(tmp_path)
+    assert {status for _, status, _ in found} == {"FINISHED"}
+    assert len(found) == (1 + 2) + (1 + 2) + 1
+    with sweeps.database(tmp_path) as database:
+        assert database.execute("pragma integrity_check").fetchone() == ("ok",)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, processes.HANG_UP])
+def test_an_interruption_that_became_another_error_is_one_all_the_same(tmp_path, number):
+    plan, folder = sweeps.planned(tmp_path, 1)
+    todo = Todo((), {}, tuple(job.fingerprint for job in plan.jobs))
+    launched = []
+
+    def launch(jobs):
+        launched.append(jobs)
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(10)
+        except KeyboardInterrupt as error:
+            raise ValueError("while composing") from error
+
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt):
+        carry_out(todo, plan, folder, Disk(), tmp_path, launch)
+    assert len(launched) == 1
+    assert signal.getsignal(number) is before
+
+
+def test_damaged_results_of_another_job_do_not_disturb_what_failed(tmp_path):
+    plan, folder = sweeps.planned(tmp_path, 3)
+    failed, damaged, _ = plan.jobs
+    sweeps.put(folder, failed, FAILURE, "{}")
+    sweeps.put(folder, damaged, RESULTS, '{"metrics": ')
+    states = {job.fingerprint: folder.checked_state(job) for job in plan.jobs}
+    todo = decide(states, "failed", {})
+    assert (todo.finished, todo.run) == ((), (failed.fingerprint,))
+
+    def fail_again(jobs):
+        sweeps.put(folder, failed, FAILURE, '{"error": "no memory"}')
+
+    carry_out(todo, plan, folder, Disk(), tmp_path, fail_again)
+    assert [folder.state(job) for job in plan.jobs] == ["failed", "waiting", "waiting"]
+
+
+@pytest.mark.parametrize("seconds", [0.5, 6])
+def test_ctrl_c_in_the_first_seconds_is_no_traceback(tmp_path, seconds):
+    """The terminal sends it to the workers as well, while they import."""
+    process = sweeps.start(tmp_path, *sweeps.TINY)
+    time.sleep(seconds)
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGINT)
+    _, output = sweeps.wait(tmp_path, process)
+    assert "Traceback" not in output
