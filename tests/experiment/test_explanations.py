@@ -1,0 +1,301 @@
+"""Each solver's problem of a trace, and what its explanations cost, on hand-made tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from tests.handmade import a_prepared, with_cases
+from xplain.errors import InputError
+from xplain.experiment.explanations import Costs, evaluate, problem_for, with_true_labels
+from xplain.experiment.pipeline import Prepared
+from xplain.explanation.belief import Independent, Persistent
+from xplain.explanation.problem import Problem
+from xplain.interaction.explainees import Exact
+from xplain.solvers.base import Knowledge
+from xplain.solvers.known_type import Baseline, KnownType
+from xplain.solvers.qmdp import QMDP
+
+COSTS = Costs(
+    trade_off=1.5,
+    message_cost=0.75,
+    inexplicability_cost=2.0,
+    discount=0.8,
+    discount_per="step",
+    prior="uniform",
+)
+
+
+# --- The problem of a trace -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("prior", "expected"), [("uniform", [0.5, 0.5]), ("observers", [0.7, 0.3])]
+)
+def test_the_prior_is_the_one_asked_for(prior, expected):
+    costs = replace(COSTS, prior=prior)
+    table = np.full((2, 3, 4), 0.5)
+    problem = costs.problem(table, ("a", "b"), ("F1", "F2"), np.array([0.7, 0.3]))
+    assert problem.prior.tolist() == pytest.approx(expected)
+
+
+def test_every_cost_reaches_the_problem():
+    table = np.random.default_rng(0).random((2, 3, 4))
+    problem = COSTS.problem(table, ("a", "b"), ("F1", "F2"), np.array([0.7, 0.3]))
+    assert problem.trade_off == 1.5
+    assert problem.message_cost.tolist() == [0.75, 0.75]
+    assert problem.inexplicability_cost == 2.0
+    assert problem.discount == 0.8
+    assert problem.discount_per == "step"
+    assert (problem.message_names, problem.type_names) == (("a", "b"), ("F1", "F2"))
+    assert np.array_equal(problem.p_explicable, table)
+
+
+def test_a_message_has_the_cost_of_its_name():
+    """In the problem's order, whatever the order in which they were written."""
+    costs = replace(COSTS, message_cost={"b": 2, "a": 0.25})
+    table = np.full((2, 3, 4), 0.5)
+    problem = costs.problem(table, ("a", "b"), ("F1", "F2"), np.array([0.7, 0.3]))
+    assert problem.message_cost.tolist() == [0.25, 2]
+    prepared = a_prepared(steps=(3,))
+    for record in evaluate(
+        prepared, costs, {"solver": Spy("types", after=1)}, Independent(), Exact(), 0
+    ):
+        table = prepared.cases[0].labels.array(2)[record.user_type]
+        zeros = int(
+            (table[:1, 0] == 0).sum() + (table[:2, 3] == 0).sum() + (table[:, 3] == 0).sum()
+        )
+        assert record.episode.communication == 2.25
+        assert record.episode.cost == pytest.approx(1.5 * (0.25 + 2) + 2.0 * zeros)
+
+
+@pytest.mark.parametrize(
+    ("message_cost", "words"),
+    [
+        ({"a": 1.0, "lava": 2.0}, ["message_cost='lava'", "messages: a, b"]),
+        ({"a": 1.0}, ["message_cost={'a': 1.0}", "b missing"]),
+        ({"a": 1.0, "b": -1}, ["message_cost.b=-1", "≥ 0"]),
+        ({"a": 1.0, "b": float("nan")}, ["message_cost.b=nan", "finite"]),
+        ({"a": 1.0, "b": "much"}, ["message_cost.b='much'", "number"]),
+        (-0.5, ["message_cost=-0.5", "≥ 0"]),
+        (float("inf"), ["message_cost=inf", "finite"]),
+    ],
+)
+def test_a_cost_that_no_message_can_have_is_one_line(message_cost, words):
+    with pytest.raises(InputError) as error:
+        replace(COSTS, message_cost=message_cost).message_costs(("a", "b"))
+    assert "\n" not in str(error.value)
+    for word in words:
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize("user", [0, 1, 2])
+def test_a_solver_plans_with_what_it_may_know(user):
+    prepared = a_prepared()
+    case = prepared.cases[1]
+    tables = {
+        "types": case.learned,
+        "everyone": case.everyone,
+        "type": case.perfect.of_types([user]),
+        "labels": case.labels.of_types([user]),
+    }
+    names = {"types": ("F1", "F2"), "everyone": ("everyone",)}
+    costs = replace(COSTS, prior="observers")
+    for knows, table in tables.items():
+        problem = problem_for(prepared, case, costs, Spy(knows), Independent(), user)
+        assert np.array_equal(problem.p_explicable, table.array(2)), knows
+        assert problem.type_names == names.get(knows, (prepared.types[user],))
+        expected = [1 / 3, 2 / 3] if knows == "types" else [1]
+        assert problem.prior.tolist() == pytest.approx(expected)
+
+
+def test_no_oracle_where_true_types_are_unknown():
+    prepared = a_prepared(perfect=False)
+    with pytest.raises(InputError, match="true types are known"):
+        problem_for(prepared, prepared.cases[0], COSTS, Spy("type"), Independent(), 0)
+
+
+# --- Every solver, every trace, a user of every type ----------------------------------------------
+
+
+@dataclass(frozen=True)
+class Script:
+    """Gives all messages before step ``after``, none otherwise."""
+
+    after: int = 0
+
+    def messages(self, step: int, given: int, belief: np.ndarray) -> int:
+        return 3 & ~given if step == self.after else 0
+
+    def values(self, step: int, given: int, belief: np.ndarray) -> Mapping[int, float]:
+        return {}
+
+
+@dataclass
+class Spy:
+    """Writes down what it was given to plan with."""
+
+    knows: Knowledge
+    after: int = 0
+    planned: list[tuple[Problem, int]] = field(default_factory=list)
+
+    def plan(self, problem: Problem, seed: int = 0) -> Script:
+        self.planned.append((problem, seed))
+        return Script(self.after)
+
+
+def recorded(prepared: Prepared, seed: int = 0, **solvers: Spy):
+    return evaluate(prepared, COSTS, solvers, Independent(), Exact(), seed)
+
+
+def test_each_solver_explains_each_trace_once_to_a_user_of_each_type():
+    prepared = a_prepared(steps=(2, 3, 1))
+    records = recorded(prepared, solver=Spy("types"), oracle=Spy("type"))
+    whom = [(record.solver, record.trace, record.user_type) for record in records]
+    every = {(s, i, u) for s in ("solver", "oracle") for i in range(3) for u in range(3)}
+    assert len(whom) == len(every)
+    assert set(whom) == every
+    for record in records:
+        assert len(record.episode.messages) == len(prepared.cases[record.trace].transitions)
+
+
+def test_the_user_answers_by_the_labels_of_their_own_type():
+    prepared = a_prepared(steps=(3, 3))
+    for record in recorded(prepared, solver=Spy("types", after=1), clairvoyant=Spy("labels", 2)):
+        table = prepared.cases[record.trace].labels.array(2)[record.user_type]
+        told_at = 1 if record.solver == "solver" else 2
+        for k in range(3):
+            given = 3 if k >= told_at else 0
+            assert record.episode.labels[k, : k + 1].tolist() == table[: k + 1, given].tolist()
+
+
+def test_costs_are_those_asked_for():
+    prepared = a_prepared(steps=(3,))
+    for record in recorded(prepared, solver=Spy("types", after=1)):
+        table = prepared.cases[0].labels.array(2)[record.user_type]
+        zeros = int(
+            (table[:1, 0] == 0).sum() + (table[:2, 3] == 0).sum() + (table[:, 3] == 0).sum()
+        )
+        assert record.episode.cost == pytest.approx(1.5 * (0.75 + 0.75) + 2.0 * zeros)
+
+
+def test_a_plan_of_one_who_knows_the_type_is_for_this_type_alone():
+    prepared = a_prepared()
+    for knows, each in (("types", 1), ("everyone", 1), ("type", 3), ("labels", 3)):
+        spy = Spy(knows)
+        recorded(prepared, solver=spy)
+        assert len(spy.planned) == each * len(prepared.cases)
+        if each == 3:
+            case = prepared.cases[0]
+            tables = case.perfect if knows == "type" else case.labels
+            for user in range(3):
+                assert np.array_equal(spy.planned[user][0].p_explicable[0], tables.array(2)[user])
+
+
+def test_every_trace_has_a_seed_of_its_own_and_solvers_share_it():
+    prepared = a_prepared(steps=(2, 2, 2, 2))
+    one, other, told = Spy("types"), Spy("everyone"), Spy("labels")
+    recorded(prepared, 5, solver=one, oracle=other, clairvoyant=told)
+    seeds = [seed for _, seed in one.planned]
+    assert len(set(seeds)) == 4
+    assert [seed for _, seed in other.planned] == seeds
+    assert [seed for _, seed in told.planned] == [seed for seed in seeds for _ in range(3)]
+    another = Spy("types")
+    recorded(prepared, 6, solver=another)
+    assert not set(seeds) & {seed for _, seed in another.planned}
+    first = Spy("types")
+    recorded(with_cases(prepared, *prepared.cases[:2]), 5, solver=first)
+    assert [seed for _, seed in first.planned] == seeds[:2]
+
+
+def test_what_stands_for_one_of_two_types_that_behave_alike_stands_for_both():
+    prepared = replace(
+        a_prepared(),
+        types=("T1", "T2", "T3"),
+        distinct=np.array([0, 1, 0]),
+        matched_true_type=np.array([1, 0]),
+        learned_types=("F1", "F2"),
+    )
+    expected = {0: [False, True], 1: [True, False], 2: [False, True]}
+    for record in recorded(prepared, solver=Spy("types")):
+        assert record.right.tolist() == expected[record.user_type]
+        which = expected[record.user_type].index(True)
+        assert np.array_equal(record.right_belief, record.episode.beliefs[:, which])
+
+
+def test_a_learned_type_that_stands_for_nobody_known_is_right_for_none():
+    prepared = replace(a_prepared(), matched_true_type=np.array([-1, -1]))
+    assert not any(record.right.any() for record in recorded(prepared, solver=Spy("types")))
+
+
+@pytest.mark.parametrize("knows", ["everyone", "type", "labels"])
+def test_who_has_one_type_has_the_right_one(knows):
+    for record in recorded(a_prepared(), solver=Spy(knows)):
+        assert record.right.tolist() == [True]
+
+
+def test_labels_that_are_no_news_leave_the_belief_under_the_persistent_update():
+    prepared = a_prepared(steps=(2,))
+    table = prepared.cases[0].labels.label_probabilities(2, 3)[0]
+    p = prepared.cases[0].learned.label_probabilities(2, 3)
+    likelihood = np.where(table == 1, p, 1 - p)  # [N, 2]
+    updates = {"all": Independent(), "news": Persistent()}
+    found = {
+        name: evaluate(prepared, COSTS, {"solver": Spy("types")}, update, Exact(), 0)[
+            0
+        ].episode.beliefs[2]
+        for name, update in updates.items()
+    }
+    # Both transitions once; under the paper's update the first transition's label counts twice.
+    once = likelihood.prod(axis=1)
+    twice = once * likelihood[:, 0]
+    np.testing.assert_allclose(found["news"], once / once.sum())
+    np.testing.assert_allclose(found["all"], twice / twice.sum())
+
+
+def test_tables_kept_by_type_are_explained_as_dense_ones():
+    """By every kind of solver, to users of every type, with costs and shares that differ."""
+    dense = a_prepared(steps=(2, 3))
+
+    def of(table):
+        return table.over(table.effective())
+
+    by_type = with_cases(
+        dense,
+        *(
+            replace(
+                case,
+                learned=of(case.learned),
+                everyone=of(case.everyone),
+                perfect=of(case.perfect),
+                labels=of(case.labels),
+            )
+            for case in dense.cases
+        ),
+    )
+    costs = replace(COSTS, prior="observers", message_cost={"a": 0.3, "b": 0.6})
+    solvers = {
+        "solver": QMDP(),
+        "baseline": Baseline(),
+        "oracle": KnownType("type"),
+        "clairvoyant": KnownType("labels"),
+    }
+    pairs = zip(
+        *(evaluate(p, costs, solvers, Persistent(), Exact(), 0) for p in (dense, by_type)),
+        strict=True,
+    )
+    said = 0
+    for one, other in pairs:
+        assert one.episode.messages.tolist() == other.episode.messages.tolist()
+        assert np.array_equal(one.episode.labels, other.episode.labels)
+        assert one.episode.cost == pytest.approx(other.episode.cost)
+        assert one.episode.beliefs == pytest.approx(other.episode.beliefs)
+        assert one.right.tolist() == other.right.tolist()
+        said += one.episode.n_messages
+    assert said > 0
+    wise = [with_true_labels(p) for p in (dense, by_type)]
+    tables = [problem_for(p, p.cases[1], costs, QMDP(), Independent(), 0).dense() for p in wise]
+    assert np.array_equal(tables[0].p_explicable, tables[1].p_explicable)
