@@ -93,20 +93,13 @@ def one_of(word):
 
 
 @pytest.mark.parametrize(("page", "words"), composed())
-def test_commands_that_are_not_run_are_configurations_all_the_same(page, words, tmp_path):
+def test_commands_that_are_not_run_are_configurations_all_the_same(page, words, command):
     for launcher in ("ray", "submitit"):
         if any(launcher in word for word in words) and not find_spec(
             f"hydra_plugins.hydra_{launcher}_launcher"
         ):
             pytest.skip(f"pip install 'xplain-hri[{launcher}]'")
-    done = subprocess.run(
-        [sys.executable, "-m", "xplain", *words, "--cfg", "job"],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = command("xplain", *words, "--cfg", "job")
     assert done.returncode == 0, f"{page}: {done.stderr}"
     assert "solver:" in done.stdout
 
