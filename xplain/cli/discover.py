@@ -26,23 +26,30 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+import pandas as pd
 from hydra.utils import instantiate
+from numpy.typing import NDArray
 from omegaconf import OmegaConf
+from rich.console import Console
+from rich.table import Table
 from yaml import YAMLError
 
 from xplain.errors import InputError, TooLargeError, one_of
 from xplain.experiment.config import composed
+from xplain.explanation.message_sets import names_of
+from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.label_file import align, read_questions, read_table
+from xplain.learning.data.observers import Observed
+from xplain.learning.known_types import learn
+from xplain.learning.message_vectors import minimal_message_set
+from xplain.learning.prediction import Tenth, held_out, predicted
+from xplain.learning.saved_types import LearnedTypes
+from xplain.learning.user_types import UserTypes
+from xplain.questions.hypotheses import Hypotheses
 from xplain.randomness import run_seed
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from xplain.learning.data.dataset import Dataset
-    from xplain.learning.prediction import Tenth
-    from xplain.learning.user_types import UserTypes
 
 Row = dict[str, Any]
 
@@ -50,11 +57,6 @@ Row = dict[str, Any]
 def discover(arguments: list[str]) -> Row:
     """Finds the types and writes the files; returns what the command prints. ``arguments``
     override conf/discover.yaml."""
-    from xplain.learning.data.label_file import align, read_questions, read_table
-    from xplain.learning.data.observers import Observed
-    from xplain.learning.known_types import learn
-    from xplain.learning.prediction import held_out, predicted
-    from xplain.questions.hypotheses import Hypotheses
 
     began = time.perf_counter()
     cfg = composed("discover", arguments)
@@ -135,10 +137,8 @@ def _write(
     sentences: dict[str, str],
     tenths: Sequence[Tenth],
 ) -> None:
-    import pandas as pd
 
     from xplain.cli import discovery_plots
-    from xplain.learning.saved_types import LearnedTypes
     from xplain.report import plots
 
     clustering = types.clustering
@@ -177,7 +177,6 @@ def _write(
 
 def _write_predictions(path: str, one: NDArray[np.float64], folder: Path) -> None:
     """``predictions.csv``: the rows of the file, and ``p``."""
-    import pandas as pd
 
     kind = pd.read_parquet if path.endswith(".parquet") else pd.read_csv
     table = kind(path)
@@ -187,8 +186,6 @@ def _write_predictions(path: str, one: NDArray[np.float64], folder: Path) -> Non
 
 def summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
     """What is known of each type."""
-    from xplain.explanation.message_sets import names_of
-    from xplain.learning.message_vectors import minimal_message_set
 
     rows: list[Row] = []
     known = types.clustering.needs
@@ -216,8 +213,6 @@ def summarised(dataset: Dataset, types: UserTypes) -> list[Row]:
 
 
 def _show(row: Row, known: list[Row], folder: Path, tenths: Sequence[Tenth]) -> None:
-    from rich.console import Console
-    from rich.table import Table
 
     table = Table("type", "observers", "labels", "explicable", "confidence", "needs to be told")
     for one in known:

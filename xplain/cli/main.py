@@ -5,11 +5,11 @@ Nothing heavy is imported before it is known what to do.
 
 from __future__ import annotations
 
+import ast
 import gc
 import logging
 import sys
 from importlib import import_module
-from inspect import getdoc
 from pathlib import Path
 
 from xplain import __version__
@@ -80,17 +80,24 @@ def _run(given: list[str]) -> None:
 
     command = COMMANDS[name]
     module, _, function = command.module.partition(":")
-    with left_at_once():
-        found = import_module(f"xplain.cli.{module}")
     if any(word in ("--help", "-h") for word in rest):
-        print(getdoc(getattr(found, function, found)), end="\n\n")
+        print(_told(module, function), end="\n\n")
         if below := _commands(name):
             print("\n".join(below) + "\n")
         if command.config:
             print((CONF / f"{command.config}.yaml").read_text(encoding="utf-8"))
         return
+    with left_at_once():
+        found = import_module(f"xplain.cli.{module}")
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     getattr(found, function or "main")(_with_own_choices(rest))
+
+
+def _told(module: str, function: str) -> str:
+    """The docstring of a command, read without the imports that it needs to run."""
+    whole = ast.parse(Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8"))
+    own = (node for node in whole.body if isinstance(node, ast.FunctionDef))
+    return ast.get_docstring(next((f for f in own if f.name == function), whole)) or ""
 
 
 def _with_own_choices(words: list[str]) -> list[str]:

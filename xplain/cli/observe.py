@@ -12,20 +12,19 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 from hydra.utils import instantiate
 
 from xplain.errors import InputError
+from xplain.experiment import pipeline
 from xplain.experiment.config import composed
+from xplain.learning.data.label_file import check_format, write_table
 from xplain.randomness import run_seed
 
 
 def observe(arguments: list[str]) -> dict[str, Any]:
     """Writes the files; returns what the command prints. ``arguments`` override
     conf/observe.yaml."""
-    import pandas as pd
-
-    from xplain.experiment import pipeline
-    from xplain.learning.data.label_file import check_format, write_table
 
     cfg = composed("observe", arguments, with_hydra=True)
     run_seed(cfg.seed)

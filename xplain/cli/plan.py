@@ -24,25 +24,31 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
+from rich.console import Console
+from rich.table import Table
 
 from xplain.experiment.config import CONF, composed
+from xplain.explanation.asking import NO_QUESTION
+from xplain.explanation.message_sets import indices
+from xplain.explanation.problem import Problem
+from xplain.interaction.statistics import half_width
 from xplain.randomness import run_seed
-
-if TYPE_CHECKING:
-    from xplain.explanation.problem import Problem
-    from xplain.solvers.base import Policy
-    from xplain.solvers.bounds import Bounds
+from xplain.report.run_summary import BY_CHANCE
+from xplain.solvers.base import Asks, Policy, asking
+from xplain.solvers.bounds import Bounds, bounds, known_type_value
+from xplain.solvers.hsvi.explore import Effort
+from xplain.solvers.hsvi.solver import CertifiedPolicy
+from xplain.solvers.policy_evaluation import evaluate
 
 Row = dict[str, Any]
 
 
 def plan(arguments: list[str]) -> Row | list[Row]:
     """What the command prints, by overrides of conf/plan.yaml."""
-    from xplain.explanation.problem import Problem
 
     if "solver=all" not in arguments:
         return _plan_one(composed("plan", arguments, with_hydra=True))
@@ -55,13 +61,6 @@ def plan(arguments: list[str]) -> Row | list[Row]:
 
 def _plan_one(cfg: DictConfig, known: Bounds | None = None, compared: bool = False) -> Row:
     """One solver's row; compared with others, one that cannot ask explains without asking."""
-    from xplain.explanation.message_sets import indices
-    from xplain.explanation.problem import Problem
-    from xplain.interaction.statistics import half_width
-    from xplain.solvers.base import Asks
-    from xplain.solvers.bounds import known_type_value
-    from xplain.solvers.hsvi.solver import CertifiedPolicy
-    from xplain.solvers.policy_evaluation import evaluate
 
     run_seed(cfg.seed)
     problem = Problem.load(cfg.problem)
@@ -103,8 +102,6 @@ def _first_question(problem: Problem, policy: Policy) -> Row:
     Raises:
         InputError: it cannot ask.
     """
-    from xplain.explanation.asking import NO_QUESTION
-    from xplain.solvers.base import asking
 
     questions, asks = problem.questions, asking(policy)
     assert questions is not None
@@ -122,8 +119,6 @@ def _first_question(problem: Problem, policy: Policy) -> Row:
 
 
 def _bounds(problem: Problem, cfg: DictConfig) -> Bounds | None:
-    from xplain.solvers.bounds import bounds
-    from xplain.solvers.hsvi.explore import Effort
 
     if cfg.bounds.nodes == 0:
         return None
@@ -133,7 +128,6 @@ def _bounds(problem: Problem, cfg: DictConfig) -> Bounds | None:
 
 def _how_known(row: Row) -> str:
     """``simulated ± 0.0412``, half of the 95 % interval."""
-    from xplain.report.run_summary import BY_CHANCE
 
     if "value_half_width" not in row:
         return str(row["value_is"])
@@ -151,8 +145,6 @@ def _first(row: Row) -> str:
 
 
 def _compare(rows: list[Row]) -> None:
-    from rich.console import Console
-    from rich.table import Table
 
     asks = any("asks" in row for row in rows)
     table = Table(

@@ -18,19 +18,26 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
 from hydra.utils import instantiate
 from omegaconf import DictConfig
+from rich.console import Console
+from rich.table import Table
 
+from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.experiment.config import composed
-from xplain.randomness import run_seed
-
-if TYPE_CHECKING:
-    from xplain.questions.committee import Pool
-    from xplain.questions.designs import Adaptive, Battery
-    from xplain.questions.hypotheses import Hypotheses
+from xplain.explanation.message_sets import names_of
+from xplain.learning.data.label_file import align, columns_of, read_table
+from xplain.questions.battery import battery
+from xplain.questions.committee import Pool, next_screen_of
+from xplain.questions.designs import WITHOUT, Adaptive, Battery, hypotheses_of
+from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.own_transitions import read_transitions
+from xplain.randomness import run_seed, stream
+from xplain.storage import written_whole
 
 Row = dict[str, Any]
 
@@ -38,7 +45,6 @@ Row = dict[str, Any]
 def questions(arguments: list[str]) -> Row:
     """Writes the list; returns what the command prints. ``arguments`` override
     conf/questions.yaml."""
-    from xplain.questions.designs import WITHOUT, Battery
 
     cfg = composed("questions", arguments, with_hydra=True)
     run_seed(cfg.seed)
@@ -62,10 +68,6 @@ def questions(arguments: list[str]) -> Row:
 
 def _battery(cfg: DictConfig, design: Battery) -> tuple[list[Row], Row]:
     """The questions, and what is known of them."""
-    import numpy as np
-
-    from xplain.explanation.message_sets import names_of
-    from xplain.questions.battery import battery
 
     known, images, sentences = _known(cfg)
     transitions, told = battery(known, design.redundancy, cfg.seed)
@@ -85,10 +87,6 @@ def _battery(cfg: DictConfig, design: Battery) -> tuple[list[Row], Row]:
 
 def _screen(cfg: DictConfig, design: Adaptive) -> tuple[list[Row], Row]:
     """As :func:`_battery`, of the next screen."""
-    from xplain.explanation.message_sets import names_of
-    from xplain.learning.data.label_file import align, columns_of, read_table
-    from xplain.questions.committee import next_screen_of
-    from xplain.randomness import stream
 
     for key in ("hypotheses", "save"):
         if cfg[key] is not None:
@@ -116,12 +114,6 @@ def _screen(cfg: DictConfig, design: Adaptive) -> tuple[list[Row], Row]:
 
 def _pool(cfg: DictConfig) -> tuple[Pool, tuple[str, ...], tuple[str, ...], dict[str, str]]:
     """What can be asked about, in words, its images, and what to say for each message."""
-    import numpy as np
-
-    from xplain.domains.users.setting import Setting
-    from xplain.questions.committee import Pool
-    from xplain.questions.own_transitions import read_transitions
-    from xplain.randomness import stream
 
     if cfg.transitions is None:
         domain = instantiate(cfg.domain)
@@ -141,8 +133,6 @@ def _pool(cfg: DictConfig) -> tuple[Pool, tuple[str, ...], tuple[str, ...], dict
 
 def _known(cfg: DictConfig) -> tuple[Hypotheses, tuple[str, ...], dict[str, str]]:
     """The hypotheses, the transitions' images, and what to say for each message."""
-    from xplain.questions.designs import hypotheses_of
-    from xplain.questions.own_transitions import read_transitions
 
     path = cfg.hypotheses if cfg.hypotheses is not None else cfg.queries.hypotheses
     if path is not None and cfg.transitions is not None:
@@ -169,7 +159,6 @@ def _row(number: int, transition: int, text: str, image: str, told: dict[str, st
 
 
 def _write(rows: list[Row], output: Path) -> None:
-    from xplain.storage import written_whole
 
     output.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(output) as file:
@@ -179,8 +168,6 @@ def _write(rows: list[Row], output: Path) -> None:
 
 
 def _show(rows: list[Row]) -> None:
-    from rich.console import Console
-    from rich.table import Table
 
     table = Table("", "the robot", "told before")
     for row in rows:
