@@ -163,7 +163,7 @@ def test_every_screen_draws_from_a_stream_of_its_own(tmp_path, monkeypatch):
         drawn.setdefault(case, set()).add(rng.bit_generator.state["state"]["state"])
         return next_screen_of(pool, answers, observer, count, rng)
 
-    monkeypatch.setattr("xplain.questions.committee.next_screen_of", noted)
+    monkeypatch.setattr("xplain.cli.questions.next_screen_of", noted)
     cases = [("bob", 0, 0), ("bob", 1, 0), ("bob", 4, 0), ("ann", 1, 0), ("bob", 1, 1)]
     for case in [*cases, cases[1]]:
         who, answers, seed = case
