@@ -15,7 +15,7 @@ from tests.people.visitors import GENEROUS, Visitor, consent, enter, field, page
 from xplain.errors import InputError
 from xplain.people.server.app import create_app
 from xplain.people.server.http import Context, Server
-from xplain.people.server.map_svg import CELL, picture
+from xplain.people.server.map_svg import picture
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Page, visit
 from xplain.people.study.bot import Person
@@ -256,5 +256,5 @@ def test_numbers_on_the_map_do_not_reach_into_the_next_cell() -> None:
     svg = picture(plan, there_and_back, 40)
     widths = [float(w) for w in re.findall(r'<rect x="1" y="1" width="([\d.]+)"', svg)]
     assert len(widths) == 2
-    assert max(widths) < CELL - 2
+    assert max(widths) < 64 - 2  # the width of a cell
     assert "40<" in svg  # the newest is always shown

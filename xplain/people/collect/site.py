@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from markupsafe import Markup
+
 from xplain.errors import Refused
 from xplain.people.analysis.export import Participant
 from xplain.people.collect.asking import FINISHED, State, schedule, shared
@@ -119,11 +121,11 @@ class CollectSite(site.Site[Collection]):
         self.flow.kept.cache_clear()
         self._found.clear()
 
-    def picture(self, what: tuple[int, ...]) -> str:
+    def picture(self, what: tuple[int, ...]) -> Markup:
         """The map with a clip's transitions; without any, the robot where it covers nothing."""
         plan = self.plan
         if not plan.paths:
-            return ""
+            return Markup()
         gone = plan.gone[what[0]] if plan.gone and what else ()
         taken = {cell for item in plan.scene.items for cell in item.cells} if plan.scene else set()
         beside = next((path for path in plan.paths if path[0] not in taken), plan.paths[0])

@@ -8,9 +8,9 @@ flow it is.
 from __future__ import annotations
 
 import base64
-import functools
 import sqlite3
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
@@ -134,15 +134,10 @@ class Site(Generic[F]):
         ``changes``, ``pictures``, ``titles``."""
         words = self.plan.texts.words
 
-        @functools.lru_cache(4096)
-        def drawn(what: Hashable) -> Markup:
-            return Markup(self.picture(what))
-
-        legend = map_svg.legend(self.plan, self.way_in_legend)
         return {
-            "map": drawn,
-            "ahead": lambda steps: Markup(map_svg.picture(self.plan, self.plan.ahead.way, steps)),
-            "legend": [(name, Markup(svg)) for name, svg in legend],
+            "map": lru_cache(4096)(self.picture),
+            "ahead": lambda steps: map_svg.picture(self.plan, self.plan.ahead.way, steps),
+            "legend": map_svg.legend(self.plan, self.way_in_legend),
             "changes": self.plan.changes,
             "pictures": self.plan.pictures,
             "titles": {stage: words[stage] for stage in self.flow.stages[:-1]},
@@ -153,8 +148,8 @@ class Site(Generic[F]):
         """Whether pages show more than one step."""
         return False
 
-    def picture(self, what: Any) -> str:
-        """The map with what a page's template asks for; "" without a map."""
+    def picture(self, what: Any) -> Markup:
+        """The map with what a page's template asks for (hashable); "" without a map."""
         raise NotImplementedError
 
     @property

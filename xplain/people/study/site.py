@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 
 from xplain.errors import Refused
 from xplain.people.analysis.export import Participant
@@ -185,7 +186,7 @@ class StudySite(site.Site[Study]):
         """Where there is a map."""
         return self.plan.path is not None
 
-    def picture(self, what: int | tuple[str, int]) -> str:
+    def picture(self, what: int | tuple[str, int]) -> Markup:
         """The map after a number of steps, or with one clip."""
         plan = self.plan
         if isinstance(what, tuple):
