@@ -100,8 +100,7 @@ def test_a_terminal_waits_a_step_at_a_time_until_it_is_told_not_to(
     """The end of the input is such a word, too."""
     monkeypatch.setattr(sys, "stdin", Keyboard(typed))
     monkeypatch.setattr(sys, "stdout", Keyboard())
-    shown = Terminal(rescue, "A")
-    play(rescue, Simulated(rescue, "A"), shown)
+    play(rescue, Terminal(rescue, Simulated(rescue, "A")))
     text = sys.stdout.getvalue()
     assert text.count("the next step") == asked
     assert re.search(r"cost", text)

@@ -43,17 +43,13 @@ def main(arguments: list[str]) -> None:
         raise InputError("--html", str(given.html), "a file in a folder that exists")
     # What follows brings the heavy packages; --help is over by now.
     from xplain.demo.page import page
-    from xplain.demo.play import AtTerminal, Simulated, play, stage
+    from xplain.demo.play import Simulated, play, stage
     from xplain.demo.terminal import Terminal
 
     scene = stage(given.overrides, given.trace, given.user)
-    if given.me:
-        terminal = Terminal(scene, None)
-        played = play(scene, AtTerminal(terminal), terminal)
-    else:
-        user = scene.user_type(given.user)
-        audience = None if given.html else Terminal(scene, user)
-        played = play(scene, Simulated(scene, user), audience)
+    simulated = None if given.me else Simulated(scene, scene.user_type(given.user))
+    user = simulated if simulated and given.html else Terminal(scene, simulated)
+    played = play(scene, user)
     if given.html is not None:
         given.html.write_text(page(scene, played), encoding="utf-8")
         print(given.html, file=sys.stderr)

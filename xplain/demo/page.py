@@ -9,6 +9,7 @@ from typing import Any
 from xplain.demo.play import Played, Stage
 from xplain.experiment.results import told
 from xplain.interaction.moves import Why
+from xplain.storage import encode
 
 SHOWN = 6
 """Number of values shown for a decision, the best ones."""
@@ -25,7 +26,6 @@ def page(stage: Stage, played: Played) -> str:
 def content(stage: Stage, played: Played) -> dict[str, Any]:
     """What the page draws, in plain JSON."""
     prepared, case = stage.prepared, stage.case
-    scene = prepared.scene
     return {
         "domain": stage.domain,
         "solver": stage.solver,
@@ -36,16 +36,7 @@ def content(stage: Stage, played: Played) -> dict[str, Any]:
         "titles": {name: stage.title(name) for name in played.prior},
         "believes": list(stage.beliefs.get(played.user or "", ())),
         "sentences": dict(zip(prepared.messages, prepared.sentences, strict=True)),
-        "scene": scene
-        and {
-            "rows": scene.rows,
-            "columns": scene.columns,
-            "walls": scene.walls,
-            "items": [
-                {"name": item.name, "symbol": item.symbol, "cells": item.cells}
-                for item in scene.items
-            ],
-        },
+        "scene": encode(prepared.scene),
         "positions": case.positions if len(case.positions) == len(case.transitions) + 1 else [],
         "phrases": case.phrases,
         "changes": case.changes,

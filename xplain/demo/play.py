@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 from hydra.utils import instantiate
 
@@ -127,32 +127,26 @@ class Played:
     steps: tuple[Step, ...]
 
 
-class Audience(Protocol):
-    """An observer of a session while it is played."""
-
-    def asked(self, session: Session, question: Question, answer: int) -> None:
-        """The robot has asked, and the user has answered."""
-        ...
-
-    def said(self, session: Session) -> None:
-        """The robot has given its messages and shown its transitions."""
-        ...
-
-    def heard(self, step: Step) -> None:
-        """The user has answered."""
-        ...
-
-
 class User(Protocol):
-    """Whoever the trace is explained to."""
+    """Whoever the trace is explained to.
 
-    def __call__(self, session: Session) -> Sequence[int]:
-        """Labels of the transitions that a session shows."""
+    Attributes:
+        user: the true type of a simulated user; None for a person.
+    """
+
+    user: str | None
+
+    def labels(self, session: Session) -> Sequence[int]:
+        """Of the transitions that a session shows, after its messages."""
         ...
 
     def reply(self, session: Session, question: Question) -> int:
         """The answer, 0 or 1, to a question."""
         ...
+
+    def heard(self, step: Step) -> None:
+        """What came of the labels; only who shows the session needs it."""
+        return
 
 
 TRIED = 5
@@ -258,36 +252,28 @@ def _explainer(
     )
 
 
-def play(scene: Stage, user: User, audience: Audience | None = None) -> Played:
+def play(scene: Stage, user: User) -> Played:
     """Plays the session to its end."""
     session = scene.session()
-    prior, steps = session.belief, []
+    prior, steps = session.belief, list[Step]()
     asked: list[tuple[Question, int]] = []
     while not session.finished:
         move = session.next()
         if isinstance(move, Question):
-            reply = user.reply(session, move)
-            session.answer(reply)
-            asked.append((move, reply))
-            if audience is not None:
-                audience.asked(session, move, reply)
-            continue
-        if isinstance(move, Say):
-            continue
-        said = session.messages()
-        if audience is not None:
-            audience.said(session)
-        labels = tuple(map(int, user(session)))
-        session.observe(labels)
-        step = Step(said, session.why(), labels, session.belief, session.cost, tuple(asked))
-        steps.append(step)
-        asked = []
-        if audience is not None:
-            audience.heard(step)
-    return Played(getattr(user, "user", None), prior, tuple(steps))
+            asked.append((move, user.reply(session, move)))
+            session.answer(asked[-1][1])
+        elif not isinstance(move, Say):
+            said = session.messages()
+            labels = tuple(map(int, user.labels(session)))
+            session.observe(labels)
+            belief, cost = session.belief, session.cost
+            steps.append(Step(said, session.why(), labels, belief, cost, tuple(asked)))
+            asked = []
+            user.heard(steps[-1])
+    return Played(user.user, prior, tuple(steps))
 
 
-class Simulated:
+class Simulated(User):
     """Answers as a simulated user of a true type; of ``explainee``'s kind."""
 
     def __init__(self, scene: Stage, user: str) -> None:
@@ -298,30 +284,14 @@ class Simulated:
         self._person = scene.explainee.meet(labels, same, seed)
         self._steps = len(scene.case.transitions)
 
-    def __call__(self, session: Session) -> Sequence[int]:
+    def labels(self, session: Session) -> Sequence[int]:
+        """As a user of the type has them."""
         self._person.hear(mask_of(session.messages(), self._messages))
         given = mask_of(session.said, self._messages)
         answers: list[int] = self._person.react(given, session.shown).answers.tolist()
         return answers
 
     def reply(self, session: Session, question: Question) -> int:
-        """As :class:`User` has it."""
+        """As a user of the type has it."""
         given = mask_of(session.said, self._messages)
         return respondent(self._person).answer(self._steps + question.number, given)
-
-
-@dataclass(frozen=True)
-class AtTerminal:
-    """The person at the terminal."""
-
-    terminal: Any
-
-    def __call__(self, session: Session) -> Sequence[int]:
-        """As :class:`User` has it."""
-        labels: Sequence[int] = self.terminal.ask(session.shown)
-        return labels
-
-    def reply(self, session: Session, question: Question) -> int:
-        """As :class:`User` has it."""
-        answer: int = self.terminal.reply(session, question)
-        return answer

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 
 from rich.columns import Columns
 from rich.console import Console, Group, RenderableType
@@ -11,7 +12,7 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
-from xplain.demo.play import Stage, Step
+from xplain.demo.play import Simulated, Stage, Step, User
 from xplain.errors import InputError
 from xplain.explanation.asking import Question
 from xplain.interaction.session import Session
@@ -20,20 +21,21 @@ BAR = 24
 PATH, ROBOT = "·", "@"
 
 
-class Terminal:
+class Terminal(User):
     """Shows a session step by step, and asks the person at the terminal.
 
     Args:
         stage: the trace that is explained.
-        user: true type of the simulated user; None if a person answers.
+        simulated: who answers; None if the person does.
     """
 
-    def __init__(self, stage: Stage, user: str | None) -> None:
+    def __init__(self, stage: Stage, simulated: Simulated | None = None) -> None:
         width = None if sys.stdout.isatty() else 100
         self.console = Console(highlight=False, width=width)
-        self.stage, self.user = stage, user
-        self.pauses = user is not None and sys.stdin.isatty() and sys.stdout.isatty()
-        self._before: dict[str, float] | None = None
+        self.stage, self.simulated = stage, simulated
+        self.user = simulated.user if simulated else None
+        self.pauses = simulated is not None and sys.stdin.isatty() and sys.stdout.isatty()
+        self._before: dict[str, float] = {}
         self._asked = self._mapped = 0
         self._briefing()
 
@@ -54,32 +56,33 @@ class Terminal:
         for name, sentences in stage.beliefs.items():
             self.console.print(f"  [bold]{name}[/]  {' '.join(sentences)}")
 
-    def asked(self, session: Session, question: Question, answer: int) -> None:
-        """A question, and what the simulated user replied."""
-        if self._before is None:
-            self._before = session.belief
-        if self.user is not None:
+    def reply(self, session: Session, question: Question) -> int:
+        """The answer to a question, which is shown; the map before the first of a step to a person.
+
+        Raises:
+            InputError: the input has ended.
+        """
+        self._asked, self._before = self._asked + 1, self._before or session.belief
+        if self.simulated is not None:
             self._question(question)
-            reply = next(words for words, value in question.replies if value == answer)
-            self.console.print(Panel(reply, title="user", title_align="left", expand=False))
-        self._asked += 1
+            value = self.simulated.reply(session, question)
+            words = next(words for words, one in question.replies if one == value)
+            self.console.print(Panel(words, title="user", title_align="left", expand=False))
+            return value
+        if self._mapped != session.shown:
+            self._mapped = session.shown
+            self.console.print()
+            self.console.print(self._map(session.shown - 1) or "")
+        self._question(question)
+        return self._typed_reply(question)
 
     def _question(self, question: Question) -> None:
         text = f"{question.text}\n[bold]{question.about}[/]" if question.about else question.text
         self.console.print()
         self.console.print(Panel(text, title="robot asks", title_align="left", expand=False))
 
-    def reply(self, session: Session, question: Question) -> int:
-        """The person's answer to a question, the map before the first of a step.
-
-        Raises:
-            InputError: the input has ended.
-        """
-        if self._mapped != session.shown:
-            self._mapped = session.shown
-            self.console.print()
-            self.console.print(self._map(session.shown - 1) or "")
-        self._question(question)
+    def _typed_reply(self, question: Question) -> int:
+        """By its number, its words, or their first letter."""
         words = [words for words, _ in question.replies]
         while True:
             for i, text in enumerate(words, 1):
@@ -101,11 +104,13 @@ class Terminal:
         except EOFError:
             raise InputError("--me", "end of input", "an answer a step, on a terminal") from None
 
-    def said(self, session: Session) -> None:
-        """Map, what the robot says, and the trace so far."""
-        k = session.shown
-        if self._before is None:
-            self._before = session.belief
+    def labels(self, session: Session) -> Sequence[int]:
+        """Of the trace so far, which is shown with the map and what the robot says.
+
+        Raises:
+            InputError: the input has ended.
+        """
+        k, self._before = session.shown, self._before or session.belief
         self.console.print()
         self.console.print(Rule(f"step {k} of {len(session.trace)}", align="left", style="dim"))
         prepared = self.stage.prepared
@@ -116,8 +121,10 @@ class Terminal:
         map_ = self._map(k)
         if map_ is not None:
             self.console.print(map_)
-        if self.user is None:
-            self.console.print(self._transitions(k, None))
+        if self.simulated is not None:
+            return self.simulated.labels(session)
+        self.console.print(self._transitions(k, None))
+        return self._typed_labels(k)
 
     def heard(self, step: Step) -> None:
         """The labels, and how they changed the belief."""
@@ -143,12 +150,7 @@ class Terminal:
         except EOFError:
             self.pauses = False
 
-    def ask(self, count: int) -> list[int]:
-        """The person's labels of the first ``count`` transitions.
-
-        Raises:
-            InputError: the input has ended.
-        """
+    def _typed_labels(self, count: int) -> list[int]:
         while True:
             text = self._input(
                 "Which of these make no sense to you? [dim](numbers, such as 1 3; Enter: none)[/]"
@@ -174,7 +176,7 @@ class Terminal:
         table.add_row("", Text("belief", "dim"), "")
         for name, p in belief.items():
             full = round(p * BAR)
-            was = 0.0 if self._before is None else self._before[name]
+            was = self._before[name]
             arrow = "↑" if p > was + 0.005 else "↓" if p < was - 0.005 else " "
             bar = Text("█" * full, "blue") + Text("─" * (BAR - full), "dim")
             # The user's type is highlighted for the audience; the robot is not told.
