@@ -4,88 +4,58 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
-from scipy import optimize, special, stats
+from scipy import special, stats
 
 PERMUTATIONS = 10_000
 
 
-NAN = float("nan")
-
-
-@dataclass(frozen=True)
-class Group:
-    """Size, mean and sample standard deviation."""
-
-    n: int
-    mean: float
-    sd: float
-
-    @classmethod
-    def of(cls, values: NDArray[np.float64]) -> Group:
-        """NaN where the group is too small."""
-        n = len(values)
-        mean = float(values.mean()) if n else NAN
-        return cls(n, mean, float(values.std(ddof=1)) if n > 1 else NAN)
-
-
-@dataclass(frozen=True)
-class TTest:
-    """A two-sided t test."""
-
-    t: float = NAN
-    df: float = NAN
-    p: float = NAN
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Group a against group b; NaN where the groups are too small or without any spread.
-
-    Attributes:
-        a, b: the groups.
-        student: equal variances (the paper's test).
-        welch: unequal variances.
-        g, g_low, g_high: Hedges' g of a − b with its 95 % interval.
-        permutation_p: two-sided, labels shuffled within strata.
-    """
-
-    a: Group
-    b: Group
-    student: TTest
-    welch: TTest
-    g: float
-    g_low: float
-    g_high: float
-    permutation_p: float
-
-
 def compare(
-    a: ArrayLike, b: ArrayLike, strata_a: Sequence[str], strata_b: Sequence[str], seed: int
-) -> Comparison:
-    """All figures of one measure.
+    a: ArrayLike,
+    b: ArrayLike,
+    strata_a: Sequence[str],
+    strata_b: Sequence[str],
+    seed: int,
+    names: tuple[str, str] = ("a", "b"),
+) -> dict[str, float]:
+    """Group a against group b.
 
     Args:
-        a, b: values of the groups.
-        strata_a, strata_b: stratum (user type) of each value.
+        a, b: the measure of each participant.
+        strata_a, strata_b: their user types, within which labels are shuffled.
         seed: of the permutations.
+        names: of the groups.
+
+    Returns:
+        ``n_…``, ``mean_…`` and ``sd_…`` of each group; t, df and p of Student's test (the paper's)
+        and of Welch's, two-sided; Hedges' g of a − b with its 95 % interval; the permutation test's
+        p. NaN where the groups are too small or without any spread.
     """
-    x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
-    student, welch, g = TTest(), TTest(), (NAN, NAN, NAN)
-    if len(x) > 1 and len(y) > 1 and (np.ptp(x) > 0 or np.ptp(y) > 0):
+    x, y = (pd.Series(np.asarray(values, dtype=float)) for values in (a, b))
+    student = welch = g = (float("nan"),) * 3
+    if min(len(x), len(y)) > 1 and (np.ptp(x) > 0 or np.ptp(y) > 0):
         with warnings.catch_warnings():
             # Of a group without spread: messages of a policy that tells everybody the same.
             warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
             student, welch = (
-                TTest(float(found.statistic), float(found.df), float(found.pvalue))
-                for found in (stats.ttest_ind(x, y, equal_var=equal) for equal in (True, False))
+                (float(test.statistic), float(test.df), float(test.pvalue))
+                for test in (stats.ttest_ind(x, y, equal_var=equal) for equal in (True, False))
             )
-        g = hedges(student.t, len(x), len(y))
-    p = stratified_permutation(x, y, np.array(strata_a), np.array(strata_b), seed)
-    return Comparison(Group.of(x), Group.of(y), student, welch, *g, permutation_p=p)
+        g = hedges(student[0], len(x), len(y))
+    strata = np.array(strata_a), np.array(strata_b)
+    p = stratified_permutation(x.to_numpy(), y.to_numpy(), *strata, seed)
+    first, second = names
+    return {
+        **{f"n_{first}": len(x), f"mean_{first}": x.mean(), f"sd_{first}": x.std()},
+        **{f"n_{second}": len(y), f"mean_{second}": y.mean(), f"sd_{second}": y.std()},
+        **dict(zip(("student_t", "student_df", "student_p"), student, strict=True)),
+        **dict(zip(("welch_t", "welch_df", "welch_p"), welch, strict=True)),
+        **dict(zip(("hedges_g", "g_low", "g_high"), g, strict=True)),
+        "permutation_p": p,
+    }
 
 
 def student_p(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -114,21 +84,9 @@ def hedges(t: float, n_a: int, n_b: int, level: float = 0.95) -> tuple[float, fl
     df, scale = n_a + n_b - 2, np.sqrt(1 / n_a + 1 / n_b)
     correction = np.exp(special.gammaln(df / 2) - special.gammaln((df - 1) / 2)) / np.sqrt(df / 2)
     tail = (1 - level) / 2
-
-    # Of t, nearly normal; wide enough for any level in use.
-    reach = 8 * np.sqrt(1 + t**2 / (2 * df))
-
-    def noncentrality(probability: float) -> float:
-        def excess(nc: float) -> float:
-            value = float(stats.nct.cdf(abs(t), df, nc))
-            # Far out in the tails the library gives up; there the answer is plain.
-            return (float(nc < abs(t)) if np.isnan(value) else value) - probability
-
-        return float(optimize.brentq(excess, abs(t) - reach, abs(t) + reach))
-
-    # Computed for |t|, where the distribution function is accurate, and mirrored.
     to_g = float(correction * scale)
-    low, high = noncentrality(1 - tail) * to_g, noncentrality(tail) * to_g
+    # Computed for |t|, where the function is accurate, and mirrored.
+    low, high = (to_g * special.nctdtrinc(df, [1 - tail, tail], abs(t))).tolist()
     return (t * to_g, low, high) if t >= 0 else (t * to_g, -high, -low)
 
 

@@ -8,19 +8,15 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import numpy as np
+import pandas as pd
 
 from xplain.errors import InputError
 from xplain.people.analysis.stored import STREAMS
 from xplain.people.study.flow import ENDS
 from xplain.people.study.plan import ASKING, CONFORMANT, PERSONALIZED
-from xplain.people.study.statistics import Comparison, compare, d_from_p, holm
+from xplain.people.study.statistics import compare, d_from_p, holm
 from xplain.randomness import derived_seed
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 CONDITIONS = (CONFORMANT, PERSONALIZED)
 """What the paper compares."""
@@ -39,18 +35,8 @@ SECONDARY = {
     "cost": "Cost",
 }
 """Shown where they are known of everybody."""
+TITLES = {**MEASURES, **SECONDARY}
 NEEDED = ("participant", "stream", "stage", "type", "condition", "eligible", *MEASURES)
-
-
-@dataclass(frozen=True)
-class Row:
-    """One measure: ours, the p values after Holm's correction, and the paper's."""
-
-    measure: str
-    title: str
-    ours: Comparison
-    holm_p: float
-    paper: Mapping[str, float] | None
 
 
 @dataclass(frozen=True)
@@ -60,16 +46,19 @@ class Analysis:
     Attributes:
         conditions: that are compared, the first less the second.
         stream: whose data: person, pilot or bot. Never mixed.
-        rows: the three measures, then the secondary ones (not part of the correction).
-        flow: [(stage, {condition or "all": number})] of participants, then the ends.
+        measures: a row a measure, the three primary ones first (the others are not part of the
+            correction): the figures of :func:`xplain.people.study.statistics.compare`, those of a
+            group by its condition; ``student_p_holm``; and ``paper_…`` what the paper has there.
+        flow: participants that reached a stage, then those that came to an end, of all and by
+            condition.
         excluded: {reason: number} of completed participants that were left out.
         data: the completed, included participants.
     """
 
     conditions: tuple[str, str]
     stream: str
-    rows: tuple[Row, ...]
-    flow: tuple[tuple[str, Mapping[str, int]], ...]
+    measures: pd.DataFrame
+    flow: pd.DataFrame
     excluded: Mapping[str, int]
     data: pd.DataFrame
 
@@ -97,8 +86,6 @@ def read(folder: Path) -> pd.DataFrame:
     Raises:
         InputError: there is none, or a column is missing.
     """
-    import pandas as pd
-
     path = folder / "participants.csv"
     if not path.is_file():
         raise InputError("data", str(folder), "a folder with participants.csv, as exported")
@@ -154,17 +141,15 @@ def analyse(
     if ASKING not in conditions:
         told = [m for m in told if m != "questions_asked"]
     found = {m: _compare(kept, m, conditions, seed) for m in (*MEASURES, *told)}
-    adjusted = dict(zip(MEASURES, holm([found[m].student.p for m in MEASURES]), strict=True))
-    paper = paper_table() if conditions == CONDITIONS else {}
-    rows = [
-        Row(m, title, found[m], float(adjusted.get(m, np.nan)), paper.get(m))
-        for m, title in {**MEASURES, **SECONDARY}.items()
-        if m in found
-    ]
+    measures = pd.DataFrame.from_dict(found, orient="index").rename_axis("measure")
+    adjusted = pd.Series(holm(measures.loc[[*MEASURES], "student_p"]), [*MEASURES])
+    measures.insert([*measures.columns].index("hedges_g"), "student_p_holm", adjusted)
+    if conditions == CONDITIONS:
+        measures = measures.join(pd.DataFrame(paper_table()).T.add_prefix("paper_"))
     counted = {reason: reasons.count(reason) for reason in dict.fromkeys(reasons)}
     if untimed := int(kept["interaction_time_s"].isna().sum()):
         counted["of the time alone: the clock was set back"] = untimed
-    return Analysis(conditions, stream, tuple(rows), _flow(own), counted, kept)
+    return Analysis(conditions, stream, measures, _flow(own), counted, kept)
 
 
 def analyses(
@@ -182,23 +167,20 @@ def analyses(
 
 def _compare(
     data: pd.DataFrame, measure: str, conditions: tuple[str, str], seed: int
-) -> Comparison:
-    """The first condition against the second."""
+) -> dict[str, float]:
+    """The first condition against the second, the figures of each by its name."""
     data = data.dropna(subset=[measure])  # a time that cannot be is left out
     a, b = (data[data["condition"] == condition] for condition in conditions)
-    return compare(
-        a[measure].to_numpy(),
-        b[measure].to_numpy(),
-        a["type"].astype(str).tolist(),
-        b["type"].astype(str).tolist(),
-        derived_seed(seed, "permutation", measure),
-    )
+    types_a, types_b = (group["type"].astype(str).tolist() for group in (a, b))
+    drawn = derived_seed(seed, "permutation", measure)
+    return compare(a[measure], b[measure], types_a, types_b, drawn, conditions)
 
 
-def _flow(own: pd.DataFrame) -> tuple[tuple[str, Mapping[str, int]], ...]:
+def _flow(own: pd.DataFrame) -> pd.DataFrame:
     """How many got how far, and how the others ended."""
+    everybody = own["participant"].notna()
     reached = {
-        "entered": own["participant"].notna(),
+        "entered": everybody,
         "consented": own["condition"].notna(),
         "eligible": own["eligible"] == 1,
         "evaluated": own["inexplicable_transitions"].notna(),
@@ -207,31 +189,9 @@ def _flow(own: pd.DataFrame) -> tuple[tuple[str, Mapping[str, int]], ...]:
         "still on their way": ~own["stage"].isin(["done", *ENDS]),
     }
     asked = (ASKING,) if (own["condition"] == ASKING).any() else ()
-    of = {"all": own["participant"].notna()}
-    of |= {c: own["condition"] == c for c in (*CONDITIONS, *asked)}
-    return tuple(
-        (stage, {whose: int((who & theirs).sum()) for whose, theirs in of.items()})
-        for stage, who in reached.items()
-    )
-
-
-def table(analysis: Analysis) -> list[dict[str, float | str]]:
-    """The rows as flat records, for CSV."""
-    records: list[dict[str, float | str]] = []
-    for row in analysis.rows:
-        parts = tuple(zip(analysis.conditions, (row.ours.a, row.ours.b), strict=True))
-        tests = (("student", row.ours.student), ("welch", row.ours.welch))
-        records.append(
-            {
-                "measure": row.measure,
-                **{f"{key}_{name}": v for name, group in parts for key, v in vars(group).items()},
-                **{f"{name}_{key}": v for name, test in tests for key, v in vars(test).items()},
-                "student_p_holm": row.holm_p,
-                "hedges_g": row.ours.g,
-                "g_low": row.ours.g_low,
-                "g_high": row.ours.g_high,
-                "permutation_p": row.ours.permutation_p,
-                **{f"paper_{key}": value for key, value in (row.paper or {}).items()},
-            }
-        )
-    return records
+    of = {"all": everybody} | {c: own["condition"] == c for c in (*CONDITIONS, *asked)}
+    counted = {
+        whose: {stage: int((who & theirs).sum()) for stage, who in reached.items()}
+        for whose, theirs in of.items()
+    }
+    return pd.DataFrame(counted).rename_axis("stage")

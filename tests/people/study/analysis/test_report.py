@@ -20,7 +20,7 @@ from xplain.errors import InputError
 from xplain.people.analysis.export import described
 from xplain.people.study.codebook import CODEBOOK
 from xplain.people.study.report import draw, exclusions, save, show
-from xplain.people.study.table2 import CONDITIONS, Analysis, Row, analyse, paper_table
+from xplain.people.study.table2 import CONDITIONS, MEASURES, TITLES, Analysis, analyse, paper_table
 from xplain.people.study.tables import export
 
 
@@ -59,9 +59,9 @@ def analysis() -> Analysis:
     return analyse(completed(20), "person", {})
 
 
-def _both(analysis: Analysis, row: Row) -> list[pd.Series[float]]:
+def _both(analysis: Analysis, measure: str) -> list[pd.Series[float]]:
     return [
-        analysis.data.loc[analysis.data["condition"] == c, row.measure].astype(float)
+        analysis.data.loc[analysis.data["condition"] == c, measure].astype(float)
         for c in CONDITIONS
     ]
 
@@ -73,17 +73,17 @@ def test_each_figure_on_the_terminal_stands_under_its_heading(analysis: Analysis
     first = itertools.takewhile(lambda line: not line.startswith("│"), lines)
     above = [[part.strip() for part in line.split("┃")] for line in first if "┃" in line]
     headings = [" ".join(parts).strip() for parts in zip(*above, strict=True)]
-    for row in analysis.rows[:3]:
-        (line,) = (line for line in lines if line.startswith(f"│ {row.title} "))
+    for measure in MEASURES:
+        (line,) = (line for line in lines if line.startswith(f"│ {TITLES[measure]} "))
         cells = dict(zip(headings, (c.strip() for c in line.split("│")), strict=True))
-        a, b = _both(analysis, row)
+        a, b = _both(analysis, measure)
         assert cells["Conformant mean (SD), n"] == f"{a.mean():.2f} ({a.std():.2f}), {len(a)}"
         assert cells["Personalized mean (SD), n"] == f"{b.mean():.2f} ({b.std():.2f}), {len(b)}"
         student, welch = stats.ttest_ind(a, b), stats.ttest_ind(a, b, equal_var=False)
         assert _number(cells["Student's p"]) == pytest.approx(student.pvalue, abs=1e-3)
         assert _number(cells["Welch's p"]) == pytest.approx(welch.pvalue, abs=1e-3)
         assert _number(cells["p, Holm"]) >= _number(cells["Student's p"])
-        paper = paper_table()[row.measure]
+        paper = paper_table()[measure]
         assert cells["Paper: means, p"].startswith(f"{paper['conformant']:g}, ")
 
 
@@ -94,12 +94,12 @@ def _number(p: str) -> float:
 def test_the_file_has_each_measure_with_its_figures(analysis: Analysis, tmp_path: Path) -> None:
     save(analysis, tmp_path / "new" / "folder")
     table = pd.read_csv(tmp_path / "new" / "folder" / "table2.csv", index_col="measure")
-    assert list(table.index) == [row.measure for row in analysis.rows]
+    assert list(table.index) == list(analysis.measures.index)
     for name in ("table2", "flow"):
         written = pd.read_csv(tmp_path / "new" / "folder" / f"{name}.csv")
         described(name, written.to_dict("records"), CODEBOOK[name])  # refuses others
-    for row in analysis.rows:
-        of, (a, b) = table.loc[row.measure], _both(analysis, row)
+    for measure in table.index:
+        of, (a, b) = table.loc[measure], _both(analysis, measure)
         assert (of["n_conformant"], of["n_personalized"]) == (len(a), len(b))
         assert of["mean_conformant"] == pytest.approx(a.mean())
         assert of["mean_personalized"] == pytest.approx(b.mean())
@@ -123,11 +123,11 @@ def test_the_picture_shows_everybody_and_the_means(
     drawn: list[Figure] = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
     draw(analysis, tmp_path / "measures.png")
-    for column, row in enumerate(analysis.rows[:3]):
-        axis, paper = drawn[0].axes[column], paper_table()[row.measure]
+    for column, measure in enumerate(MEASURES):
+        axis, paper = drawn[0].axes[column], paper_table()[measure]
         dots = [c for c in axis.collections if isinstance(c, PathCollection)]
         assert [label.get_text() for label in axis.get_xticklabels()] == list(CONDITIONS)
-        groups = zip(CONDITIONS, _both(analysis, row), dots, axis.containers, strict=True)
+        groups = zip(CONDITIONS, _both(analysis, measure), dots, axis.containers, strict=True)
         for x, (condition, values, cloud, interval) in enumerate(groups):
             spread = np.asarray(cloud.get_offsets())
             assert sorted(spread[:, 1]) == sorted(values)
@@ -146,8 +146,8 @@ def test_the_picture_shows_the_papers_effects_and_ours(
     drawn: list[Figure] = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
     draw(analysis, tmp_path / "measures.png")
-    for axis, row in zip(drawn[0].axes[3:], analysis.rows, strict=False):
-        paper = paper_table()[row.measure]
+    for axis, (measure, paper) in zip(drawn[0].axes[3:], paper_table().items(), strict=True):
+        ours = analysis.measures.loc[measure]
         n = int(paper["n_per_arm"])
         sign = 1 if paper["conformant"] > paper["personalized"] else -1
         t = sign * stats.t.isf(paper["p_value"] / 2, 2 * n - 2)
@@ -155,10 +155,10 @@ def test_the_picture_shows_the_papers_effects_and_ours(
         dots = {line.get_marker(): line for line in axis.lines if len(line.get_xdata()) == 1}
         assert list(dots["*"].get_ydata()) == [0]
         assert dots["*"].get_xdata()[0] == pytest.approx(g, rel=2e-3)
-        assert list(dots["o"].get_xdata()) == [row.ours.g]
+        assert list(dots["o"].get_xdata()) == [ours["hedges_g"]]
         below, above = (line.get_xdata() for line in axis.lines if line.get_linewidth() == 2)
         assert below[0] < g < below[1]
-        assert list(above) == [row.ours.g_low, row.ours.g_high]
+        assert list(above) == [ours["g_low"], ours["g_high"]]
         zero = stats.nct.ppf([0.975, 0.025], 2 * n - 2, np.array(below) / g * t)
         assert zero == pytest.approx(t, rel=1e-2)  # ends at which t is as rare as said
 
@@ -172,7 +172,7 @@ def test_the_terminal_tells_where_everybody_went(analysis: Analysis) -> None:
         for line in flow.splitlines()
         if "│" in line
     }
-    for stage, counts in analysis.flow:
+    for stage, counts in analysis.flow.iterrows():
         told = [int(cell) for cell in rows[stage]]
         assert told == [counts[key] for key in ("all", *CONDITIONS)]
     assert int(rows["analysed"][0]) == len(analysis.data)

@@ -20,15 +20,15 @@ def test_the_table_is_what_scipy_computes_from_people_alone() -> None:
     found = analysis_of(data, "person", {"conformant3": "was interrupted"})
     assert found.excluded == {"was interrupted": 1}
     own = data[(data["stream"] == "person") & (data["participant"] != "conformant3")]
-    for row in found.rows:
-        a, b = (own.loc[own["condition"] == c, row.measure] for c in ("conformant", "personalized"))
+    for measure, row in found.measures.iterrows():
+        a, b = (own.loc[own["condition"] == c, measure] for c in ("conformant", "personalized"))
         student, welch = stats.ttest_ind(a, b), stats.ttest_ind(a, b, equal_var=False)
-        assert row.ours.student.p == pytest.approx(student.pvalue)
-        assert row.ours.student.df == 37
-        assert row.ours.welch.p == pytest.approx(welch.pvalue)
-        assert (row.ours.a.n, row.ours.b.n) == (19, 20)
-        assert row.ours.a.mean == pytest.approx(a.mean())
-    assert [row.measure for row in found.rows][:3] == list(paper_table())
+        assert row["student_p"] == pytest.approx(student.pvalue)
+        assert row["student_df"] == 37
+        assert row["welch_p"] == pytest.approx(welch.pvalue)
+        assert (row["n_conformant"], row["n_personalized"]) == (19, 20)
+        assert row["mean_conformant"] == pytest.approx(a.mean())
+    assert list(found.measures.index)[:3] == list(paper_table())
     with pytest.raises(InputError, match="exclude"):
         analysis_of(data, "person", {"nobody": "x"})
     with pytest.raises(InputError, match="stream"):
@@ -44,8 +44,9 @@ def test_small_studies_are_analysed_or_refused(n: int, tmp_path: Path) -> None:
             analysis_of(read(tmp_path), "person", {})
     else:  # no spread in time: no t test, but no failure
         found = analysis_of(read(tmp_path), "person", {})
-        assert np.isnan(found.rows[0].ours.student.p)
-        assert found.rows[0].ours.permutation_p == 1
+        time = found.measures.loc["interaction_time_s"]
+        assert np.isnan(time["student_p"])
+        assert time["permutation_p"] == 1
 
 
 def test_who_has_no_possible_time_counts_in_every_other_measure() -> None:
@@ -53,9 +54,9 @@ def test_who_has_no_possible_time_counts_in_every_other_measure() -> None:
     whose = data.index[(data["condition"] == "conformant") & (data["stream"] == "person")][0]
     data.loc[whose, "interaction_time_s"] = np.nan
     found = analysis_of(data, "person", {})
-    time, inexplicable = found.rows[0].ours, found.rows[1].ours
-    assert (time.a.n, inexplicable.a.n) == (5, 6)
-    assert not np.isnan(time.student.p)
+    time, inexplicable = (found.measures.iloc[row] for row in (0, 1))
+    assert (time["n_conformant"], inexplicable["n_conformant"]) == (5, 6)
+    assert not np.isnan(time["student_p"])
     assert list(found.excluded.values()) == [1]
 
 
