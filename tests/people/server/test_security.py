@@ -9,7 +9,7 @@ import pytest
 from flask import Flask
 
 from tests.people.visitors import Visitor, enter, field
-from xplain.people.server.security import MAX_BODY, Keys, RateLimit, ReadToTheEnd
+from xplain.people.server.security import MAX_BODY, SESSION, Keys, RateLimit, ReadToTheEnd
 from xplain.people.server.store import Store
 
 
@@ -46,10 +46,11 @@ def test_what_is_signed_is_good_for_one_purpose_one_owner_and_one_server() -> No
     assert not keys.owns_form("bert", token)
     assert not keys.owns_form("anna", cookie.partition(".")[2])
     assert not keys.owns_form("anna", "\ud800")  # half a character, as JSON may bring it
-    session = keys.session_cookie("one")
-    assert keys.session(session) == "one"
-    assert others.session(session) is None
-    assert keys.session(keys.cookie("one")) is None
+    session = keys.cookie("one", SESSION)
+    assert keys.owner(session, SESSION) == "one"
+    assert others.owner(session, SESSION) is None
+    assert keys.owner(session) is None
+    assert keys.owner(keys.cookie("one"), SESSION) is None
     assert keys.is_researcher(keys.researcher)
     assert not keys.is_researcher(others.researcher)
     assert not keys.is_researcher("é")

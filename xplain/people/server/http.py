@@ -12,7 +12,7 @@ from flask import Response, current_app, make_response, render_template, request
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError
-from xplain.people.server.security import Keys, RateLimit
+from xplain.people.server.security import SESSION, Keys, RateLimit
 from xplain.people.server.store import LETTERS, Participant, Store
 
 ENDINGS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out", "full")
@@ -160,7 +160,7 @@ def owner() -> str | None:
 
 def session() -> str | None:
     """Of the researcher who is logged in."""
-    found = context().keys.session(request.cookies.get(RESEARCHER, ""))
+    found = context().keys.owner(request.cookies.get(RESEARCHER, ""), SESSION)
     return found if found in context().sessions else None
 
 

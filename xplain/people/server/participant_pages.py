@@ -3,12 +3,22 @@ reload, back button, a second tab or a restart of the server end up at the same 
 
 from __future__ import annotations
 
+import base64
 import re
 import secrets
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from flask import Blueprint, Response, make_response, redirect, render_template, request, url_for
+from flask import (
+    Blueprint,
+    Response,
+    abort,
+    make_response,
+    redirect,
+    render_template,
+    request,
+    url_for,
+)
 from pydantic import BaseModel, Field, ValidationError
 from werkzeug.wrappers import Response as AnyResponse
 
@@ -81,21 +91,18 @@ def enter() -> AnyResponse:
 # The pages of the study ------------------------------------------------------------------------
 
 
-def _current() -> Participant | None:
-    who = owner()
+def _current() -> Participant:
+    """Whose cookie came along; others get a page that says that they are not known."""
     try:
-        return context().store.participant(who) if who else None
+        return context().store.participant(owner() or "")
     except Unknown:
-        return None
+        abort(error_page(403, "no_invitation"))
 
 
 @pages.get("/study")
 def show() -> AnyResponse:
     """The page where the participant is."""
-    found = _current()
-    if found is None:
-        return error_page(403, "no_invitation")
-    return _page(found)
+    return _page(_current())
 
 
 def _page(found: Participant, problem: str = "", status: int = 200) -> Response:
@@ -128,10 +135,7 @@ def rendered(found: Participant, **more: Any) -> str:
 @pages.post("/study")
 def answer() -> AnyResponse:
     """Accepts an answer, once, and leads on. Says 303 only when the answer is on the disk."""
-    found = _current()
-    if found is None:
-        return error_page(403, "no_invitation")
-    own, form = context(), request.form
+    found, own, form = _current(), context(), request.form
     if not genuine(found.id):
         return error_page(403, "not_yours")
     kind = form.get("kind", "")[:20]
@@ -159,41 +163,32 @@ def consent() -> AnyResponse:
     """A copy of the consent text to keep."""
     texts = context().site.plan.texts
     content = "\n\n".join([texts.title, *texts.consent, texts.contact, texts.consent_hash])
-    reply = make_response(content + "\n")
-    reply.headers["Content-Type"] = "text/plain; charset=utf-8"
-    reply.headers["Content-Disposition"] = "attachment; filename=consent.txt"
-    return reply
+    kept = {"Content-Disposition": "attachment; filename=consent.txt"}
+    return Response(f"{content}\n", mimetype="text/plain", headers=kept)
 
 
-@pages.get("/picture/<name>")
-def picture(name: str) -> AnyResponse:
-    """An image that belongs to the plan."""
-    found = context().site.file(name)
+@pages.get("/picture/<int:number>")
+def picture(number: int) -> AnyResponse:
+    """An image that belongs to the plan, of a transition."""
+    pictures = context().site.pictures
+    found = pictures[number] if number < len(pictures) else None
     if found is None:
-        return error_page(404, "There is no such page.")
-    media, content = found
-    response = make_response(content)
-    response.headers["Content-Type"] = media
-    return response
+        return error_page(404, "no_page")
+    return Response(base64.b64decode(found.content), mimetype=found.media)
 
 
 @pages.post("/events")
 def events() -> AnyResponse:
     """A page's own events: seen, hidden, a label clicked. Changes no state."""
-    found = _current()
+    found, own = _current(), context()
     try:
-        value: Any = request.get_json(force=True, silent=True)
-    except RecursionError:  # brackets within brackets
-        value = None
-    token = value.get("token") if isinstance(value, dict) else None
-    keys = context().keys
-    if found is None or not isinstance(token, str) or not keys.owns_form(found.id, token):
-        return make_response({"error": "not yours"}, 403)
-    try:
-        tab, items = tab_items(value)
-        context().store.from_tab(found.id, tab, items)
-    except Refused as error:
-        return make_response({"error": str(error)}, 400)
+        report = Report.model_validate_json(request.get_data())
+        if not own.keys.owns_form(found.id, report.token):
+            return make_response({"error": "not yours"}, 403)
+        items = [(i.n, str(i.kind), i.ms, {"at": i.at, "what": i.what}) for i in report.items]
+        own.store.from_tab(found.id, report.tab, items)
+    except (ValidationError, Refused):
+        return make_response({"error": "not understood, or too much"}, 400)
     return make_response({"kept": len(items)})
 
 
@@ -211,24 +206,11 @@ class Item(BaseModel, strict=True):
 
 
 class Report(BaseModel, strict=True):
-    """A page's own events."""
+    """A page's own events, and its form's token."""
 
+    token: str
     tab: str = Field(pattern=r"^[a-z0-9]{8,32}$")
     items: list[Item] = Field(max_length=MAX_ITEMS)
-
-
-def tab_items(value: object) -> tuple[str, list[tuple[int, str, float, dict[str, Any]]]]:
-    """A page's own events, as the store keeps them.
-
-    Raises:
-        Refused: anything else.
-    """
-    try:
-        report = Report.model_validate(value)
-    except ValidationError:
-        raise Refused("not_understood") from None
-    items = [(i.n, str(i.kind), i.ms, {"at": i.at, "what": i.what}) for i in report.items]
-    return report.tab, items
 
 
 def sequence_of(form: Mapping[str, str]) -> int:

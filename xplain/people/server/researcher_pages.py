@@ -15,7 +15,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from flask import Blueprint, Response, make_response, redirect, render_template, request, url_for
+from flask import (
+    Blueprint,
+    Response,
+    make_response,
+    redirect,
+    render_template,
+    request,
+    send_file,
+    url_for,
+)
 from markupsafe import Markup
 from werkzeug.wrappers import Response as AnyResponse
 
@@ -33,6 +42,7 @@ from xplain.people.server.http import (
 )
 from xplain.people.server.participant_pages import rendered
 from xplain.people.server.playback import filled_in, played
+from xplain.people.server.security import SESSION
 from xplain.people.server.store import Unknown
 from xplain.people.stages import small
 
@@ -110,7 +120,7 @@ def login() -> AnyResponse:
     new = secrets.token_hex(16)
     own.sessions.add(new)
     response = _back()
-    set_cookie(response, RESEARCHER, own.keys.session_cookie(new), "Strict")
+    set_cookie(response, RESEARCHER, own.keys.cookie(new, SESSION), "Strict")
     return response
 
 
@@ -178,10 +188,8 @@ def export() -> AnyResponse:
         with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as out:
             for file in sorted([snapshot, *tables.iterdir()]):
                 out.write(file, f"study/{file.name}")
-    response = make_response(archive.getvalue())
-    response.headers["Content-Type"] = "application/zip"
-    response.headers["Content-Disposition"] = "attachment; filename=study.zip"
-    return response
+    archive.seek(0)
+    return send_file(archive, download_name="study.zip", as_attachment=True)
 
 
 @pages.get("/session/<who>/<int:number>")

@@ -103,9 +103,11 @@ class RateLimit:
         return allowed
 
 
-_COOKIE, _FORM, _SESSION = "participant", "form", "researcher session"
-_RESEARCHER = "researcher"
-"""Purpose of the key that is typed in. Nothing is signed with it: half of it is shown."""
+OWNER, SESSION = "participant", "researcher session"
+"""What a cookie is good for."""
+_FORM, _RESEARCHER = "form", "researcher"
+"""Purposes of a form's token, and of the key that is typed in. Nothing is signed with the latter:
+half of it is shown."""
 
 
 @dataclass(frozen=True)
@@ -118,13 +120,16 @@ class Keys:
 
     secret: bytes = field(repr=False)
 
-    def cookie(self, participant: str) -> str:
-        """What the participant's browser holds: the id, signed."""
-        return self._signer(_COOKIE).sign(participant).decode()
+    def cookie(self, who: str, purpose: str = OWNER) -> str:
+        """What a browser holds: a participant's id or a researcher's session, signed."""
+        return self._signer(purpose).sign(who).decode()
 
-    def owner(self, cookie: str) -> str | None:
-        """The participant of a cookie; None if it is forged."""
-        return self._signed(_COOKIE, cookie)
+    def owner(self, cookie: str, purpose: str = OWNER) -> str | None:
+        """Whose cookie it is; None if it is forged, or was made for another purpose."""
+        try:
+            return self._signer(purpose).unsign(_bytes(cookie)).decode()
+        except BadSignature:
+            return None
 
     def form(self, who: str) -> str:
         """The token in every form of a participant, visitor or researcher: a signature alone."""
@@ -143,25 +148,11 @@ class Keys:
         """Whether this is the researcher's key, compared in constant time."""
         return hmac.compare_digest(_bytes(typed), _bytes(self.researcher))
 
-    def session_cookie(self, session: str) -> str:
-        """What the researcher's browser holds after the key was typed in: the session, signed."""
-        return self._signer(_SESSION).sign(session).decode()
-
-    def session(self, cookie: str) -> str | None:
-        """The session of a researcher's cookie; None if it is forged."""
-        return self._signed(_SESSION, cookie)
-
     def _signer(self, purpose: str) -> Signer:
         """HMAC-SHA256 with a key of this purpose's own, compared in constant time."""
         return Signer(
             self.secret, salt=purpose, key_derivation="hmac", digest_method=hashlib.sha256
         )
-
-    def _signed(self, purpose: str, value: str) -> str | None:
-        try:
-            return self._signer(purpose).unsign(_bytes(value)).decode()
-        except BadSignature:
-            return None
 
 
 def _bytes(text: str) -> bytes:

@@ -7,8 +7,8 @@ flow it is.
 
 from __future__ import annotations
 
-import base64
 import sqlite3
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -23,7 +23,6 @@ from xplain.people.flow import Flow, State
 from xplain.people.plan import Pictures, StoredPlan
 from xplain.people.server import map_svg
 from xplain.people.server.database import Do
-from xplain.people.stages import small
 
 Query = Callable[[str], list[dict[str, Any]]]
 """Rows of a reading query."""
@@ -34,8 +33,8 @@ class Full(Refused):
     """No place is free now."""
 
 
-class Site(Generic[F]):
-    """A flow at work. The defaults are those of one in which nobody needs a place.
+class Site(ABC, Generic[F]):
+    """A flow at work. The defaults are those of one in which nobody gives a place back.
 
     Attributes:
         PLAN: class of its plans.
@@ -59,31 +58,31 @@ class Site(Generic[F]):
     # Made from a configuration, and from a stored plan -------------------------------------------
 
     @classmethod
+    @abstractmethod
     def new_plan(cls, cfg: Any) -> Any:
         """The plan that a configuration describes.
 
         Raises:
             XplainError: the configuration cannot be used; the text says what to change.
         """
-        raise NotImplementedError
 
     @classmethod
+    @abstractmethod
     def as_planned(cls, plan: Any) -> Self:
         """A plan at work, for a replay, which finds what the installed code does otherwise."""
-        raise NotImplementedError
 
     @classmethod
+    @abstractmethod
     def of(cls, plan: Any) -> Self:
         """A plan at work, for people to take part.
 
         Raises:
             XplainError: the installed code decides differently from the code that made the plan.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def announcement(self) -> str:
         """What a start of the server says of the plan."""
-        return ""
 
     def state(self, text: str | None = None) -> Any:
         """The state that a text stands for; the first one without it."""
@@ -94,13 +93,13 @@ class Site(Generic[F]):
     def found(self, do: Do) -> None:
         """What a new database holds besides the plan."""
 
+    @abstractmethod
     def admit(self, do: Do, person: Mapping[str, Any]) -> Mapping[str, Any]:
         """What the consent of a participant (a row of the table) carries from elsewhere.
 
         Raises:
             Full: nobody can be admitted now.
         """
-        return {}
 
     def readmit(self, do: Do, person: Mapping[str, Any], state: Any) -> Mapping[str, Any]:
         """What the return of a participant who was silent for too long carries, as :meth:`admit`.
@@ -111,6 +110,7 @@ class Site(Generic[F]):
         """
         return {}
 
+    @abstractmethod
     def pin(self, do: Do, who: str, cell: int) -> None:
         """Makes a participant one of that cell of the plan (a type under a condition), in the
         order of the researcher's page.
@@ -118,7 +118,6 @@ class Site(Generic[F]):
         Raises:
             Refused: there is no such cell.
         """
-        raise Refused("not_here")
 
     def settle(self, do: Do, who: str, stage: str) -> None:
         """The end of somebody's part."""
@@ -133,7 +132,6 @@ class Site(Generic[F]):
         """What every template may use: ``map``, ``ahead`` (that of the practice), ``legend``,
         ``changes``, ``pictures``, ``titles``."""
         words = self.plan.texts.words
-
         return {
             "map": lru_cache(4096)(self.picture),
             "ahead": lambda steps: map_svg.picture(self.plan, self.plan.ahead.way, steps),
@@ -148,9 +146,9 @@ class Site(Generic[F]):
         """Whether pages show more than one step."""
         return False
 
+    @abstractmethod
     def picture(self, what: Any) -> Markup:
         """The map with what a page's template asks for (hashable); "" without a map."""
-        raise NotImplementedError
 
     @property
     def pictures(self) -> Pictures:
@@ -158,18 +156,10 @@ class Site(Generic[F]):
         of_plan: Pictures = self.plan.pictures
         return of_plan
 
-    def file(self, name: str) -> tuple[str, bytes] | None:
-        """The image of a transition, by its number: media type and content."""
-        number = small(name)
-        if number is None or number >= len(self.pictures):
-            return None
-        picture = self.pictures[number]
-        return (picture.media, base64.b64decode(picture.content)) if picture else None
-
+    @abstractmethod
     def glance(self, query: Query) -> dict[str, Any]:
         """What the researcher's page shows besides participants and stages; ``data`` names the
         tables of the export."""
-        raise NotImplementedError
 
     def about(self, state: Any, blinded: bool) -> dict[str, str]:
         """What the researcher's page says of a participant, by column.
@@ -181,16 +171,16 @@ class Site(Generic[F]):
         step = self.step_of(state)
         return {"Stage": state.stage.replace("_", " ") + (f", {step}" if step else "")}
 
+    @abstractmethod
     def step_of(self, state: Any) -> str:
         """How far they are within a stage of several pages; empty elsewhere."""
-        raise NotImplementedError
 
     # Data ----------------------------------------------------------------------------------------
 
     @staticmethod
+    @abstractmethod
     def export(database: Path, folder: Path) -> str:
         """Writes the tables of a database (better: of a snapshot); the head of its log."""
-        raise NotImplementedError
 
     def replay(self, connection: sqlite3.Connection, head: str = "") -> Findings:
         """Compares everything that can be computed from the events with what is stored.
@@ -203,8 +193,8 @@ class Site(Generic[F]):
         found.differences += self.unequal(connection, people)
         return found
 
+    @abstractmethod
     def unequal(
         self, connection: sqlite3.Connection, people: list[Participant[Any]]
     ) -> Iterable[str]:
         """What else differs from what the log says, a sentence each."""
-        return ()
