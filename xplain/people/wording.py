@@ -12,7 +12,7 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from xplain.domains.base import Domain, Parameter, Scene, cell_name
-from xplain.errors import InputError
+from xplain.errors import InputError, one_of
 from xplain.experiment.config import CONF
 from xplain.people.plan import Fact, Texts, Told
 
@@ -94,8 +94,7 @@ def worded(
     """
     names = [one.name for one in told]
     for name in facts:
-        if name not in names:
-            raise InputError(f"wording.facts.{name}", name, ", ".join(names))
+        one_of(f"wording.facts.{name}", name, names)
     own = [replace(one, **facts.get(one.name, {})) for one in told]
     return tuple(
         replace(one, message=in_words(one.message), belief=in_words(one.belief)) for one in own
@@ -110,8 +109,7 @@ def named(scene: Scene, hide: Sequence[str], in_words: InWords) -> Scene:
     """
     symbols = [item.symbol for item in scene.items]
     for symbol in hide:
-        if symbol not in symbols:
-            raise InputError("wording.hide", symbol, f"symbols on the map: {', '.join(symbols)}")
+        one_of("wording.hide", symbol, symbols, "symbol on the map")
     kept = [replace(i, name=in_words(i.name)) for i in scene.items if i.symbol not in hide]
     return replace(scene, items=tuple(kept))
 

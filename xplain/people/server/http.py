@@ -11,7 +11,7 @@ from urllib.parse import quote
 from flask import Response, current_app, make_response, render_template, request
 from werkzeug.wrappers import Response as AnyResponse
 
-from xplain.errors import InputError
+from xplain.errors import InputError, one_of
 from xplain.people.server.security import SESSION, Keys, RateLimit
 from xplain.people.server.store import LETTERS, Participant, Store
 
@@ -71,8 +71,7 @@ class Server:
         for name in ("entry", "id_names", "studies"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         for kind in self.entry:
-            if kind not in ("invitation", "platform", "open"):
-                raise InputError("server.entry", kind, "invitation, platform or open")
+            one_of("server.entry", kind, ("invitation", "platform", "open"))
         if not 1 <= len(self.id_names) <= 3:
             wanted = "the names of a person's id, and if there are any of a study's and a session's"
             raise InputError("server.id_names", list(self.id_names), wanted)

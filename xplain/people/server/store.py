@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from xplain.errors import InputError, Refused
+from xplain.errors import InputError, Refused, one_of
 from xplain.people.analysis.stored import STREAMS
 from xplain.people.flow import State
 from xplain.people.server.database import Clock, Database, Do, append
@@ -83,8 +83,7 @@ class Store(Database):
 
     def invite(self, count: int, stream_name: str) -> list[str]:
         """New invitation tokens, shown once: only their keyed hashes are stored."""
-        if stream_name not in STREAMS:
-            raise InputError("stream", stream_name, ", ".join(STREAMS))
+        one_of("stream", stream_name, STREAMS)
         tokens = [secrets.token_urlsafe(12) for _ in range(count)]
         with self.transaction() as do:
             for token in tokens:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
+from xplain.errors import Count, Whole, checks
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
 from xplain.people.plan import Asked, Patience, Picture, StoredPlan, Told, Way
@@ -97,6 +97,7 @@ class Clip:
     picture: Picture | None = None
 
 
+@checks("rules")
 @dataclass(frozen=True, kw_only=True)
 class Rules(Patience):
     """Numbers of the protocol; how long somebody may be silent is in the base class.
@@ -108,17 +109,10 @@ class Rules(Patience):
         min_width: of the window, in CSS pixels, to take part; 0 lets phones in.
     """
 
-    per_cell: int
-    max_attempts: int
+    per_cell: Count
+    max_attempts: Count
     recall: bool
-    min_width: int = 0
-
-    def __post_init__(self) -> None:
-        """Raises InputError: a number that is not positive."""
-        super().__post_init__()
-        for key in ("per_cell", "max_attempts"):
-            if not getattr(self, key) > 0:
-                raise InputError(f"rules.{key}", getattr(self, key), "a number above 0")
+    min_width: Whole = 0
 
 
 @dataclass(frozen=True, kw_only=True)

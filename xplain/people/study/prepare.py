@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from hydra.utils import instantiate
 
-from xplain.errors import InputError
+from xplain.errors import InputError, one_of
 from xplain.experiment.explanations import Costs
 from xplain.explanation.asking import Limits, Pool, Questions
 from xplain.explanation.label_table import LabelTable
@@ -51,8 +51,7 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
     config = fixed(cfg)
     Rules(**config["rules"])  # refused before the work, not after it
     config["conditions"] = conditions_of(config)
-    if config["briefing"] not in ("assigned", "none"):
-        raise InputError("briefing", config["briefing"], "assigned or none")
+    one_of("briefing", config["briefing"], ("assigned", "none"))
     task, learned = _task_and_types(cfg, config)
     gaps = []
     for transitions in task.traces(config["trace"], config["max_steps"], cfg.seed)[:TRIED]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from xplain.errors import InputError
+from xplain.errors import InputError, one_of
 from xplain.people.analysis.stored import STREAMS
 from xplain.people.study.flow import ENDS
 from xplain.people.study.plan import ASKING, CONFORMANT, PERSONALIZED
@@ -115,8 +115,7 @@ def analyse(
     Raises:
         InputError: an unknown stream, participant or condition, or nobody to analyse.
     """
-    if stream not in STREAMS:
-        raise InputError("stream", stream, ", ".join(STREAMS))
+    one_of("stream", stream, STREAMS)
     unknown = set(excluded) - set(data["participant"])
     if unknown:
         raise InputError("exclude", min(unknown), "a participant in the data")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,30 +76,6 @@ class MayAsk:
     shows: NDArray[np.bool_]
 
 
-class Task(Protocol):
-    """What a study explains; traces are arrays as its methods hand them on."""
-
-    def traces(self, rules: Rules, max_steps: int, seed: int) -> list[NDArray[np.int64]]:
-        """Traces that every participant could evaluate, the best first, none twice.
-
-        Raises:
-            InputError: there is none as ``rules`` want it.
-        """
-        ...
-
-    def table(self, learned: Learned, trace: NDArray[np.int64]) -> LabelTable:
-        """What the labelers say of a trace."""
-        ...
-
-    def seen(self, trace: NDArray[np.int64]) -> Seen:
-        """What participants see of it."""
-        ...
-
-    def may_ask(self, learned: Learned, trace: NDArray[np.int64], pool: Pool) -> MayAsk:
-        """The clips of the pool."""
-        ...
-
-
 @dataclass(frozen=True)
 class OfDomain:
     """Traces [m, 3] of transitions of a domain's robot."""
@@ -107,7 +83,12 @@ class OfDomain:
     setting: Setting
 
     def traces(self, rules: Rules, max_steps: int, seed: int) -> list[NDArray[np.int64]]:
-        """Of ``candidates`` random ones from ``start`` (a cell of the map, or None for any)."""
+        """Traces that every participant could evaluate, the best first, none twice: of
+        ``candidates`` random ones from ``start`` (a cell of the map, or None for any).
+
+        Raises:
+            InputError: there is none as ``rules`` want it.
+        """
         setting = self.setting
         domain, starts = setting.domain, setting.domain.starts
         if rules["rows"]:
@@ -126,12 +107,12 @@ class OfDomain:
         return ranked(map(draw, range(rules["candidates"])), rules, setting.label_table)
 
     def table(self, learned: Learned, trace: NDArray[np.int64]) -> LabelTable:
-        """See the protocol."""
+        """What the labelers say of a trace."""
         features = transition_features(self.setting.domain, trace)[:, learned.columns]
         return label_table(learned.labelers, features, trace)
 
     def seen(self, trace: NDArray[np.int64]) -> Seen:
-        """On the domain's map, if it has one."""
+        """What participants see of a trace: on the domain's map, if it has one."""
         domain, states = self.setting.domain, [*trace[:, 0].tolist(), int(trace[-1, 2])]
         return Seen(
             name=domain.name,
@@ -147,7 +128,7 @@ class OfDomain:
         )
 
     def may_ask(self, learned: Learned, trace: NDArray[np.int64], pool: Pool) -> MayAsk:
-        """Of every transition that the robot can make."""
+        """The clips of the pool: of every transition that the robot can make."""
         setting, domain = self.setting, self.setting.domain
         every = setting.reachable
         tables = self.table(learned, every), setting.true_labels(every)
@@ -170,7 +151,7 @@ class OfDomain:
 
 @dataclass(frozen=True)
 class OfTable:
-    """Traces [m] of rows of a lab's own table, from 0."""
+    """Traces [m] of rows of a lab's own table, from 0; see :class:`OfDomain` for the methods."""
 
     own: OwnTable
 
@@ -187,7 +168,7 @@ class OfTable:
         return ranked(given, rules, self._labels)
 
     def table(self, learned: Learned, trace: NDArray[np.int64]) -> LabelTable:
-        """See the protocol."""
+        """What the labelers say of a trace."""
         features = self.own.hypotheses.features
         assert features is not None, "own tables have features"
         return label_table(learned.labelers, features[trace][:, learned.columns])
@@ -229,6 +210,10 @@ class OfTable:
         told = np.arange(1 << len(known.messages))
         rows = [known.row(held & ~told) for held in self.own.roles.values()]
         return np.stack([known.labels[of_kind][:, trace].T for of_kind in rows])
+
+
+Task = OfDomain | OfTable
+"""What a study explains; traces are arrays as its methods hand them on."""
 
 
 def ranked(
