@@ -25,7 +25,6 @@ from xplain.people.collect.labels import Found
 from xplain.people.collect.site import CollectSite
 from xplain.people.plan import Picture
 from xplain.people.server.app import create_app
-from xplain.people.server.charts import WIDTH, over_time
 from xplain.people.server.security import Keys
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Page
@@ -186,13 +185,13 @@ def test_the_researcher_s_page_shows_what_there_is_and_how_it_grew(
     assert re.search(r"<meter [^>]*value=\"1\"[^>]*></meter> 1</td>", html)
 
 
-def test_a_line_of_labels_rises_to_all_of_them() -> None:
-    assert over_time([]) == over_time([5.0]) == ""
-    svg = over_time([0.0, 60.0, 3600.0])
+def test_a_line_of_labels_rises_to_all_of_them(store: Store) -> None:
+    app = create_app(store, GENEROUS)
+    svg = app.jinja_env.get_template("chart.svg").render(times=[0.0, 60.0, 3600.0])
     (line,) = re.findall(r'points="([^"]*)"', svg)
     corners = [tuple(map(float, corner.split(","))) for corner in line.split()]
     assert corners[0][0] == 0
-    assert corners[-1] == (WIDTH, 0)
+    assert corners[-1] == (640, 0)
     assert [y for _, y in corners] == sorted((y for _, y in corners), reverse=True)
     assert "01 Jan 00:00" in svg
     assert "01 Jan 01:00" in svg

@@ -12,6 +12,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +26,10 @@ from flask import (
     send_file,
     url_for,
 )
-from markupsafe import Markup
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError, Refused
 from xplain.people.analysis.stored import STREAMS
-from xplain.people.server import charts
 from xplain.people.server.http import (
     PARTICIPANT,
     RESEARCHER,
@@ -59,6 +58,12 @@ def _only_known() -> AnyResponse | None:
     if free or genuine(session() or ""):
         return None
     return error_page(403, "Please log in first.")
+
+
+@pages.app_template_filter()
+def moment(at: float) -> str:
+    """A time (seconds since 1970) for people."""
+    return f"{datetime.fromtimestamp(at, UTC):%d %b %H:%M}"
 
 
 @pages.get("")
@@ -97,7 +102,7 @@ def overview() -> AnyResponse:
             now=own.store.clock.wall(),
             stages=(*site.flow.stages, *site.flow.STATE.ENDS),
             flow=counted,
-            chart=Markup(charts.over_time([row["wall"] for row in given])),
+            times=[row["wall"] for row in given],
             streams=[name for name in STREAMS if any(one == name for one, _ in counted)],
             entrance=address + url_for("participant.entrance"),
             invitations=own.invitations.get(request.args.get("made", ""), []),

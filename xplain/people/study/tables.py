@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from xplain.explanation.message_sets import names_of
@@ -68,7 +67,6 @@ def tables(
 def _participant(plan: StudyPlan, one: Participant) -> Row:
     person, state, consent = one.row, one.state, one.first("consent")
     finished = state.stage in ("quiz", "questions", "done")
-    took = interaction(one.events)
     given = one.first("answers")
     missed = [bool(q.right) and given.get(q.name, "") != q.right for q in plan.asked if given]
     return {
@@ -84,10 +82,7 @@ def _participant(plan: StudyPlan, one: Participant) -> Row:
         "messages_given": state.given.bit_count(),
         "inexplicable_transitions": state.labels.count(0) if finished else None,
         "quiz_score": state.score,
-        "interaction_time_s": took.seconds if finished else None,
-        "clock": took.clock if finished else None,
-        "hidden_s": took.hidden if finished else None,
-        "visible_time_s": took.visible if finished else None,
+        **interaction(one.events if finished else ()),
         "entered": one.events[0]["wall"],
         "last_seen": one.events[-1]["wall"],
         "consent_hash": consent.get("text"),
@@ -192,40 +187,29 @@ def _quiz(plan: StudyPlan, one: Participant) -> Iterator[Row]:
 # Time: one clock a figure ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Interaction:
-    """How long an evaluation took.
+def interaction(events: Sequence[Row]) -> Row:
+    """How long the evaluation of one participant took: columns of their table.
 
-    Attributes:
-        seconds: by the server's clock, from the first rendering of the first step to the last
-            accepted label; None where that is not known, or cannot be.
-        clock: by which; see :func:`xplain.people.analysis.export.seconds`.
-        hidden: of it, in which no page of the study was visible, by the browser's clock.
-    """
-
-    seconds: float | None = None
-    clock: str | None = None
-    hidden: float | None = None
-
-    @property
-    def visible(self) -> float | None:
-        """The secondary measure; None without the browser's events (no scripts)."""
-        if self.seconds is None or self.hidden is None:
-            return None
-        return max(0.0, self.seconds - self.hidden)
-
-
-def interaction(events: Sequence[Row]) -> Interaction:
-    """Of one participant.
+    ``interaction_time_s`` is by the server's clock, from the first rendering of the first step to
+    the last accepted label, by which ``clock`` (:func:`xplain.people.analysis.export.seconds`);
+    None where it is not known, or cannot be. ``visible_time_s``, the secondary measure, is None
+    without the browser's events (no scripts).
 
     Args:
-        events: rows of the event table in order, payloads decoded.
+        events: rows of the event table in order, payloads decoded; none for nothing known.
     """
+    took = clock = away = None
     evaluated = [e for e in events if e["kind"] == "shown" and e["payload"]["stage"] in EVALUATING]
     labels = [e for e in events if e["kind"] == "labels" and e["source"] == "protocol"]
-    if not evaluated or not labels:
-        return Interaction()
-    return Interaction(*seconds(evaluated[0], labels[-1]), hidden(events))
+    if evaluated and labels:
+        (took, clock), away = seconds(evaluated[0], labels[-1]), hidden(events)
+    visible = None if took is None or away is None else max(0.0, took - away)
+    return {
+        "interaction_time_s": took,
+        "clock": clock,
+        "hidden_s": away,
+        "visible_time_s": visible,
+    }
 
 
 def pages(events: Sequence[Row]) -> list[Row]:

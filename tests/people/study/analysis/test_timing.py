@@ -43,15 +43,10 @@ LABELS = [
 
 def test_time_runs_from_the_first_rendering_to_the_last_label() -> None:
     found = interaction(LABELS)
-    assert (found.seconds, found.clock, found.hidden, found.visible) == (
-        100,
-        "monotonic",
-        None,
-        None,
-    )
+    assert [*found.values()] == [100, "monotonic", None, None]
     restarted = [*LABELS[:3], LABELS[3] | {"boot": "two", "monotonic": 0.5}]
-    assert (interaction(restarted).seconds, interaction(restarted).clock) == (100, "wall")
-    assert interaction(LABELS[:1]).seconds is None
+    assert [*interaction(restarted).values()][:2] == [100, "wall"]
+    assert interaction(LABELS[:1])["interaction_time_s"] is None
 
 
 def test_questions_in_between_are_part_of_the_evaluation() -> None:
@@ -65,15 +60,14 @@ def test_questions_in_between_are_part_of_the_evaluation() -> None:
         *LABELS,
     ]
     found = interaction(asked)
-    assert (found.seconds, found.hidden) == (120, pytest.approx(2 + 4 + 5))
+    assert (found["interaction_time_s"], found["hidden_s"]) == (120, pytest.approx(2 + 4 + 5))
 
 
 def test_a_clock_that_was_set_back_gives_no_time_that_cannot_be() -> None:
     back = [*LABELS[:3], LABELS[3] | {"wall": 1e9 - 259_198.0}]
-    assert (interaction(back).seconds, interaction(back).clock) == (100, "monotonic")
+    assert [*interaction(back).values()][:2] == [100, "monotonic"]
     restarted = [*back[:3], back[3] | {"boot": "two"}]
-    found = interaction(restarted)
-    assert (found.seconds, found.clock, found.visible) == (None, "impossible", None)
+    assert [*interaction(restarted).values()] == [None, "impossible", None, None]
     of_pages = [
         one | {"participant": "ann", "source_sequence": n // 2, "browser": None}
         for n, one in enumerate(back[:4])
@@ -103,7 +97,7 @@ def test_hidden_time_is_when_no_page_is_looked_at(
 ) -> None:
     assert hidden(reports) == (None if away is None else pytest.approx(away))
     found = interaction([*LABELS, *reports])
-    assert found.visible == (None if away is None else pytest.approx(100 - away))
+    assert found["visible_time_s"] == (None if away is None else pytest.approx(100 - away))
 
 
 def test_every_page_has_its_place_and_the_time_until_its_answer() -> None:
