@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import io
 import re
-import sqlite3
 import tempfile
 import time
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import cache, partial
 from pathlib import Path
@@ -164,19 +162,13 @@ class Researcher:
         url = f"{self.browser.url}/researcher/export"
         return self.browser.session.post(url, data={"token": self.token}, timeout=60).content
 
-    @contextmanager
-    def snapshot(self) -> Iterator[sqlite3.Connection]:
-        """A snapshot of the server's database, to be read."""
+    def plan(self, kind: type[Plan]) -> Plan:
+        """The plan, from a snapshot of the server's database."""
         with tempfile.TemporaryDirectory() as folder:
             with zipfile.ZipFile(io.BytesIO(self.archive())) as archive:
                 path = Path(archive.extract("study/snapshot.sqlite", folder))
             with opened(path) as connection:
-                yield connection
-
-    def plan(self, kind: type[Plan]) -> Plan:
-        """The plan, from a snapshot."""
-        with self.snapshot() as connection:
-            return plan_of(connection, kind)
+                return plan_of(connection, kind)
 
 
 def crowd(

@@ -59,6 +59,18 @@ SCHEMA = (
     """,
 )
 
+FREE = """
+    SELECT * FROM slot WHERE stream = :stream AND holder IS NULL AND used = 0
+    AND (:user_type IS NULL OR (user_type, condition) = (:user_type, :condition))
+    ORDER BY position LIMIT 1
+"""
+
+
+def _count(do: Do, stream_name: str) -> int:
+    """Slots of a stream, free ones and others."""
+    (count,) = do("SELECT count(*) FROM slot WHERE stream = ?", (stream_name,)).fetchone()
+    return int(count)
+
 
 class StudySite(site.Site[Study]):
     """Gives places, so that types and conditions are balanced."""
@@ -112,14 +124,14 @@ class StudySite(site.Site[Study]):
         """Makes the table, and the slots of all people."""
         for statement in SCHEMA:
             do(statement)
-        for block in range(self.plan.rules.per_cell):
-            self.add_block(do, "person", block)
+        for _ in range(self.plan.rules.per_cell):
+            self._add_block(do, "person")
 
-    def add_block(self, do: Do, stream_name: str, block: int) -> None:
+    def _add_block(self, do: Do, stream_name: str) -> None:
         """One more permuted block: every (type, condition) once, in a seeded order."""
-        cells = self.plan.cells
-        order = stream(self.plan.seed, "slots", stream_name, block).permutation(len(cells))
-        for position, cell in enumerate(order, block * len(cells)):
+        cells, taken = self.plan.cells, _count(do, stream_name)
+        rng = stream(self.plan.seed, "slots", stream_name, taken // len(cells))
+        for position, cell in enumerate(rng.permutation(len(cells)), taken):
             do(
                 "INSERT INTO slot VALUES (?, ?, ?, ?, NULL, 0)",
                 (stream_name, position, *cells[cell]),
@@ -148,27 +160,24 @@ class StudySite(site.Site[Study]):
         cells = self.plan.cells
         if not 0 <= cell < len(cells):
             raise Refused("not_understood")
-        (count,) = do("SELECT count(*) FROM slot WHERE stream = ?", (PREVIEW,)).fetchone()
-        do("INSERT INTO slot VALUES (?, ?, ?, ?, ?, 0)", (PREVIEW, count, *cells[cell], who))
+        do(
+            "INSERT INTO slot VALUES (?, ?, ?, ?, ?, 0)",
+            (PREVIEW, _count(do, PREVIEW), *cells[cell], who),
+        )
 
     def _take(
         self, do: Do, person: Mapping[str, Any], like: State | None = None
     ) -> Mapping[str, Any]:
         """The first free slot of the person's stream, now held by them: any, or of the type and
         condition of a state. People find none where all are taken; pilots and bots get more."""
-        own = person["stream"]
-        sql = "SELECT * FROM slot WHERE stream = ? AND holder IS NULL AND used = 0 {} LIMIT 1"
-        which = "ORDER BY position"
-        cell = () if like is None else (like.user_type, like.condition)
-        if cell:
-            which = f"AND user_type = ? AND condition = ? {which}"
-        slot: Mapping[str, Any] | None = do(sql.format(which), (own, *cell)).fetchone()
+        own, cell = person["stream"], like or State()
+        wanted = {"stream": own, "user_type": cell.user_type, "condition": cell.condition}
+        slot: Mapping[str, Any] | None = do(FREE, wanted).fetchone()
+        if slot is None and own == "person":
+            raise site.Full("full")
         if slot is None:
-            if own == "person":
-                raise site.Full("full")
-            (taken,) = do("SELECT count(*) FROM slot WHERE stream = ?", (own,)).fetchone()
-            self.add_block(do, own, taken // len(self.plan.cells))
-            slot = do(sql.format(which), (own, *cell)).fetchone()
+            self._add_block(do, own)
+            slot = do(FREE, wanted).fetchone()
         assert slot is not None, "a block has every cell"
         where = (person["id"], own, slot["position"])
         do("UPDATE slot SET holder = ? WHERE stream = ? AND position = ?", where)
