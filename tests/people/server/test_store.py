@@ -380,9 +380,11 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
     time = Time()
     store = Store(tmp_path / "s.sqlite", StudySite(study), time.clock())
     places = len(study.plan.cells) * study.plan.rules.per_cell
-    everybody = [store.enter_invited(token) for token in store.invite(places + 1, "person")]
-    away, other = everybody[0], everybody[-1]
-    consent(store, away)
+    everybody = [store.enter_invited(token) for token in store.invite(places + 2, "person")]
+    gone, away, other = *everybody[:2], everybody[-1]
+    for who in (gone, away):
+        consent(store, who)
+    store.submit(gone, 1, "withdraw", {})  # the first free place is of another cell than theirs
     before = store.submit(away, 1, "read", {})
     time.now += 31 * 60
     assert store.time_out_stale() == 1
@@ -400,10 +402,10 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
     said = "SELECT payload FROM event WHERE participant = ? AND kind = 'return'"
     (place,) = store.query("SELECT position FROM slot WHERE holder = ?", (away,))
     assert [json.loads(row["payload"]) for row in store.query(said, (away,))] == [place]
-    for who in everybody[1:-1]:
+    for who in everybody[2:-1]:
         consent(store, who)
     time.now += 31 * 60
-    for who in everybody[1:-1]:
+    for who in everybody[2:-1]:
         store.shown(who, 1, "briefing")  # signs of life
     consent(store, other)  # takes the only place, which was theirs
     with pytest.raises(Full):
