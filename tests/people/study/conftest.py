@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tests.people.study.stand_in import FAULTLESS, street_study
 from xplain.people.study.bot import Habits, Person
@@ -23,3 +24,11 @@ def person(study: Study) -> Callable[..., Person]:
         return Person(study.plan, habits, np.random.default_rng(number))
 
     return make
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """Figures, kept instead of written."""
+    figures: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
+    return figures

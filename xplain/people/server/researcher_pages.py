@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import io
 import secrets
+import shutil
 import tempfile
-import zipfile
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
@@ -184,17 +184,14 @@ def erase() -> AnyResponse:
 @pages.post("/export")
 def export() -> AnyResponse:
     """All data as one archive, made from a snapshot."""
-    archive = io.BytesIO()
     with tempfile.TemporaryDirectory() as folder:
-        snapshot = Path(folder) / "snapshot.sqlite"
-        context().store.snapshot(snapshot)
-        tables = Path(folder) / "tables"
-        context().site.export(snapshot, tables)
-        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as out:
-            for file in sorted([snapshot, *tables.iterdir()]):
-                out.write(file, f"study/{file.name}")
-    archive.seek(0)
-    return send_file(archive, download_name="study.zip", as_attachment=True)
+        study = Path(folder) / "study"
+        study.mkdir()
+        context().store.snapshot(study / "snapshot.sqlite")
+        context().site.export(study / "snapshot.sqlite", study)
+        archive = shutil.make_archive(f"{folder}/study", "zip", folder, "study")
+        content = io.BytesIO(Path(archive).read_bytes())
+    return send_file(content, download_name="study.zip", as_attachment=True)
 
 
 @pages.get("/session/<who>/<int:number>")

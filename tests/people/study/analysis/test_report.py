@@ -118,10 +118,8 @@ def test_the_file_has_each_measure_with_its_figures(analysis: Analysis, tmp_path
 
 
 def test_the_picture_shows_everybody_and_the_means(
-    analysis: Analysis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    analysis: Analysis, tmp_path: Path, drawn: list[Figure]
 ) -> None:
-    drawn: list[Figure] = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
     draw(analysis, tmp_path / "measures.png")
     for column, measure in enumerate(MEASURES):
         axis, paper = drawn[0].axes[column], paper_table()[measure]
@@ -141,10 +139,8 @@ def test_the_picture_shows_everybody_and_the_means(
 
 
 def test_the_picture_shows_the_papers_effects_and_ours(
-    analysis: Analysis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    analysis: Analysis, tmp_path: Path, drawn: list[Figure]
 ) -> None:
-    drawn: list[Figure] = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
     draw(analysis, tmp_path / "measures.png")
     for axis, (measure, paper) in zip(drawn[0].axes[3:], paper_table().items(), strict=True):
         ours = analysis.measures.loc[measure]

@@ -77,11 +77,7 @@ def test_assumptions_are_varied_upwards_around_their_default(habit: str) -> None
     Habits(**{habit: values[-1]})
 
 
-def test_pictures_show_every_figure_at_its_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn: list[Figure] = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+def test_pictures_show_every_figure_at_its_place(tmp_path: Path, drawn: list[Figure]) -> None:
     rng = np.random.default_rng(5)
     rows = [
         {"assumption": assumption, "value": value, "measure": measure, "effect": rng.normal()}
@@ -102,10 +98,8 @@ def test_pictures_show_every_figure_at_its_place(
 
 
 def test_curves_show_every_figure_under_the_name_of_its_measure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, drawn: list[Figure]
 ) -> None:
-    drawn: list[Figure] = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
     rng = np.random.default_rng(6)
     kinds = ("simulated", "simulated_holm", "paper_effect", "paper_effect_holm")
     rows = [
