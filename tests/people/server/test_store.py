@@ -7,7 +7,7 @@ import json
 import sqlite3
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -42,6 +42,19 @@ class Time:
 
     def clock(self) -> Clock:
         return Clock(lambda: self.now, lambda: self.now, "boot")
+
+
+@pytest.fixture
+def time() -> Time:
+    return Time()
+
+
+@pytest.fixture
+def store(tmp_path: Path, study: Study, time: Time) -> Iterator[Store]:
+    """One whose time is told."""
+    opened = Store(tmp_path / "s.sqlite", StudySite(study), time.clock())
+    yield opened
+    opened.close()
 
 
 def test_an_answer_that_comes_twice_counts_once(store: Store) -> None:
@@ -207,9 +220,7 @@ def test_the_log_says_which_place_somebody_got(store: Store) -> None:
             assert said[key] == place[key]
 
 
-def test_only_completion_uses_a_place_up(tmp_path: Path, study: Study) -> None:
-    time = Time()
-    store = Store(tmp_path / "s.sqlite", StudySite(study), time.clock())
+def test_only_completion_uses_a_place_up(store: Store, time: Time, study: Study) -> None:
     everybody = [store.enter_invited(token) for token in store.invite(14, "person")]
     places = len(study.plan.cells) * study.plan.rules.per_cell
     for who in everybody[:places]:
@@ -232,13 +243,13 @@ def test_only_completion_uses_a_place_up(tmp_path: Path, study: Study) -> None:
     consent(store, everybody[places + 1])
     assert store.participant(everybody[5]).state.stage == "timed_out"
     assert store.participant(everybody[0]).state.stage == "briefing"
-    store.close()
 
 
-def test_a_place_is_held_for_longer_the_further_somebody_is(tmp_path: Path, study: Study) -> None:
+def test_a_place_is_held_for_longer_the_further_somebody_is(
+    store: Store, time: Time, study: Study
+) -> None:
     """Ids that somebody makes up consent and no more: their places are soon free again."""
-    time, rules = Time(), study.plan.rules
-    store = Store(tmp_path / "s.sqlite", StudySite(study), time.clock())
+    rules = study.plan.rules
     app = create_app(store, GENEROUS)
     person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
     stages = []
@@ -258,7 +269,6 @@ def test_a_place_is_held_for_longer_the_further_somebody_is(tmp_path: Path, stud
         consent(store, who)
     time.now += 60 * 5 + 1
     assert store.time_out_stale() == len(made_up)
-    store.close()
 
 
 def test_who_sets_the_clock_times_nobody_out(tmp_path: Path, study: Study) -> None:
@@ -357,10 +367,8 @@ def test_the_log_only_grows_and_a_bot_stays_a_bot(
         do(sql)
 
 
-def test_who_has_not_agreed_yet_is_never_timed_out(tmp_path: Path, study: Study) -> None:
+def test_who_has_not_agreed_yet_is_never_timed_out(store: Store, time: Time, study: Study) -> None:
     """A link that was opened, or refused at a full study, stays good."""
-    time = Time()
-    store = Store(tmp_path / "s.sqlite", StudySite(study), time.clock())
     places = len(study.plan.cells) * study.plan.rules.per_cell
     *first, late = (store.enter_invited(token) for token in store.invite(places + 1, "person"))
     for who in first:
@@ -371,14 +379,11 @@ def test_who_has_not_agreed_yet_is_never_timed_out(tmp_path: Path, study: Study)
     store.time_out_stale()
     assert store.participant(late).state.stage == "consent"
     assert consent(store, late).stage == "briefing"
-    store.close()
 
 
 def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
-    tmp_path: Path, study: Study
+    store: Store, time: Time, study: Study
 ) -> None:
-    time = Time()
-    store = Store(tmp_path / "s.sqlite", StudySite(study), time.clock())
     places = len(study.plan.cells) * study.plan.rules.per_cell
     everybody = [store.enter_invited(token) for token in store.invite(places + 2, "person")]
     gone, away, other = *everybody[:2], everybody[-1]
@@ -415,7 +420,6 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
         do("UPDATE slot SET holder = ? WHERE holder = ?", (away, other))
     (said,) = StudySite(study).replay(store._connection).differences
     assert said.startswith("slot person ")
-    store.close()
 
 
 def states_in_memory() -> set[str]:

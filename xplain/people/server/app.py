@@ -62,8 +62,13 @@ def _limit() -> AnyResponse | None:
 
 
 def _secure(response: Response) -> Response:
+    """Adds the headers. Pages are never stored: back and reload ask the server again."""
     kept = request.endpoint == "static" and response.status_code == 200
-    return security.secure(response, context().server.https, kept)
+    response.headers.update(security.HEADERS)
+    response.headers["Cache-Control"] = "public, max-age=3600" if kept else "no-store"
+    if context().server.https:
+        response.headers["Strict-Transport-Security"] = "max-age=31536000"
+    return response
 
 
 def _http_error(error: HTTPException) -> AnyResponse:

@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-from flask import Response
 from itsdangerous import BadSignature, Signer
 
 MAX_BODY = 64 * 1024
@@ -31,16 +30,6 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), geolocation=(), microphone=(), interest-cohort=()",
 }
-
-
-def secure(response: Response, https: bool, kept: bool) -> Response:
-    """Adds the headers. Pages are never stored: back and reload ask the server again."""
-    for name, value in HEADERS.items():
-        response.headers[name] = value
-    if https:
-        response.headers["Strict-Transport-Security"] = "max-age=31536000"
-    response.headers["Cache-Control"] = "public, max-age=3600" if kept else "no-store"
-    return response
 
 
 @dataclass(frozen=True)

@@ -195,8 +195,7 @@ def drafted(
 
 
 def _in_words(clip: Clip, in_words: InWords) -> Clip:
-    texts = (tuple(map(in_words, t)) for t in (clip.situation, clip.gone, clip.changes))
-    situation, gone, changes = texts
+    situation, gone, changes = each((clip.situation, clip.gone, clip.changes), in_words)
     return replace(
         clip, phrase=in_words(clip.phrase), situation=situation, gone=gone, changes=changes
     )

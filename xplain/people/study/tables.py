@@ -67,7 +67,7 @@ def tables(
 def _participant(plan: StudyPlan, one: Participant) -> Row:
     person, state, consent = one.row, one.state, one.first("consent")
     finished = state.stage in ("quiz", "questions", "done")
-    given = one.first("answers")
+    given, cost = one.first("answers"), _cost(plan, one) if finished else None
     missed = [bool(q.right) and given.get(q.name, "") != q.right for q in plan.asked if given]
     return {
         "participant": one.id,
@@ -92,7 +92,7 @@ def _participant(plan: StudyPlan, one: Participant) -> Row:
         "completion_code": person["code"] if state.stage == "done" else None,
         "outside_ids": person["kept"] if person["kept"] != "{}" else None,
         **({"messages_again": state.again} if plan.problem.tracks_knowledge else {}),
-        **(_asked(plan, one, finished) if plan.clips else {}),
+        **({"questions_asked": len(state.asked), "cost": cost} if plan.clips else {}),
     }
 
 
@@ -117,11 +117,6 @@ def _labels(plan: StudyPlan, step: Row) -> Iterator[Row]:
             "messages_shown": ";".join(on_page),
             "label": label,
         }
-
-
-def _asked(plan: StudyPlan, one: Participant, finished: bool) -> Row:
-    cost = _cost(plan, one) if finished else None
-    return {"questions_asked": len(one.state.asked), "cost": cost}
 
 
 def _cost(plan: StudyPlan, one: Participant) -> float:

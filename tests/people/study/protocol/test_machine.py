@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
 
@@ -39,6 +40,16 @@ def at_evaluation(study: Study, user_type: int, condition: str) -> State:
     return state
 
 
+def evaluated(study: Study, user_type: int, condition: str) -> Iterator[State]:
+    """Each step of the evaluation of somebody who never errs, and what comes after it."""
+    state = at_evaluation(study, user_type, condition)
+    while state.stage == "evaluation":
+        yield state
+        labels = study.plan.true_labels[user_type, : state.step + 1, state.given].tolist()
+        state = study.advance(state, "labels", {"labels": labels}).state
+    yield state
+
+
 @pytest.mark.parametrize("condition", ["personalized", "conformant"])
 @pytest.mark.parametrize("user_type", range(3))
 def test_participants_meet_what_the_offline_experiment_computes(
@@ -47,12 +58,10 @@ def test_participants_meet_what_the_offline_experiment_computes(
     plan = study.plan
     user = SimulatedUser.of(plan.true_labels[user_type])
     offline = explain(plan.problem, study.policies[condition], user, study.belief)
-    state = at_evaluation(study, user_type, condition)
-    for k in range(plan.n_steps):
-        assert (state.step, state.new) == (k, offline.messages[k])
-        assert state.belief == tuple(offline.beliefs[k].tolist())
-        labels = plan.true_labels[user_type, : k + 1, state.given].tolist()
-        state = study.advance(state, "labels", {"labels": labels}).state
+    *steps, state = evaluated(study, user_type, condition)
+    assert [step.step for step in steps] == list(range(plan.n_steps))
+    assert [step.new for step in steps] == offline.messages.tolist()
+    assert [step.belief for step in steps] == [tuple(b.tolist()) for b in offline.beliefs[:-1]]
     assert state.stage == "quiz"
     assert state.new == 0  # nothing is marked as new after the last step
     assert state.belief == tuple(offline.beliefs[-1].tolist())
@@ -131,15 +140,11 @@ def test_the_conformant_condition_is_the_same_whatever_people_take_in(study: Stu
 
 
 def test_conformant_does_not_listen_and_personalized_does(study: Study) -> None:
-    def given(condition: str, user_type: int) -> int:
-        state = at_evaluation(study, user_type, condition)
-        while state.stage == "evaluation":
-            labels = study.plan.true_labels[user_type, : state.step + 1, state.given].tolist()
-            state = study.advance(state, "labels", {"labels": labels}).state
-        return state.given
+    def given(condition: str) -> set[int]:
+        return {[*evaluated(study, user_type, condition)][-1].given for user_type in range(3)}
 
-    assert len({given("conformant", t) for t in range(3)}) == 1
-    assert len({given("personalized", t) for t in range(3)}) > 1
+    assert len(given("conformant")) == 1
+    assert len(given("personalized")) > 1
 
 
 def test_a_faultless_participant_errs_only_where_nothing_was_said(study: Study) -> None:
@@ -222,12 +227,9 @@ def test_persistent_belief_is_taken_from_the_configuration(study: Study) -> None
     other = street_study(belief={"_target_": "xplain.explanation.belief.Persistent"})
     final = []
     for one, belief in ((study, Independent()), (other, Persistent())):
-        state = at_evaluation(one, 0, "personalized")
         user = SimulatedUser.of(one.plan.true_labels[0])
         offline = explain(one.plan.problem, one.policies["personalized"], user, belief)
-        while state.stage == "evaluation":
-            labels = one.plan.true_labels[0, : state.step + 1, state.given].tolist()
-            state = one.advance(state, "labels", {"labels": labels}).state
+        *_, state = evaluated(one, 0, "personalized")
         assert state.belief == tuple(offline.beliefs[-1].tolist())
         final.append(state.belief)
     assert final[0] != final[1]
@@ -269,11 +271,9 @@ def test_a_plan_may_refuse_narrow_windows() -> None:
 
 def test_messages_stay_in_the_order_in_which_they_came(study: Study) -> None:
     for user_type, condition in study.plan.cells:
-        state, told = at_evaluation(study, user_type, condition), []
-        while state.stage == "evaluation":
+        told: list[str] = []
+        for state in [*evaluated(study, user_type, condition)][:-1]:
             view = study.view(state)
             assert view["old"] == told
             told += view["new"]
             assert len(told) == state.given.bit_count()
-            labels = study.plan.true_labels[user_type, : state.step + 1, state.given].tolist()
-            state = study.advance(state, "labels", {"labels": labels}).state
