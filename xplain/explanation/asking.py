@@ -244,6 +244,6 @@ def nearest_first(
     return nearest.astype(np.int64)
 
 
-def bits_of(asked: Iterable[int]) -> int:
+def bitmask(asked: Iterable[int]) -> int:
     """The bitmask of these numbers."""
     return sum(1 << q for q in set(asked))

@@ -67,7 +67,7 @@ def with_message(values: Table, relevant: Relevant, message: int) -> Table:
     return after
 
 
-def bits_of(relevant: Relevant) -> Iterator[tuple[int, int, NDArray[np.bool_]]]:
+def each_bit(relevant: Relevant) -> Iterator[tuple[int, int, NDArray[np.bool_]]]:
     """Each (bit of a row, message, which types it is that message to)."""
     for bit, column in enumerate(relevant.T):
         for message in np.unique(column[column >= 0]).tolist():

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xplain.explanation.asking import bits_of
+from xplain.explanation.asking import bitmask
 from xplain.explanation.problem import Problem
 
 EXPLAIN = -1
@@ -63,8 +63,8 @@ class LiteralPOMDP:
         used = state.pending if self.problem.tracks_knowledge else state.given | state.pending
         free = [EXPLAIN, *(j for j in range(self.problem.n_messages) if j not in used)]
         if self.problem.questions is not None and not state.pending:
-            given = None if self.problem.tracks_knowledge else bits_of(state.given)
-            may = self.problem.questions.open(state.step, given, bits_of(state.asked))
+            given = None if self.problem.tracks_knowledge else bitmask(state.given)
+            may = self.problem.questions.open(state.step, given, bitmask(state.asked))
             free += [EXPLAIN - 1 - q for q in may]
         return free
 
@@ -85,7 +85,7 @@ class LiteralPOMDP:
                 yield float(1 - accept), said, None, reward
             return
         given = state.given | state.pending
-        mask = bits_of(state.known if problem.tracks_knowledge else given)
+        mask = bitmask(state.known if problem.tracks_knowledge else given)
         count = state.step + 1
         every = problem.answer_probabilities(count, mask)[state.user_type].tolist()
         thought = problem.label_probabilities(count, mask)[state.user_type]
@@ -110,7 +110,7 @@ class LiteralPOMDP:
         """What a question may be answered."""
         questions = self.problem.questions
         assert questions is not None
-        mask = bits_of(state.known if self.problem.tracks_knowledge else state.given)
+        mask = bitmask(state.known if self.problem.tracks_knowledge else state.given)
         yes = float(questions.table.answer_probabilities(question + 1, mask)[state.user_type, -1])
         after = state._replace(asked=state.asked | {question})
         for answer, probability in ((1, yes), (0, 1 - yes)):

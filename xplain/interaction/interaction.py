@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.explanation.asking import NO_QUESTION, bits_of
+from xplain.explanation.asking import NO_QUESTION, bitmask
 from xplain.explanation.belief import BeliefUpdate, Evidence, answered, told, update
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
@@ -69,8 +69,8 @@ class Interaction:
                 news since; else None.
             clips: the questions asked since news came last.
         """
-        self.belief, self.step, self.given, self.asked = belief, step, given, bits_of(asked)
-        self._answered, self._clips = answered, bits_of(clips)
+        self.belief, self.step, self.given, self.asked = belief, step, given, bitmask(asked)
+        self._answered, self._clips = answered, bitmask(clips)
 
     def _listen_anew(self) -> None:
         """From now on whatever is answered is news."""
@@ -90,7 +90,7 @@ class Interaction:
         if questions is None or self._answered is None or not self._repeat:
             return self.asked
         heard = questions.shows[:, : self.step].any(axis=1)
-        return self.asked | bits_of(np.flatnonzero(heard).tolist())
+        return self.asked | bitmask(np.flatnonzero(heard).tolist())
 
     def hear_answer(self, question: int, answer: int) -> None:
         """The user's answer, 0 or 1, to a question."""

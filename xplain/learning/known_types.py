@@ -18,10 +18,10 @@ from xplain.errors import InputError, TooLargeError, XplainError
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.clustering import Clusterer, Perfect
-from xplain.learning.cross_validation import fresh_accuracy
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import Labeler, LabelerTrainer
+from xplain.learning.prediction import fresh_accuracy
 from xplain.learning.user_types import AskedOnce, UserTypes, learn_types
 
 log = logging.getLogger(__name__)
@@ -273,7 +273,7 @@ def _figures(
     """How well the types were found and the labels learned, by name.
 
     ``labeler_accuracy`` is the paper's, on held-out (transition, message set), ``fresh_accuracy``
-    what fresh questions would show (:func:`~xplain.learning.cross_validation.fresh_accuracy`).
+    what fresh questions would show (:func:`~xplain.learning.prediction.fresh_accuracy`).
     Both are means over types.
     """
     clustering = types.clustering

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, TooLargeError
+from xplain.errors import InputError, Range, TooLargeError, checks
 from xplain.explanation.label_table import DENSE, MAX_RELEVANT, LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.learning.data.dataset import Dataset, inputs, query_index
@@ -143,6 +143,7 @@ class Labeler:
         return np.clip((1 - pull) * share + pull * base, edge, 1 - edge)
 
 
+@checks("labeler")
 @dataclass(frozen=True)
 class LabelerTrainer:
     """Fits a labeler to the labels of some observers.
@@ -163,15 +164,11 @@ class LabelerTrainer:
     """
 
     classifier: Any = field(default_factory=paper_tree)
-    holdout: float = 0.25
+    holdout: Annotated[float, Range(0, 1, "()")] = 0.25
     confidence: Literal["accuracy", "leaf"] = "accuracy"
     refit: bool = True
 
     def __post_init__(self) -> None:
-        if not 0 < self.holdout < 1:
-            raise InputError("labeler.holdout", self.holdout, "a share inside (0, 1)")
-        if self.confidence not in ("accuracy", "leaf"):
-            raise InputError("labeler.confidence", self.confidence, "accuracy or leaf")
         for method in ("fit", "predict"):
             if not hasattr(self.classifier, method):
                 raise InputError("labeler.classifier", self.classifier, "a scikit-learn classifier")
@@ -187,25 +184,7 @@ class LabelerTrainer:
         Raises:
             InputError: no labels.
         """
-        seed = derived_seed(seed, "labelers")
-        dataset, x, test = self._laid_out(dataset, seed)
-        y, query = dataset.label, query_index(dataset)
-        trained = self.fitted_to(dataset.take(np.flatnonzero(~test)), x[~test], seed)
-        tested = len(np.unique(query[test]))
-        right = (
-            float(by_question(trained.predict(x[test]) == y[test], query[test]).sum())
-            if tested
-            else 0.0
-        )
-        return Labeler(
-            classifier=self.fitted_to(dataset, x, seed) if self.refit and tested else trained,
-            n_messages=dataset.n_messages,
-            confidence=(right + 1) / (tested + 2),
-            accuracy=right / tested if tested else float("nan"),
-            n_train=len(np.unique(query)) - tested,
-            n_test=tested,
-            calibrated=self.confidence == "leaf",
-        )
+        return self._fit(dataset, seed, measured=True)
 
     def fit_untested(self, dataset: Dataset, seed: int) -> Labeler:
         """The labeler of :meth:`fit`, whose predictions are the same, but its confidence is not
@@ -214,29 +193,36 @@ class LabelerTrainer:
         Raises:
             InputError: no labels.
         """
-        seed = derived_seed(seed, "labelers")
-        dataset, x, test = self._laid_out(dataset, seed)
-        used = np.full(len(x), True) if self.refit else ~test
-        return Labeler(
-            classifier=self.fitted_to(dataset.take(np.flatnonzero(used)), x[used], seed),
-            n_messages=dataset.n_messages,
-            confidence=0.5,
-            accuracy=float("nan"),
-            n_train=len(np.unique(query_index(dataset)[used])),
-            n_test=0,
-            calibrated=self.confidence == "leaf",
-        )
+        return self._fit(dataset, seed, measured=False)
 
-    def _laid_out(
-        self, dataset: Dataset, seed: int
-    ) -> tuple[Dataset, NDArray[np.float32], NDArray[np.bool_]]:
-        """The labels in order, the classifier's input for each, and which are held out."""
+    def _fit(self, dataset: Dataset, seed: int, measured: bool) -> Labeler:
         if len(dataset) == 0:
             raise InputError("data", 0, "a labeler needs at least one label")
+        seed = derived_seed(seed, "labelers")
         # Sorted: who answered first must not matter to a classifier that looks at the order.
         dataset = dataset.take(np.lexsort((dataset.label, dataset.message_set, dataset.transition)))
         x = inputs(dataset.features[dataset.transition], dataset.message_set, dataset.n_messages)
-        return dataset, x, split(dataset, self.holdout, seed)
+        query, test = query_index(dataset), split(dataset, self.holdout, seed)
+
+        def fitted(rows: NDArray[np.bool_]) -> Any:
+            return self.fitted_to(dataset.take(np.flatnonzero(rows)), x[rows], seed)
+
+        classifier = fitted(~test | self.refit)
+        tested = len(np.unique(query[test])) if measured else 0
+        right = 0.0
+        if tested:
+            trained = fitted(~test) if self.refit else classifier
+            agrees = trained.predict(x[test]) == dataset.label[test]
+            right = float(by_question(agrees, query[test]).sum())
+        return Labeler(
+            classifier=classifier,
+            n_messages=dataset.n_messages,
+            confidence=(right + 1) / (tested + 2),
+            accuracy=right / tested if tested else float("nan"),
+            n_train=len(np.unique(query[~test | (self.refit and not tested)])),
+            n_test=tested,
+            calibrated=self.confidence == "leaf",
+        )
 
     def fitted_to(self, dataset: Dataset, x: NDArray[np.float32], seed: int) -> Any:
         """A classifier fitted to the labels of a dataset, whose rows are x [P, F + n]; for those

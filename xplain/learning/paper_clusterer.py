@@ -8,12 +8,12 @@ disagreements bends.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
+from xplain.errors import Count, Range, checks
 from xplain.explanation.message_sets import bits_of
 from xplain.learning.clustering import Clustering
 from xplain.learning.data.dataset import Dataset
@@ -32,6 +32,7 @@ class Partition(Protocol):
         ...
 
 
+@checks("clusterer")
 @dataclass(frozen=True)
 class Elbow:
     """The paper's learner: observers as minimal message sets, partitioned into k = 1, 2, …
@@ -44,14 +45,8 @@ class Elbow:
     """
 
     partition: Partition
-    few: float = 0.01
-    max_types: int | None = None
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.few < 1:
-            raise InputError("clusterer.few", self.few, "a share in [0, 1)")
-        if self.max_types is not None and self.max_types < 1:
-            raise InputError("clusterer.max_types", self.max_types, "null or a number ≥ 1")
+    few: Annotated[float, Range(0, 1, "[)")] = 0.01
+    max_types: Count | None = None
 
     def cluster(
         self,
@@ -82,15 +77,12 @@ class Elbow:
         return Clustering(found[min(k, distinct) - 1], name, rule, curve, masks)
 
 
+@checks("clusterer.partition")
 @dataclass(frozen=True)
 class KMeans:
     """Lloyd's k-means on the vectors (the paper), best of several starts."""
 
-    starts: int = 10
-
-    def __post_init__(self) -> None:
-        if self.starts < 1:
-            raise InputError("clusterer.partition.starts", self.starts, "a number ≥ 1")
+    starts: Count = 10
 
     def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
         """Groups [O] of the vectors [O, n]."""
@@ -107,17 +99,12 @@ class KMeans:
         return np.asarray(groups[where.ravel()], dtype=np.int64)
 
 
+@checks("clusterer.partition")
 @dataclass(frozen=True)
 class Agglomerative:
     """Hierarchical clustering of the vectors by Hamming distance."""
 
-    linkage: str = "average"
-
-    def __post_init__(self) -> None:
-        if self.linkage not in ("average", "complete", "single"):
-            raise InputError(
-                "clusterer.partition.linkage", self.linkage, "average, complete or single"
-            )
+    linkage: Literal["average", "complete", "single"] = "average"
 
     def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
         """Groups [O] of the vectors [O, n]."""

@@ -1,10 +1,10 @@
-"""What is expected to be answered: P(answer 1) of observers about questions, and how well types
-predict answers that were held out."""
+"""What is expected to be answered: P(answer 1) of observers about questions, and how well types and
+labelers predict answers that were held out."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from scipy.special import softmax
 from xplain.learning.answer_model import truth
 from xplain.learning.clustering import Clusterer, Clustering, Single
 from xplain.learning.data.dataset import Dataset, places, query_index
-from xplain.learning.labelers import Labeler, LabelerTrainer, split
+from xplain.learning.labelers import Labeler, LabelerTrainer, by_question, split
 from xplain.learning.user_types import LearnsErrors, UserTypes, learn_types
 from xplain.randomness import derived_seed, stream
 
@@ -195,6 +195,39 @@ def _all_learned(
     has = labels[found.assignment] > 0
     assignment = np.where(has, found.assignment, found.assignment[has][0])
     return learn_types(train, replace(found, assignment=assignment), trainer, seed)
+
+
+@runtime_checkable
+class FitsUntested(Protocol):
+    """A trainer that can leave out to measure how sure a labeler may be."""
+
+    def fit_untested(self, dataset: Dataset, seed: int) -> Labeler:
+        """A labeler with the predictions of that of ``fit``."""
+        ...
+
+
+def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> float:
+    """What a labeler fitted to these labels gets right of fresh questions: cross-validated over
+    message sets, each distinct (transition, message set) once. NaN where there is one message set.
+
+    Where labels are few, :attr:`Labeler.accuracy` says more than fresh questions would show: a
+    held-out (transition, message set) comes from a trace whose other transitions, under the same
+    messages, are trained with. Fresh questions come with messages of their own.
+    """
+    told, group = np.unique(dataset.message_set, return_inverse=True)
+    if len(told) < 2:
+        return float("nan")
+    count = min(max(round(1 / trainer.holdout), 2), len(told))
+    fold = (stream(derived_seed(seed, "labelers"), "fresh").permutation(len(told)) % count)[group]
+    # What is only asked for its predictions needs no confidence.
+    fit = trainer.fit_untested if isinstance(trainer, FitsUntested) else trainer.fit
+    right = np.zeros(len(dataset), dtype=bool)
+    for number in range(count):
+        test = dataset.take(np.flatnonzero(fold == number))
+        labeler = fit(dataset.take(np.flatnonzero(fold != number)), seed)
+        said = labeler.predict(test.features[test.transition], test.message_set)
+        right[fold == number] = said == test.label
+    return float(by_question(right, query_index(dataset)).mean())
 
 
 def log_likelihood(labeler: Labeler, dataset: Dataset) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ from scipy.special import expit, logit, logsumexp
 
 from xplain.domains.base import transition_feature_names, transition_features
 from xplain.domains.users.setting import Setting
-from xplain.errors import InputError, whole_number
+from xplain.errors import Count, InputError, checks
 from xplain.learning.data.dataset import Dataset, inputs, places
 from xplain.learning.data.queries import Answer, Answered
 from xplain.learning.data.rollouts import expected_visits
@@ -276,6 +276,7 @@ def next_screen_of(
     return pool.draw(asked.transition, rng), asked.message_set
 
 
+@checks("queries")
 @dataclass(frozen=True)
 class Committee:
     """Each observer is asked screen by screen, by all answers so far, their own and those of the
@@ -285,10 +286,7 @@ class Committee:
         screen: questions chosen at a time.
     """
 
-    screen: int = 25
-
-    def __post_init__(self) -> None:
-        whole_number("queries.screen", self.screen, 1)
+    screen: Count = 25
 
     def ask(
         self,

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, replace
+from typing import Annotated
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from xplain.domains.base import Domain, transition_features
 from xplain.domains.users.setting import Setting
-from xplain.errors import InputError, number, whole_number
+from xplain.errors import Count, InputError, Range, checks
 from xplain.learning.data.dataset import places
 from xplain.learning.data.queries import Answer, Answered
 from xplain.learning.data.rollouts import expected_visits
@@ -33,6 +34,7 @@ AGAIN = 0.25
 """How likely a transition is checked again, of anybody, against before."""
 KEPT = 0.01
 """Candidates of a list that grew with a person's answers are remembered for the next from here."""
+Share = Annotated[float, Range(0, 1, "[)")]
 Posterior = tuple[NDArray[np.int64], NDArray[np.float64]]
 """Candidates (bitmasks), and the probability of each."""
 _OF_DOMAIN: WeakKeyDictionary[Domain, Hypotheses] = WeakKeyDictionary()
@@ -78,6 +80,7 @@ def transitions_of(hypotheses: Hypotheses, setting: Setting) -> NDArray[np.int64
     return reachable[rows]
 
 
+@checks("queries")
 @dataclass(frozen=True)
 class Battery:
     """One list of questions for everybody; see :func:`xplain.questions.battery.battery`.
@@ -87,11 +90,8 @@ class Battery:
         hypotheses: an ``.npz`` file; None: those of the domain.
     """
 
-    redundancy: int = 2
+    redundancy: Count = 2
     hypotheses: str | None = None
-
-    def __post_init__(self) -> None:
-        whole_number("queries.redundancy", self.redundancy, 1)
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
@@ -109,6 +109,7 @@ class Battery:
         return asked
 
 
+@checks("queries")
 @dataclass(frozen=True)
 class Adaptive:
     """A questionnaire for each observer; what is thought of a person at first comes half from
@@ -133,27 +134,19 @@ class Adaptive:
         screen: without hypotheses, questions chosen at a time.
     """
 
-    error: float = 0.05
-    clip: int = 1
-    misread: float = 0.0
-    none: float = 0.01
-    from_others: float = 0.5
-    check: float = 0.5
+    error: Annotated[float, Range(1e-3, NONE_ERROR, "[)")] = 0.05
+    clip: Annotated[int, Range(1, MAX_CLIP)] = 1
+    misread: Share = 0.0
+    none: Share = 0.01
+    from_others: Share = 0.5
+    check: Share = 0.5
     in_turn: bool = False
     hypotheses: str | None = None
-    screen: int = 25
+    screen: Count = 25
 
     def __post_init__(self) -> None:
-        whole_number("queries.screen", self.screen, 1)
         if not isinstance(self.in_turn, bool):
             raise InputError("queries.in_turn", self.in_turn, "true or false")
-        shares = {"misread": (0, 1), "none": (0, 1), "from_others": (0, 1), "check": (0, 1)}
-        for key, (low, high) in ({"error": (1e-3, NONE_ERROR)} | shares).items():
-            if not low <= number(f"queries.{key}", getattr(self, key)) < high:
-                allowed = f"a number in [{low:g}, {high:.3g})"
-                raise InputError(f"queries.{key}", getattr(self, key), allowed)
-        if whole_number("queries.clip", self.clip, 1) > MAX_CLIP:
-            raise InputError("queries.clip", self.clip, f"at most {MAX_CLIP}")
 
     def ask(
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int

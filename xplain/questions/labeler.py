@@ -138,15 +138,10 @@ class HypothesisTrainer(LabelerTrainer):
             raise InputError("hypotheses.features", None, "needed to match labels with hypotheses")
         return KnownTransitions.of(hypotheses)
 
-    def fit(self, dataset: Dataset, seed: int) -> Labeler:
-        """Fits one labeler to all labels of a dataset; see :meth:`LabelerTrainer.fit`.
-
-        Raises:
-            InputError: no labels.
-        """
+    def _fit(self, dataset: Dataset, seed: int, measured: bool) -> Labeler:
         if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
-            return self._alone.fit(dataset, seed)
-        made = super().fit(dataset, seed)
+            return self._alone._fit(dataset, seed, measured)
+        made = super()._fit(dataset, seed, measured)
         return HypothesisLabeler(**{one.name: getattr(made, one.name) for one in fields(made)})
 
     def fitted_to(self, dataset: Dataset, x: NDArray[np.float32], seed: int) -> Any:

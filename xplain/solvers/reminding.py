@@ -104,7 +104,7 @@ class Reminding:
         costs = problem.inexplicability_cost * np.cumsum(1 - table.p, axis=0)
         price = problem.trade_off * problem.message_cost
         optimal, explain = np.zeros((steps + 1, rows, types)), np.empty((steps, rows, types))
-        bits = list(knowledge.bits_of(table.relevant))
+        bits = list(knowledge.each_bit(table.relevant))
         again = 1 - self._delay * (1 - self._accept)
         for k in reversed(range(steps)):
             later = knowledge.expected_after_forgetting(

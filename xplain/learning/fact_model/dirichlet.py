@@ -9,11 +9,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, TooLargeError
+from xplain.errors import Count, Positive, Range, TooLargeError, checks
 from xplain.learning.answer_classes import answer_classes
 from xplain.learning.clustering import Clustering, KnowsFactSets, by_first_appearance
 from xplain.learning.data.dataset import Dataset
@@ -33,6 +34,7 @@ MAX_SUBSETS = 1 << 15
 """Fact sets S that may matter at a transition; all are weighed in every sweep."""
 
 
+@checks("clusterer")
 @dataclass(frozen=True)
 class DirichletMixture:
     """Finds types by Gibbs sampling; the state of the highest joint probability is the answer.
@@ -49,24 +51,13 @@ class DirichletMixture:
         jobs: chains run at a time (threads); no result depends on it.
     """
 
-    concentration: float = 1.0
-    depth: int | None = None
-    chains: int = 4
-    sweeps: int = 100
-    updates: int = 300_000
-    heat: float = 4.0
+    concentration: Positive = 1.0
+    depth: Count | None = None
+    chains: Count = 4
+    sweeps: Annotated[int, Range(FEWEST_SWEEPS)] = 100
+    updates: Count = 300_000
+    heat: Annotated[float, Range(1)] = 4.0
     jobs: int = 1
-
-    def __post_init__(self) -> None:
-        if not self.concentration > 0:
-            raise InputError("clusterer.concentration", self.concentration, "a number > 0")
-        if not self.heat >= 1:
-            raise InputError("clusterer.heat", self.heat, "a number ≥ 1")
-        for key in ("depth", "chains", "updates"):
-            if getattr(self, key) is not None and getattr(self, key) < 1:
-                raise InputError(f"clusterer.{key}", getattr(self, key), "a number ≥ 1")
-        if self.sweeps < FEWEST_SWEEPS:
-            raise InputError("clusterer.sweeps", self.sweeps, f"a number ≥ {FEWEST_SWEEPS}")
 
     def cluster(
         self,

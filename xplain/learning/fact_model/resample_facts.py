@@ -123,7 +123,6 @@ def _redraw(o, answers, prior, state, in_use, number, log_new, temperature, rng,
     at = _find(in_use.facts, number, facts[o])
     if at == number:
         in_use.facts[number] = facts[o]
-        in_use.members[number] = 0
         number += 1
     in_use.members[at] += 1
     count_rows(o, ADDED, answers, prior, state)
