@@ -94,7 +94,7 @@ class Clusterer(Protocol):
 class KnowsFactSets(Protocol):
     """A trainer with hypotheses of what people hold wrong (docs/what-to-ask.md)."""
 
-    def find_types(self, dataset: Dataset, concentration: float, seed: int) -> Clustering | None:
+    def find_types(self, dataset: Dataset, concentration: float) -> Clustering | None:
         """The types by a Dirichlet process with this concentration, fact sets being those of the
         hypotheses; None where they know nothing of the dataset."""
         ...

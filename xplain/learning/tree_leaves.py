@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.explanation.message_sets import packed
 from xplain.numba_kernels import lean_kernel
 
 
@@ -39,10 +40,7 @@ class Cubes:
     def over(self, messages: Sequence[int]) -> Cubes:
         """The same leaves for message sets that are masks over some messages alone; no leaf asks
         for others."""
-        ones, zeros = np.zeros_like(self.ones), np.zeros_like(self.zeros)
-        for i, j in enumerate(messages):
-            ones |= (self.ones >> j & 1) << i
-            zeros |= (self.zeros >> j & 1) << i
+        ones, zeros = packed(self.ones, messages), packed(self.zeros, messages)
         return Cubes(self.transition, ones, zeros, self.leaf)
 
     def table(self, value: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ from scipy.special import expit, logit, logsumexp
 from xplain.domains.base import transition_feature_names, transition_features
 from xplain.domains.users.setting import Setting
 from xplain.errors import Count, InputError, checks
+from xplain.explanation.message_sets import packed
 from xplain.learning.data.dataset import Dataset, inputs, places
 from xplain.learning.data.queries import Answer, Answered
 from xplain.learning.data.rollouts import expected_visits
@@ -121,8 +122,9 @@ def p_explicable(
     # Of a cell's two labels the likelihoods beyond that of 1 depend on ones − zeros alone.
     log_noise = state.log_noise + count[:, ::-1] @ prior.log_flip.T  # [T, E]
     aheads, log_weights = [], []
-    for facts, log_subset in zip(prior.subsets, prior.log_subset, strict=True):
-        ahead = _ones_less_zeros(dataset, _packed(held, facts), int((facts >= 0).sum()))
+    every = [facts[facts >= 0].tolist() for facts in prior.subsets]
+    for facts, log_subset in zip(every, prior.log_subset, strict=True):
+        ahead = _ones_less_zeros(dataset, packed(held, facts), len(facts))
         of_empty = prior.marginal[1][:, ahead[:, 0] + REACH]  # [E, T]
         of_others = prior.marginal[0][:, ahead[:, 1:] + REACH].sum(axis=2)
         log_weights.append(log_subset + log_noise + (of_empty + of_others).T)
@@ -131,10 +133,10 @@ def p_explicable(
     weight = np.exp(weight - logsumexp(weight, axis=(0, 2), keepdims=True))
     result = np.zeros((len(count), len(told)))
     log_odds = np.log((1 - NOISE) / NOISE)[:, None, None]
-    for facts, ahead, own in zip(prior.subsets, aheads, weight, strict=True):
+    for facts, ahead, own in zip(every, aheads, weight, strict=True):
         first = np.where(np.arange(ahead.shape[1]) == 0, logit(CELL[1]), logit(CELL[0]))
         one = np.einsum("te,etc->tc", own, expit(first + ahead * log_odds))
-        result += one[:, _packed(kept, facts)]
+        result += one[:, packed(kept, facts)]
     return result
 
 
@@ -143,14 +145,6 @@ def _ones_less_zeros(dataset: Dataset, cell: NDArray[np.int64], facts: int) -> N
     ahead = np.zeros((len(dataset.features), 1 << facts), dtype=np.int64)
     np.add.at(ahead, (dataset.transition, cell), 2 * dataset.label.astype(np.int64) - 1)
     return np.clip(ahead, -REACH, REACH)
-
-
-def _packed(masks: NDArray[np.int64], facts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The bits of ``masks`` [P] at the positions ``facts`` (−1: no more of them), packed: [P]."""
-    result = np.zeros_like(masks)
-    for i, j in enumerate(facts[facts >= 0].tolist()):
-        result |= (masks >> j & 1) << i
-    return result
 
 
 def _tree_labels(
@@ -214,12 +208,9 @@ class Pool:
     @classmethod
     def of_setting(cls, setting: Setting) -> Pool:
         """All that the robot can do, in the order of ``setting.reachable``."""
-        reachable = setting.reachable
-        visits = RARE + expected_visits(
-            setting.models[0], setting.optimal[0], setting.domain.starts, reachable, LONGEST
-        )
         names = transition_feature_names(setting.domain)
-        return cls.of(transition_features(setting.domain, reachable), names, visits)
+        features = transition_features(setting.domain, setting.reachable)
+        return cls.of(features, names, visits_of(setting))
 
     @property
     def weight(self) -> NDArray[np.float64]:
@@ -253,6 +244,13 @@ class Pool:
             wrong = dict(zip(dataset.feature_names, values, strict=True))
             raise InputError("data", wrong, "features of a transition that can be asked about")
         return replace(dataset, features=self.features, transition=found[dataset.transition])
+
+
+def visits_of(setting: Setting) -> NDArray[np.float64]:
+    """How often the robot makes each of ``setting.reachable`` on a trace, at least RARE times."""
+    model, optimal = setting.models[0], setting.optimal[0]
+    starts, reachable = setting.domain.starts, setting.reachable
+    return RARE + expected_visits(model, optimal, starts, reachable, LONGEST)
 
 
 def next_screen_of(

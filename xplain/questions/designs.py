@@ -16,9 +16,8 @@ from xplain.domains.users.setting import Setting
 from xplain.errors import Count, InputError, Range, checks
 from xplain.learning.data.dataset import places
 from xplain.learning.data.queries import Answer, Answered
-from xplain.learning.data.rollouts import expected_visits
 from xplain.questions.battery import battery
-from xplain.questions.committee import LONGEST, RARE, Committee, Pool
+from xplain.questions.committee import Committee, Pool, visits_of
 from xplain.questions.growth import grown
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.known_transitions import KnownTransitions
@@ -253,11 +252,7 @@ class _Checks:
         setting: Setting,
         rng: np.random.Generator,
     ) -> _Checks:
-        reachable = setting.reachable
-        made = expected_visits(
-            setting.models[0], setting.optimal[0], setting.domain.starts, reachable, LONGEST
-        )
-        visits = dict(zip(map(bytes, reachable), (made + RARE).tolist(), strict=True))
+        visits = dict(zip(map(bytes, setting.reachable), visits_of(setting).tolist(), strict=True))
         weight = np.array([visits[bytes(one)] for one in transitions])
         return cls(int(np.bitwise_or.reduce(known.facts)), weight * known.tables[0, 0], rng)
 

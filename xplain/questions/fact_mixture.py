@@ -7,8 +7,6 @@ it is soft: whom a sampler puts into the type that suits their mistakes does not
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, softmax
@@ -24,22 +22,6 @@ STEPS = 3
 """Towards other slips, guesses and error rates, in a round."""
 
 
-@dataclass(frozen=True)
-class Mixture:
-    """What was found of O people and R fact sets.
-
-    Attributes:
-        weight: [O, R] P(fact set) of each person.
-        answers: how answers err.
-        expected: [O, U] P(answer 1) of each person about every row of features that hypotheses
-            know, with nothing told; None where somebody was told something.
-    """
-
-    weight: NDArray[np.float64]
-    answers: AnswerModel
-    expected: NDArray[np.float64] | None
-
-
 def mixture(
     known: KnownTransitions,
     answers: Answers,
@@ -48,8 +30,8 @@ def mixture(
     facts: NDArray[np.int64],
     log_new: NDArray[np.float64],
     level: float,
-) -> Mixture:
-    """What is found.
+) -> tuple[NDArray[np.float64], AnswerModel]:
+    """P(fact set) of each person [O, R], and how answers err.
 
     Args:
         known: the hypotheses.
@@ -87,15 +69,4 @@ def mixture(
                 total = summed(said[r].T, cell, cell.max() + 1)[cell].T
                 one[r] = expit(odds[r] + total - said[r])
     assert isinstance(made, AnswerModel)
-    if answers.message_set.any():
-        return Mixture(weight.sum(axis=2), made, None)
-    said = np.moveaxis(weight[person], 0, 2) * (given[:, 1] - given[:, 0])
-    result = np.zeros((people, count))
-    for r, held in enumerate(known.hypotheses.row(facts).tolist()):
-        cells = held * count + np.arange(count)
-        f = truth(known.by_cell[cells], known.hypotheses.sizes).reshape(count, -1)
-        f = expit(np.log(f / (1 - f)) + summed(said[r].T, answers.transition, count))
-        zero, both = made.given(np.arange(count))[:, :, :1].transpose(1, 0, 2)  # of rate 0
-        result += weight[:, r] @ ((1 - f) * zero + f * both).T
-    rate = (made.person[:-1] @ made.errors.rates)[:, None]
-    return Mixture(weight.sum(axis=2), made, (1 - rate) * result + rate * (1 - result))
+    return weight.sum(axis=2), made

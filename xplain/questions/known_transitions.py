@@ -3,7 +3,8 @@ wrote down."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,6 +34,12 @@ class Answers:
     message_set: NDArray[np.int64]
     label: NDArray[np.int64]
     weight: NDArray[np.float64]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Answers]) -> Answers:
+        """All of some, one after the other."""
+        columns = ([getattr(part, one.name) for part in parts] for one in fields(cls))
+        return cls(*map(np.concatenate, columns))
 
     def take(self, rows: NDArray[np.int64]) -> Answers:
         """Some of them."""

@@ -37,7 +37,6 @@ from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.known_transitions import Answers, KnownTransitions
 from xplain.questions.labels_alone import TwoWays, answers_of
 from xplain.questions.likelihood import scaled
-from xplain.randomness import derived_seed, stream
 
 log = logging.getLogger(__name__)
 
@@ -175,34 +174,28 @@ class HypothesisTrainer(LabelerTrainer):
         evidence = TwoWays(self.known, place).evidence(dataset, assignment)
         return replace(self, answers=answers, types=assignment, evidence=evidence)
 
-    def find_types(self, dataset: Dataset, concentration: float, seed: int) -> Clustering | None:
+    def find_types(self, dataset: Dataset, concentration: float) -> Clustering | None:
         """The types by a Dirichlet process over fact sets; None where the hypotheses know nothing
         of the dataset.
 
         Args:
             dataset: labels of O observers.
             concentration: α of the process.
-            seed: of the sampler.
         """
-        found_answers = self._known_answers(dataset)
-        if found_answers is None:
+        found = self._known_answers(dataset)
+        if found is None:
             return None
-        place, known, observers = found_answers
-        found = partition(known, observers, concentration, stream(derived_seed(seed, "types")))
-        same = np.unique(found.facts, return_inverse=True)[1]
+        place, known, observers = found
+        facts = partition(known, observers, concentration)
+        same = np.unique(facts, return_inverse=True)[1]
         if TwoWays(self.known, place).evidence(dataset, same).beaten:
             return None
-        _, first = np.unique(found.facts, return_index=True)
-        needs = found.facts[np.sort(first)]
+        _, first = np.unique(facts, return_index=True)
+        needs = facts[np.sort(first)]
         if surprise := int(np.bitwise_or.reduce(needs & known.unwritten)):
             names = ", ".join(names_of(surprise, dataset.messages))
             log.warning("some hold wrong what no hypothesis does; it is set right by: %s", names)
-        expected = found.expected
-        if expected is not None:
-            ones = np.bincount(dataset.transition, dataset.label, len(place))
-            mean = (ones + 1) / (np.bincount(dataset.transition, minlength=len(place)) + 2)
-            expected = np.where(place >= 0, expected[:, place], mean)
-        return Clustering(found.facts, "dirichlet", "hypotheses", needs=needs, expected=expected)
+        return Clustering(facts, "dirichlet", "hypotheses", needs=needs)
 
     def _known_answers(
         self, dataset: Dataset

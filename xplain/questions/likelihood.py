@@ -57,6 +57,7 @@ class Cells:
 
     Attributes:
         which: [N] number of the fact set that a cell belongs to.
+        where: [R, P] the cell of each answer, by fact set.
         key: [N] row of what is held wrong · U + transition; ascending for each fact set.
         share: [N, 1 + V] the hypotheses' P(label 1), by variant.
         given: [N, 2, E] log P(answers in the cell | f) for f = 0 and 1 and E levels of error.
@@ -64,6 +65,7 @@ class Cells:
     """
 
     which: NDArray[np.int64]
+    where: NDArray[np.int64]
     key: NDArray[np.int64]
     share: NDArray[np.float64]
     given: NDArray[np.float64]
@@ -96,8 +98,9 @@ class Cells:
         cells, where = np.unique(key, return_inverse=True)
         weighed = answers.weight[:, None, None] * given
         total = summed(np.tile(weighed, (len(facts), 1, 1)), where.ravel(), len(cells))
-        inner = cells % size
-        return cls(cells // size, inner, known.by_cell[inner], total, known.hypotheses.sizes)
+        inner, where = cells % size, where.reshape(key.shape)
+        share = known.by_cell[inner]
+        return cls(cells // size, where, inner, share, total, known.hypotheses.sizes)
 
     def log_joint(self) -> NDArray[np.float64]:
         """log P(answers in the cell, f | variant, δ, level) of f = 0 and 1: [2, N, 1 + V, D, E]."""

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xplain.errors import InputError, number, whole_number
+from xplain.errors import InputError, Range, number, whole_number
 from xplain.questions.expectation import Questions, questions_of
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.information import Posterior
@@ -98,14 +98,12 @@ class Questionnaire:
     ) -> None:
         known = hypotheses if isinstance(hypotheses, Hypotheses) else Hypotheses.of(hypotheses)
         self.hypotheses = known
-        self.error = _share("error", error, NONE_ERROR)
-        self.none_prior = _share("none", none, 1.0)
-        self.misread = _share("misread", misread, 1.0)
-        self.stop = _share("stop", stop, 1.0)
+        self.error = number("error", error, Range(0, NONE_ERROR, "[)"))
+        self.none_prior = number("none", none, Range(0, 1, "[)"))
+        self.misread = number("misread", misread, Range(0, 1, "[)"))
+        self.stop = number("stop", stop, Range(0, 1, "[)"))
         self.seed = whole_number("seed", seed, 0)
-        self.clip = whole_number("clip", clip, 1)
-        if self.clip > MAX_CLIP:
-            raise InputError("clip", clip, f"at most {MAX_CLIP} transitions")
+        self.clip = whole_number("clip", clip, 1, MAX_CLIP)
         self.rates = _rates(slip, guess, known.n_transitions)
         self.told, self.repeats = bool(told), whole_number("repeats", repeats, 1)
         if self.clip > 1 and (self.rates is not None or not self.told):
@@ -359,13 +357,6 @@ class Questionnaire:
         if not 0 <= told < 1 << known.n_messages:
             raise InputError("question", told, f"a set of {known.n_messages} messages")
         return transitions.astype(np.int64), told
-
-
-def _share(key: str, value: object, below: float) -> float:
-    share = number(key, value)
-    if not 0 <= share < below:
-        raise InputError(key, value, f"a number in [0, {below:.3g})")
-    return share
 
 
 def _rates(

@@ -17,7 +17,6 @@ from xplain.learning.fact_model.resample_transitions import (
     WIDE,
     Scratch,
     resample_transitions,
-    resample_transitions_wide,
 )
 
 LOG_NOISE = np.log(np.arange(1.0, len(NOISE) + 1) / np.arange(1.0, len(NOISE) + 1).sum())
@@ -69,16 +68,16 @@ def begun(answers: Answers, prior: Prior, facts: Any) -> tuple[State, NDArray[np
 
 
 @pytest.mark.parametrize(
-    ("n", "depth", "size", "step", "temperature"),
+    ("n", "depth", "size", "temperature"),
     [
-        (2, 2, 24, resample_transitions, 1.0),
-        (2, 2, 24, resample_transitions, 3.0),
+        (2, 2, 24, 1.0),
+        (2, 2, 24, 3.0),
         # Few labels, so that no fact may matter, which more blocks are drawn from than one.
-        (WIDE + 18, 1, 6, resample_transitions_wide, 1.0),
+        (WIDE + 18, 1, 6, 1.0),
     ],
 )
 def test_subsets_and_noise_are_drawn_from_their_posterior(
-    n: int, depth: int, size: int, step: Any, temperature: float
+    n: int, depth: int, size: int, temperature: float
 ) -> None:
     rng = np.random.default_rng(3)
     answers, prior = some_answers(rng, n, size, 0.6), Prior.of(n, depth)
@@ -87,7 +86,7 @@ def test_subsets_and_noise_are_drawn_from_their_posterior(
     for batch in visits:
         for _ in range(1000):
             state.log_noise[:] = LOG_NOISE
-            step(answers, prior, state, held, temperature, rng, scratch)
+            resample_transitions(answers, prior, state, held, temperature, rng, scratch)
             batch[[0, 1], state.subset, state.noise] += 1e-3
     assert (state.counts == counted(answers, prior, state)).all()
     share = np.bincount(state.noise, minlength=len(NOISE)) + 0.02

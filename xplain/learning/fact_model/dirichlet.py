@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from xplain.errors import Count, Positive, Range, TooLargeError, checks
 from xplain.learning.answer_classes import answer_classes
+from xplain.learning.answer_model import AnswerModel, CellAnswers, learned
 from xplain.learning.clustering import Clustering, KnowsFactSets, by_first_appearance
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.fact_model.errors import errors_of
 from xplain.learning.fact_model.gibbs import Chain, sample
-from xplain.learning.fact_model.model import Answers, Prior, facts_that_matter
+from xplain.learning.fact_model.model import NOISE, Answers, Prior, State, facts_that_matter
 from xplain.learning.fact_model.resample_transitions import WIDE
 from xplain.learning.labelers import LabelerTrainer
 from xplain.randomness import derived_seed, stream
@@ -78,7 +78,7 @@ class DirichletMixture:
         """
         seed = derived_seed(seed, "clusterer")
         if isinstance(trainer, KnowsFactSets):
-            known = trainer.find_types(dataset, self.concentration, seed)
+            known = trainer.find_types(dataset, self.concentration)
             if known is not None:
                 return known
         if not dataset.message_set.any():
@@ -128,7 +128,7 @@ class DirichletMixture:
             *(held, "dirichlet", "posterior"),
             posterior=posterior,
             needs=held[first],
-            answers=errors_of(dataset, prior, best),
+            answers=_errors(dataset, prior, best),
         )
 
     def _first(self, observers: int, n: int, chain: int, seed: int) -> NDArray[np.int64]:
@@ -136,6 +136,27 @@ class DirichletMixture:
         if chain % 2 == 0:
             return everything
         return stream(seed, "dirichlet", "first", chain).integers(0, 1 << n, observers)
+
+
+def _errors(dataset: Dataset, prior: Prior, state: State) -> AnswerModel:
+    """Slips, guesses and error rates, were the cells of all answers those of ``state``.
+
+    The sampler itself has one rate of errors a transition: an observer's own would make labels of a
+    cell differ in weight, where its tables know their difference alone.
+    """
+    held = state.facts[dataset.observer] & ~dataset.message_set
+    matters = held & prior.members[state.subset[dataset.transition]]
+    both = np.stack([dataset.transition, matters])
+    cells, cell = np.unique(both, axis=1, return_inverse=True)
+    label = dataset.label.astype(np.int64)
+    about = CellAnswers(cell.ravel(), dataset.transition, dataset.observer, label)
+    wrong = float(np.exp(state.log_noise) @ NOISE)
+    # How many cells are 1 is seen in the answers: where few answers share a cell, a share that is
+    # too low would pass for guesses.
+    kind = (matters > 0).astype(np.int64)
+    ones = np.bincount(kind, label, 2) / np.bincount(kind, minlength=2).clip(1)
+    one = ((ones - wrong) / (1 - 2 * wrong)).clip(0.02, 0.98)[(cells[1] > 0).astype(np.int64)]
+    return learned(about, one, len(dataset.features), len(dataset.observers), wrong)
 
 
 def _log_types(types: int, posterior: Mapping[int, float]) -> None:

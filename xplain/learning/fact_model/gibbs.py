@@ -6,7 +6,6 @@ whole types where observers are many.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from math import lgamma, log
 from typing import NamedTuple
 
@@ -14,19 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.learning.fact_model.model import Answers, Prior, State, facts_that_matter
-from xplain.learning.fact_model.resample_facts import (
-    BLOCK,
-    InUse,
-    resample_facts,
-    resample_facts_wide,
-)
+from xplain.learning.fact_model.resample_facts import InUse, resample_facts
 from xplain.learning.fact_model.resample_facts import Scratch as ObserverScratch
-from xplain.learning.fact_model.resample_transitions import (
-    WIDE,
-    resample_transitions,
-    resample_transitions_wide,
-)
 from xplain.learning.fact_model.resample_transitions import Scratch as TransitionScratch
+from xplain.learning.fact_model.resample_transitions import resample_transitions
 from xplain.learning.fact_model.split_merge import MANY_OBSERVERS, merge_types, split_merge
 
 
@@ -62,8 +52,6 @@ def sample(
     """
     n, depth = answers.n_messages, prior.subsets.shape[1]
     log_new = log(concentration) - n * log(2)
-    draw_transitions = resample_transitions if n <= WIDE else resample_transitions_wide
-    draw_facts = resample_facts if n <= BLOCK else resample_facts_wide
     of_transition = TransitionScratch.of(
         answers.transition_start, len(prior.size), depth, len(prior.log_flip)
     )
@@ -71,16 +59,20 @@ def sample(
     state = init(answers, prior, first)
     best, best_score = state, -np.inf
     types = np.zeros(sweeps, dtype=np.int64)
-    for sweep, temperature in enumerate(_cooling(sweeps, initial_temperature)):
+    for sweep in range(sweeps):
+        # From the initial temperature straight down to 1 over the first half, 1 from there on.
+        heat = max(1.0 - sweep / max(sweeps // 2, 1), 0.0)
+        temperature = 1.0 + (initial_temperature - 1.0) * heat
         held = state.facts[answers.owner] & ~answers.message_set
-        score = draw_transitions(answers, prior, state, held, temperature, rng, of_transition)
+        score = resample_transitions(answers, prior, state, held, temperature, rng, of_transition)
         used, members = np.unique(state.facts, return_counts=True)
         score += _log_restaurant(members, log_new)
         types[sweep] = len(set((used & facts_that_matter(prior, state)).tolist()))
         if score > best_score:
             best, best_score = state.copy(), score
         in_use = InUse.of(used, members, len(first))
-        draw_facts(answers, prior, state, in_use, len(used), log_new, temperature, rng, of_observer)
+        about = answers, prior, state, in_use, len(used), log_new, temperature
+        resample_facts(*about, rng, of_observer)
         if len(first) >= MANY_OBSERVERS:
             split_merge(answers, prior, state, log_new, temperature, rng)
     if len(first) >= MANY_OBSERVERS:
@@ -101,14 +93,6 @@ def init(answers: Answers, prior: Prior, first: NDArray[np.int64]) -> State:
         counts=np.zeros((transitions, 1 << prior.subsets.shape[1], 2), dtype=np.int64),
         order=np.arange(answers.n_messages),
     )
-
-
-def _cooling(sweeps: int, initial_temperature: float) -> Iterator[float]:
-    """The temperature of each sweep: from the initial one straight down to 1 over the first half,
-    1 from there on."""
-    heated = sweeps // 2
-    for sweep in range(sweeps):
-        yield 1.0 + (initial_temperature - 1.0) * max(1.0 - sweep / max(heated, 1), 0.0)
 
 
 def _log_restaurant(members: NDArray[np.int64], log_new: float) -> float:

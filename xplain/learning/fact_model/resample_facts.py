@@ -76,37 +76,24 @@ class Scratch(NamedTuple):
 def resample_facts(answers, prior, state, in_use, number, log_new, temperature, rng, scratch):  # type: ignore[no-untyped-def]
     """Draws R of every observer among all fact sets; ``state.facts`` and ``state.counts`` follow.
 
+    Where facts are more than BLOCK, an observer may first jump to a type in use, and draws BLOCK
+    facts, chosen at random, anew (``state.order``).
+
     ``number`` fact sets are in use at first; ``log_new`` is the log weight of one that nobody
     holds, where each that somebody holds weighs log(observers).
     """
-    for o in range(len(state.facts)):
-        _leave(o, answers, prior, state, in_use, number)
-        number = _redraw(
-            o, answers, prior, state, in_use, number, log_new, temperature, rng, scratch
-        )
-
-
-@kernel
-def resample_facts_wide(answers, prior, state, in_use, number, log_new, temperature, rng, scratch):  # type: ignore[no-untyped-def]
-    """As :func:`resample_facts`, where facts are more than BLOCK: each observer may first jump to a
-    type in use, and draws BLOCK facts, chosen at random, anew (``state.order``)."""
     order = state.order
     for o in range(len(state.facts)):
-        _leave(o, answers, prior, state, in_use, number)
-        _jump(o, answers, prior, state, in_use, number, log_new, temperature, rng, scratch)
-        for j in range(BLOCK):  # the first facts of a random order
-            other = rng.integers(j, len(order))
-            order[j], order[other] = order[other], order[j]
+        count_rows(o, TAKEN, answers, prior, state)
+        in_use.members[_find(in_use.facts, number, state.facts[o])] -= 1
+        if len(order) > BLOCK:
+            _jump(o, answers, prior, state, in_use, number, log_new, temperature, rng, scratch)
+            for j in range(BLOCK):  # the first facts of a random order
+                other = rng.integers(j, len(order))
+                order[j], order[other] = order[other], order[j]
         number = _redraw(
             o, answers, prior, state, in_use, number, log_new, temperature, rng, scratch
         )
-
-
-@called
-def _leave(o, answers, prior, state, in_use, number):  # type: ignore[no-untyped-def]
-    """Takes observer o out of its type, and its labels out of the counts."""
-    count_rows(o, TAKEN, answers, prior, state)
-    in_use.members[_find(in_use.facts, number, state.facts[o])] -= 1
 
 
 @called

@@ -71,42 +71,25 @@ class Scratch(NamedTuple):
 def resample_transitions(answers, prior, state, held, temperature, rng, scratch):  # type: ignore[no-untyped-def]
     """Draws (S_τ, ε_τ) of every transition, and counts the labels by the cells that this makes.
 
-    ``held`` [P] is M of each answer. Returns log P(all labels | everybody's R), S and ε summed out,
-    f integrated out.
+    ``held`` [P] is M of each answer. Returns log P(all labels | everybody's R), f integrated out, S
+    and ε summed out; where messages are more than WIDE each S_τ is drawn among the subsets of WIDE
+    facts only, and it is log P(all labels, S and ε as drawn | everybody's R).
     """
-    levels = len(state.log_noise)
-    size = len(prior.size)
-    score = 0.0
-    for t in range(len(state.subset)):
-        distinct = _tally(t, answers, held, scratch)
-        _weigh(size, distinct, prior, state.log_noise, scratch)
-        chosen, total = draw(scratch.weights, size * levels, temperature, rng)
-        score += total
-        _choose(t, chosen // levels, chosen % levels, held, answers, prior.subsets, state)
-    _set_shares(state.noise, state.log_noise)
-    return score
-
-
-@kernel
-def resample_transitions_wide(answers, prior, state, held, temperature, rng, scratch):  # type: ignore[no-untyped-def]
-    """As :func:`resample_transitions`, each S_τ drawn among the subsets of WIDE facts only.
-
-    Returns log P(all labels, S and ε as drawn | everybody's R).
-    """
-    levels = len(state.log_noise)
     candidates, weights = scratch.candidates, scratch.weights
+    levels, size, n = len(state.log_noise), len(prior.size), answers.n_messages
     score = 0.0
     for t in range(len(state.subset)):
         distinct = _tally(t, answers, held, scratch)
-        block = _random_block(prior, state.subset[t], answers.n_messages, rng)
-        size = _within(prior.members, block, candidates)
+        if n > WIDE:
+            block = _random_block(prior, state.subset[t], n, rng)
+            size = _within(prior.members, block, candidates)
         _weigh(size, distinct, prior, state.log_noise, scratch)
-        # This block is likelier to be drawn from some S than from others: that counts.
-        for i in range(size * levels):
-            weights[i] += prior.log_block[prior.size[candidates[i // levels]]]
-        chosen, _ = draw(weights, size * levels, temperature, rng)
+        if n > WIDE:  # this block is likelier to be drawn from some S than from others: that counts
+            for i in range(size * levels):
+                weights[i] += prior.log_block[prior.size[candidates[i // levels]]]
+        chosen, total = draw(weights, size * levels, temperature, rng)
         z = candidates[chosen // levels]
-        score += weights[chosen] - prior.log_block[prior.size[z]]
+        score += weights[chosen] - prior.log_block[prior.size[z]] if n > WIDE else total
         _choose(t, z, chosen % levels, held, answers, prior.subsets, state)
     _set_shares(state.noise, state.log_noise)
     return score
