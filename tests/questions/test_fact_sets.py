@@ -44,7 +44,6 @@ def answers_of(rng, known, count):
         rng.integers(0, h.n_transitions, count),
         rng.integers(0, 1 << h.n_messages, count),
         rng.integers(0, 2, count),
-        np.ones(count),
     )
 
 
@@ -137,7 +136,7 @@ def people(known, facts, count, rng, error=0.0, contrary=()):
         told = rng.integers(0, 1 << h.n_messages, count)
         label = h.labels[h.row(held & ~told), t].astype(np.int64)
         flip = (rng.random(count) < error) ^ np.isin(t, contrary)
-        said.append(Answers(t, told, label ^ flip, np.ones(count)))
+        said.append(Answers(t, told, label ^ flip))
     return said
 
 
@@ -171,7 +170,7 @@ def test_answers_of_who_errs_more_count_for_less():
     t, told = np.repeat(np.arange(20), 4), np.zeros(80, dtype=np.int64)
     label = known.hypotheses.labels[5, t].astype(np.int64)
     label[:4] ^= 1
-    answers = Answers(t, told, label, np.ones(80))
+    answers = Answers(t, told, label)
     for error, wins in ((0.02, True), (0.49, False)):
         wrong = np.where(np.arange(80) < 4, error, 0.02)[:, None]
         given = np.log(np.where(label[:, None] == np.arange(2), 1 - wrong, wrong))[:, :, None]
@@ -184,7 +183,7 @@ def test_one_wrong_answer_does_not_win():
     t, told = np.repeat(np.arange(20), 3), np.tile([0, 1, 2], 20)
     label = known.hypotheses.labels[5 & ~told, t].astype(np.int64)
     label[7] ^= 1
-    made = FactSetClassifier(known, Answers(t, told, label, np.ones(60)), None)
+    made = FactSetClassifier(known, Answers(t, told, label), None)
     p = made.known_rows(t[[7]], told[[7]])[0]
     assert (p > 0.5) == known.hypotheses.labels[5 & ~told[7], t[7]]
 
@@ -287,9 +286,7 @@ def test_what_nobody_wrote_down_is_learned_from_answers(caplog):
     said = odd_people(known, facts, 120, rng, odd)
     found = partition(known, said, 1.0)
     assert found.tolist() == [int(known.essential[f]) for f in facts]
-    together = Answers(
-        *(np.concatenate(part) for part in zip(*map(columns, said[3:]), strict=True))
-    )
+    together = Answers.joined(said[3:])
     made = FactSetClassifier(known, together, None)
     h, before = known.hypotheses, np.flatnonzero(known.hypotheses.labels[1, odd])
     told_rest = np.full(len(before), 0b0110)
@@ -298,10 +295,6 @@ def test_what_nobody_wrote_down_is_learned_from_answers(caplog):
     # Elsewhere nothing spoke against the hypotheses.
     other = np.flatnonzero(h.labels[1, 8:]) + 8
     assert (made.known_rows(other, np.full(len(other), 0b0110)) > 0.9).mean() > 0.9
-
-
-def columns(answers):
-    return answers.transition, answers.message_set, answers.label, answers.weight
 
 
 def test_what_nobody_wrote_down_is_told_of(tmp_path, caplog):

@@ -61,7 +61,7 @@ def test_the_posterior_is_that_over_all_sets_within_the_list(seed, most):
     transitions = rng.integers(0, every.n_transitions, 60)
     told = rng.integers(0, 1 << FACTS, 60)
     labels = every.labels[person & ~told, transitions].astype(np.int64)
-    answers = transitions, told, labels, np.ones(60)
+    answers = transitions, told, labels
     found = grown(few_sets(most), lambda known: posterior_by(known, *answers))
     own = posterior_by(found, *answers)
     whole = few_sets(most).with_sets(np.arange(1 << FACTS))

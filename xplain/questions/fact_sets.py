@@ -35,8 +35,8 @@ TRIED = 5
 def partition(
     known: KnownTransitions, observers: list[Answers], concentration: float
 ) -> NDArray[np.int64]:
-    """The facts of each observer's type [O] in the likeliest sharing: a start of each observer's own
-    best fact set, and merges while they pay, before and after it is learned how answers err.
+    """The facts of each observer's type [O], in the likeliest sharing: everybody's own best fact
+    set at first, and merges while they pay, before and after it is learned how answers err.
 
     Args:
         known: the hypotheses.

@@ -53,11 +53,10 @@ def posterior_by(
     transitions: NDArray[np.int64],
     told: NDArray[np.int64],
     labels: NDArray[np.int64],
-    weight: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """[C] of candidates given the answers of one type: transitions, message sets, labels, and how
-    often each counts, [P] all. One answer in twenty is taken to be wrong."""
-    agree = (hypotheses.label(transitions, told) == labels) @ weight
+    """[C] of candidates given the answers of one type: transitions, message sets and labels,
+    [P] each. One answer in twenty is taken to be wrong."""
+    agree = (hypotheses.label(transitions, told) == labels).sum(axis=2)
     with np.errstate(divide="ignore"):
         joint = agree * np.log((1 - ERROR) / ERROR) + np.log(hypotheses.prior)
     joint += np.log(hypotheses.variant_prior)[:, None]

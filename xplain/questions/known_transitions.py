@@ -3,9 +3,10 @@ wrote down."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,27 +26,22 @@ SUPPORTED = 1e-3
 with all answers more closely, where facts are too many to list all sets."""
 
 
-@dataclass(frozen=True)
-class Answers:
-    """P answers: ``transition`` [P] (of :class:`KnownTransitions`), ``message_set`` [P],
-    ``label`` [P] and ``weight`` [P], how often each counts."""
+class Answers(NamedTuple):
+    """P answers: ``transition`` [P] (of :class:`KnownTransitions`), ``message_set`` [P] and
+    ``label`` [P]."""
 
     transition: NDArray[np.int64]
     message_set: NDArray[np.int64]
     label: NDArray[np.int64]
-    weight: NDArray[np.float64]
 
     @classmethod
-    def joined(cls, parts: Sequence[Answers]) -> Answers:
+    def joined(cls, parts: Iterable[Answers]) -> Answers:
         """All of some, one after the other."""
-        columns = ([getattr(part, one.name) for part in parts] for one in fields(cls))
-        return cls(*map(np.concatenate, columns))
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
     def take(self, rows: NDArray[np.int64]) -> Answers:
         """Some of them."""
-        return Answers(
-            self.transition[rows], self.message_set[rows], self.label[rows], self.weight[rows]
-        )
+        return Answers(*(column[rows] for column in self))
 
 
 @dataclass(frozen=True)
@@ -101,8 +97,7 @@ class KnownTransitions:
     def _posterior(self, hypotheses: Hypotheses, answers: Answers) -> NDArray[np.float64]:
         """Of transitions that share their features, one stands for all."""
         column = self._column[answers.transition]
-        about = column, answers.message_set, answers.label, answers.weight
-        return posterior_by(hypotheses, *about)
+        return posterior_by(hypotheses, column, answers.message_set, answers.label)
 
     @cached_property
     def _column(self) -> NDArray[np.int64]:

@@ -53,8 +53,8 @@ class TwoWays:
 
 def answers_of(place: NDArray[np.int64], dataset: Dataset) -> Answers:
     """The labels of a dataset, about transitions that the hypotheses have at ``place`` [T]."""
-    label, count = dataset.label.astype(np.int64), np.ones(len(dataset))
-    return Answers(place[dataset.transition], dataset.message_set, label, count)
+    label = dataset.label.astype(np.int64)
+    return Answers(place[dataset.transition], dataset.message_set, label)
 
 
 @dataclass

@@ -96,8 +96,7 @@ class Cells:
         number = np.arange(len(facts))[:, None] + len(facts) * np.asarray(person)
         key = number * size + held * transitions + answers.transition
         cells, where = np.unique(key, return_inverse=True)
-        weighed = answers.weight[:, None, None] * given
-        total = summed(np.tile(weighed, (len(facts), 1, 1)), where.ravel(), len(cells))
+        total = summed(np.tile(given, (len(facts), 1, 1)), where.ravel(), len(cells))
         inner, where = cells % size, where.reshape(key.shape)
         share = known.by_cell[inner]
         return cls(cells // size, where, inner, share, total, known.hypotheses.sizes)
