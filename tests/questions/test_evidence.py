@@ -174,12 +174,15 @@ def test_hypotheses_are_never_given_up_for_a_coin():
 
 def test_the_words_tell_who_foretells_better():
     few = np.log(np.full(4, 0.8)), np.log(np.full(4, 0.6)), np.zeros(4, dtype=np.int64)
-    fits = Evidence(*few, np.array([0.1]))
+    few_doubts = np.array([0.1]), np.array([0.1])
+    fits = Evidence(*few, *few_doubts)
     assert str(fits).startswith("hypotheses fit what people answer: each")
     assert "0.22 nats by hypotheses, 0.51 by labels alone, 0.69 by a coin" in str(fits)
-    assert "people of 1 of 1 types think otherwise" in str(replace(fits, doubt=np.array([0.9])))
-    worse = Evidence(few[1], few[0], few[2], np.array([0.1]))
+    for key in ("doubt", "unwritten"):
+        odd = replace(fits, **{key: np.array([0.9])})
+        assert "people of 1 of 1 types think otherwise" in str(odd)
+    worse = Evidence(few[1], few[0], few[2], *few_doubts)
     assert not worse.lost  # four answers are few
-    many = Evidence(*(np.tile(one, 20) for one in (few[1], few[0], few[2])), np.array([0.1]))
+    many = Evidence(*(np.tile(one, 20) for one in (few[1], few[0], few[2])), *few_doubts)
     assert many.beaten
     assert str(many).startswith("hypotheses do not fit what people answer: each")

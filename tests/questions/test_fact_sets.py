@@ -310,5 +310,8 @@ def test_what_nobody_wrote_down_is_told_of(tmp_path, caplog):
     for facts, warned in (([1, 1, 1], False), ([9, 9, 9], True)):
         caplog.clear()
         said = odd_people(known, facts, 120, np.random.default_rng(6), np.arange(10))
-        trainer.find_types(dataset_of(known, said), 1.0)
+        data = dataset_of(known, said)
+        trainer.find_types(data, 1.0)
         assert ("fact_3" in caplog.text) == warned
+        evidence = trainer.with_errors(data, np.zeros(3, dtype=np.int64)).evidence
+        assert (evidence.unwritten[0] > 0.5, evidence.otherwise, evidence.lost) == (warned,) * 3

@@ -45,12 +45,14 @@ class Evidence:
         of_type: [Q] the type of who gave it.
         doubt: [N] P(people of a type think otherwise than hypotheses say at one transition in
             twenty, or more).
+        unwritten: [N] P(people of a type hold wrong what no hypothesis does).
     """
 
     hypotheses: NDArray[np.float64]
     labels: NDArray[np.float64]
     of_type: NDArray[np.int64]
     doubt: NDArray[np.float64]
+    unwritten: NDArray[np.float64]
 
     @property
     def nats(self) -> tuple[float, float]:
@@ -75,9 +77,14 @@ class Evidence:
         return (own - min(others, COIN)) * len(self.of_type)
 
     @property
+    def otherwise(self) -> int:
+        """How many types hypotheses are doubted of, or hold wrong what none of them does."""
+        return int((np.maximum(self.doubt, self.unwritten) > DOUBTED).sum())
+
+    @property
     def lost(self) -> bool:
-        """Whether hypotheses are doubted of a type, or foretell worse."""
-        return bool((self.doubt > DOUBTED).any()) or self.against > WORSE
+        """Whether people of a type think otherwise, or hypotheses foretell worse."""
+        return self.otherwise > 0 or self.against > WORSE
 
     @property
     def beaten(self) -> bool:
@@ -89,12 +96,11 @@ class Evidence:
 
     def __str__(self) -> str:
         own, others = self.nats
-        kinds = int((self.doubt > DOUBTED).sum())
         fit = "hypotheses fit what people answer"
         if self.lost:
             fit = "hypotheses do not fit what people answer"
-            if kinds:
-                fit += f" (people of {kinds} of {len(self.doubt)} types think otherwise)"
+            if self.otherwise:
+                fit += f" (people of {self.otherwise} of {len(self.doubt)} types think otherwise)"
         return (
             f"{fit}: each next answer takes {own:.2f} nats by hypotheses, {others:.2f} by labels "
             f"alone, {COIN:.2f} by a coin (less is better)"

@@ -25,13 +25,28 @@ def paper_tree() -> Any:
     return DecisionTreeClassifier()
 
 
+class OfTruth:
+    """A classifier of labels 0 and 1 that says how likely people are to think so, errors in answers
+    left out: its probabilities are taken as they are."""
+
+    classes_ = np.array([0, 1])
+
+    def predict_proba(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
+        """P(label = 0) and P(label = 1) of rows [P, F + n]: [P, 2]."""
+        raise NotImplementedError
+
+    def predict(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
+        """The likelier label of rows [P, F + n]: [P]."""
+        return (self.predict_proba(x)[:, 1] >= 0.5).astype(np.int64)
+
+
 @dataclass(frozen=True)
 class Labeler:
     """A fitted labeling model L(τ, H) with its confidence P(label = prediction).
 
     Attributes:
-        classifier: fitted, scikit-learn's shape, classes among 0 and 1. Where it has ``is_sound``,
-            its own probabilities are taken as they are.
+        classifier: fitted, scikit-learn's shape, classes among 0 and 1. Those :class:`OfTruth`
+            need no confidence.
         n_messages: n of the message bits it was fitted with.
         confidence: (right + 1) / (tested + 2) on questions held out of training, in (0, 1).
         accuracy: right / tested; NaN where nothing was tested.
@@ -50,9 +65,9 @@ class Labeler:
 
     @property
     def means_truth(self) -> bool:
-        """Whether P(label = 1) is what people think, errors in answers left out; else it is what
-        they answer, as the confidence is measured on answers."""
-        return bool(getattr(self.classifier, "is_sound", False))
+        """Whether P(label = 1) is what people think; else it is what they answer, as the confidence
+        is measured on answers."""
+        return isinstance(self.classifier, OfTruth)
 
     def predict(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
@@ -105,12 +120,15 @@ class Labeler:
                 f"labeler: a classifier that is no tree may look at any of {n} messages, more "
                 f"than {DENSE}; labeler=pruned is a tree that looks at few"
             )
-        every = np.arange(1 << n)
-        result = np.empty((len(features), len(every)))
-        for t, row in enumerate(features):
-            x = inputs(np.broadcast_to(row, (len(every), len(row))), every, n)
-            result[t] = self._probability(x)
-        return range(n), result
+        return range(n), self._by_sets(features, np.arange(1 << n))
+
+    def _by_sets(
+        self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """P(label = 1) of each transition [T, F] under each of the message sets [K]: [T, K]."""
+        shape = len(message_sets), features.shape[1]
+        every = [self.probability(np.broadcast_to(row, shape), message_sets) for row in features]
+        return np.reshape(every, (len(features), len(message_sets)))
 
     def _probability(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
         if hasattr(self.classifier, "tree_"):

@@ -19,10 +19,10 @@ from xplain.errors import InputError
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.answer_model import ErrorRates, QuestionErrors
-from xplain.learning.data.dataset import Dataset
+from xplain.learning.data.dataset import Dataset, places
 from xplain.learning.data.encoding import encoded
 from xplain.learning.data.label_file import MAX_MASK
-from xplain.learning.labelers import Labeler
+from xplain.learning.labelers import Labeler, OfTruth
 from xplain.learning.user_types import UserTypes, label_table
 
 FORMAT = 1
@@ -233,7 +233,7 @@ class SavedTree:
         return labels
 
 
-class SavedTable:
+class SavedTable(OfTruth):
     """Probabilities of known transitions as a table, in scikit-learn's shape.
 
     Args:
@@ -241,12 +241,8 @@ class SavedTable:
         table: [U, 2^n] P(label = 1); of other transitions nothing is known, ½.
     """
 
-    classes_ = np.array([0, 1])
-    is_sound = True
-
     def __init__(self, rows: NDArray[np.float32], table: NDArray[np.float64]) -> None:
         self.rows, self.table = rows, table
-        self._place = {row.tobytes(): u for u, row in enumerate(rows + np.float32(0))}
 
     def tabulated(self) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
         """What it was made of."""
@@ -256,14 +252,9 @@ class SavedTable:
         """P(label = 0) and P(label = 1) of rows [P, F + n]: [P, 2]."""
         width = self.rows.shape[1]
         told = x[:, width:].astype(np.int64) @ (1 << np.arange(x.shape[1] - width))
-        features = np.ascontiguousarray(x[:, :width]) + np.float32(0)  # −0 is 0
-        place = np.array([self._place.get(row.tobytes(), -1) for row in features], dtype=np.int64)
+        place = places(x[:, :width], self.rows)
         one = np.where(place >= 0, self.table[place, told], 0.5)
         return np.stack([1 - one, one], axis=1)
-
-    def predict(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
-        """The likelier label of each row [P, F + n]: [P]."""
-        return (self.predict_proba(x)[:, 1] >= 0.5).astype(np.int64)
 
 
 def _errors(arrays: Mapping[str, NDArray[Any]], features: int) -> QuestionErrors:

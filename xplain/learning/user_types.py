@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
+from xplain.errors import Range, number, one_of
 from xplain.explanation.label_table import DENSE, LabelTable, stacked
 from xplain.learning.answer_model import AnswerModel
 from xplain.learning.clustering import Clustering
@@ -146,10 +146,8 @@ def learn_types(
         InputError: another prior, a negative weight.
     """
     n = clustering.n_types
-    if not none_of_these >= 0:
-        raise InputError("none_of_these", none_of_these, "a weight ≥ 0")
-    if prior not in ("share", "uniform"):
-        raise InputError("prior", prior, "share or uniform")
+    number("none_of_these", none_of_these, Range(0))
+    one_of("prior", prior, ("share", "uniform"))
     weight = np.bincount(clustering.assignment, minlength=n).astype(np.float64)
     if prior == "uniform":
         weight[:] = 1

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from xplain.errors import TooLargeError
 from xplain.explanation.message_sets import bits_of
 from xplain.learning.evidence import DOUBTED
-from xplain.learning.labelers import Labeler
+from xplain.learning.labelers import Labeler, OfTruth
 from xplain.questions.known_transitions import Answers, KnownTransitions
 from xplain.questions.likelihood import DEVIATION, ERROR, Cells, by_level, log_prior, truth
 
@@ -29,7 +29,7 @@ EDGE = 0.002
 larger doubts about what nothing speaks against would add up to messages that nobody needs."""
 
 
-class FactSetClassifier:
+class FactSetClassifier(OfTruth):
     """The posterior over the fact sets of one type, with what labelers ask of a classifier.
 
     It predicts what people find explicable, f, not what they answer: errors in answers are left
@@ -45,9 +45,6 @@ class FactSetClassifier:
         learned: [N] P(f = 1) of each cell, times the weight of its fact set.
         level: [E] posterior of the levels of error.
     """
-
-    classes_ = np.array([0, 1])
-    is_sound = True
 
     def __init__(
         self,
@@ -93,6 +90,11 @@ class FactSetClassifier:
     def doubt(self) -> float:
         """P(the hypotheses are wrong at one transition in twenty, or more)."""
         return float(self.weight[:, :, DEVIATION >= OFTEN].sum())
+
+    @property
+    def unwritten(self) -> float:
+        """P(people of the type hold wrong what no hypothesis does)."""
+        return float(self.weight[(self.facts & self.known.unwritten) > 0].sum())
 
     def log_answered(self, answers: Answers) -> NDArray[np.float64]:
         """log P of further answers [P], which err by the levels of
@@ -187,7 +189,3 @@ class FactSetClassifier:
         told = np.tile(np.arange(1 << n), count)
         table = self.known_rows(np.repeat(np.arange(count), 1 << n), told)
         return self.known.features, table.reshape(count, 1 << n)
-
-    def predict(self, x: NDArray[np.float32]) -> NDArray[np.int64]:
-        """The likelier label of rows [P, F + n]: [P]."""
-        return (self.predict_proba(x)[:, 1] >= 0.5).astype(np.int64)

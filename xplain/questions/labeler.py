@@ -21,7 +21,7 @@ from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.explanation.message_sets import indices, names_of, subsets
 from xplain.learning.answer_model import AnswerModel
 from xplain.learning.clustering import Clustering
-from xplain.learning.data.dataset import Dataset, inputs
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import Evidence, cheap
 from xplain.learning.labelers import (
@@ -78,12 +78,7 @@ class HypothesisLabeler(Labeler):
             looked_at |= sum(1 << j for j in self.classifier.alone._looked_at(features[alone])[0])
         relevant = indices(looked_at)
         check_looked_at(len(relevant), self.n_messages)
-        every = subsets(relevant)
-        table = np.empty((len(features), len(every)))
-        for t, row in enumerate(features):
-            rows = np.broadcast_to(row, (len(every), len(row)))
-            table[t] = self._probability(inputs(rows, every, self.n_messages))
-        return relevant, table
+        return relevant, self._by_sets(features, subsets(relevant))
 
 
 @dataclass(frozen=True)

@@ -46,9 +46,10 @@ class TwoWays:
         """Of a dataset whose observers' types [O] are given."""
         dataset = dataset.take(np.flatnonzero(self.place[dataset.transition] >= 0))
         rows, *logs = foretold(dataset, assignment, (self.hypotheses, self.labels))
-        types = range(int(assignment.max()) + 1)
-        doubt = [self.learned(dataset.of(np.flatnonzero(assignment == t))).doubt for t in types]
-        return Evidence(logs[0], logs[1], assignment[dataset.observer[rows]], np.array(doubt))
+        members = (np.flatnonzero(assignment == t) for t in range(int(assignment.max()) + 1))
+        types = [self.learned(dataset.of(own)) for own in members]
+        doubt, unwritten = np.array([(one.doubt, one.unwritten) for one in types]).T
+        return Evidence(*logs, assignment[dataset.observer[rows]], doubt, unwritten)
 
 
 def answers_of(place: NDArray[np.int64], dataset: Dataset) -> Answers:
