@@ -217,17 +217,17 @@ class Adaptive:
 
     def _grown(self, questions: Questionnaire, others: list[Posterior]) -> Questionnaire:
         """With the candidates that answers have made likely."""
-        now = questions
+
+        def over(known: Hypotheses) -> Questionnaire:
+            if known is questions.hypotheses:
+                return questions
+            return questions.over(known, self._prior(known, others))
 
         def posterior(known: Hypotheses) -> NDArray[np.float64]:
-            nonlocal now
-            if known is not now.hypotheses:
-                now = now.over(known, self._prior(known, others))
-            return np.asarray(now.posterior / now.posterior.sum())
+            found = over(known).posterior
+            return np.asarray(found / found.sum())
 
-        found = grown(questions.hypotheses, posterior)
-        posterior(found)
-        return now
+        return over(grown(questions.hypotheses, posterior))
 
 
 @dataclass(frozen=True)
