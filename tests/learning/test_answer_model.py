@@ -132,6 +132,7 @@ def test_what_is_said_of_an_answer_is_a_mean_over_the_persons_rates():
         [0.75 * 0.2 + 0.25 * (0.6 * 0.2 + 0.4 * 0.8), 0.75 * 0.8 + 0.25 * (0.6 * 0.8 + 0.4 * 0.2)],
     ]
     assert np.exp(model.log_given(question, who, label)) == pytest.approx(np.array(expected))
+    assert model.wrong(question[:1], who[:1]) == pytest.approx((0.1 + 0.05) / 2)
 
 
 def test_an_accuracy_measured_on_answers_is_corrected():

@@ -121,6 +121,13 @@ class AnswerModel:
         """P(y = 1 | f, e) of P questions: [P, 2, E]."""
         return answered(self.slip[question], self.guess[question], self.errors.rates)
 
+    def wrong(self, question: NDArray[np.int64], person: NDArray[np.int64]) -> float:
+        """Share of these answers [P] that are not what the person thinks, f being 0 as often as
+        1."""
+        slip = (self.slip[question] + self.guess[question]) / 2
+        rate = self.person[person] @ self.errors.rates
+        return float((slip + rate * (1 - 2 * slip)).mean())
+
     @property
     def habits(self) -> Habits:
         """Of the next person."""

@@ -34,9 +34,10 @@ TRIED = 5
 
 def partition(
     known: KnownTransitions, observers: list[Answers], concentration: float
-) -> NDArray[np.int64]:
+) -> tuple[NDArray[np.int64], AnswerModel]:
     """The facts of each observer's type [O], in the likeliest sharing: everybody's own best fact
-    set at first, and merges while they pay, before and after it is learned how answers err.
+    set at first, and merges while they pay, before and after it is learned how answers err; and how
+    they do, questions being the rows of features that hypotheses know.
 
     Args:
         known: the hypotheses.
@@ -48,7 +49,7 @@ def partition(
     search.merge(state)
     search.learn(state)
     search.merge(state)
-    return search.facts[state]
+    return search.facts[state], search.answers
 
 
 def errors_of(

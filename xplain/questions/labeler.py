@@ -181,7 +181,7 @@ class HypothesisTrainer(LabelerTrainer):
         if found is None:
             return None
         place, known, observers = found
-        facts = partition(known, observers, concentration)
+        facts, _ = partition(known, observers, concentration)
         same = np.unique(facts, return_inverse=True)[1]
         if TwoWays(self.known, place).evidence(dataset, same).beaten:
             return None

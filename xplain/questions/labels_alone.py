@@ -49,7 +49,8 @@ class TwoWays:
         members = (np.flatnonzero(assignment == t) for t in range(int(assignment.max()) + 1))
         types = [self.learned(dataset.of(own)) for own in members]
         doubt, unwritten = np.array([(one.doubt, one.unwritten) for one in types]).T
-        return Evidence(*logs, assignment[dataset.observer[rows]], doubt, unwritten)
+        of_type = assignment[dataset.observer[rows]]
+        return Evidence(logs[0], logs[1], of_type, doubt, unwritten)
 
 
 def answers_of(place: NDArray[np.int64], dataset: Dataset) -> Answers:

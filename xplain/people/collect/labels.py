@@ -17,7 +17,6 @@ from xplain.people.collect.plan import CollectPlan
 from xplain.questions.fact_sets import partition
 from xplain.questions.known_transitions import KnownTransitions
 from xplain.questions.labels_alone import TwoWays, answers_of
-from xplain.randomness import stream
 
 CONCENTRATION = 1.0
 """Of the process over types; that of ``clusterer=dirichlet``."""
@@ -101,8 +100,8 @@ def fact_sets(plan: CollectPlan, people: Sequence[State]) -> tuple[NDArray[np.in
     ways, data = _asked(plan, people)
     every = answers_of(ways.place, data)
     observers = [every.take(np.flatnonzero(data.observer == o)) for o in range(len(people))]
-    found = partition(ways.known, observers, CONCENTRATION, stream(plan.seed, "types"))
-    return found.facts, found.error
+    facts, answers = partition(ways.known, observers, CONCENTRATION)
+    return facts, answers.wrong(every.transition, data.observer)
 
 
 def _asked(plan: CollectPlan, people: Sequence[State]) -> tuple[TwoWays, Dataset]:
