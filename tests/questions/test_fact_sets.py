@@ -145,7 +145,7 @@ def test_types_are_found_with_some_wrong_answers():
     known = known_of(1, facts=4, transitions=30, variants=0)
     facts = [3, 3, 3, 12, 12, 12, 5, 5, 5]
     said = people(known, facts, 40, rng, 0.05)
-    found, answers = partition(known, said, 1.0)
+    found, answers, _ = partition(known, said, 1.0)
     assert found.tolist() == known.hypotheses.essential[facts].tolist()
     asked = np.concatenate([one.transition for one in said])
     assert 0.01 <= answers.wrong(asked, np.repeat(np.arange(9), 40)) <= 0.1
@@ -287,7 +287,7 @@ def test_what_nobody_wrote_down_is_learned_from_answers(caplog):
     known = known_of(1, facts=3, transitions=30, variants=0, unwritten=1)
     facts, odd = [1, 1, 1, 9, 9, 9], np.arange(8)
     said = odd_people(known, facts, 120, rng, odd)
-    found, _ = partition(known, said, 1.0)
+    found = partition(known, said, 1.0).facts
     assert found.tolist() == [int(known.essential[f]) for f in facts]
     together = Answers.joined(said[3:])
     made = FactSetClassifier(known, together, None)

@@ -26,9 +26,10 @@ SURE = 1.96
 def predicted(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray[np.float64]:
     """P(answer 1) of each row of ``questions``: [P].
 
-    Where the method predicts answers itself, that is taken; else the types' labelers, weighed for
-    each observer by the shares of the types and the observer's own labels. Of an observer without
-    labels nothing is known but the shares.
+    Where the method predicts answers itself, that is taken, or, where labelers tell what people
+    think, its mean with theirs; else the types' labelers, weighed for each observer by the shares
+    of the types and the observer's own labels. Of an observer without labels nothing is known but
+    the shares.
 
     Args:
         dataset: the labels that the types were found in.
@@ -47,7 +48,10 @@ def predicted(dataset: Dataset, types: UserTypes, questions: Dataset) -> NDArray
     if expected is not None:
         everyone = np.vstack([expected, expected.mean(axis=0)])  # the last is of a new observer
         plain = (transition >= 0) & (questions.message_set == 0)
-        result = np.where(plain, everyone[who, transition], result)
+        own = everyone[who, transition]
+        if all(one.means_truth for one in types.labelers):
+            own = (own + result) / 2
+        result = np.where(plain, own, result)
     return np.asarray(result)
 
 
@@ -173,10 +177,10 @@ def log_likelihoods(
     else by the labeler of its observer's cluster, fitted to ``train``. A cluster without labels in
     ``train`` is predicted by everybody's. Where the trainer knows that an answer is not a label, as
     :func:`predicted`."""
-    if found.expected is not None:
-        return _log(found.expected[test.observer, test.transition], test.label)
     if isinstance(trainer, LearnsErrors):
         return _log(predicted(train, _all_learned(train, found, trainer, seed), test), test.label)
+    if found.expected is not None:
+        return _log(found.expected[test.observer, test.transition], test.label)
     result = np.empty(len(test))
     for cluster in range(found.n_types):
         members = found.members(cluster)

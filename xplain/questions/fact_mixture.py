@@ -30,8 +30,10 @@ def mixture(
     facts: NDArray[np.int64],
     log_new: NDArray[np.float64],
     level: float,
-) -> tuple[NDArray[np.float64], AnswerModel]:
-    """P(fact set) of each person [O, R], and how answers err.
+) -> tuple[NDArray[np.float64], AnswerModel, NDArray[np.float64] | None]:
+    """P(fact set) of each person [O, R]; how answers err; and P(answer 1) of each person about all
+    rows of features that hypotheses know, with nothing told [O, U]: None where somebody was told
+    something.
 
     Args:
         known: the hypotheses.
@@ -69,4 +71,15 @@ def mixture(
                 total = summed(said[r].T, cell, cell.max() + 1)[cell].T
                 one[r] = expit(odds[r] + total - said[r])
     assert isinstance(made, AnswerModel)
-    return weight.sum(axis=2), made
+    if answers.message_set.any():
+        return weight.sum(axis=2), made, None
+    said = np.moveaxis(weight[person], 0, 2) * (given[:, 1] - given[:, 0])
+    result = np.zeros((people, count))
+    for r, held in enumerate(known.hypotheses.row(facts).tolist()):
+        cells = held * count + np.arange(count)
+        f = truth(known.by_cell[cells], known.hypotheses.sizes).reshape(count, -1)
+        f = expit(np.log(f / (1 - f)) + summed(said[r].T, answers.transition, count))
+        zero, both = made.given(np.arange(count))[:, :, :1].transpose(1, 0, 2)  # of rate 0
+        result += weight[:, r] @ ((1 - f) * zero + f * both).T
+    rate = (made.person[:-1] @ made.errors.rates)[:, None]
+    return weight.sum(axis=2), made, (1 - rate) * result + rate * (1 - result)

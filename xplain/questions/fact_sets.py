@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import reduce
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +33,25 @@ TRIED = 5
 """Fact sets that are tried for a type that two would make."""
 
 
-def partition(
-    known: KnownTransitions, observers: list[Answers], concentration: float
-) -> tuple[NDArray[np.int64], AnswerModel]:
-    """The facts of each observer's type [O], in the likeliest sharing: everybody's own best fact
-    set at first, and merges while they pay, before and after it is learned how answers err; and how
-    they do, questions being the rows of features that hypotheses know.
+class Partition(NamedTuple):
+    """Types of observers.
+
+    Attributes:
+        facts: [O] of each observer's type.
+        answers: how answers err, questions being the rows of features that hypotheses know.
+        expected: [O, U] P(answer 1) of each observer about every row of features that hypotheses
+            know, with nothing told, by a mixture over all people: it trusts hypotheses more than
+            types do. None where somebody was told something.
+    """
+
+    facts: NDArray[np.int64]
+    answers: AnswerModel
+    expected: NDArray[np.float64] | None
+
+
+def partition(known: KnownTransitions, observers: list[Answers], concentration: float) -> Partition:
+    """The likeliest sharing of types by observers: everybody's own best fact set at first, and
+    merges while they pay, before and after it is learned how answers err.
 
     Args:
         known: the hypotheses.
@@ -49,7 +63,7 @@ def partition(
     search.merge(state)
     search.learn(state)
     search.merge(state)
-    return search.facts[state], search.answers
+    return Partition(search.facts[state], search.answers, search.expected)
 
 
 def errors_of(
@@ -93,7 +107,8 @@ class _Search:
         alone = self.alike()
         kept = np.union1d(alone.argmax(axis=1), np.flatnonzero(alone.max(axis=0) > CANDIDATE))
         about = self.known, self.every, self.person, len(self.rows)
-        weight, answers = mixture(*about, self.facts[kept], self.log_new[kept], self.level)
+        found = mixture(*about, self.facts[kept], self.log_new[kept], self.level)
+        weight, answers, self.expected = found
         self._heed(answers)
         return np.asarray(kept[weight.argmax(axis=1)])
 

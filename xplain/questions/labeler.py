@@ -181,7 +181,7 @@ class HypothesisTrainer(LabelerTrainer):
         if found is None:
             return None
         place, known, observers = found
-        facts, _ = partition(known, observers, concentration)
+        facts, _, expected = partition(known, observers, concentration)
         same = np.unique(facts, return_inverse=True)[1]
         if TwoWays(self.known, place).evidence(dataset, same).beaten:
             return None
@@ -190,7 +190,11 @@ class HypothesisTrainer(LabelerTrainer):
         if surprise := int(np.bitwise_or.reduce(needs & known.unwritten)):
             names = ", ".join(names_of(surprise, dataset.messages))
             log.warning("some hold wrong what no hypothesis does; it is set right by: %s", names)
-        return Clustering(facts, "dirichlet", "hypotheses", needs=needs)
+        if expected is not None:
+            ones = np.bincount(dataset.transition, dataset.label, len(place))
+            mean = (ones + 1) / (np.bincount(dataset.transition, minlength=len(place)) + 2)
+            expected = np.where(place >= 0, expected[:, place], mean)
+        return Clustering(facts, "dirichlet", "hypotheses", needs=needs, expected=expected)
 
     def _known_answers(
         self, dataset: Dataset

@@ -100,7 +100,7 @@ def fact_sets(plan: CollectPlan, people: Sequence[State]) -> tuple[NDArray[np.in
     ways, data = _asked(plan, people)
     every = answers_of(ways.place, data)
     observers = [every.take(np.flatnonzero(data.observer == o)) for o in range(len(people))]
-    facts, answers = partition(ways.known, observers, CONCENTRATION)
+    facts, answers, _ = partition(ways.known, observers, CONCENTRATION)
     return facts, answers.wrong(every.transition, data.observer)
 
 
