@@ -166,7 +166,7 @@ def test_while_people_are_asked_hypotheses_that_are_right_are_ever_more_ahead():
 def test_hypotheses_are_never_given_up_for_a_coin():
     """Three answers in ten are wrong: both are too sure, and labels alone would be what is left."""
     own, others = (np.full(300, -nats) for nats in (0.8, 0.9))
-    evidence = Evidence(own, others, np.zeros(300, dtype=np.int64), np.zeros(1))
+    evidence = Evidence(own, others, np.zeros(300, dtype=np.int64), np.zeros(1), np.zeros(1))
     assert evidence.against > BEATEN  # of a coin
     assert evidence.lost
     assert not evidence.beaten
