@@ -16,7 +16,7 @@ from xplain.errors import InputError
 from xplain.explanation.belief import Independent
 from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.listening import PRIOR_PEOPLE, Explained, learned_habits, posterior
+from xplain.explanation.listening import PRIOR_PEOPLE, Explained, learned_habits
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.interaction.explainees import Heedless, Knower
@@ -73,7 +73,8 @@ def test_what_one_explanation_tells_equals_enumeration(seed: int) -> None:
         problem.with_habits(UNKNOWN),
         problem.with_habits(habits_of(0.3, 1, 0)),
     ):
-        assert posterior(Explained(planned, said, answers), habits) == pytest.approx(told, abs=1e-9)
+        found = Explained(planned, said, answers).posterior(habits)
+        assert found == pytest.approx(told, abs=1e-9)
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -187,5 +188,5 @@ def test_answers_to_questions_tell_nothing_of_messages_that_do_not_land() -> Non
 
 
 def test_nobody_tells_nothing() -> None:
-    with pytest.raises(InputError, match="at least one explanation"):
+    with pytest.raises(InputError, match="at least one who was told something"):
         learned_habits([])

@@ -34,7 +34,7 @@ def site_of(kind: str) -> Site[Any]:
     if kind == ASKING:
         own = {"asking": studying.CONFIG["conditions"]["personalized"]}
         return StudySite(studying.street_study(ask=studying.ASK, conditions=own))
-    return CollectSite(collecting.street_collection())
+    return CollectSite(collecting.street_collection(listening=2))
 
 
 def bot_of(site: Site[Any], *seeds: int) -> Bot[Any, Any]:

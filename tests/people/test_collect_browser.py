@@ -48,7 +48,7 @@ def rescue() -> Collection:
     )
     cfg = composed("collect", ["points=8", questions])
     config = fixed(cfg)
-    rules = Rules(points=8, **config["rules"])
+    rules = Rules(points=8, **config["rules"] | {"listening": 2})
     plan = assemble(source_of(cfg), Adaptive(clip=2), rules, config)
     return at_work(plan)
 
@@ -120,14 +120,15 @@ def test_under_three_messages_the_button_is_in_sight(
         below: dict[tuple[str, int], float] = {}
 
         def look(page: Page) -> None:
-            if page.stage in ("practice", "ahead", "clips"):
+            if page.stage in ("practice", "ahead", "clips", "listening"):
                 key = page.stage, len(page.messages)
                 below[key] = max(driver.execute_script(bottom) - 844, below.get(key, -np.inf))
 
         go_in(driver, server.url, Researcher(server.url, server.key).invite(1)[0])
         erring = replace(FAULTLESS, mistake=1.0)
         assert take_part(driver, bot(collection.plan, erring, 0, 0), look=look) == "done"
-        assert {("practice", 1), ("ahead", 0), ("clips", 3)} <= below.keys()
+        seen = {("practice", 1), ("ahead", 0), ("clips", 3), ("listening", 0), ("listening", 1)}
+        assert seen <= below.keys()
         assert max(below.values()) <= 0, below
 
 

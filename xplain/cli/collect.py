@@ -64,3 +64,16 @@ def erase(arguments: list[str]) -> None:
     the log without answers or reference: the questions of those who came after followed from it.
     """
     people.erase("collect", arguments)
+
+
+def habits(arguments: list[str]) -> None:
+    """How people listened and answered, learned from the log of a collection begun with
+    ``rules.listening``: how often they err, take a message in and forget, as keys for a study or an
+    experiment.
+
+        xplain collect habits DATABASE [--stream person]
+
+    The database is one that no server has open (or a snapshot); ``--stream`` is person, pilot or
+    bot. A step after which something may be forgotten is a page.
+    """
+    people.habits("collect", arguments)

@@ -35,6 +35,7 @@ COMMANDS = {
     "collect export": Command("collect:export", "the labels as tables"),
     "collect erase": Command("collect:erase", "forget a participant"),
     "collect replay": Command("collect:replay", "compute it again from its log"),
+    "collect habits": Command("collect:habits", "how people listened and answered"),
     "study": Command("study:serve", "serve the user study", "study"),
     "study bots": Command("study:bots", "let simulated participants take part"),
     "study export": Command("study:export", "its data as tables"),

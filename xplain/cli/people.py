@@ -243,3 +243,19 @@ def replay(name: str, arguments: list[str]) -> None:
     )
     if found.differences:
         sys.exit(1)
+
+
+def habits(name: str, arguments: list[str]) -> None:
+    """Prints how the people of a stream listened and answered, as keys of a belief."""
+    given = parsed(f"xplain {name} habits", arguments, "database", stream="person")
+    from xplain.explanation.listening import learned_habits
+
+    listening = import_module(f"xplain.people.{name}.listening")
+    listeners = listening.listeners_in(given.database, given.stream)
+    found = learned_habits(listeners)
+    print(f"{len(listeners)} participants: rates, and how many people have them")
+    for key in ("error", "accept", "forget"):
+        shares = found.shares(key)
+        mean = sum(rate * share for rate, share in shares.items())
+        written = ",".join(f"{rate:g}:{share:.3f}" for rate, share in shares.items())
+        print(f"belief.{key}={{{written}}}   mean {mean:.3f}")

@@ -98,18 +98,7 @@ def habits(arguments: list[str]) -> None:
     The database is one that no server has open (or a snapshot); ``--stream`` is person, pilot or
     bot. Messages that are said again tell most: with belief.accept and belief.forget.
     """
-    given = parsed("xplain study habits", arguments, "database", stream="person")
-    from xplain.explanation.listening import learned_habits
-    from xplain.people.study.listening import explained_in
-
-    explained = explained_in(given.database, given.stream)
-    found = learned_habits(explained)
-    print(f"{len(explained)} participants: rates, and how many people have them")
-    for key in ("error", "accept", "forget"):
-        shares = found.shares(key)
-        mean = sum(rate * share for rate, share in shares.items())
-        written = ",".join(f"{rate:g}:{share:.3f}" for rate, share in shares.items())
-        print(f"belief.{key}={{{written}}}   mean {mean:.3f}")
+    people.habits("study", arguments)
 
 
 def analyse(arguments: list[str]) -> None:

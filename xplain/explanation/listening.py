@@ -1,4 +1,5 @@
-"""How people listen and answer, learned from explanations that they were given.
+"""How people listen and answer, learned from explanations that they were given, or from whatever
+else was said to them and asked again.
 
 Each explanation tells, by the exact filter over (type, habits, knowledge), how likely each habit is
 to be that of the person: who labels as before a message missed it, who falls back forgot. How
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,14 @@ from xplain.explanation.problem import Problem
 PRIOR_PEOPLE = 5.0
 """The documented shares count as so many people."""
 PRECISE = 1e-9
+
+
+class Listener(Protocol):
+    """Somebody who was told something, and answered."""
+
+    def posterior(self, habits: Habits) -> NDArray[np.float64]:
+        """[F] how likely each habit is to be theirs."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -39,23 +49,35 @@ class Explained:
     said: Sequence[int]
     answers: Sequence[NDArray[np.uint8]]
 
+    def posterior(self, habits: Habits) -> NDArray[np.float64]:
+        """[F] how likely each habit is to be that of the person, by their answers. Where people may
+        forget, every label is news (:meth:`xplain.interaction.interaction.Interaction.hear`)."""
+        problem = _of_the_paper(self.problem).with_habits(habits)
+        belief, given = problem.start, 0
+        for new, labels in zip(self.said, self.answers, strict=False):
+            given |= new
+            belief = update(problem, told(problem, belief, new), given, labels)
+        hidden = belief.reshape(-1, problem.n_user_types, len(habits))
+        found: NDArray[np.float64] = hidden.sum(axis=(0, 1))
+        return found
 
-def learned_habits(explained: Sequence[Explained], grid: Habits | None = None) -> Habits:
+
+def learned_habits(people: Sequence[Listener], grid: Habits | None = None) -> Habits:
     """The habits of the next person.
 
     Args:
-        explained: one person each.
+        people: whose answers are known.
         grid: habits that people may have, with their documented shares; None takes those of
             ``xplain.explanation.habits.UNKNOWN``. Rates between two of them are shared out between
             both, rates beyond the last are taken for the last.
 
     Raises:
-        InputError: nobody was explained anything.
+        InputError: there is nobody.
     """
-    if not explained:
-        raise InputError("explained", 0, "at least one explanation with answers")
+    if not people:
+        raise InputError("people", 0, "at least one who was told something and answered")
     habits = grid or habits_of("learned", "learned", "learned")
-    likely = np.array([posterior(one, habits) for one in explained]) / habits.prior
+    likely = np.array([one.posterior(habits) for one in people]) / habits.prior
     counted, shares = PRIOR_PEOPLE * habits.prior, habits.prior
     while True:
         own = likely * shares
@@ -64,19 +86,6 @@ def learned_habits(explained: Sequence[Explained], grid: Habits | None = None) -
         if np.abs(found - shares).max() < PRECISE:
             return replace(habits, prior=found)
         shares = found
-
-
-def posterior(one: Explained, habits: Habits) -> NDArray[np.float64]:
-    """[F] how likely each habit is to be that of the person, by their answers. Where people may
-    forget, every label is news (:meth:`xplain.interaction.interaction.Interaction.hear`)."""
-    problem = _of_the_paper(one.problem).with_habits(habits)
-    belief, given = problem.start, 0
-    for new, labels in zip(one.said, one.answers, strict=False):
-        given |= new
-        belief = update(problem, told(problem, belief, new), given, labels)
-    hidden = belief.reshape(-1, problem.n_user_types, len(habits))
-    found: NDArray[np.float64] = hidden.sum(axis=(0, 1))
-    return found
 
 
 def _of_the_paper(problem: Problem) -> Problem:

@@ -1,7 +1,8 @@
 """Where a participant is, which clip comes next, and what the answers so far say.
 
 Questions are those of :class:`xplain.questions.questionnaire.Questionnaire`, or of one list for
-everybody. Among them are an obvious step, and some of the first questions a second time.
+everybody. Among them are an obvious step, and some of the first questions a second time. At the end
+messages may be told that hold from then on, to see whether they are taken in and kept.
 """
 
 from __future__ import annotations
@@ -22,6 +23,10 @@ from xplain.randomness import stream
 FINISHED = ("beliefs", "questions", "done")
 """Stages of those who have answered every clip."""
 QUESTION, REPEAT, ATTENTION = "question", "repeat", "attention"
+TOLD, LATER, AGAIN = "told", "later", "again"
+"""Purposes of the clips at the end: a message that holds from now on, its step later with nothing
+said, and with the message said again."""
+HEEDED = (TOLD, LATER, AGAIN)
 STATED = ("accurate", "inaccurate", "unsure")
 """What somebody may say of a fact, by the number in the payload."""
 KEPT = 1e-6
@@ -37,7 +42,7 @@ class Clip:
     """A few transitions under one message set, and their labels once they are given.
 
     Attributes:
-        purpose: QUESTION, REPEAT or ATTENTION (which has no transitions, and one label).
+        purpose: QUESTION, REPEAT, ATTENTION (which has no transitions, one label), or of HEEDED.
         transitions: rows of the hypotheses.
         told: bitmask of the messages shown.
         labels: one a transition; empty before the answer.
@@ -106,7 +111,8 @@ class State(core.State):
 
 
 class Task(NamedTuple):
-    """What one clip is for: a question, a second look at the question ``again``, or attention."""
+    """What one clip is for: a question, a second look at the question ``again``, attention, or the
+    message number ``again`` of those that hold from then on."""
 
     purpose: str
     again: int = -1
@@ -114,7 +120,7 @@ class Task(NamedTuple):
 
 def schedule(plan: CollectPlan, number: int) -> tuple[Task, ...]:
     """What the clips of one participant are for, in order: questions, the obvious step amid them,
-    and near the end some of the first questions again."""
+    and near the end some of the first questions again; then messages that hold from then on."""
     asked = questions_of(plan)
     rng = stream(plan.seed, "schedule", number)
     tasks = [Task(QUESTION)] * asked
@@ -124,7 +130,8 @@ def schedule(plan: CollectPlan, number: int) -> tuple[Task, ...]:
         tasks.insert(place, Task(REPEAT, question))
     if plan.rules.attention:
         tasks.insert(int(rng.integers(asked // 3, asked - asked // 3 + 1)), Task(ATTENTION))
-    return tuple(tasks)
+    rounds = [Task(what, which) for what in HEEDED for which in range(plan.rules.listening)]
+    return (*tasks, *rounds)
 
 
 def shared(beliefs: Sequence[Mapping[str, float]]) -> dict[str, float]:
@@ -175,7 +182,10 @@ def clip(plan: CollectPlan, state: State, tasks: Sequence[Task], asking: Questio
         return replace(questions[task.again], purpose=REPEAT, labels=())
     if task.purpose == ATTENTION:
         return Clip(ATTENTION, (), 0)
-    beside = [*state.answered[-1:], *(questions[n.again] for n in following if n.again >= 0)]
+    if task.purpose in HEEDED:
+        return _heeded(plan, state, task)
+    looks_back = [questions[n.again] for n in following if n.purpose == REPEAT]
+    beside = [*state.answered[-1:], *looks_back]
     near = {t for one in beside for t in one.transitions}
     left = plan.rules.points - sum(one.size for one in questions)
     if plan.questions:
@@ -206,3 +216,22 @@ def _varied(
         if asking.information(one) >= AS_MUCH * asking.information(found[0]):
             return one
     return (apart or found)[0]
+
+
+def _heeded(plan: CollectPlan, state: State, task: Task) -> Clip:
+    """A message that holds from now on, with the step that most likely makes sense because of it
+    and made none before; or such a step once more."""
+    before = [clip for clip in state.answered if clip.purpose == TOLD]
+    if task.purpose != TOLD:
+        first = before[task.again]
+        told = first.told if task.purpose == AGAIN else 0
+        return Clip(task.purpose, first.transitions, told)
+    known, said = plan.hypotheses, sum(clip.told for clip in before)
+    shares = {int(facts): share for facts, share in state.belief.items() if facts != "none"}
+    held, share = np.array([*shares]) & ~said, np.array([*shares.values()])
+    order = stream(plan.seed, "listening", state.person).permutation(known.n_messages)
+    left = [j for j in order.tolist() if not said >> j & 1]
+    now = known.labels[known.row(held)]
+    turns = np.array([share @ (known.labels[known.row(held & ~(1 << j))] > now) for j in left])
+    best, about = np.unravel_index(turns.round(9).argmax(), turns.shape)
+    return Clip(TOLD, (int(about),), 1 << left[int(best)])

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from xplain.errors import XplainError
+from xplain.explanation.message_sets import indices
 from xplain.people.collect.asking import State
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
@@ -33,11 +34,15 @@ class Habits(bots.Habits):
     Attributes:
         error: probability of the wrong label, step by step.
         lapse: probability that a page is clicked through: its labels are tosses of a coin.
+        forgetting: probability that a message is not taken in.
+        losing: probability that a message which holds from then on is gone after a page, each anew.
         seconds: to read and judge a step; σ of its logarithm is 0.4.
     """
 
     error: float = 0.05
     lapse: float = 0.0
+    forgetting: float = 0.0
+    losing: float = 0.0
     seconds: float = 6.0
 
 
@@ -56,6 +61,7 @@ class Observer(bots.Bot[CollectPlan, Habits]):
     ) -> None:
         super().__init__(plan, habits, rng)
         self.held = held
+        self.known = 0
 
     def at_task(self, page: Page) -> None:
         """Takes over what a briefing says."""
@@ -69,28 +75,40 @@ class Observer(bots.Bot[CollectPlan, Habits]):
 
     def at_clips(self, page: Page) -> tuple[Fields, float]:
         """A label a step."""
-        labels, seconds = self.labels(page.steps, page.messages)
-        return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], seconds
+        return self.labels(page.steps, self.heard(page.messages))
+
+    def at_listening(self, page: Page) -> tuple[Fields, float]:
+        """The same; what they take in stays, until they lose it."""
+        self.known |= self.heard(page.messages)
+        answer = self.labels(page.steps, self.known)
+        for j in indices(self.known if self.habits.losing else 0):
+            self.known &= ~(self.chance(self.habits.losing) << j)
+        return answer
 
     def at_beliefs(self, page: Page) -> Fields:
         """What they believe of each fact."""
         facts = [int(name.removeprefix("fact_")) for name in page.fields]
         return [(f"fact_{j}", str(self.held >> j & 1)) for j in facts]
 
-    def labels(self, transitions: Sequence[int], told: Sequence[str]) -> tuple[list[int], float]:
-        """Labels of a clip's transitions with these messages on the page, and the seconds that it
-        took; none stands for the obvious step."""
-        sentences = [fact.message for fact in self.plan.facts]
-        mask = sum(1 << sentences.index(sentence) for sentence in told)
+    def heard(self, told: Sequence[str]) -> int:
+        """Which of the messages on a page they take in, as a bitmask."""
+        sentences, missing = [fact.message for fact in self.plan.facts], self.habits.forgetting
+        # Nobody who misses nothing draws for it.
+        heard = [said for said in told if not (missing and self.chance(missing))]
+        return sum(1 << sentences.index(sentence) for sentence in heard)
+
+    def labels(self, transitions: Sequence[int], right: int) -> tuple[Fields, float]:
+        """Labels of a clip's transitions by somebody who has these facts (a bitmask) right, and the
+        seconds that it took; none stands for the obvious step."""
         known = self.plan.hypotheses
-        row = int(known.row(np.array(self.held & ~mask)))
+        row = int(known.row(np.array(self.held & ~right)))
         true = [int(known.labels[row, t]) for t in transitions] or [0]
         if self.chance(self.habits.lapse):
             labels = self.rng.integers(0, 2, len(true)).tolist()
         else:
             labels = [label ^ self.chance(self.habits.error) for label in true]
         seconds = self.habits.seconds * self.rng.lognormal(0, 0.4, len(true)).sum()
-        return labels, float(seconds)
+        return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], float(seconds)
 
 
 def bot(plan: CollectPlan, habits: Habits, seed: int, number: int) -> Observer:

@@ -38,7 +38,9 @@ CODEBOOK = {
     "clips": {
         "observer": "key",
         "number": "order on their pages, 1, 2, …",
-        "purpose": "question, repeat (of an earlier question) or attention (the obvious step)",
+        "purpose": "question, repeat (of an earlier question) or attention (the obvious step); at "
+        "the end told (the messages hold from then on), later (its step with nothing said), again "
+        "(said again)",
         "steps": "what the robot did, as shown, joined by |",
         "messages": "what they were told on the page, joined by ;",
         "labels": "1 = made sense, 0 = did not; one a step, joined by ;",

@@ -1,6 +1,6 @@
 """The flow of a collection:
 
-consent → task → practice → ahead → clips → beliefs → questions → done
+consent → task → practice → ahead → clips → listening → beliefs → questions → done
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from xplain.explanation.message_sets import indices
 from xplain.people import flow as core
 from xplain.people import stages
 from xplain.people.collect import asking
-from xplain.people.collect.asking import ATTENTION, QUESTION, STATED, Clip, State
+from xplain.people.collect.asking import ATTENTION, HEEDED, QUESTION, STATED, Clip, State
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.flow import Answer, Decision, Fields, Flow, Form, Stage
 from xplain.people.stages import Consent, LookingAhead, Questions, choices, small
@@ -46,7 +46,13 @@ class Practice(stages.Practice["Collection", State]):
 
 
 class Clips(Stage["Collection", State]):
-    """A few steps in a row under some messages, one clip after the other."""
+    """A few steps in a row under some messages, one clip after the other.
+
+    Attributes:
+        LASTING: whether messages hold on the pages that follow, too.
+    """
+
+    LASTING: ClassVar = False
 
     def enter(self, flow: Collection, state: State) -> Outcome:
         """The first clip."""
@@ -57,6 +63,7 @@ class Clips(Stage["Collection", State]):
         assert state.clip is not None, "a clip is on the page"
         return flow.briefing(state) | {
             **_clip(flow.plan, state.clip),
+            "lasting": self.LASTING,
             "clip_number": len(state.answered) + 1,
             "clip_count": len(asking.schedule(flow.plan, state.person)),
         }
@@ -85,7 +92,7 @@ class Clips(Stage["Collection", State]):
         answer = None if labels is None else Answer(step - 1, labels, belief)
         state = replace(state, belief=belief)
         tasks = asking.schedule(flow.plan, state.person)
-        if step == len(tasks):
+        if step == len(tasks) or (tasks[step].purpose in HEEDED) != self.LASTING:
             return replace(flow.after(state), answer=answer)
         clip = asking.clip(flow.plan, state, tasks, known)
         question = clip.purpose == QUESTION
@@ -96,6 +103,16 @@ class Clips(Stage["Collection", State]):
         }
         decision = Decision(step, belief, clip.told, 0, why)
         return replace(state.to(stage=self.name, clip=clip), decision=decision, answer=answer)
+
+
+class Listening(Clips):
+    """Steps under messages that hold from then on, and later without them."""
+
+    LASTING: ClassVar = True
+
+    def wanted(self, plan: CollectPlan) -> bool:
+        """Where such messages are told."""
+        return plan.rules.listening > 0
 
 
 class Beliefs(Stage["Collection", State]):
@@ -139,6 +156,7 @@ class Collection(Flow[CollectPlan, State]):
         Practice("practice", "example", "choose"),
         LookingAhead("ahead", "ahead", "choose"),
         Clips("clips", "labels"),
+        Listening("listening", "labels"),
         Beliefs("beliefs", "beliefs"),
         Questions("questions", "answers"),
     )

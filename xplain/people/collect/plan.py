@@ -35,18 +35,22 @@ class Rules(Patience):
         points: labels a person, those for consistency and attention not counted.
         repeats: questions asked a second time, for consistency.
         attention: whether an obvious step is among them.
+        listening: messages told at the end that hold from then on: asked about at once, later
+            with nothing said, and once more when they are said again.
     """
 
     people: int
     points: int
     repeats: int
     attention: bool
+    listening: int = 0
 
     def __post_init__(self) -> None:
         """Raises InputError: a number out of its range."""
         super().__post_init__()
         whole_number("rules.people", self.people, 2)
         whole_number("points", self.points, 1)
+        whole_number("rules.listening", self.listening, 0)
         most = self.points // 4
         if whole_number("rules.repeats", self.repeats, 0) > most:
             raise InputError("rules.repeats", self.repeats, f"at most a quarter of points: {most}")

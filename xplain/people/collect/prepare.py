@@ -165,6 +165,9 @@ def assemble(
     known, wording = source.hypotheses, config["wording"]
     if source.domain is None:
         no_map(wording)
+    if rules.listening > len(source.facts):
+        most = f"at most one message a fact: {len(source.facts)}"
+        raise InputError("rules.listening", rules.listening, most)
     own, in_words = parts("collect", config, wording, source.scene)
     known = replace(known, phrases=tuple(map(in_words, known.phrases)))
     facts = worded(source.facts, wording["facts"], in_words)

@@ -158,7 +158,7 @@ class CollectSite(site.Site[Collection]):
 
     def step_of(self, state: State) -> str:
         """Of the clips."""
-        return f"page {len(state.answered) + 1}" if state.stage == "clips" else ""
+        return f"page {len(state.answered) + 1}" if state.clip else ""
 
     def unequal(
         self, connection: sqlite3.Connection, people: list[Participant[State]]

@@ -19,7 +19,7 @@ STEPS = """
 """
 
 
-def explained_in(database: Path, stream: str = "person") -> list[Explained]:
+def listeners_in(database: Path, stream: str = "person") -> list[Explained]:
     """What was said to each participant of a stream, and what they answered; as far as they came.
 
     Args:

@@ -1,0 +1,220 @@
+"""Messages that hold from page to page: what is asked, and what is learned of how people listen."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from tests.people.collect.stand_in import FAULTLESS, street_collection, street_plan
+from tests.people.kinds import bot_of, filled, site_of
+from xplain.cli.main import main
+from xplain.errors import InputError
+from xplain.explanation.habits import Habits, habits_of
+from xplain.explanation.listening import PRIOR_PEOPLE, learned_habits
+from xplain.explanation.message_sets import indices
+from xplain.people.collect import bot
+from xplain.people.collect.asking import (
+    HEEDED,
+    QUESTION,
+    Clip,
+    State,
+    shared,
+)
+from xplain.people.collect.bot import Observer, take_part
+from xplain.people.collect.listening import Asked, asked_of, listeners_in
+from xplain.people.server.store import Store
+from xplain.people.simulation.browser import Page
+from xplain.questions.hypotheses import Hypotheses
+
+MESSAGES = 3
+COLLECTION = street_collection(listening=MESSAGES)
+UNKNOWN = habits_of("learned", "learned", "learned")
+
+
+def somebody(held: int, number: int, habits: bot.Habits = FAULTLESS) -> State:
+    person = Observer(COLLECTION.plan, held, habits, np.random.default_rng(number))
+    return take_part(COLLECTION, person, number, {})
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 15), st.integers(0, 1000))
+def test_what_is_told_explains_a_step_and_is_asked_about_twice_more(held: int, number: int) -> None:
+    known = COLLECTION.plan.hypotheses
+    answered = somebody(held, number).answered
+    told, later, again = ([c for c in answered if c.purpose == what] for what in HEEDED)
+    assert [*told, *later, *again] == list(answered[-3 * MESSAGES :])
+    assert [c.told for c in again] == [c.told for c in told]
+    assert [c.told for c in later] == [0] * MESSAGES
+    assert [c.transitions for c in told] == [c.transitions for c in later]
+    assert [c.transitions for c in told] == [c.transitions for c in again]
+    right = 0
+    for clip in told:
+        assert clip.told.bit_count() == 1
+        assert not clip.told & right
+        labels = [
+            known.labels[known.row(np.array(held & ~facts))] for facts in (right, right | clip.told)
+        ]
+        before, after = (int(one[clip.transitions[0]]) for one in labels)
+        left = held & ~right  # on the street a step goes with each fact, whatever else is held
+        assert (before, after) == (0, 1) or not left
+        right |= clip.told
+    assert all(c.labels == (1,) for c in (*told, *later, *again))  # who never misses nor forgets
+
+
+def test_without_them_all_else_is_as_it_was() -> None:
+    """The questions before them, too, and what is thought of the person."""
+    for number in range(4):
+        without, with_them = (
+            take_part(
+                collection,
+                Observer(collection.plan, 5, bot.Habits(0.1), np.random.default_rng(number)),
+                number,
+                {},
+            )
+            for collection in (street_collection(), COLLECTION)
+        )
+        assert without.answered == with_them.answered[: -3 * MESSAGES]
+        assert without.belief == with_them.belief
+        assert without.questions() == with_them.questions()
+        assert without.consistency == with_them.consistency
+
+
+def test_pages_say_how_long_a_message_holds() -> None:
+    site = site_of("collect")
+    person, state = bot_of(site, 2), State()
+    words, seen = site.plan.texts.words, dict[str, set[bool]]()
+    consent = {"number": 0, "role": None, "others": {}}
+    state = site.flow.after(State(), **site.flow.admitted(consent)).state
+    while not state.over:
+        view = site.flow.view(state)
+        if state.clip:
+            seen.setdefault(state.stage, set()).add(view["lasting"])
+        kind, filled_in = site.flow.waits_for(state), person.fill(Page.of_view(view))[0]
+        form = dict(filled_in)
+        state = site.flow.advance(state, kind, site.flow.read(state, kind, form)).state
+    assert seen == {"clips": {False}, "listening": {True}}
+    assert words["lasts"] != words["only_here"]
+
+
+def enumerated(asked: Asked, habits: Habits) -> NDArray[np.float64]:
+    """[F] over every way in which this person may miss and forget what each page says."""
+    known, found = asked.known, np.zeros(len(habits))
+    for (held, share), f in product(zip(asked.held, asked.prior, strict=True), range(len(habits))):
+        ways = {0: share * habits.prior[f]}
+        for clip in asked.clips:
+            lasts = clip.purpose in HEEDED
+            now = dict[tuple[int, int], float]()  # what is right on later pages, and on this one
+            for right, p in ways.items():
+                taken = {(right if lasts else 0): p}
+                for j in indices(clip.told):
+                    taken = _moved(taken, 1 << j, 0, habits.accept[f])
+                for here, p_here in taken.items():
+                    key = (here if lasts else right, here)
+                    now[key] = now.get(key, 0) + p_here
+            ways = {}
+            for (right, here), p in now.items():
+                row = known.row(np.array(int(held) & ~here))
+                for transition, label in zip(clip.transitions, clip.labels, strict=True):
+                    errs = known.labels[row, transition] != label
+                    p *= habits.error[f] if errs else 1 - habits.error[f]
+                ways[right] = ways.get(right, 0) + p
+            for j in range(len(known.messages)):
+                ways = _moved(ways, 0, 1 << j, habits.forget[f])
+        found[f] += sum(ways.values())
+    return found / found.sum()
+
+
+def _moved(ways: dict[int, float], right: int, wrong: int, chance: float) -> dict[int, float]:
+    after = dict[int, float]()
+    for known, p in ways.items():
+        for facts, share in ((known & ~wrong | right, chance), (known, 1 - chance)):
+            after[facts] = after.get(facts, 0) + p * share
+    return after
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_what_one_person_tells_equals_enumeration(seed: int) -> None:
+    """Whatever the pages were; between pages that last there may be others."""
+    rng = np.random.default_rng(seed)
+    table = np.vstack([np.ones(4), rng.integers(2, size=(7, 4))])
+    table[:, 0] = [not held & 1 for held in range(8)]  # some question tells candidates apart
+    known = Hypotheses.of(table)
+    purposes = rng.choice([QUESTION, *HEEDED], 5)
+    clips = [
+        Clip(
+            str(what),
+            tuple(rng.integers(4, size=2).tolist()),
+            int(rng.integers(8)),
+            tuple(rng.integers(2, size=2).tolist()),
+        )
+        for what in sorted(purposes, key=lambda what: what in HEEDED)
+    ]
+    habits = Habits(
+        rng.choice([0.1, 0.3], 3), rng.choice([1, 0.6], 3), [0, 0.3, 0.1], [0.5, 0.3, 0.2]
+    )
+    asked = Asked(known, np.array([1, 3, 6]), rng.dirichlet(np.ones(3)), clips)
+    assert asked.posterior(habits) == pytest.approx(enumerated(asked, habits), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("accept", "forget", "seed"), [(1.0, 0.0, 0), (0.8, 0.0, 1), (0.8, 0.1, 2), (1.0, 0.05, 3)]
+)
+def test_rates_of_simulated_people_are_found_again(accept: float, forget: float, seed: int) -> None:
+    """Within four standard errors, and what the documented shares pull, had half as many been
+    there. On the street a person holds two of four facts wrong. Of a page where such a fact is told
+    at first the label is 1 with p = α (1 − e) + (1 − α) e, so that α is known to sd(p) / (1 − 2e);
+    a fact taken in is there three pages later with (1 − φ)³, the slope of which is 3 at most."""
+    people, error = 120, 0.05
+    habits = bot.Habits(error, forgetting=1 - accept, losing=forget, mistake=0)
+    states: list[State] = []
+    for number in range(people):
+        role = COLLECTION.plan.roles[number % len(COLLECTION.plan.roles)]
+        rng = np.random.default_rng([seed, number])
+        person = Observer(COLLECTION.plan, role.held, habits, rng)
+        others = shared([state.belief for state in states[-10:]])
+        states.append(take_part(COLLECTION, person, number, others))
+    found = learned_habits([asked_of(COLLECTION.plan, state) for state in states])
+    pull = PRIOR_PEOPLE / (people / 2 + PRIOR_PEOPLE)
+    rates, stays = {"accept": accept, "forget": forget}, (1 - forget) ** MESSAGES
+    noise = {"accept": (accept, 1.0, 1.0), "forget": (stays, 3 * (1 - forget) ** 2, accept)}
+    for key, (chance, slope, share) in noise.items():
+        one = chance * (1 - error) + (1 - chance) * error
+        deviation = np.sqrt(one * (1 - one) / (people * share)) / (slope * (1 - 2 * error))
+        true, before = rates[key], float(getattr(UNKNOWN, key) @ UNKNOWN.prior)
+        tolerance = 4 * deviation + pull * abs(true - before)
+        assert abs(float(getattr(found, key) @ found.prior) - true) <= tolerance, key
+    mean = float(found.error @ found.prior)
+    clips = sum(len(clip.labels) for clip in states[0].answered) * people
+    assert abs(mean - error) <= 4 * np.sqrt(error / clips * 2) + pull * error
+
+
+def test_the_command_learns_from_a_stream_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "c.sqlite"
+    filled("collect", path)
+    main(["collect", "habits", str(path)])
+    said = capsys.readouterr().out
+    assert said.startswith("3 participants: ")
+    assert [line.split("=")[0] for line in said.splitlines()[1:]] == [
+        *("belief.error", "belief.accept", "belief.forget")
+    ]
+    with pytest.raises(InputError, match="one with answers"):
+        listeners_in(path, "bot")
+    Store(tmp_path / "without.sqlite", type(site_of("collect"))(street_collection())).close()
+    with pytest.raises(InputError, match=r"rules\.listening.*nothing was asked again"):
+        listeners_in(tmp_path / "without.sqlite")
+
+
+def test_more_messages_than_facts_are_refused() -> None:
+    with pytest.raises(InputError, match=r"rules\.listening.*at most one message a fact: 4"):
+        street_plan(listening=5)
+    with pytest.raises(InputError, match=r"rules\.listening"):
+        street_plan(listening=-1)
