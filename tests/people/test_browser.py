@@ -278,7 +278,7 @@ def test_the_new_step_and_its_button_are_in_sight(
             preview(driver, server, cell)
 
             def look(page: Page) -> None:
-                if page.stage == "evaluation":
+                if page.stage in ("training", "ahead", "evaluation"):
                     assert max(out_of_sight(driver)) <= 0, page
 
             person = Person(rescue.plan, FAULTLESS, np.random.default_rng(0))

@@ -129,7 +129,8 @@ def analyse(arguments: list[str]) -> None:
 
 
 def power(arguments: list[str]) -> None:
-    """Power curves for the planned study, and what they hang on, from simulated participants.
+    """Power curves for the planned study, and what they hang on, from simulated participants; with
+    ask=clips also of the condition that asks against the personalized one.
 
         xplain study power [--out FOLDER] [--people 200] [--studies 2000] [--n 50] [key=value ...]
 
@@ -146,10 +147,18 @@ def power(arguments: list[str]) -> None:
     from xplain.people.study import power as curves
     from xplain.people.study.policies import study_of
     from xplain.people.study.prepare import study_plan
+    from xplain.people.study.table2 import COMPARED
 
     study = study_of(study_plan(composed("study", given.overrides)))
     rows = pd.DataFrame(curves.write(study, given.out, given.people, given.studies, given.n))
-    for key, whose in (("simulated_holm", "simulated people"), ("paper_effect_holm", "the paper")):
-        figures = rows.pivot(index="n_per_condition", columns="measure", values=key)
-        print(f"power, corrected for three tests; effects of {whose}\n{figures.round(2)}\n")
+    for name, own in rows.groupby("comparison", sort=False):
+        between = " − ".join(COMPARED[str(name)])
+        for key, whose in (
+            ("simulated_holm", "simulated people"),
+            ("paper_effect_holm", "the paper"),
+        ):
+            figures = own.pivot(index="n_per_condition", columns="measure", values=key)
+            if figures.notna().all(axis=None):
+                said = f"{between}: power, corrected for three tests; effects of {whose}"
+                print(f"{said}\n{figures.round(2)}\n")
     print(f"power.csv, sensitivity.csv and their plots in {given.out}")

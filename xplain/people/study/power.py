@@ -1,16 +1,17 @@
 """How many participants? ``study power``: dry runs in the bare protocol.
 
-Simulated participants of every type take part under both conditions; planned studies of n a
-condition are drawn from them, and analysed as the real one will be (Student's t, Holm). Beside
-these curves stands the power for the effects that the paper's p values imply. What the simulated
-participants are like is an assumption: the second plot shows how much each assumption matters.
+Simulated participants of every type take part under all conditions; planned studies of n a
+condition are drawn from them, and analysed as the real one will be (Student's t, Holm), also where
+one condition asks. Beside the paper's comparison stands the power for the effects that the paper's
+p values imply. What the simulated participants are like is an assumption: the second plot shows how
+much each assumption matters.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from xplain.people.study.bot import Habits, take_part
 from xplain.people.study.flow import Study
 from xplain.people.study.report import figure_of, saved
 from xplain.people.study.statistics import holm, student_p, t_power
-from xplain.people.study.table2 import CONDITIONS, MEASURES, paper_effect
+from xplain.people.study.table2 import COMPARED, CONDITIONS, MEASURES, paper_effect
 from xplain.randomness import stream
 
 SIZES = (10, 20, 30, 40, 50, 60, 80)
@@ -53,9 +54,9 @@ class Pool:
 
     values: dict[str, NDArray[np.float64]]
 
-    def effect(self) -> NDArray[np.float64]:
-        """[3] standardized difference, conformant − personalized."""
-        a, b = (self.values[c].reshape(-1, len(MEASURES)) for c in CONDITIONS)
+    def effect(self, conditions: tuple[str, str] = CONDITIONS) -> NDArray[np.float64]:
+        """[3] standardized difference, the first of two conditions − the second."""
+        a, b = (self.values[c].reshape(-1, len(MEASURES)) for c in conditions)
         spread = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 2)
         difference = a.mean(axis=0) - b.mean(axis=0)
         found: NDArray[np.float64] = np.zeros(len(MEASURES))
@@ -63,14 +64,27 @@ class Pool:
         return found
 
 
+def compared(conditions: Iterable[str]) -> dict[str, tuple[str, str]]:
+    """What the analysis compares of these conditions, by name.
+
+    Raises:
+        InputError: nothing.
+    """
+    met = {*conditions}
+    found = {name: pair for name, pair in COMPARED.items() if met.issuperset(pair)}
+    if not found:
+        raise InputError("conditions", sorted(met), " and ".join(CONDITIONS))
+    return found
+
+
 def simulate(study: Study, habits: Habits, a_cell: int, seed: int) -> Pool:
-    """``a_cell`` participants of each type under each condition, who reach the end.
+    """``a_cell`` participants of each type under each condition of the plan, who reach the end.
 
     Raises:
         InputError: hardly anybody gets to the end with these habits.
     """
     values = {}
-    for condition in CONDITIONS:
+    for condition in study.plan.conditions:
         of_types = []
         for user_type in range(len(study.plan.roles)):
             tried = (
@@ -92,12 +106,17 @@ def simulate(study: Study, habits: Habits, a_cell: int, seed: int) -> Pool:
 
 
 def power(
-    pool: Pool, n: int, studies: int, rng: np.random.Generator, alpha: float = 0.05
+    pool: Pool,
+    n: int,
+    studies: int,
+    rng: np.random.Generator,
+    alpha: float = 0.05,
+    conditions: tuple[str, str] = CONDITIONS,
 ) -> NDArray[np.float64]:
     """Share of planned studies with n a condition (types as even as n allows) in which each
-    measure is significant: [2, 3], plain and after Holm's correction."""
+    measure is significant between two of them: [2, 3], plain and after Holm's correction."""
     drawn = []
-    for condition in CONDITIONS:
+    for condition in conditions:
         values = pool.values[condition]
         # n participants over N types: the remainder goes to types drawn anew in each study.
         order = rng.permuted(np.tile(np.arange(len(values)), (studies, 1)), axis=1)
@@ -108,23 +127,26 @@ def power(
 
 
 def curves(pool: Pool, sizes: Sequence[int], studies: int, seed: int) -> list[dict[str, Any]]:
-    """Power by n and measure: simulated, and for the paper's effects."""
+    """Power by comparison, n and measure: simulated, and for the paper's effects where it has
+    any."""
     rows: list[dict[str, Any]] = []
-    for n in sizes:
-        plain, corrected = power(pool, n, studies, stream(seed, "studies", n))
+    for (name, pair), n in product(compared(pool.values).items(), sizes):
+        rng = stream(seed, "studies", n)
+        plain, corrected = power(pool, n, studies, rng, conditions=pair)
         for index, measure in enumerate(MEASURES):
-            d = abs(paper_effect(measure))
-            rows.append(
-                {
-                    "n_per_condition": n,
-                    "measure": measure,
-                    "simulated": plain[index],
-                    "simulated_holm": corrected[index],
-                    "paper_effect": t_power(d, n),
-                    # The hardest step of Holm's procedure, if the other two are no help.
-                    "paper_effect_holm": t_power(d, n, 0.05 / len(MEASURES)),
-                }
-            )
+            row = {
+                "comparison": name,
+                "n_per_condition": n,
+                "measure": measure,
+                "simulated": plain[index],
+                "simulated_holm": corrected[index],
+            }
+            if pair == CONDITIONS:
+                d = abs(paper_effect(measure))
+                row["paper_effect"] = t_power(d, n)
+                # The hardest step of Holm's procedure, if the other two are no help.
+                row["paper_effect_holm"] = t_power(d, n, 0.05 / len(MEASURES))
+            rows.append(row)
     return rows
 
 
@@ -133,13 +155,14 @@ def sensitivity(
 ) -> list[dict[str, Any]]:
     """Effect and power (Holm, n a condition) when one assumption is varied."""
     rows: list[dict[str, Any]] = []
-    for assumption, settings in SWEEPS.items():
-        for value in settings:
-            pool = simulate(study, replace(habits, **{assumption: value}), a_cell, seed)
-            effect = pool.effect()
-            _, corrected = power(pool, n, studies, stream(seed, "studies", n))
+    for assumption, value in [(one, value) for one, own in SWEEPS.items() for value in own]:
+        pool = simulate(study, replace(habits, **{assumption: value}), a_cell, seed)
+        for name, pair in compared(pool.values).items():
+            effect, rng = pool.effect(pair), stream(seed, "studies", n)
+            _, corrected = power(pool, n, studies, rng, conditions=pair)
             rows += [
                 {
+                    "comparison": name,
                     "assumption": assumption,
                     "value": value,
                     "measure": measure,
@@ -152,7 +175,7 @@ def sensitivity(
 
 
 def draw_curves(rows: list[dict[str, Any]], path: Path) -> None:
-    """Power against n; full lines simulated, thin grey the paper's effects."""
+    """Power against n of one comparison: simulated, and the paper's effects where it has any."""
     figure, axes = figure_of(10.5, 3.8, 1, len(MEASURES), sharey=True)
     for axis, (measure, title) in zip(axes, MEASURES.items(), strict=True):
         own = [row for row in rows if row["measure"] == measure]
@@ -163,6 +186,8 @@ def draw_curves(rows: list[dict[str, Any]], path: Path) -> None:
             ("paper_effect", "#D55E00", "s-", "paper's effect"),
             ("paper_effect_holm", "#D55E00", "s--", "paper's effect, α/3"),
         ):
+            if key not in own[0]:
+                continue
             inside = "white" if "holm" in key else colour
             powers = [row[key] for row in own]
             axis.plot(sizes, powers, style, color=colour, mfc=inside, label=label, ms=5)
@@ -174,8 +199,10 @@ def draw_curves(rows: list[dict[str, Any]], path: Path) -> None:
     saved(figure, path, columns=4)
 
 
-def draw_sensitivity(rows: list[dict[str, Any]], path: Path) -> None:
-    """The effect of each measure against each assumption."""
+def draw_sensitivity(
+    rows: list[dict[str, Any]], path: Path, conditions: tuple[str, str] = CONDITIONS
+) -> None:
+    """The effect of each measure against each assumption, of one comparison."""
     figure, axes = figure_of(10.5, 6, 2, 3, sharey=True)
     for axis, assumption in zip(axes.flat, SWEEPS, strict=True):
         for measure, title in MEASURES.items():
@@ -187,7 +214,7 @@ def draw_sensitivity(rows: list[dict[str, Any]], path: Path) -> None:
         unit = " (s)" if assumption.endswith("seconds") else ""
         axis.set_xlabel(assumption.replace("_", " ") + unit)
     for axis in axes[:, 0]:
-        axis.set_ylabel("d (conformant − personalized)")
+        axis.set_ylabel("d ({} − {})".format(*conditions))
     saved(figure, path, columns=3)
 
 
@@ -201,12 +228,15 @@ def write(study: Study, folder: Path, people: int, studies: int, n: int) -> list
         studies: planned studies a point.
         n: participants a condition, for the sensitivity.
     """
-    seed, habits = study.plan.seed, Habits()
+    seed, habits, pairs = study.plan.seed, Habits(), compared(study.plan.conditions)
     rows = curves(simulate(study, habits, people, seed), SIZES, studies, seed)
     swept = sensitivity(study, habits, max(2, people // 2), n, studies, seed)
     folder.mkdir(parents=True, exist_ok=True)
     pd.DataFrame(rows).to_csv(folder / "power.csv", index=False)
     pd.DataFrame(swept).to_csv(folder / "sensitivity.csv", index=False)
-    draw_curves(rows, folder / "power.png")
-    draw_sensitivity(swept, folder / "sensitivity.png")
+    for name, pair in pairs.items():
+        own, varied = ([row for row in all_ if row["comparison"] == name] for all_ in (rows, swept))
+        suffix = "" if pair == CONDITIONS else f"_{name}"
+        draw_curves(own, folder / f"power{suffix}.png")
+        draw_sensitivity(varied, folder / f"sensitivity{suffix}.png", pair)
     return rows

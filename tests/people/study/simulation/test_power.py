@@ -9,11 +9,21 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from tests.people.study.stand_in import street_plan, street_study
+from tests.people.study.stand_in import ASK, street_plan, street_study
 from xplain.cli.main import main
 from xplain.errors import InputError
 from xplain.people.study.bot import Habits
-from xplain.people.study.power import SWEEPS, Pool, draw_curves, draw_sensitivity, power, simulate
+from xplain.people.study.plan import ASKING, CONFORMANT, PERSONALIZED
+from xplain.people.study.power import (
+    SWEEPS,
+    Pool,
+    compared,
+    curves,
+    draw_curves,
+    draw_sensitivity,
+    power,
+    simulate,
+)
 from xplain.people.study.statistics import (
     t_power,
 )
@@ -116,14 +126,41 @@ def test_curves_show_every_figure_under_the_name_of_its_measure(
             assert list(line.get_ydata()) == [row[kind] for row in own]
 
 
+def test_a_condition_is_compared_with_the_one_that_the_analysis_compares_it_with() -> None:
+    """Who is asked is as the others in time, half a deviation below them in labels, above in the
+    quiz; the other two conditions are alike."""
+    rng = np.random.default_rng(7)
+    others = {c: rng.normal(0, 1, (1, 20_000, 3)) for c in (CONFORMANT, PERSONALIZED)}
+    pool = Pool({**others, ASKING: rng.normal([0, -0.5, 0.5], 1, (1, 20_000, 3))})
+    rows = pd.DataFrame(curves(pool, (40,), 2000, 0)).set_index(["comparison", "measure"])
+    assert [*compared(pool.values)] == ["table2", "asking"]
+    assert pool.effect((PERSONALIZED, ASKING)) == pytest.approx([0, 0.5, -0.5], abs=0.04)
+    simulated = rows["simulated"].unstack("measure")[[*MEASURES]]
+    t = t_power(0.5, 40)
+    assert simulated.loc["asking"].tolist() == pytest.approx([0.05, t, t], abs=0.04)
+    assert simulated.loc["table2"].tolist() == pytest.approx([0.05] * 3, abs=0.02)
+    assert rows.loc["asking", "paper_effect"].isna().all()  # the paper asked nobody
+    with pytest.raises(InputError, match="conformant and personalized"):
+        compared([PERSONALIZED])
+
+
+@pytest.mark.parametrize("asks", [False, True])
 def test_the_command_prints_the_figures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    asks: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("xplain.people.study.prepare.study_plan", lambda cfg: street_plan())
+    plan = street_plan(ask=ASK) if asks else street_plan()
+    monkeypatch.setattr("xplain.people.study.prepare.study_plan", lambda cfg: plan)
     out = tmp_path / "power"
     main(["study", "power", "--out", str(out), "--people", "4", "--studies", "20", "--n", "4"])
     said = capsys.readouterr().out
-    curves = pd.read_csv(out / "power.csv")
-    for row in curves[curves["n_per_condition"] == 50].itertuples():
+    found = pd.read_csv(out / "power.csv")
+    assert ("personalized − asking: power" in said) == asks
+    names = [["table2"], ["table2", "asking"]][asks]
+    assert found["comparison"].unique().tolist() == names
+    plots = {"power.png", "sensitivity.png"}
+    plots |= {"power_asking.png", "sensitivity_asking.png"} if asks else set()
+    assert {path.name for path in out.glob("*.png")} == plots
+    found = found[found["comparison"] == "table2"]
+    for row in found[found["n_per_condition"] == 50].itertuples():
         assert row.measure in said
         assert f"{row.paper_effect_holm:.2f}".rstrip("0") in said
