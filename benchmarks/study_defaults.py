@@ -1,0 +1,100 @@
+"""What a study's participants pay for its labeler and its belief (docs/study.md).
+
+    python benchmarks/study_defaults.py              both of the paper's domains, 12 seeds
+    python benchmarks/study_defaults.py --seeds 3    three of them
+    python benchmarks/study_defaults.py --quick      a smoke run
+
+The study's own types, observers and policy (personalized), of each seed on the five traces on which
+the types need most; costs by what people truly think.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from explainees import DOMAINS, figure, ratio
+
+from xplain.experiment.config import composed
+from xplain.explanation.belief import Independent, Persistent
+from xplain.explanation.label_table import LabelTable
+from xplain.interaction.episode import explain
+from xplain.interaction.explainees import Exact, Explainee, Slips
+from xplain.people.study.flow import Study
+from xplain.people.study.known_types import learned_types
+from xplain.people.study.plan import PERSONALIZED
+from xplain.people.study.policies import at_work
+from xplain.people.study.prepare import drafted
+from xplain.people.study.task import OfDomain
+from xplain.people.wording import fixed
+from xplain.randomness import derived_seed
+
+FIRST = 9600
+"""The first seed; by none of them was anything chosen."""
+LABELERS = ("tree", "hypotheses")
+BELIEFS = {"as the paper": Independent(), "learned": Persistent("learned")}
+PEOPLE: dict[str, Explainee] = {"never": Exact(), "10%, the same again": Slips(0.1, repeats=True)}
+
+
+def paid(study: Study, explainee: Explainee, seed: int) -> float:
+    """The mean cost of one person of each type."""
+    problem, policy = study.plan.problem_of(PERSONALIZED), study.policies[PERSONALIZED]
+    costs = []
+    for kind, labels in enumerate(study.plan.true_labels):
+        same, own = np.arange(len(labels)), derived_seed(seed, "p", kind)
+        person = explainee.meet(LabelTable.dense(labels[None]), same, own)
+        costs.append(explain(problem, policy, person, study.belief).cost)
+    return float(np.mean(costs))
+
+
+def measured(domain: str, labeler: str, seed: int, traces: int) -> dict[tuple[str, str], float]:
+    """The mean cost of a seed, by belief and people."""
+    cfg = composed("study", [f"domain={domain}", f"seed={seed}", f"labeler={labeler}"])
+    config: dict[str, Any] = fixed(cfg)
+    setting, learned = learned_types(cfg)
+    task, found = OfDomain(setting), defaultdict[tuple[str, str], list[float]](list)
+    best = task.traces(config["trace"], config["max_steps"], seed)[:traces]
+    for number, trace in enumerate(best):
+        for name, belief in BELIEFS.items():
+            kind = f"{type(belief).__module__}.{type(belief).__name__}"
+            own = {**config, "belief": {"_target_": kind, "error": belief.error}}
+            study = at_work(drafted(task.seen(trace), task.table(learned, trace), own, learned))
+            for people, explainee in PEOPLE.items():
+                cost = paid(study, explainee, derived_seed(seed, "people", number))
+                found[name, people].append(cost)
+    return {key: float(np.mean(costs)) for key, costs in found.items()}
+
+
+def table(seeds: Iterable[int], traces: int) -> None:
+    """Prints the costs, and what the learned belief costs above the paper's."""
+    print("| people err | labels learned by | as the paper | learned | learned / paper |")
+    print("|---|---|---|---|---|")
+    for domain in DOMAINS:
+        print(f"| **{domain.replace('_', ' ')}** |" + " |" * 4)
+        found: dict[tuple[str, str, str], list[float]] = defaultdict(list)
+        for seed in seeds:
+            for labeler in LABELERS:
+                for (belief, people), cost in measured(domain, labeler, seed, traces).items():
+                    found[people, labeler, belief].append(cost)
+        for people in PEOPLE:
+            for labeler in LABELERS:
+                paper, learned = (found[people, labeler, belief] for belief in BELIEFS)
+                cells = f"{figure(paper)} | {figure(learned)} | {ratio(learned, paper)}"
+                print(f"| {people} | {labeler} | {cells} |", flush=True)
+
+
+def main() -> None:
+    """Prints the table, as Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="only that it runs")
+    parser.add_argument("--seeds", type=int, default=12)
+    options = parser.parse_args()
+    seeds, traces = (2, 1) if options.quick else (options.seeds, 5)
+    table(range(FIRST, FIRST + seeds), traces)
+
+
+if __name__ == "__main__":
+    main()
