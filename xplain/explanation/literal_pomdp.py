@@ -24,8 +24,8 @@ EXPLAIN = -1
 
 
 class State(NamedTuple):
-    """⟨k, L, E_given, E_next, t⟩, K where messages may be missed or forgotten, and the questions
-    asked."""
+    """⟨k, L, E_given, E_next, t⟩, K where messages may be missed or forgotten, the questions
+    asked, and every message shown at earlier steps, as often as it was."""
 
     step: int
     labels: tuple[int, ...]
@@ -34,6 +34,7 @@ class State(NamedTuple):
     user_type: int
     known: frozenset[int] = frozenset()
     asked: frozenset[int] = frozenset()
+    heard: tuple[int, ...] = ()
 
 
 Observation = tuple[int, ...] | None
@@ -56,11 +57,14 @@ class LiteralPOMDP:
 
     def actions(self, state: State) -> list[int]:
         """*Explain*, and the messages neither given nor pending (where they may be missed or
-        forgotten, all that are not pending), and questions while nothing is pending; none at the
-        end of the trace."""
+        forgotten, all that are not pending, and were not said as often as they may be), and
+        questions while nothing is pending; none at the end of the trace."""
         if state.step == self.problem.n_steps:
             return []
-        used = state.pending if self.problem.tracks_knowledge else state.given | state.pending
+        used = state.given | state.pending
+        if self.problem.tracks_knowledge:
+            most = self.problem.again.most or self.problem.n_steps
+            used = state.pending | {j for j in state.heard if state.heard.count(j) >= most}
         free = [EXPLAIN, *(j for j in range(self.problem.n_messages) if j not in used)]
         if self.problem.questions is not None and not state.pending:
             given = None if self.problem.tracks_knowledge else bitmask(state.given)
@@ -78,6 +82,8 @@ class LiteralPOMDP:
             return
         if action != EXPLAIN:
             reward = -problem.trade_off * float(problem.message_cost[action])
+            if action in state.given:
+                reward *= problem.again.price
             said = state._replace(pending=state.pending | {action})
             accept = problem.accept[state.user_type]
             yield float(accept), said._replace(known=state.known | {action}), None, reward
@@ -95,7 +101,11 @@ class LiteralPOMDP:
                 probability *= p if label == 1 else 1 - p
             if probability > 0:
                 after = state._replace(
-                    step=state.step + 1, labels=labels, given=given, pending=frozenset()
+                    step=state.step + 1,
+                    labels=labels,
+                    given=given,
+                    pending=frozenset(),
+                    heard=tuple(sorted((*state.heard, *state.pending))),
                 )
                 # Where users err, what they think costs, on average; not what they answer.
                 errs = problem.table.answers.size

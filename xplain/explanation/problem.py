@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, number
+from xplain.explanation.again import Again
 from xplain.explanation.asking import PREFIX, Questions
 from xplain.explanation.habits import PAPER, Habits
 from xplain.explanation.label_table import MAX_MESSAGES, LabelTable, joined
@@ -47,6 +48,7 @@ class Problem:
         habits: the F habits, side by side within a user type. The table's answers have their
             errors already.
         questions: that may be asked, of the same hidden types; None for none (the paper).
+        again: of messages said again, where users may miss or forget some.
     """
 
     table: LabelTable
@@ -60,6 +62,7 @@ class Problem:
     type_names: tuple[str, ...] = ()
     habits: Habits = PAPER
     questions: Questions | None = None
+    again: Again = Again()
 
     def __post_init__(self) -> None:
         """Checks every field: one clear line each."""
@@ -77,6 +80,9 @@ class Problem:
             raise InputError("message_cost", cost.tolist(), "one cost a message, or message_names")
         if n > MAX_MESSAGES:
             raise InputError("message_cost", n, f"at most {MAX_MESSAGES} messages")
+        if self.tracks_knowledge and n * self.again.levels > MAX_MESSAGES:
+            wanted = f"at most {MAX_MESSAGES // n} with {n} messages, or null for no limit"
+            raise InputError("again.most", self.again.most, wanted)
         cost = np.full(n, float(cost)) if cost.ndim == 0 else cost
         if cost.shape != (n,) or (cost < 0).any():
             raise InputError("message_cost", cost.tolist(), f"{n} costs ≥ 0, one a message")
@@ -192,6 +198,25 @@ class Problem:
     def tracks_knowledge(self) -> bool:
         """Whether beliefs are over what users know as well: a message said is no fact known."""
         return not self.habits.take_all_in
+
+    @property
+    def levels(self) -> int:
+        """Of :class:`~xplain.explanation.again.Again`, where a message may be said again."""
+        return self.again.levels if self.tracks_knowledge else 0
+
+    def may_say(self, said: int) -> int:
+        """Bitmask of the messages that may come after these."""
+        n = self.n_messages
+        used = self.again.exhausted(said, n) if self.tracks_knowledge else said
+        return (1 << n) - 1 & ~used
+
+    def prices(self, said: int) -> NDArray[np.float64]:
+        """[n] λ C_e of each message, where these were said at earlier steps."""
+        price = self.trade_off * self.message_cost
+        if self.levels:
+            repeated = [said >> j & 1 for j in range(self.n_messages)]
+            price = price * np.where(repeated, self.again.price, 1.0)
+        return price
 
     @property
     def accept(self) -> NDArray[np.float64]:
@@ -330,6 +355,7 @@ class Problem:
             prior=self.prior,
             message_names=np.array(self.message_names, dtype=np.str_),
             type_names=np.array(self.type_names, dtype=np.str_),
+            again=[self.again.price, self.again.most or 0],
             **(self.questions.arrays() if self.questions else {}),
         )
 
@@ -378,6 +404,9 @@ class Problem:
         own = [values.pop(key) for key in ("relevant", "p_relevant") if key in values]
         if own and "p_explicable" in values:
             raise InputError("problem", "p_explicable", "not beside relevant and p_relevant")
+        if "again" in values:
+            price, most = _numbers("again", values["again"]).tolist()
+            values["again"] = Again(price, int(most) or None)
         if "habits" in values:
             values["habits"] = Habits(*_numbers("habits", values["habits"]))
         answers = values.pop("p_answered", None)

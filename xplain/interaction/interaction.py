@@ -29,7 +29,7 @@ class Interaction:
         belief_update: which labels change the belief.
         belief: over what is hidden, at first the prior.
         step: k, transitions shown so far.
-        given: bitmask of the messages given so far.
+        said: what was said so far, as :mod:`xplain.explanation.again` has it.
         asked: bitmask of the questions asked so far.
     """
 
@@ -38,7 +38,7 @@ class Interaction:
     belief_update: BeliefUpdate
     belief: NDArray[np.float64] = field(init=False)
     step: int = field(init=False)
-    given: int = field(init=False)
+    said: int = field(init=False)
     asked: int = field(init=False)
     _answered: int | None = field(init=False)
     _clips: int = field(init=False)
@@ -48,14 +48,14 @@ class Interaction:
 
     def begin(self) -> None:
         """Nothing was said or shown yet."""
-        self.belief, self.step, self.given, self.asked = self.problem.start, 0, 0, 0
+        self.belief, self.step, self.said, self.asked = self.problem.start, 0, 0, 0
         self._listen_anew()
 
     def resume(
         self,
         belief: NDArray[np.float64],
         step: int,
-        given: int,
+        said: int,
         asked: Sequence[int],
         answered: int | None,
         clips: Sequence[int],
@@ -63,14 +63,19 @@ class Interaction:
         """Goes on from where an interaction stood.
 
         Args:
-            belief, step, given: as the attributes.
+            belief, step, said: as the attributes.
             asked: the questions asked so far.
             answered: bitmask of the messages at the labels given last, if what is answered is no
                 news since; else None.
             clips: the questions asked since news came last.
         """
-        self.belief, self.step, self.given, self.asked = belief, step, given, bitmask(asked)
+        self.belief, self.step, self.said, self.asked = belief, step, said, bitmask(asked)
         self._answered, self._clips = answered, bitmask(clips)
+
+    @property
+    def given(self) -> int:
+        """Bitmask of the messages given so far."""
+        return self.said & (1 << self.problem.n_messages) - 1
 
     def _listen_anew(self) -> None:
         """From now on whatever is answered is news."""
@@ -81,7 +86,7 @@ class Interaction:
         """The question to ask now, before this step's messages; NO_QUESTION for none."""
         if self.problem.questions is None:
             return NO_QUESTION
-        return asking(self.policy).question(self.step, self.given, self.belief, self.no_news)
+        return asking(self.policy).question(self.step, self.said, self.belief, self.no_news)
 
     @property
     def no_news(self) -> int:
@@ -107,8 +112,8 @@ class Interaction:
         """The values behind what is asked or said now: by bitmask of messages, by ``~q`` of
         question q."""
         if self.problem.questions is None:
-            return self.policy.values(self.step, self.given, self.belief)
-        return asking(self.policy).values(self.step, self.given, self.belief, self.no_news)
+            return self.policy.values(self.step, self.said, self.belief)
+        return asking(self.policy).values(self.step, self.said, self.belief, self.no_news)
 
     def say(self) -> int:
         """Decides which messages come before the next *explain*: a bitmask, given from now on.
@@ -117,10 +122,10 @@ class Interaction:
             ValueError: as :meth:`give`.
         """
         if self.problem.questions is None:
-            new = self.policy.messages(self.step, self.given, self.belief)
+            new = self.policy.messages(self.step, self.said, self.belief)
         else:
             no_news = self.no_news
-            new = asking(self.policy).messages(self.step, self.given, self.belief, no_news)
+            new = asking(self.policy).messages(self.step, self.said, self.belief, no_news)
         self.give(new)
         return new
 
@@ -128,15 +133,14 @@ class Interaction:
         """These messages are said; again, where users may have missed or forgotten them.
 
         Raises:
-            ValueError: one does not exist, or was given before and is known since.
+            ValueError: one does not exist, or may not be said any more.
         """
         problem = self.problem
-        again = 0 if problem.tracks_knowledge else new & self.given
-        if again or new >> problem.n_messages:
+        if new & ~problem.may_say(self.said):
             raise ValueError(
-                f"policy gave message set {new:b} at step {self.step}, {self.given:b} already given"
+                f"policy gave message set {new:b} at step {self.step}, {self.said:b} already said"
             )
-        self.given |= new
+        self.said = problem.again.after(self.said, new, problem.n_messages)
         self.belief = told(problem, self.belief, new)
         if new:
             self._listen_anew()  # who heard something new is asked something new

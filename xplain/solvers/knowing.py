@@ -19,6 +19,7 @@ from xplain.solvers.count_lattice import copy
 from xplain.solvers.inquiry import Inquiry, hear_answer, make_inquiry, open_questions
 from xplain.solvers.random_words import next_uniform
 from xplain.solvers.reminding import Reminding
+from xplain.solvers.rows import row
 
 ROUNDING = 1e-12
 """Actions worth the same but for this are equal, the first is taken."""
@@ -32,11 +33,15 @@ class Knowing(NamedTuple):
     Attributes:
         answered: [m, S] P(answer 1).
         explain_cost: [m, S] of *explain* at k.
-        optimal: [m + 1, S] V(k, s), and
-        explain: [m, S] Q(k, s, explain), s being known from then on.
+        optimal: [m + 1, G, W, S] V(k, c, S, s), and
+        explain: [m, G, S] Q(k, c, s, explain), s being known from then on, of
+            :class:`~xplain.solvers.reminding.Solved`;
+        part, counts: where G and W are looked up.
         bit: [n, N] the bit of a row that a message sets right; −1 for none.
         accept, forget: [N] α and φ.
         price: [n] λ C_e.
+        again, most, levels: of :class:`~xplain.explanation.again.Again`; ``most`` is 0 for no
+            limit.
         discount, message_discount: γ and γ'.
         inquiry: the questions, S states in the place of types.
     """
@@ -45,10 +50,15 @@ class Knowing(NamedTuple):
     explain_cost: NDArray[np.float64]
     optimal: NDArray[np.float64]
     explain: NDArray[np.float64]
+    part: NDArray[np.int64]
+    counts: NDArray[np.int64]
     bit: NDArray[np.int64]
     accept: NDArray[np.float64]
     forget: NDArray[np.float64]
     price: NDArray[np.float64]
+    again: float
+    most: int
+    levels: int
     discount: float
     message_discount: float
     inquiry: Inquiry
@@ -56,24 +66,28 @@ class Knowing(NamedTuple):
 
 def make_knowing(policy: Reminding) -> Knowing:
     """Of the problem that QMDP's policy was planned for."""
-    problem = policy.problem
+    problem, solved = policy.problem, policy.solved
     steps, rows, types = problem.table.p.shape
     bit = np.full((problem.n_messages, types), -1)
     for t, row in enumerate(problem.table.rows):
         bit[row, t] = np.arange(len(row))
-    optimal, explain = policy.optimal, policy.explain
     costs = problem.inexplicability_cost * np.cumsum(1 - problem.table.p, axis=0)
     return Knowing(
         np.ascontiguousarray(problem.table.answered.reshape(steps, -1)),
         np.ascontiguousarray(costs.reshape(steps, -1)),
-        np.ascontiguousarray(optimal.reshape(steps + 1, -1)),
-        np.ascontiguousarray(explain.reshape(steps, -1)),
+        solved.optimal.reshape(*solved.optimal.shape[:3], -1),
+        solved.explain.reshape(*solved.explain.shape[:2], -1),
+        solved.rows.part,
+        solved.counts,
         bit,
         problem.accept,
         problem.forget,
         problem.trade_off * problem.message_cost,
+        float(problem.again.price),
+        problem.again.most or 0,
+        problem.levels,
         problem.discount,
-        problem.discount if problem.discount_per == "action" else 1.0,
+        policy.delay,
         _inquiry(problem, rows * types),
     )
 
@@ -174,35 +188,56 @@ def shown(model, counter, step, state, labels):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def best_now(model, step, said, belief):  # type: ignore[no-untyped-def]
+def given_after(model, given, new):  # type: ignore[no-untyped-def]
+    """:meth:`xplain.explanation.again.Again.after`."""
+    for level in range(max(model.levels, 1)):
+        before = given >> level * len(model.price)
+        given |= new << level * len(model.price)
+        new &= before
+    return given
+
+
+@inlined
+def best_now(model, step, given, said, belief):  # type: ignore[no-untyped-def]
     """QMDP's value at a belief [S], its action (n is *explain*), and what it loses against being
-    told the state now. Messages ``said`` at this step are not said again."""
+    told the state now. Messages ``said`` at this step are not said again; ``given`` is what was
+    said before it."""
     types, n = len(model.accept), len(model.price)
+    shown, full = given_after(model, given, said), said
+    if model.most > 0:
+        full |= given >> (model.most - 1) * n
     sure, best, action = 0.0, 0.0, n
-    for s in range(len(belief)):
-        sure += belief[s] * model.optimal[step, s]
-        best += belief[s] * model.explain[step, s]
+    for t in range(types):
+        now = model.optimal[step, row(model.counts, given, t), row(model.part, said, t)]
+        explain = model.explain[step, row(model.counts, shown, t)]
+        for s in range(t, len(belief), types):
+            sure += belief[s] * now[s]
+            best += belief[s] * explain[s]
     for j in range(n):
-        if said >> j & 1:
+        if full >> j & 1:
             continue
-        gain = 0.0
+        gain, matters = 0.0, False
         for t in range(types):
-            bit = model.bit[j, t]
-            if bit < 0:
+            before, at = row(model.counts, given, t), row(model.part, said, t)
+            up, bit = row(model.part, said | 1 << j, t), model.bit[j, t]
+            if up == at:
                 continue
-            jump = types << bit
+            matters = True
+            now, more = model.optimal[step, before, at], model.optimal[step, before, up]
+            jump = types << bit if bit >= 0 else 0
             for s in range(t, len(belief), types):
-                if s // jump % 2 == 0:
-                    more = model.optimal[step, s + jump] - model.optimal[step, s]
-                    gain += belief[s] * model.accept[t] * more
-        value = model.message_discount * (sure + gain) - model.price[j]
-        if value > best + ROUNDING:
+                gain += belief[s] * (more[s] - now[s])
+                if bit >= 0 and s // jump % 2 == 0:
+                    gain += belief[s] * model.accept[t] * (more[s + jump] - more[s])
+        price = model.price[j] * (model.again if model.levels > 0 and given >> j & 1 else 1.0)
+        value = model.message_discount * (sure + gain) - price
+        if matters and value > best + ROUNDING:
             best, action = value, j
     return best, action, sure - best
 
 
 @inlined
-def expected_loss(model, counter, step, start, belief, labels):  # type: ignore[no-untyped-def]
+def expected_loss(model, counter, step, given, start, belief, labels):  # type: ignore[no-untyped-def]
     """What QMDP's decisions cost from a belief [S], which is used up, more than those of who is
     told the state at each: summed up on the way of one user who begins in the state ``start``.
 
@@ -212,9 +247,9 @@ def expected_loss(model, counter, step, start, belief, labels):  # type: ignore[
     steps, n = model.explain.shape[0], len(model.price)
     total, scale, state = 0.0, 1.0, start
     for k in range(step, steps):
-        said = 0
+        said = np.int64(0)
         while True:
-            _, action, loss = best_now(model, k, said, belief)
+            _, action, loss = best_now(model, k, given, said, belief)
             total += scale * loss
             if action == n:
                 break
@@ -222,6 +257,7 @@ def expected_loss(model, counter, step, start, belief, labels):  # type: ignore[
             said |= 1 << action
             say(model, belief, action)
             state = told(model, counter, state, action)
+        given = given_after(model, given, said)
         if k + 1 < steps:
             state = shown(model, counter, k, state, labels)
             hear(model, k, labels, belief)
@@ -230,7 +266,7 @@ def expected_loss(model, counter, step, start, belief, labels):  # type: ignore[
 
 
 @lean_kernel
-def gains(model, counter, step, belief, after, path, labels, room, rolls, seed):  # type: ignore[no-untyped-def]
+def gains(model, counter, step, given, belief, after, path, labels, room, rolls, seed):  # type: ignore[no-untyped-def]
     """Finds questions, and fills ``room.news`` with what they are worth. Returns how many.
 
     ``after`` and ``path`` are [S], ``labels`` is [m], to work in.
@@ -238,20 +274,21 @@ def gains(model, counter, step, belief, after, path, labels, room, rolls, seed):
     count = open_questions(model.inquiry, step, 0, belief, room)
     if count == 0:
         return 0
-    now = _mean_loss(model, counter, step, belief, path, labels, rolls, seed)
+    now = _mean_loss(model, counter, step, given, belief, path, labels, rolls, seed)
     for i in range(count):
         worth = now - model.inquiry.cost
         for answer in range(2):
             copy(belief, after)
             share = hear_answer(model.inquiry, room.found[i], 0, answer, after)
             if share > 0.0:
-                worth -= share * _mean_loss(model, counter, step, after, path, labels, rolls, seed)
+                loss = _mean_loss(model, counter, step, given, after, path, labels, rolls, seed)
+                worth -= share * loss
         room.news[i] = worth
     return count
 
 
 @inlined
-def _mean_loss(model, counter, step, belief, path, labels, rolls, seed):  # type: ignore[no-untyped-def]
+def _mean_loss(model, counter, step, given, belief, path, labels, rolls, seed):  # type: ignore[no-untyped-def]
     """Over users spread evenly over the belief, with the same random numbers for each belief."""
     total, done, state = 0.0, 0.0, 0
     for i in range(rolls):
@@ -260,5 +297,5 @@ def _mean_loss(model, counter, step, belief, path, labels, rolls, seed):  # type
             state += 1
         counter[0] = seed + np.uint64(i) * SPREAD
         copy(belief, path)
-        total += expected_loss(model, counter, step, state, path, labels)
+        total += expected_loss(model, counter, step, given, state, path, labels)
     return total / rolls

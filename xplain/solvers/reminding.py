@@ -1,14 +1,16 @@
 """QMDP where messages may be missed or forgotten: say it again when that is worth its price.
 
 Act as if the type and what the user knows became known after the next action. With both known, the
-optimum is that of an MDP on (k, K), K the facts that the user has right:
+optimum is that of an MDP on (k, c, S, K): what was said at earlier steps, as far as it matters
+(:mod:`xplain.explanation.again`), what was said at this one, and the facts that the user has right:
 
-    Q_t(k, K, explain) = −C_t(k, K) + γ E[V_t(k + 1, K')],        K' what is not forgotten of K
-    Q_t(k, K, say j)   = −λ C_e(j) + γ' (α V_t(k, K ∪ {j}) + (1 − α) V_t(k, K)),
+    Q_t(k, c, S, K, explain) = −C_t(k, K) + γ E[V_t(k + 1, c + S, ∅, K')],    K' what is left of K
+    Q_t(k, c, S, K, say j)   = −λ C_e(j) + γ' (α V_t(k, c, S ∪ {j}, K ∪ {j}) + (1 − α) V_t(…, K)).
 
-and a message that was not taken in is said again at once, so that V solves its own equation. A
-decision says a message at most once a step; between its messages the belief changes, as each is
-likely to have been taken in.
+A message is said at most once a step. One that changes nothing for a type may still put off what is
+to be paid, where messages discount: such messages with one price are a digit of S, as in
+:mod:`xplain.solvers.rows`. Between the messages of a decision the belief changes, as each is likely
+to have been taken in.
 """
 
 from __future__ import annotations
@@ -16,15 +18,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation import knowledge
 from xplain.explanation.belief import told
+from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
+from xplain.numba_kernels import lean_kernel
 from xplain.solvers.memory import check_memory
 from xplain.solvers.model import best_of, table_bytes
+from xplain.solvers.rows import Rows, delaying, looked_up, make_rows, parts_of, rows_at
 
 
 def reminding_policy(problem: Problem, what: str, memory_gib: float) -> Reminding:
@@ -33,14 +39,40 @@ def reminding_policy(problem: Problem, what: str, memory_gib: float) -> Remindin
     Raises:
         TooLargeError: its tables would take more than ``memory_gib``.
     """
-    check_memory(what, 3 * table_bytes(problem), memory_gib, "fewer messages or habits fit")
+    check_memory(what, known_bytes(problem), memory_gib, "fewer messages or habits fit")
     return Reminding(problem)
+
+
+def known_bytes(problem: Problem) -> int:
+    """What the tables of :class:`Reminding` take, where nothing is said as a mere delay."""
+    relevant = problem.table.relevant.shape[1]
+    return table_bytes(problem) * ((1 << relevant) + 1) * (problem.levels + 1) ** relevant
+
+
+class Solved(NamedTuple):
+    """Values with type and knowledge known, for G counts c, W rows of S, R of K.
+
+    Attributes:
+        rows: of S.
+        counts: parts, as of :class:`~xplain.solvers.rows.Rows`, of c.
+        after: [G, W] c + S.
+        factor: [G, digits] on the price of one more message; inf of those that may not be said.
+        optimal: [m + 1, G, W, R, N] V_t(k, c, S, K).
+        explain: [m, G, R, N] Q_t(k, ·, explain), by c + S.
+    """
+
+    rows: Rows
+    counts: NDArray[np.int64]
+    after: NDArray[np.int64]
+    factor: NDArray[np.float64]
+    optimal: NDArray[np.float64]
+    explain: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Reminding:
-    """Gives the message with the largest Σ b(t, K) Q_t(k, K, a), each at most once a step, until
-    *explain* is the best action."""
+    """Gives the message with the largest Σ b(t, K) Q_t(k, c, S, K, a), each at most once a step,
+    until *explain* is the best action."""
 
     problem: Problem
 
@@ -48,7 +80,7 @@ class Reminding:
         """The messages to give before the next *explain*, some of them perhaps again."""
         said = 0
         while True:
-            sets, values = self._values(step, said, belief)
+            sets, values = self._values(step, given, said, belief)
             new = best_of(sets, values)
             if not new:
                 return said
@@ -57,66 +89,123 @@ class Reminding:
 
     def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
         """Of *explain* (0) and of each message (its bit)."""
-        sets, values = self._values(step, 0, belief)
+        sets, values = self._values(step, given, 0, belief)
         return dict(zip(sets.tolist(), values.tolist(), strict=True))
 
     def _values(
-        self, step: int, said: int, belief: NDArray[np.float64]
+        self, step: int, given: int, said: int, belief: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        problem, flat = self.problem, belief.ravel()
-        optimal, explain = self.optimal, self.explain
-        free = [j for j in self._effective if not said >> j & 1]
-        values = [flat @ explain[step].ravel()]
+        problem = self.problem
+        may_say = problem.may_say(given) & ~said
+        free = [j for j in self.kept if may_say >> j & 1]
+        prices, known = problem.prices(given), belief.reshape(-1, problem.n_types)
+        values = [
+            belief @ self.explained(step, problem.again.after(given, said, problem.n_messages))
+        ]
         for j in free:
-            landed = knowledge.with_message(optimal[step], problem.table.relevant, j)
-            later = self._accept * landed + (1 - self._accept) * optimal[step]
-            price = problem.trade_off * float(problem.message_cost[j])
-            values.append(self._delay * (flat @ later.ravel()) - price)
+            heard = knowledge.say(known, problem.table.relevant, j, problem.accept)
+            later = self.known(step, given, said | 1 << j)
+            values.append(self.delay * (heard.ravel() @ later) - prices[j])
         return np.array([0, *(1 << j for j in free)]), np.array(values)
 
-    @cached_property
-    def optimal(self) -> NDArray[np.float64]:
-        """[m + 1, rows, N] V_t(k, K), or a little above it where messages discount."""
-        return self._solved[0]
+    def known(self, step: int, given: int, said: int = 0) -> NDArray[np.float64]:
+        """[R · N] V_t(k, c, S, K)."""
+        solved, types = self.solved, np.arange(self.problem.n_types)
+        before, at = looked_up(solved.counts, given), rows_at(solved.rows, said)
+        found: NDArray[np.float64] = solved.optimal[step][before, at, :, types].T.ravel()
+        return found
+
+    def explained(self, step: int, given: int) -> NDArray[np.float64]:
+        """[R · N] Q_t(k, ·, explain), with all this said."""
+        types = np.arange(self.problem.n_types)
+        before = looked_up(self.solved.counts, given)
+        found: NDArray[np.float64] = self.solved.explain[step][before, :, types].T.ravel()
+        return found
 
     @cached_property
-    def explain(self) -> NDArray[np.float64]:
-        """[m, rows, N] Q_t(k, K, explain)."""
-        return self._solved[1]
-
-    @cached_property
-    def _effective(self) -> tuple[int, ...]:
-        return self.problem.messages_with_effect()
-
-    @cached_property
-    def _accept(self) -> NDArray[np.float64]:
-        return self.problem.accept
+    def kept(self) -> tuple[int, ...]:
+        """The messages worth a thought: those with effect, and those that may pay as a delay."""
+        own = int(np.bitwise_or.reduce(self.solved.rows.relevant))
+        return tuple(sorted({*self.problem.messages_with_effect(), *indices(own)}))
 
     @property
-    def _delay(self) -> float:
+    def delay(self) -> float:
         """γ'."""
         return self.problem.discount if self.problem.discount_per == "action" else 1.0
 
     @cached_property
-    def _solved(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def solved(self) -> Solved:
+        """The MDP's values."""
         problem, table = self.problem, self.problem.table
-        steps, rows, types = table.p.shape
-        costs = problem.inexplicability_cost * np.cumsum(1 - table.p, axis=0)
         price = problem.trade_off * problem.message_cost
-        optimal, explain = np.zeros((steps + 1, rows, types)), np.empty((steps, rows, types))
-        bits = list(knowledge.each_bit(table.relevant))
-        again = 1 - self._delay * (1 - self._accept)
+        found = self._solve(make_rows(table, price))
+        if self.delay == 1:
+            return found
+        cheapest, values = price * min(1.0, problem.again.price), found.optimal[:, :, 0]
+        flat = values.reshape(len(values), -1, problem.n_types)
+        idle = delaying(table, cheapest, 1 - self.delay, flat)
+        return self._solve(make_rows(table, price, idle)) if any(idle) else found
+
+    def _solve(self, rows: Rows) -> Solved:
+        problem, table = self.problem, self.problem.table
+        steps, known, types = table.p.shape
+        after, factor = _counting(problem, rows)
+        costs = problem.inexplicability_cost * np.cumsum(1 - table.p, axis=0)
+        optimal = np.zeros((steps + 1, *after.shape, known, types))
+        explain = np.empty((steps, len(after), known, types))
+        lose = np.tile(problem.forget, len(after))
         for k in reversed(range(steps)):
-            later = knowledge.expected_after_forgetting(
-                optimal[k + 1], table.relevant, problem.forget
-            )
+            flat = optimal[k + 1, :, 0].transpose(1, 0, 2).reshape(known, -1)
+            left = knowledge.expected_after_forgetting(flat, table.relevant, lose)
+            later = left.reshape(known, -1, types).transpose(1, 0, 2)
             explain[k] = problem.discount * later - costs[k]
-            optimal[k] = explain[k]
-            # One round for each message of a set that is said, whatever their order.
-            for _ in range(table.relevant.shape[1]):
-                for bit, j, own in bits:
-                    pairs = optimal[k].reshape(rows >> bit + 1, 2, 1 << bit, types)
-                    said = (self._delay * self._accept * pairs[:, 1] - price[j]) / again
-                    better = np.where(own, said, -np.inf)
-                    np.maximum(pairs[:, 0], better, out=pairs[:, 0])
-        return optimal, explain
+            _say(rows, after, factor, problem.accept, self.delay, explain[k], optimal[k])
+        return Solved(rows, _count_parts(problem), after, factor, optimal, explain)
+
+
+def _count_parts(problem: Problem) -> NDArray[np.int64]:
+    """What each message said before adds to c, looked up as rows are."""
+    base, n = problem.levels + 1, problem.n_messages
+    place = np.zeros((n, problem.n_types), np.int64)
+    if base > 1:
+        for t, row in enumerate(problem.table.rows):
+            place[row, t] = base ** np.arange(len(row))
+    return parts_of(np.tile(place, (max(problem.levels, 1), 1)))
+
+
+def _counting(problem: Problem, rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """``after`` and ``factor`` of :class:`Solved`."""
+    base, again = problem.levels + 1, problem.again
+    strides = base ** np.arange(rows.bits)
+    digits = np.arange(base**rows.bits)[:, None] // strides % base
+    said = np.arange(rows.number)[:, None] >> np.arange(rows.bits) & 1
+    after = np.minimum(digits[:, None] + said, problem.levels) @ strides
+    factor = np.full((len(digits), len(rows.stride)), min(1.0, again.price))
+    usual = np.where(digits > 0, again.price, 1.0)
+    factor[:, : rows.bits] = np.where(digits == (again.most or base), np.inf, usual)
+    return after, factor
+
+
+@lean_kernel
+def _say(rows, after, factor, accept, delay, explain, optimal):  # type: ignore[no-untyped-def]
+    """Fills in V_t(k, c, S, K), of one k. One message more is a larger row of S, so descending rows
+    meet it first."""
+    counts, sets, known, types = optimal.shape
+    for g in range(counts):
+        for at in range(sets - 1, -1, -1):
+            now = optimal[g, at]
+            for r in range(known):
+                for t in range(types):
+                    now[r, t] = explain[after[g, at], r, t]
+            for c in range(len(rows.stride)):
+                count = at // rows.stride[c] % (rows.size[c] + 1)
+                if count == rows.size[c] or factor[g, c] == np.inf:
+                    continue
+                more = optimal[g, at + rows.stride[c]]
+                for r in range(known):
+                    landed = r | 1 << c if c < rows.bits else r
+                    for t in range(types):
+                        value = more[r, t] + accept[t] * (more[landed, t] - more[r, t])
+                        value = delay * value - factor[g, c] * rows.price[c, count, t]
+                        if value > now[r, t]:
+                            now[r, t] = value

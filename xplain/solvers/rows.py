@@ -79,8 +79,13 @@ def find_rows(part, given, at):  # type: ignore[no-untyped-def]
 
 def rows_at(rows: Rows, given: int | NDArray[np.int64]) -> NDArray[np.int64]:
     """The rows of H for all types: [N], or [B, N] for B message sets."""
-    at: NDArray[np.int64] = rows.part[0, given & (1 << CHUNK) - 1]
-    for i, part in enumerate(rows.part[1:], 1):
+    return looked_up(rows.part, given)
+
+
+def looked_up(parts: NDArray[np.int64], given: int | NDArray[np.int64]) -> NDArray[np.int64]:
+    """What the messages of H add up to, of the parts of :class:`Rows`."""
+    at: NDArray[np.int64] = parts[0, given & (1 << CHUNK) - 1]
+    for i, part in enumerate(parts[1:], 1):
         at = at + part[given >> CHUNK * i & (1 << CHUNK) - 1]
     return at
 
@@ -117,10 +122,10 @@ def make_rows(
             place[messages, t] = stride[c]
             prices[c, : len(messages), t] = price[messages]
     relevant = (1 << np.arange(len(place))) @ (place != 0)
-    return Rows(relevant, place, _parts(place), bits, stride, size, prices)
+    return Rows(relevant, place, parts_of(place), bits, stride, size, prices)
 
 
-def _parts(place: NDArray[np.int64]) -> NDArray[np.int64]:
+def parts_of(place: NDArray[np.int64]) -> NDArray[np.int64]:
     """[⌈n / CHUNK⌉, 2^CHUNK, N] from what each message adds, [n, N]."""
     n, types = place.shape
     chunks = -(-n // CHUNK) or 1

@@ -122,9 +122,8 @@ class SimulatedKnowing:
         after, path = np.empty((2, len(belief)))
         labels = np.empty(len(self.model.explain), np.bool_)
         counter, sure = np.zeros(1, np.uint64), np.ascontiguousarray(belief)
-        count = gains(
-            self.model, counter, step, sure, after, path, labels, room, ROLLS // 2, self.stream
-        )
+        where, spaces = (self.model, counter, step, given), (after, path, labels, room)
+        count = gains(*where, sure, *spaces, ROLLS // 2, self.stream)
         return room._replace(found=room.found[:count], news=room.news[:count])
 
 

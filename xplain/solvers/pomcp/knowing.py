@@ -66,7 +66,7 @@ def simulate_knowing(simulations, model, options, tree, labels, log_root, invers
             record = tree.nodes[node]
             if np.isnan(record.leaf):
                 step, said = np.int64(record.step), np.int64(record.given)
-                record.leaf, _, _ = best_now(model.reduced, step, said, tree.beliefs[node])
+                record.leaf, _, _ = best_now(model.reduced, step, 0, said, tree.beliefs[node])
             value = record.leaf
         backward(model, options, tree, node, length, value)
 

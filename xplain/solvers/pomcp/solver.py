@@ -51,7 +51,7 @@ from xplain.solvers.pomcp.search_model import (
     with_own_room,
 )
 from xplain.solvers.pomcp.tree import Options, slots_for, tree_bytes
-from xplain.solvers.reminding import Reminding
+from xplain.solvers.reminding import Reminding, known_bytes
 from xplain.solvers.restriction import Restricted, RestrictedAsking, restricted
 from xplain.solvers.rows import rows_at
 
@@ -115,8 +115,11 @@ class POMCP:
 
     def _plan_knowing(self, problem: Problem, seed: int) -> Policy:
         """Where messages may be missed or forgotten."""
+        if problem.levels:
+            wanted = "1 and null with solver=pomcp; qmdp, lookahead and certified plan with others"
+            raise InputError("again.price, again.most", "set", wanted)
         trees = self.trees * tree_bytes(problem, -(-self.simulations // self.trees))
-        size = 6 * table_bytes(problem) + trees
+        size = 3 * table_bytes(problem) + known_bytes(problem) + trees
         check_memory("pomcp", size, self.memory_gib, "fewer messages or habits fit")
         model = KnowingSearch(make_knowing(Reminding(problem)))
         forest = self._forest(problem, model.reduced.inquiry, seed)
