@@ -4,8 +4,7 @@ As :mod:`xplain.solvers.hsvi.search`, in Python, as a belief is no longer told b
 a node is a belief before a step's messages, an action a set of messages and then *explain*, or a
 question; its children are what may be answered. Above is QMDP's value, linear in the belief; below
 the exact value of plans that heed no answer. The policy takes what is certified to be the best
-where the bounds are close, and is QMDP elsewhere. Where messages discount, nothing is said as a
-mere delay: bounds are of plans that do not.
+where the bounds are close, and is QMDP elsewhere.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +22,12 @@ from xplain.errors import TooLargeError
 from xplain.explanation import knowledge
 from xplain.explanation.belief import answered, rounded, told
 from xplain.explanation.message_sets import indices, subsets
-from xplain.numba_kernels import lean_kernel
+from xplain.solvers.answering import Answering, kept_of
 from xplain.solvers.base import best_question
-from xplain.solvers.count_lattice import Answers, branch, make_answers
 from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.knowing import make_knowing
 from xplain.solvers.model import best_set
 from xplain.solvers.reminding import Reminding
-from xplain.solvers.rows import Rows
 
 MAX_SETS = 10
 """Messages whose sets are weighed together, at most."""
@@ -56,9 +52,11 @@ class Action:
 
 @dataclass
 class Node:
-    """A belief [S] before the messages of step k, and the questions asked so far."""
+    """A belief [S] before the messages of step k, what was said so far as far as it matters, and
+    the questions asked so far."""
 
     step: int
+    given: int
     belief: NDArray[np.float64]
     asked: int
     upper: float
@@ -71,18 +69,6 @@ class Node:
         return self.upper - self.lower
 
 
-class Lattice(NamedTuple):
-    """What :func:`~xplain.solvers.count_lattice.branch` reads: states in the place of types."""
-
-    answered: NDArray[np.float64]
-    rows: Rows
-
-
-@lean_kernel
-def _answers(lattice, step, weight, evidence, negligible, found):  # type: ignore[no-untyped-def]
-    return branch(lattice, step, 0, weight, evidence, negligible, found)
-
-
 class Bounded:
     """A search for the optimum of a problem that tracks what users know.
 
@@ -93,23 +79,31 @@ class Bounded:
     def __init__(self, policy: Reminding) -> None:
         self.policy, self.problem = policy, policy.problem
         self.model = make_knowing(policy)
-        self.kept = self.problem.messages_with_effect()
+        self.answers = Answering(self.problem)
+        self._planned: dict[tuple[int, int], NDArray[np.float64]] = {}
+        self._worths: dict[tuple[int, int, int], NDArray[np.float64]] = {}
+        self.kept = self._worth_giving()
         if len(self.kept) > MAX_SETS:
             raise TooLargeError(
                 f"certified weighs sets of messages together: {len(self.kept)} matter on this "
                 f"trace, at most {MAX_SETS}; solver=qmdp or pomcp says one after the other"
             )
-        steps, states = self.model.answered.shape
-        none = np.zeros((0, 0), np.int64)
-        rows = Rows(
-            np.zeros(states, np.int64),
-            none,
-            np.zeros((1, 1, states), np.int64),
-            *(0, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 0, 0))),
-        )
-        self._lattice = Lattice(self.model.answered[:, None], rows)
-        self._room: Answers = make_answers(1 << 10, steps, states)
-        self.nodes: dict[tuple[int, bytes, int], Node] = {}
+        self.nodes: dict[tuple[int, int, bytes, int], Node] = {}
+
+    def _worth_giving(self) -> tuple[int, ...]:
+        """Those that QMDP thinks of, and those that may pay as a mere delay of all that is still to
+        be paid at any belief: at most what some plan that heeds no answer costs."""
+        problem, kept = self.problem, self.policy.kept
+        delay = 1 - self.policy.delay
+        if delay == 0 or len(kept) == problem.n_messages:
+            return kept
+        plans = np.array([self._plans(k, 0) for k in range(problem.n_steps)])
+        if problem.levels:  # where more was said, all but silence are worth something else
+            plans = plans[:, -1:]
+        ahead = -plans.min(axis=2).max(axis=1).min()
+        price = problem.trade_off * problem.message_cost * min(1.0, problem.again.price)
+        stalling = np.flatnonzero(price < delay * ahead).tolist()
+        return tuple(sorted({*kept, *stalling}))
 
     def afresh(self) -> Bounded:
         """The same problem, nothing of which was searched."""
@@ -117,53 +111,75 @@ class Bounded:
         other.nodes = {}
         return other
 
-    def node(self, step: int, belief: NDArray[np.float64], asked: int) -> Node:
+    def node(self, step: int, given: int, belief: NDArray[np.float64], asked: int) -> Node:
         """The node of a belief; made where there is none."""
-        belief = rounded(belief)
-        key = step, belief.tobytes(), asked
+        key = self.key(step, given, belief, asked)
         if key not in self.nodes:
-            upper, lower = self._between(step, belief)
-            self.nodes[key] = Node(step, belief, asked, upper, lower)
+            belief, given = rounded(belief), key[1]
+            upper, lower = self._between(step, given, belief)
+            self.nodes[key] = Node(step, given, belief, asked, upper, lower)
         return self.nodes[key]
 
-    def _between(self, step: int, weight: NDArray[np.float64]) -> tuple[float, float]:
+    def key(
+        self, step: int, given: int, belief: NDArray[np.float64], asked: int
+    ) -> tuple[int, int, bytes, int]:
+        """What nodes are found by."""
+        return step, given if self.problem.levels else 0, rounded(belief).tobytes(), asked
+
+    def _between(self, step: int, given: int, weight: NDArray[np.float64]) -> tuple[float, float]:
         """Bounds of what a belief, or a part of one, is worth."""
-        upper = float(weight @ self.model.optimal[step])
-        return upper, min(float((self._plans[step] @ weight).max()), upper)
+        upper = float(weight @ self.policy.known(step, given))
+        return upper, min(float((self._plans(step, given) @ weight).max()), upper)
+
+    def _plans(self, step: int, given: int) -> NDArray[np.float64]:
+        """[U, S] what plans that heed no answer are worth: for each type what QMDP would say to it
+        if it knew the type alone; and silence."""
+        if (step, given) not in self._planned:
+            plans = range(len(self._schedules))
+            found = np.array([self._plan(u, step, given) for u in plans])
+            self._planned[step, given] = found
+        return self._planned[step, given]
+
+    def _plan(self, u: int, step: int, given: int) -> NDArray[np.float64]:
+        """[S] what is left of a plan is worth; it leaves out what may not be said any more."""
+        model, problem, types = self.model, self.problem, self.problem.n_types
+        if step == problem.n_steps:
+            return np.zeros(problem.start.size)
+        if (u, step, given) not in self._worths:
+            said = self._schedules[u][step] & problem.may_say(given)
+            after = problem.again.after(given, said, problem.n_messages) if problem.levels else 0
+            later = knowledge.expected_after_forgetting(
+                self._plan(u, step + 1, after).reshape(-1, types),
+                problem.table.relevant,
+                problem.forget,
+            )
+            value = model.discount * later - model.explain_cost[step].reshape(-1, types)
+            prices = problem.prices(given)
+            for j in sorted(indices(said), key=lambda j: -prices[j]):
+                landed = knowledge.with_message(value, problem.table.relevant, j)
+                heard = problem.accept * landed + (1 - problem.accept) * value
+                value = model.message_discount * heard - prices[j]
+            self._worths[u, step, given] = value.ravel()
+        return self._worths[u, step, given]
 
     @cached_property
-    def _plans(self) -> NDArray[np.float64]:
-        """[m + 1, U, S] what plans that heed no answer are worth: silence, and for each type what
-        QMDP would say to it if it knew the type alone."""
-        model, problem = self.model, self.problem
-        steps, states = model.explain.shape
-        types = problem.n_types
-        found = np.zeros((steps + 1, types + 1, states))
-        schedules = [self._schedule(t) for t in range(types)] + [[0] * steps]
-        for u, schedule in enumerate(schedules):
-            for k in reversed(range(steps)):
-                later = knowledge.expected_after_forgetting(
-                    found[k + 1, u].reshape(-1, types), problem.table.relevant, problem.forget
-                )
-                value = model.discount * later - model.explain_cost[k].reshape(-1, types)
-                for j in sorted(indices(schedule[k]), key=lambda j: -model.price[j]):
-                    landed = knowledge.with_message(value, problem.table.relevant, j)
-                    heard = problem.accept * landed + (1 - problem.accept) * value
-                    value = model.message_discount * heard - model.price[j]
-                found[k, u] = value.ravel()
-        return found
+    def _schedules(self) -> list[list[int]]:
+        """What each plan says, step by step."""
+        types = range(self.problem.n_types)
+        return [*map(self._schedule, types), [0] * self.problem.n_steps]
 
     def _schedule(self, t: int) -> list[int]:
         """What QMDP says to a user of a type, step by step, if nothing is heard of them."""
-        problem, said = self.problem, []
-        alone = np.where(np.arange(problem.n_types) == t, 1.0, 0.0)
-        belief = np.zeros((self.model.optimal.shape[1] // problem.n_types, problem.n_types))
-        belief[0] = alone
+        problem, schedule, given = self.problem, list[int](), 0
+        belief = np.zeros((problem.table.p.shape[1], problem.n_types))
+        belief[0, t] = 1
         for k in range(problem.n_steps):
-            said.append(self.policy.messages(k, 0, belief.ravel()))
-            belief = told(problem, belief.ravel(), said[-1]).reshape(belief.shape)
+            said = self.policy.messages(k, given, belief.ravel())
+            given = problem.again.after(given, said, problem.n_messages)
+            belief = told(problem, belief.ravel(), said).reshape(belief.shape)
             belief = knowledge.forget(belief, problem.table.relevant, problem.forget)
-        return said
+            schedule.append(said)
+        return schedule
 
     def search(self, root: Node, effort: Effort) -> None:
         """Trials until the root's gap is closed or the effort is spent."""
@@ -210,57 +226,51 @@ class Bounded:
     def _actions(self, node: Node) -> Iterator[Action]:
         """All that may be done, with bounds of one step."""
         model, problem, k = self.model, self.problem, node.step
+        prices, may_say = problem.prices(node.given), problem.may_say(node.given)
         heard = {0: node.belief}
-        for chosen in subsets(self.kept).tolist():
+        for chosen in subsets(j for j in self.kept if may_say >> j & 1).tolist():
             if chosen:
                 last = 1 << chosen.bit_length() - 1
                 heard[chosen] = told(problem, heard[chosen ^ last], last)
             price, delay = 0.0, 1.0
-            for j in sorted(indices(chosen), key=lambda j: model.price[j]):
-                price += delay * model.price[j]
+            for j in sorted(indices(chosen), key=lambda j: prices[j]):
+                price += delay * prices[j]
                 delay *= model.message_discount
-            belief = heard[chosen]
+            belief, given = heard[chosen], self._given(node, chosen)
             base = -price - delay * float(belief @ model.explain_cost[k])
-            upper = -price + delay * float(belief @ model.explain[k])
+            upper = -price + delay * float(belief @ self.policy.explained(k, given))
             later = delay * model.discount
-            lower = base + later * self._between(k + 1, self._kept_of(belief))[1]
+            lower = base + later * self._between(k + 1, given, kept_of(problem, belief))[1]
             yield Action(chosen, base, later, upper, min(lower, upper))
         if problem.questions is not None:
             cost = problem.questions.limits.cost
-            upper, lower = self._between(k, node.belief)
+            upper, lower = self._between(k, node.given, node.belief)
             for q in problem.questions.open(k, None, node.asked):
                 yield Action(~q, -cost, 1.0, upper - cost, lower - cost)
 
-    def _kept_of(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[..., S] what is left of what is known after a step."""
+    def _given(self, node: Node, chosen: int) -> int:
         problem = self.problem
-        rows = belief.reshape(-1, problem.n_types)
-        return knowledge.forget(rows, problem.table.relevant, problem.forget).ravel()
+        after = problem.again.after(node.given, chosen, problem.n_messages)
+        return after if problem.levels else 0
 
     def _expand(self, node: Node, action: Action) -> None:
         problem, k = self.problem, node.step
         action.children = []
         if action.name < 0:
             q = ~action.name
-            assert problem.questions is not None
-            yes = problem.questions.table.answered[q].ravel()
-            for answer, p in ((1, yes), (0, 1 - yes)):
-                share = float(node.belief @ p)
-                if share > 0:
-                    after = answered(problem, node.belief, 0, q, answer)
-                    child = self.node(k, after, node.asked | 1 << q)
-                    action.children.append((share, child))
+            for answer, share in self.answers.to_question(q, node.belief):
+                after = answered(problem, node.belief, 0, q, answer)
+                child = self.node(k, node.given, after, node.asked | 1 << q)
+                action.children.append((share, child))
             return
-        belief = told(problem, node.belief, action.name)
-        evidence = np.zeros(len(belief), np.int64)
-        while (count := _answers(self._lattice, k, belief, evidence, FAINT, self._room)) < 0:
-            self._room = make_answers(
-                2 * len(self._room.weight), *self._lattice.answered.shape[::2]
-            )
-        action.tail = self._between(k + 1, self._kept_of(self._room.tail))
-        for weight in self._room.weight[:count].copy():
+        found = self.answers.after(k, told(problem, node.belief, action.name), FAINT)
+        assert found is not None
+        weights, tail = found
+        given = self._given(node, action.name)
+        action.tail = self._between(k + 1, given, tail)
+        for weight in weights:
             share = float(weight.sum())
-            child = self.node(k + 1, self._kept_of(weight / share), node.asked)
+            child = self.node(k + 1, given, weight / share, node.asked)
             action.children.append((share, child))
 
     def _back_up(self, action: Action) -> None:
@@ -291,7 +301,7 @@ class CertifiedKnowing:
     bounded: Bounded
     root: Node
     brief: Effort
-    _last: dict[tuple[int, bytes, int], Node] = field(default_factory=dict)
+    _last: dict[tuple[int, int, bytes, int], Node] = field(default_factory=dict)
 
     @property
     def lower(self) -> float:
@@ -303,13 +313,15 @@ class CertifiedKnowing:
         """Upper bound on the optimal value."""
         return self.root.upper
 
-    def _decided(self, step: int, belief: NDArray[np.float64], asked: int) -> Node | None:
+    def _decided(
+        self, step: int, given: int, belief: NDArray[np.float64], asked: int
+    ) -> Node | None:
         """The node of a belief, if its bounds are close."""
-        key = step, rounded(belief).tobytes(), asked
+        key = self.bounded.key(step, given, belief, asked)
         node = self.bounded.nodes.get(key) or self._last.get(key)
         if node is None or not node.actions:
             afresh = self.bounded.afresh()
-            node = afresh.node(step, belief, asked)
+            node = afresh.node(step, given, belief, asked)
             afresh.search(node, self.brief)
             self._last.clear()
             self._last[key] = node
@@ -317,7 +329,7 @@ class CertifiedKnowing:
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
         """The messages to give before the next *explain*, some of them perhaps again."""
-        node = self._decided(step, belief, asked)
+        node = self._decided(step, given, belief, asked)
         if node is None:
             return self.bounded.policy.messages(step, given, belief)
         return best_set({a.name: a.lower for a in node.actions if a.name >= 0})
@@ -330,7 +342,7 @@ class CertifiedKnowing:
         self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
     ) -> Mapping[int, float]:
         """Certified lower bounds; QMDP's values where the bounds are not close."""
-        node = self._decided(step, belief, asked)
+        node = self._decided(step, given, belief, asked)
         if node is None:
             return self.bounded.policy.values(step, given, belief)
         return {action.name: action.lower for action in node.actions}

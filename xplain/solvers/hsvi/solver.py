@@ -28,7 +28,7 @@ from xplain.solvers.inquiry import words_of
 from xplain.solvers.memory import check_memory
 from xplain.solvers.model import best_set
 from xplain.solvers.model import table_bytes as model_bytes
-from xplain.solvers.reminding import Reminding
+from xplain.solvers.reminding import Reminding, known_bytes
 from xplain.solvers.restriction import RestrictedAsking, coupled
 
 KNOWING_NODES = 20_000
@@ -72,10 +72,10 @@ class Certified:
 
     def _plan_knowing(self, problem: Problem) -> Policy:
         """Where messages may be missed or forgotten."""
-        size = (problem.n_types + 6) * model_bytes(problem)
+        size = (problem.n_types + 3) * model_bytes(problem) + known_bytes(problem)
         check_memory("certified", size, self.memory_gib, "solver=qmdp needs less")
         bounded = Bounded(Reminding(problem))
-        root = bounded.node(0, problem.start, 0)
+        root = bounded.node(0, 0, problem.start, 0)
         bounded.search(root, replace(self._effort, nodes=min(self.nodes, KNOWING_NODES)))
         brief = Effort(self.gap, self.decision_nodes, math.inf, self.memory_gib)
         return CertifiedKnowing(bounded, root, brief)

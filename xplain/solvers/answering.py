@@ -1,0 +1,81 @@
+"""What users may answer, where messages may be missed or forgotten: the beliefs that follow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation import knowledge
+from xplain.explanation.problem import Problem
+from xplain.numba_kernels import lean_kernel
+from xplain.solvers.count_lattice import Answers, branch, make_answers
+from xplain.solvers.rows import Rows
+
+
+class Lattice(NamedTuple):
+    """What :func:`~xplain.solvers.count_lattice.branch` reads: states in the place of types."""
+
+    answered: NDArray[np.float64]
+    rows: Rows
+
+
+@lean_kernel
+def _answers(lattice, step, weight, evidence, negligible, found):  # type: ignore[no-untyped-def]
+    return branch(lattice, step, 0, weight, evidence, negligible, found)
+
+
+class Answering:
+    """Of a problem that tracks what users know: S states, of knowledge and type."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        steps, states = problem.n_steps, problem.start.size
+        none = np.zeros((0, 0), np.int64)
+        rows = Rows(
+            np.zeros(states, np.int64),
+            none,
+            np.zeros((1, 1, states), np.int64),
+            *(0, np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 0, 0))),
+        )
+        answered = np.ascontiguousarray(problem.table.answered.reshape(steps, 1, states))
+        self._lattice = Lattice(answered, rows)
+        self._room: Answers = make_answers(1 << 10, steps, states)
+
+    def after(
+        self, step: int, belief: NDArray[np.float64], negligible: float, most: int | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """What follows the distinguishable answers to *explain* at k: joint probabilities [B, S] of
+        an answer and the state at the next step, and [S] of all answers less likely than
+        ``negligible``. None where they are more than ``most``."""
+        evidence = np.zeros(len(belief), np.int64)
+        found = -1
+        while found < 0:
+            found = _answers(self._lattice, step, belief, evidence, negligible, self._room)
+            capacity = len(self._room.weight)
+            if most is not None and (found > most or (found < 0 and capacity >= most)):
+                return None
+            if found < 0:
+                self._room = make_answers(2 * capacity, self.problem.n_steps, len(belief))
+        weights = kept_of(self.problem, self._room.weight[:found])
+        return weights, kept_of(self.problem, self._room.tail)
+
+    def to_question(self, q: int, belief: NDArray[np.float64]) -> Iterator[tuple[int, float]]:
+        """The answers 1 and 0 that are possible, and how likely each is."""
+        assert self.problem.questions is not None
+        yes = self.problem.questions.table.answered[q].ravel()
+        for answer, p in ((1, yes), (0, 1 - yes)):
+            share = float(belief @ p)
+            if share > 0:
+                yield answer, share
+
+
+def kept_of(problem: Problem, belief: NDArray[np.float64]) -> NDArray[np.float64]:
+    """[..., S] what is left of what is known after a step."""
+    rows, types = problem.table.p.shape[1:]
+    flat = belief.reshape(-1, rows, types).transpose(1, 0, 2).reshape(rows, -1)
+    lose = np.tile(problem.forget, flat.shape[1] // types)
+    left = knowledge.forget(flat, problem.table.relevant, lose).reshape(rows, -1, types)
+    return left.transpose(1, 0, 2).reshape(belief.shape)
