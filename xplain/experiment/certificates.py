@@ -57,21 +57,19 @@ class Certify:
         progress: Progress = SILENT,
     ) -> dict[str, float]:
         """Means over the traces, of expected discounted returns under the learned model of users
-        who listen and answer as the belief update assumes; empty where they may miss or forget
-        messages, for which no bounds are known.
+        who listen and answer as the belief update assumes.
 
         ``optimal_lower`` and ``optimal_upper`` enclose the optimum; ``policy_value`` (with its
         standard error ``policy_value_se``, and ``policy_value_exact``, the share of traces where
         it is exact) is what the policy earns; ``policy_cost`` its expected undiscounted cost.
-        ``price_of_not_knowing`` is the expected value of perfect information about the type,
+        ``price_of_not_knowing`` is the expected value of perfect information about the type (and
+        of what users know, where they may miss or forget messages),
         ``price_of_approximation`` the policy's suboptimality; these two and ``policy_value`` have a
         ``_low`` and a ``_high`` end, 95 % limits where the value is simulated. A solver that is
         told the user's type has no value of its own here. docs/method.md, section 7.
 
         Traces that pose the same problem are simulated once: their errors are one error.
         """
-        if not belief_update.habits(prepared.habits).take_all_in:
-            return {}
         times: Counter[tuple[bytes, bytes]] = Counter()
         found: dict[tuple[bytes, bytes], dict[str, float]] = {}
         cases = prepared.cases[: self.traces]
@@ -113,9 +111,9 @@ class Certify:
         if solver.knows in ("type", "labels"):
             return row
         # A policy of a one-type problem has no belief to look at: in a world of several types it
-        # earns what it earns against their mixture.
+        # earns what it earns against their mixture, if all of them take all messages in.
         world = problem
-        if own.n_types == 1:
+        if own.n_types == 1 and not problem.tracks_knowledge:
             with suppress(TooLargeError):  # it earns the same, only its value takes longer then
                 world = problem.mixture(problem.prior, own.type_names[0])
         with progress.stage("value of this policy"):

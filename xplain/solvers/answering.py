@@ -72,10 +72,32 @@ class Answering:
                 yield answer, share
 
 
+def every_told(
+    problem: Problem, belief: NDArray[np.float64], messages: list[int]
+) -> NDArray[np.float64]:
+    """[2^n, S] a belief after each set of n messages, as
+    :func:`~xplain.explanation.message_sets.subsets` lists them."""
+    heard = belief.reshape(problem.table.p.shape[1:])
+    for j in messages:
+        times = heard.shape[1] // problem.n_types
+        relevant, accept = (
+            np.tile(problem.table.relevant, (times, 1)),
+            np.tile(problem.accept, times),
+        )
+        heard = np.concatenate([heard, knowledge.say(heard, relevant, j, accept)], axis=1)
+    return _listed(problem, heard)
+
+
 def kept_of(problem: Problem, belief: NDArray[np.float64]) -> NDArray[np.float64]:
     """[..., S] what is left of what is known after a step."""
     rows, types = problem.table.p.shape[1:]
     flat = belief.reshape(-1, rows, types).transpose(1, 0, 2).reshape(rows, -1)
     lose = np.tile(problem.forget, flat.shape[1] // types)
-    left = knowledge.forget(flat, problem.table.relevant, lose).reshape(rows, -1, types)
-    return left.transpose(1, 0, 2).reshape(belief.shape)
+    left = knowledge.forget(flat, problem.table.relevant, lose)
+    return _listed(problem, left).reshape(belief.shape)
+
+
+def _listed(problem: Problem, side_by_side: NDArray[np.float64]) -> NDArray[np.float64]:
+    """[B, S] of beliefs [rows, B · N]."""
+    rows, types = problem.table.p.shape[1:]
+    return side_by_side.reshape(rows, -1, types).transpose(1, 0, 2).reshape(-1, rows * types)

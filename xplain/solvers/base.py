@@ -9,6 +9,7 @@ Policies that search at random draw from a stream made of the seed and those thr
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -115,3 +116,23 @@ class Solver(Protocol):
             TooLargeError: the tables would not fit; raised before memory is taken.
         """
         ...
+
+
+@dataclass(frozen=True)
+class PolicyValue:
+    """The worth of a policy from the start of the trace.
+
+    Attributes:
+        value: expected discounted return under the model (≤ 0).
+        cost: expected undiscounted cost, λ · communication + inexplicability (≥ 0).
+        value_is: "exact" or "simulated".
+        value_se, cost_se: standard errors; 0 where exact.
+        beliefs: how many beliefs the policy was asked about.
+    """
+
+    value: float
+    cost: float
+    value_is: Literal["exact", "simulated"]
+    value_se: float
+    cost_se: float
+    beliefs: int

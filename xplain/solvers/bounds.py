@@ -12,7 +12,7 @@ from xplain.explanation.label_table import MAX_RELEVANT
 from xplain.explanation.problem import Problem
 from xplain.solvers.hsvi.explore import Effort, explore
 from xplain.solvers.hsvi.search import Start
-from xplain.solvers.hsvi.solver import tables_within
+from xplain.solvers.hsvi.solver import Certified, tables_within
 from xplain.solvers.lookahead import Lookahead, best_plan_value
 from xplain.solvers.memory import check_memory
 from xplain.solvers.model import model_of, optimal_values, table_bytes, take
@@ -25,7 +25,8 @@ class Bounds:
 
     Attributes:
         lower, upper: the optimal value lies between them.
-        known_type: Σ_t prior(t) V*_t, the value if the type were told at the start.
+        known_type: Σ_t prior(t) V*_t, the value if the type were told at the start; where messages
+            may be missed or forgotten, if after each action the user's knowledge were told, too.
     """
 
     lower: float
@@ -63,6 +64,11 @@ def bounds(
     Raises:
         TooLargeError: not even the tables of known types fit.
     """
+    if problem.tracks_knowledge:
+        found = Certified(effort.gap, effort.nodes, effort.seconds, 1, effort.memory_gib)
+        searched = found.plan_knowing(problem)
+        known = float(problem.start @ searched.bounded.policy.known(0, 0))
+        return Bounds(float(searched.lower), float(searched.upper), known)
     small, kept = restricted(problem)
     if len(kept) > MAX_RELEVANT:
         return _simple_bounds(small, effort.memory_gib)

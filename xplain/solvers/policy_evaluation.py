@@ -8,8 +8,7 @@ of H.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,8 @@ from xplain.explanation.belief import answered, update
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
 from xplain.randomness import stream
-from xplain.solvers.base import Policy
+from xplain.solvers import knowing_evaluation
+from xplain.solvers.base import Policy, PolicyValue
 from xplain.solvers.cached_policy import CachedPolicy
 from xplain.solvers.count_lattice import (
     SCALE,
@@ -48,26 +48,6 @@ KNOWN_BYTES = 1 << 30
 """Simulations are compared with known types where a table of their values takes no more."""
 
 
-@dataclass(frozen=True)
-class PolicyValue:
-    """The worth of a policy from the start of the trace.
-
-    Attributes:
-        value: expected discounted return under the model (≤ 0).
-        cost: expected undiscounted cost, λ · communication + inexplicability (≥ 0).
-        value_is: "exact" or "simulated".
-        value_se, cost_se: standard errors; 0 where exact.
-        beliefs: how many beliefs the policy was asked about.
-    """
-
-    value: float
-    cost: float
-    value_is: Literal["exact", "simulated"]
-    value_se: float
-    cost_se: float
-    beliefs: int
-
-
 def evaluate(
     problem: Problem,
     policy: Policy,
@@ -88,6 +68,9 @@ def evaluate(
             walked to.
     """
     asked = CachedPolicy(policy)
+    if problem.tracks_knowledge:
+        found = knowing_evaluation.walk(problem, asked, beliefs, precision)
+        return found or knowing_evaluation.simulate(problem, asked, episodes, seed)
     exact = _walk(problem, asked, beliefs, precision)
     return exact if exact is not None else simulate(problem, asked, episodes, seed)
 

@@ -16,9 +16,9 @@ to have been taken in.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,7 @@ class Reminding:
     until *explain* is the best action."""
 
     problem: Problem
+    _found: dict[tuple[Any, ...], NDArray[np.float64]] = field(default_factory=dict)
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
         """The messages to give before the next *explain*, some of them perhaps again."""
@@ -110,17 +111,23 @@ class Reminding:
 
     def known(self, step: int, given: int, said: int = 0) -> NDArray[np.float64]:
         """[R · N] V_t(k, c, S, K)."""
-        solved, types = self.solved, np.arange(self.problem.n_types)
-        before, at = looked_up(solved.counts, given), rows_at(solved.rows, said)
-        found: NDArray[np.float64] = solved.optimal[step][before, at, :, types].T.ravel()
-        return found
+        solved = self.solved
+        at = looked_up(solved.counts, given), rows_at(solved.rows, said)
+        return self._cells(solved.optimal, step, *at)
 
     def explained(self, step: int, given: int) -> NDArray[np.float64]:
         """[R · N] Q_t(k, ·, explain), with all this said."""
-        types = np.arange(self.problem.n_types)
-        before = looked_up(self.solved.counts, given)
-        found: NDArray[np.float64] = self.solved.explain[step][before, :, types].T.ravel()
-        return found
+        return self._cells(self.solved.explain, step, looked_up(self.solved.counts, given))
+
+    def _cells(
+        self, table: NDArray[np.float64], step: int, *at: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Every type's own cells, for what was said."""
+        key = table.ndim, step, *(one.tobytes() for one in at)
+        if key not in self._found:
+            types = np.arange(self.problem.n_types)
+            self._found[key] = table[step][*at, :, types].T.ravel()
+        return self._found[key]
 
     @cached_property
     def kept(self) -> tuple[int, ...]:

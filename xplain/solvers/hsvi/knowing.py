@@ -22,7 +22,7 @@ from xplain.errors import TooLargeError
 from xplain.explanation import knowledge
 from xplain.explanation.belief import answered, rounded, told
 from xplain.explanation.message_sets import indices, subsets
-from xplain.solvers.answering import Answering, kept_of
+from xplain.solvers.answering import Answering, every_told, kept_of
 from xplain.solvers.base import best_question
 from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.knowing import make_knowing
@@ -227,21 +227,27 @@ class Bounded:
         """All that may be done, with bounds of one step."""
         model, problem, k = self.model, self.problem, node.step
         prices, may_say = problem.prices(node.given), problem.may_say(node.given)
-        heard = {0: node.belief}
-        for chosen in subsets(j for j in self.kept if may_say >> j & 1).tolist():
-            if chosen:
-                last = 1 << chosen.bit_length() - 1
-                heard[chosen] = told(problem, heard[chosen ^ last], last)
-            price, delay = 0.0, 1.0
-            for j in sorted(indices(chosen), key=lambda j: prices[j]):
-                price += delay * prices[j]
-                delay *= model.message_discount
-            belief, given = heard[chosen], self._given(node, chosen)
-            base = -price - delay * float(belief @ model.explain_cost[k])
-            upper = -price + delay * float(belief @ self.policy.explained(k, given))
-            later = delay * model.discount
-            lower = base + later * self._between(k + 1, given, kept_of(problem, belief))[1]
-            yield Action(chosen, base, later, upper, min(lower, upper))
+        free = [j for j in self.kept if may_say >> j & 1]
+        sets, heard = subsets(free), every_told(problem, node.belief, free)
+        price, delay = np.zeros(len(sets)), np.ones(len(sets))
+        for j in sorted(free, key=lambda j: prices[j]):
+            said = sets >> j & 1 == 1
+            price[said] += delay[said] * prices[j]
+            delay[said] *= model.message_discount
+        base = -price - delay * (heard @ model.explain_cost[k])
+        upper, lower = np.empty((2, len(sets)))
+        givens = np.array([self._given(node, chosen) for chosen in sets.tolist()])
+        for given in np.unique(givens).tolist():
+            own = givens == given
+            upper[own] = heard[own] @ self.policy.explained(k, given)
+            worth = kept_of(problem, heard[own]) @ self._plans(k + 1, given).T
+            lower[own] = worth.max(axis=1)
+        upper, lower = delay * upper - price, base + delay * model.discount * lower
+        later, lower = delay * model.discount, np.minimum(lower, upper)
+        for row in zip(
+            sets.tolist(), *(a.tolist() for a in (base, later, upper, lower)), strict=True
+        ):
+            yield Action(*row)
         if problem.questions is not None:
             cost = problem.questions.limits.cost
             upper, lower = self._between(k, node.given, node.belief)

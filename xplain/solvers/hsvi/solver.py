@@ -63,14 +63,14 @@ class Certified:
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
         if problem.tracks_knowledge:
-            return self._plan_knowing(problem)
+            return self.plan_knowing(problem)
         small, kept = coupled(problem, "certified")
         small, tables = tables_within(small, self.memory_gib)
         found = explore(tables, Start(0, 0, small.prior), self._effort, small)
         brief = Effort(self.gap, self.decision_nodes, math.inf, self.memory_gib)
         return CertifiedPolicy(Searched(found, brief), kept)
 
-    def _plan_knowing(self, problem: Problem) -> Policy:
+    def plan_knowing(self, problem: Problem) -> CertifiedKnowing:
         """Where messages may be missed or forgotten."""
         size = (problem.n_types + 3) * model_bytes(problem) + known_bytes(problem)
         check_memory("certified", size, self.memory_gib, "solver=qmdp needs less")

@@ -1,0 +1,166 @@
+"""What a policy is worth where messages may be missed or forgotten, as
+:mod:`xplain.solvers.policy_evaluation`: a walk through every belief over what users know, or
+simulation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.asking import NO_QUESTION
+from xplain.explanation.belief import answered, rounded, told, update
+from xplain.explanation.message_sets import indices
+from xplain.explanation.problem import Problem
+from xplain.randomness import stream
+from xplain.solvers.answering import Answering
+from xplain.solvers.base import PolicyValue
+from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.reminding import Reminding
+
+
+class Past(NamedTuple):
+    """What a belief [S] does not tell: what was said, which questions were asked, and what the
+    actions so far discount."""
+
+    said: int = 0
+    asked: int = 0
+    discount: float = 1.0
+
+
+Layer = dict[tuple[Past, bytes], NDArray[np.float64]]
+"""Beliefs of one k, times their probabilities, by their past and what they are."""
+
+
+def walk(
+    problem: Problem, policy: CachedPolicy, limit: int, precision: float
+) -> PolicyValue | None:
+    """The worth, of a policy that reaches no more than ``limit`` beliefs; else None. What it leaves
+    out, all together, changes the value by no more than the relative ``precision``."""
+    answers, steps = Answering(problem), problem.n_steps
+    worst = problem.inexplicability_cost * steps * (steps + 1) / 2
+    worst += steps * float(problem.prices(0).sum()) * max(1.0, problem.again.price)
+    negligible = precision / (4 * limit * max(worst, 1) + 1)
+    value, cost, left_out, beliefs = 0.0, 0.0, 0.0, 0
+    layer: Layer = {}
+    _add(layer, Past(), problem.start)
+    for k in range(steps):
+        if beliefs + (steps - k) * len(layer) > limit:
+            return None
+        layer, plain, discounted = _ask(problem, policy, answers, k, layer)
+        cost, value, beliefs = cost + plain, value - discounted, beliefs + len(layer)
+        later: Layer = {}
+        for (past, _), weight in layer.items():
+            mass = float(weight.sum())
+            asked = (past.asked,) if problem.questions else ()
+            new = policy.messages(k, past.said, weight / mass, *asked)
+            price, plain, factor = _paid(problem, past.said, new)
+            heard = told(problem, weight, new)
+            zeros = float(heard @ _explain_cost(problem, k))
+            cost += mass * plain + zeros
+            value -= past.discount * (mass * price + factor * zeros)
+            if k + 1 < steps:
+                found = answers.after(k, heard, negligible, limit)
+                if found is None:
+                    return None
+                said = problem.again.after(past.said, new, problem.n_messages)
+                discount = past.discount * factor * problem.discount
+                for joint in found[0]:
+                    _add(later, Past(said, past.asked, discount), joint)
+                left_out += float(found[1].sum()) * worst
+        layer = later
+    if left_out > precision * (1 + abs(value)):
+        return None
+    return PolicyValue(value, cost, "exact", 0.0, 0.0, beliefs)
+
+
+def _add(layer: Layer, past: Past, weight: NDArray[np.float64]) -> None:
+    key = past, rounded(weight / weight.sum()).tobytes()
+    layer[key] = layer.get(key, 0.0) + weight
+
+
+def _ask(
+    problem: Problem, policy: CachedPolicy, answers: Answering, step: int, layer: Layer
+) -> tuple[Layer, float, float]:
+    """The beliefs from which nothing is asked any more before a step's messages, and the expected
+    price of the questions, plain and discounted."""
+    if problem.questions is None:
+        return layer, 0.0, 0.0
+    settled: Layer = {}
+    plain, discounted, price = 0.0, 0.0, problem.questions.limits.cost
+    open_ = [(past, weight) for (past, _), weight in layer.items()]
+    while open_:
+        past, weight = open_.pop()
+        mass = float(weight.sum())
+        belief = weight / mass
+        q = policy.question(step, past.said, belief, past.asked)
+        if q == NO_QUESTION:
+            _add(settled, past, weight)
+            continue
+        plain, discounted = plain + mass * price, discounted + mass * price * past.discount
+        after = past._replace(asked=past.asked | 1 << q)
+        for answer, share in answers.to_question(q, belief):
+            open_.append((after, mass * share * answered(problem, belief, 0, q, answer)))
+    return settled, plain, discounted
+
+
+def _paid(problem: Problem, said: int, new: int) -> tuple[float, float, float]:
+    """The price of messages, the cheapest first, discounted; their plain price; and what they
+    discount."""
+    per_message = problem.discount if problem.discount_per == "action" else 1.0
+    prices = np.sort(problem.prices(said)[indices(new)])
+    discounts = per_message ** np.arange(len(prices))
+    return float(discounts @ prices), float(prices.sum()), per_message ** len(prices)
+
+
+def _explain_cost(problem: Problem, step: int) -> NDArray[np.float64]:
+    """[S] expected, of *explain* at k."""
+    zeros: NDArray[np.float64] = (1 - problem.table.p[: step + 1]).sum(axis=0).ravel()
+    return problem.inexplicability_cost * zeros
+
+
+def simulate(problem: Problem, policy: CachedPolicy, episodes: int, seed: int) -> PolicyValue:
+    """The worth as a mean over simulated users, with its standard error.
+
+    As :func:`xplain.solvers.policy_evaluation.simulate`, what a decision loses against being told
+    the state counts. Answers are drawn from what the belief expects, which is exact.
+    """
+    plain = Reminding(replace(problem, discount=1.0))
+    known, rng = (Reminding(problem), plain), stream(seed, "policy_value")
+    answers = Answering(problem)
+    losses = np.zeros((2, episodes))
+    for episode in range(episodes):
+        past, belief = Past(), problem.start
+        for k in range(problem.n_steps):
+            while problem.questions is not None:
+                q = policy.question(k, past.said, belief, past.asked)
+                if q == NO_QUESTION:
+                    break
+                losses[:, episode] += np.array([past.discount, 1]) * problem.questions.limits.cost
+                (answer, yes), *_ = answers.to_question(q, belief)
+                answer ^= int(rng.random() >= yes)
+                belief = answered(problem, belief, 0, q, answer)
+                past = past._replace(asked=past.asked | 1 << q)
+            asked = (past.asked,) if problem.questions else ()
+            new = policy.messages(k, past.said, belief, *asked)
+            heard = told(problem, belief, new)
+            said = problem.again.after(past.said, new, problem.n_messages)
+            price, sum_, factor = _paid(problem, past.said, new)
+            paid = (price, sum_), (factor, 1.0), (past.discount, 1.0)
+            for own, each, (cost, delay, scale) in zip(
+                losses, known, zip(*paid, strict=True), strict=True
+            ):
+                after = delay * (heard @ each.explained(k, said)) - cost
+                own[episode] += scale * (belief @ each.known(k, past.said) - after)
+            past = Past(said, past.asked, past.discount * factor * problem.discount)
+            state = rng.choice(len(heard), p=heard / heard.sum())
+            p = problem.table.answered[: k + 1].reshape(k + 1, -1)[:, state]
+            belief = update(problem, heard, said, (rng.random(k + 1) < p).astype(np.uint8))
+    sure = np.array([problem.start @ each.known(0, 0) for each in known])
+    value, undiscounted = sure - losses.mean(axis=1)
+    value_se, cost_se = losses.std(axis=1, ddof=1) / np.sqrt(episodes)
+    found = float(value), float(-undiscounted), "simulated", float(value_se), float(cost_se)
+    return PolicyValue(*found, len(policy.decisions))
