@@ -249,6 +249,7 @@ def _explainer(
         update,
         seed,
         costs.asking if may_ask else None,
+        costs.again,
     )
 
 

@@ -12,9 +12,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, number, one_of
+from xplain.errors import InputError, number
 from xplain.experiment.pipeline import Case, Prepared
 from xplain.experiment.progress import SILENT, Progress
+from xplain.explanation.again import Again
 from xplain.explanation.asking import Limits
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.habits import PAPER
@@ -40,6 +41,7 @@ class Costs:
         inexplicability_cost, discount, discount_per: see :class:`Problem`.
         prior: ``uniform``, or ``observers``: their shares.
         asking: what questions cost, and how many may be asked.
+        again: what messages said again cost, and how often one may be said.
     """
 
     trade_off: float
@@ -49,6 +51,7 @@ class Costs:
     discount_per: DiscountPer
     prior: Literal["uniform", "observers"]
     asking: Limits = field(default_factory=Limits)
+    again: Again = field(default_factory=Again)
 
     def __post_init__(self) -> None:
         """Checks what :class:`Problem` would refuse, before any work is done."""
@@ -94,6 +97,7 @@ class Costs:
             discount_per=self.discount_per,
             message_names=message_names,
             type_names=type_names,
+            again=self.again,
         )
 
 

@@ -17,6 +17,7 @@ from xplain.experiment.certificates import Certify
 from xplain.experiment.experiment import Experiment
 from xplain.experiment.explanations import Costs
 from xplain.experiment.pipeline import Components
+from xplain.explanation.again import Again
 from xplain.explanation.asking import Limits, Pool
 from xplain.randomness import stream
 
@@ -75,6 +76,7 @@ def costs_of(cfg: DictConfig) -> Costs:
         discount_per=cfg.discount_per,
         prior=cfg.prior,
         asking=Limits(cfg.ask.cost, cfg.ask.most, cfg.ask.when),
+        again=Again(**cfg.again),
     )
     if by_name:  # before anything is learned
         costs.message_costs(tuple(p.name for p in instantiate(cfg.domain).parameters))
@@ -83,6 +85,7 @@ def costs_of(cfg: DictConfig) -> Costs:
 
 COSTS = (
     "ask",
+    "again",
     "lambda",
     "message_cost",
     "inexplicability_cost",

@@ -8,7 +8,7 @@ probabilities (:mod:`xplain.explanation.label_table`) is the whole model.
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -21,6 +21,7 @@ from xplain.explanation.again import Again
 from xplain.explanation.asking import PREFIX, Questions
 from xplain.explanation.habits import PAPER, Habits
 from xplain.explanation.label_table import MAX_MESSAGES, LabelTable, joined
+from xplain.explanation.message_sets import indices
 
 DiscountPer = Literal["action", "step"]
 
@@ -62,7 +63,7 @@ class Problem:
     type_names: tuple[str, ...] = ()
     habits: Habits = PAPER
     questions: Questions | None = None
-    again: Again = Again()
+    again: Again = field(default_factory=Again)
 
     def __post_init__(self) -> None:
         """Checks every field: one clear line each."""
@@ -210,13 +211,22 @@ class Problem:
         used = self.again.exhausted(said, n) if self.tracks_knowledge else said
         return (1 << n) - 1 & ~used
 
+    def message_costs(self, said: int) -> NDArray[np.float64]:
+        """[n] C_e of each message, where these were said at earlier steps."""
+        repeated = [said >> j & 1 for j in range(self.n_messages)]
+        return self.message_cost * np.where(repeated, self.again.price, 1.0)
+
     def prices(self, said: int) -> NDArray[np.float64]:
         """[n] λ C_e of each message, where these were said at earlier steps."""
-        price = self.trade_off * self.message_cost
-        if self.levels:
-            repeated = [said >> j & 1 for j in range(self.n_messages)]
-            price = price * np.where(repeated, self.again.price, 1.0)
-        return price
+        return self.trade_off * self.message_costs(said)
+
+    def communication(self, said: Iterable[int]) -> float:
+        """Σ C_e of all messages said, of bitmasks in order."""
+        total, before = 0.0, 0
+        for new in said:
+            total += float(sum(self.message_costs(before)[indices(new)].tolist()))
+            before |= new
+        return total
 
     @property
     def accept(self) -> NDArray[np.float64]:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.belief import BeliefUpdate
-from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.interaction.explainees import Knower, Person, respondent
 from xplain.interaction.interaction import Interaction
@@ -116,9 +115,7 @@ def explain(
         thoughts[k, : k + 1], labels[k, : k + 1] = thought, given
         talk.hear(given)
         beliefs[k + 1] = problem.type_belief(talk.belief)
-    communication = float(
-        sum(problem.message_cost[j] for said in messages.tolist() for j in indices(said))
-    )
+    communication = problem.communication(messages.tolist())
     inexplicability = problem.inexplicability_cost * int((thoughts == 0).sum())
     asking = problem.questions.limits.cost * len(questions) if problem.questions else 0.0
     return Episode(

@@ -86,7 +86,7 @@ class Explainer(Planner):
 
     It takes what a :class:`~xplain.interaction.planner.Planner` takes: ``types``, ``solver``,
     ``trade_off``, ``message_cost``, ``inexplicability_cost``, ``discount``, ``discount_per``,
-    ``belief_update``, ``seed``, ``ask``.
+    ``belief_update``, ``seed``, ``ask``, ``again``.
     """
 
     def session(

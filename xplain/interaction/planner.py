@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, number, whole_number
+from xplain.explanation.again import Again
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent
 from xplain.explanation.habits import Habits
@@ -77,6 +78,7 @@ class Planner:
             erred; else the paper's :class:`~xplain.explanation.belief.Independent`.
         seed: of solvers that search at random.
         ask: what questions cost and how many are asked; None for none.
+        again: what messages said again cost, and how often one may be said.
     """
 
     types: Types
@@ -89,6 +91,7 @@ class Planner:
     belief_update: BeliefUpdate | None = None
     seed: int = 0
     ask: Limits | None = None
+    again: Again = field(default_factory=Again)
 
     def __post_init__(self) -> None:
         """Raises InputError: a value that no session could plan with."""
@@ -108,6 +111,8 @@ class Planner:
         whole_number("seed", self.seed, 0)
         if not isinstance(self.ask, Limits | None):
             raise InputError("ask", self.ask, "Limits(cost=0.1), or None")
+        if not isinstance(self.again, Again):
+            raise InputError("again", self.again, "Again(price=1, most=None)")
         if len(self.types.messages) > MAX_MESSAGES:
             raise InputError("types.messages", len(self.types.messages), f"at most {MAX_MESSAGES}")
         if self.solver.knows in ("type", "labels"):
@@ -145,6 +150,7 @@ class Planner:
             message_names=tuple(self.types.messages),
             type_names=tuple(self.types.names),
             questions=questions,
+            again=self.again,
         )
         return problem.with_habits(self.beliefs.habits(self.habits))
 

@@ -13,7 +13,7 @@ from xplain.errors import InputError, one_of
 from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.explanation.listening import Explained
-from xplain.explanation.message_sets import indices, mask_of, names_of
+from xplain.explanation.message_sets import mask_of, names_of
 from xplain.explanation.problem import Problem
 from xplain.interaction.interaction import Interaction
 from xplain.interaction.moves import Candidate, Move, Say, Show, Why, plain, questions_of
@@ -97,7 +97,7 @@ class Session:
         """Definition 2 of the paper for what happened so far, undiscounted; and κ for each
         question answered."""
         problem = self._talk.problem
-        said = sum(float(problem.message_cost[j]) for new in self._said for j in indices(new))
+        said = problem.communication(self._said)
         zeros = sum(int((labels == 0).sum()) for labels in self._answers)
         asked = problem.questions.limits.cost * len(self._questions) if problem.questions else 0.0
         return problem.trade_off * said + problem.inexplicability_cost * zeros + asked
@@ -227,14 +227,15 @@ class Session:
         """Says these messages at this step, whatever the plan.
 
         Raises:
-            InputError: :meth:`messages` was called already, or a message is unknown, or was given
-                and cannot have been missed.
+            InputError: :meth:`messages` was called already, or a message is unknown, or was said as
+                often as it may be.
         """
         if self._waits or self.finished:
             raise InputError("session", tuple(names), "told once a step, before messages()")
         new = mask_of(names, self._talk.problem.message_names, "session")
-        if new & self._talk.given and not self._talk.problem.tracks_knowledge:
-            raise InputError("session", tuple(names), f"not given before, as {self.said} were")
+        if new & ~self._talk.problem.may_say(self._talk.said):
+            wanted = f"messages that may be said after {self.said}"
+            raise InputError("session", tuple(names), wanted)
         self._decide()
         self._talk.give(new)
         self._said.append(new)
@@ -312,7 +313,7 @@ class Session:
         """Keeps what the decision rests on, for :meth:`why`."""
         talk = self._talk
         self._open = self._chosen = NO_QUESTION
-        self._decision = (talk.policy, talk.step, talk.given, talk.belief, talk.no_news)
+        self._decision = (talk.policy, talk.step, talk.said, talk.belief, talk.no_news)
 
     def _by_name(self, belief: NDArray[np.float64]) -> dict[str, float]:
         problem = self._talk.problem

@@ -222,14 +222,19 @@ def _episode(line: Mapping[str, Any], results: Results) -> dict[str, Any]:
     named = types.found if len(line["prior"]) == len(types.found) else ()
     price, bad = config.get("message_cost", 1.0), config.get("inexplicability_cost", 1.0)
     worth = config.get("ask", {}).get("cost", 0.0)
-    steps, cost = [], 0.0
+    factor = config.get("again", {}).get("price", 1.0)
+    steps, cost, said = [], 0.0, set[str]()
     for step in line["steps"]:
-        own = [price[name] if isinstance(price, Mapping) else price for name in step["messages"]]
+        own = [
+            (price[name] if isinstance(price, Mapping) else price) * (factor if name in said else 1)
+            for name in step["messages"]
+        ]
+        said |= {*step["messages"]}
         asked = step.get("questions", [])
         cost += results.trade_off * sum(own) + bad * step["labels"].count(0) + worth * len(asked)
         belief = dict(zip(named, step["belief"], strict=False))
-        said = {"said": step["messages"], "labels": step["labels"], "values": [], "asked": asked}
-        steps.append({**said, "belief": belief, "cost": round(cost, 6)})
+        page = {"said": step["messages"], "labels": step["labels"], "values": [], "asked": asked}
+        steps.append({**page, "belief": belief, "cost": round(cost, 6)})
     found = zip(types.found, types.stands_for, strict=True)
     return {
         "trace": line["trace"],

@@ -14,6 +14,9 @@ from xplain.numba_kernels import lean_kernel
 from xplain.solvers.count_lattice import Answers, branch, make_answers
 from xplain.solvers.rows import Rows
 
+MAX_SETS = 10
+"""Messages whose sets are weighed together, at most."""
+
 
 class Lattice(NamedTuple):
     """What :func:`~xplain.solvers.count_lattice.branch` reads: states in the place of types."""
@@ -77,13 +80,10 @@ def every_told(
 ) -> NDArray[np.float64]:
     """[2^n, S] a belief after each set of n messages, as
     :func:`~xplain.explanation.message_sets.subsets` lists them."""
-    heard = belief.reshape(problem.table.p.shape[1:])
-    for j in messages:
-        times = heard.shape[1] // problem.n_types
-        relevant, accept = (
-            np.tile(problem.table.relevant, (times, 1)),
-            np.tile(problem.accept, times),
-        )
+    heard = belief.reshape(-1, problem.n_types)
+    for i, j in enumerate(messages):
+        relevant = np.tile(problem.table.relevant, (1 << i, 1))
+        accept = np.tile(problem.accept, 1 << i)
         heard = np.concatenate([heard, knowledge.say(heard, relevant, j, accept)], axis=1)
     return _listed(problem, heard)
 

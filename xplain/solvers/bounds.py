@@ -45,6 +45,8 @@ class Bounds:
         return max(self.lower - value, 0.0), max(self.upper - value, 0.0)
 
 
+DEARER = 5
+"""A belief over what users know takes so many times as long: so many times fewer are opened."""
 DEFAULT = Effort(gap=1e-3, nodes=2_000, memory_gib=2.0)
 """Some tenths of a second at most for a trace."""
 
@@ -65,8 +67,9 @@ def bounds(
         TooLargeError: not even the tables of known types fit.
     """
     if problem.tracks_knowledge:
-        found = Certified(effort.gap, effort.nodes, effort.seconds, 1, effort.memory_gib)
-        searched = found.plan_knowing(problem)
+        nodes = -(-effort.nodes // DEARER)
+        solver = Certified(effort.gap, nodes, effort.seconds, memory_gib=effort.memory_gib)
+        searched = solver.plan_knowing(problem)
         known = float(problem.start @ searched.bounded.policy.known(0, 0))
         return Bounds(float(searched.lower), float(searched.upper), known)
     small, kept = restricted(problem)

@@ -69,8 +69,8 @@ def make_knowing(policy: Reminding) -> Knowing:
     problem, solved = policy.problem, policy.solved
     steps, rows, types = problem.table.p.shape
     bit = np.full((problem.n_messages, types), -1)
-    for t, row in enumerate(problem.table.rows):
-        bit[row, t] = np.arange(len(row))
+    for t, own in enumerate(problem.table.rows):
+        bit[own, t] = np.arange(len(own))
     costs = problem.inexplicability_cost * np.cumsum(1 - problem.table.p, axis=0)
     return Knowing(
         np.ascontiguousarray(problem.table.answered.reshape(steps, -1)),

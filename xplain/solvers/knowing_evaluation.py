@@ -40,7 +40,7 @@ def walk(
 ) -> PolicyValue | None:
     """The worth, of a policy that reaches no more than ``limit`` beliefs; else None. What it leaves
     out, all together, changes the value by no more than the relative ``precision``."""
-    answers, steps = Answering(problem), problem.n_steps
+    answers, steps, known = Answering(problem), problem.n_steps, Reminding(problem)
     worst = problem.inexplicability_cost * steps * (steps + 1) / 2
     worst += steps * float(problem.prices(0).sum()) * max(1.0, problem.again.price)
     negligible = precision / (4 * limit * max(worst, 1) + 1)
@@ -57,10 +57,10 @@ def walk(
             mass = float(weight.sum())
             asked = (past.asked,) if problem.questions else ()
             new = policy.messages(k, past.said, weight / mass, *asked)
-            price, plain, factor = _paid(problem, past.said, new)
+            price, factor = known.paid(past.said, new)
             heard = told(problem, weight, new)
-            zeros = float(heard @ _explain_cost(problem, k))
-            cost += mass * plain + zeros
+            zeros = float(heard @ known.explain_cost(k))
+            cost += mass * float(problem.prices(past.said)[indices(new)].sum()) + zeros
             value -= past.discount * (mass * price + factor * zeros)
             if k + 1 < steps:
                 found = answers.after(k, heard, negligible, limit)
@@ -107,21 +107,6 @@ def _ask(
     return settled, plain, discounted
 
 
-def _paid(problem: Problem, said: int, new: int) -> tuple[float, float, float]:
-    """The price of messages, the cheapest first, discounted; their plain price; and what they
-    discount."""
-    per_message = problem.discount if problem.discount_per == "action" else 1.0
-    prices = np.sort(problem.prices(said)[indices(new)])
-    discounts = per_message ** np.arange(len(prices))
-    return float(discounts @ prices), float(prices.sum()), per_message ** len(prices)
-
-
-def _explain_cost(problem: Problem, step: int) -> NDArray[np.float64]:
-    """[S] expected, of *explain* at k."""
-    zeros: NDArray[np.float64] = (1 - problem.table.p[: step + 1]).sum(axis=0).ravel()
-    return problem.inexplicability_cost * zeros
-
-
 def simulate(problem: Problem, policy: CachedPolicy, episodes: int, seed: int) -> PolicyValue:
     """The worth as a mean over simulated users, with its standard error.
 
@@ -148,19 +133,17 @@ def simulate(problem: Problem, policy: CachedPolicy, episodes: int, seed: int) -
             new = policy.messages(k, past.said, belief, *asked)
             heard = told(problem, belief, new)
             said = problem.again.after(past.said, new, problem.n_messages)
-            price, sum_, factor = _paid(problem, past.said, new)
-            paid = (price, sum_), (factor, 1.0), (past.discount, 1.0)
-            for own, each, (cost, delay, scale) in zip(
-                losses, known, zip(*paid, strict=True), strict=True
-            ):
-                after = delay * (heard @ each.explained(k, said)) - cost
+            for own, each, scale in zip(losses, known, (past.discount, 1.0), strict=True):
+                price, delay = each.paid(past.said, new)
+                after = delay * (heard @ each.explained(k, said)) - price
                 own[episode] += scale * (belief @ each.known(k, past.said) - after)
-            past = Past(said, past.asked, past.discount * factor * problem.discount)
+            discount = past.discount * known[0].paid(0, new)[1] * problem.discount
+            past = Past(said, past.asked, discount)
             state = rng.choice(len(heard), p=heard / heard.sum())
             p = problem.table.answered[: k + 1].reshape(k + 1, -1)[:, state]
             belief = update(problem, heard, said, (rng.random(k + 1) < p).astype(np.uint8))
     sure = np.array([problem.start @ each.known(0, 0) for each in known])
     value, undiscounted = sure - losses.mean(axis=1)
     value_se, cost_se = losses.std(axis=1, ddof=1) / np.sqrt(episodes)
-    found = float(value), float(-undiscounted), "simulated", float(value_se), float(cost_se)
-    return PolicyValue(*found, len(policy.decisions))
+    means, errors = (float(value), float(-undiscounted)), (float(value_se), float(cost_se))
+    return PolicyValue(*means, "simulated", *errors, len(policy.decisions))

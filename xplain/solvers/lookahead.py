@@ -20,6 +20,7 @@ from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.count_lattice import branch, make_answers
+from xplain.solvers.lookahead_knowing import LookaheadKnowing
 from xplain.solvers.memory import check_memory, check_memory_gib
 from xplain.solvers.model import (
     Model,
@@ -34,6 +35,7 @@ from xplain.solvers.model import (
     set_prices,
 )
 from xplain.solvers.qmdp import Greedy
+from xplain.solvers.reminding import reminding_policy
 from xplain.solvers.restriction import Restricted, coupled
 from xplain.solvers.value_of_information import asks_by_value
 
@@ -61,7 +63,12 @@ class Lookahead:
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
-        return asks_by_value(self.plan_messages(problem), problem, seed, self.memory_gib)
+        if problem.tracks_knowledge:
+            known = reminding_policy(problem, "lookahead", self.memory_gib)
+            policy: Policy = LookaheadKnowing(known, self.candidates, self.answers)
+        else:
+            policy = self.plan_messages(problem)
+        return asks_by_value(policy, problem, seed, self.memory_gib)
 
     def plan_messages(self, problem: Problem) -> LookaheadPolicy:
         """The same without questions, with bounds of the optimum."""

@@ -82,7 +82,9 @@ def model_of(problem: Problem) -> Model:
     """
     if problem.tracks_knowledge:
         raise InputError(
-            "belief.accept, belief.forget", "set", "solver=qmdp, pomcp or certified; or 1 and 0"
+            "belief.accept, belief.forget",
+            "set",
+            "solver=qmdp, lookahead, pomcp or certified; or 1 and 0",
         )
     table, price = problem.table, problem.trade_off * problem.message_cost
     model = Model(

@@ -46,7 +46,8 @@ def reminding_policy(problem: Problem, what: str, memory_gib: float) -> Remindin
 def known_bytes(problem: Problem) -> int:
     """What the tables of :class:`Reminding` take, where nothing is said as a mere delay."""
     relevant = problem.table.relevant.shape[1]
-    return table_bytes(problem) * ((1 << relevant) + 1) * (problem.levels + 1) ** relevant
+    cells: int = ((1 << relevant) + 1) * (problem.levels + 1) ** relevant
+    return table_bytes(problem) * cells
 
 
 class Solved(NamedTuple):
@@ -128,6 +129,17 @@ class Reminding:
             types = np.arange(self.problem.n_types)
             self._found[key] = table[step][*at, :, types].T.ravel()
         return self._found[key]
+
+    def explain_cost(self, step: int) -> NDArray[np.float64]:
+        """[R · N] expected, of *explain* at k."""
+        zeros: NDArray[np.float64] = (1 - self.problem.table.p[: step + 1]).sum(axis=0).ravel()
+        return self.problem.inexplicability_cost * zeros
+
+    def paid(self, given: int, new: int) -> tuple[float, float]:
+        """The price of messages, the cheapest first, each discounting what follows; and what all
+        of them discount."""
+        prices = np.sort(self.problem.prices(given)[indices(new)])
+        return float(self.delay ** np.arange(len(prices)) @ prices), self.delay ** len(prices)
 
     @cached_property
     def kept(self) -> tuple[int, ...]:

@@ -50,8 +50,9 @@ def asks_by_value(policy: Policy, problem: Problem, seed: int, memory_gib: float
     if problem.questions is None:
         return policy
     stream = derived_seed(seed, "value of information")
-    if isinstance(policy, Reminding):
-        return Inquiring(policy, SimulatedKnowing(make_knowing(policy), stream))
+    if problem.tracks_knowledge:
+        known = policy if isinstance(policy, Reminding) else Reminding(problem)
+        return Inquiring(policy, SimulatedKnowing(make_knowing(known), stream))
     small, kept = restricted(problem)
     check_memory("asking", model_bytes(small), memory_gib, "ask=never needs no such tables")
     return Inquiring(policy, Simulated(model_of(small), kept, stream))

@@ -136,10 +136,15 @@ class Explaining(Flow[StudyPlan, State]):
             for one in state.asked
             if one.told == len(state.heard) and (one.step == state.step or not forgets)
         ]
+        said = state.given
+        if problem.levels > 1:  # it matters how often
+            said, n = 0, problem.n_messages
+            for j in state.heard:
+                said = problem.again.after(said, 1 << j, n)
         talk.resume(
             np.array(state.belief),
             state.step,
-            state.given,
+            said,
             [one.question for one in state.asked],
             None if state.new or forgets else state.previous,
             same,

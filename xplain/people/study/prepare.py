@@ -13,6 +13,7 @@ from hydra.utils import instantiate
 
 from xplain.errors import InputError, one_of
 from xplain.experiment.explanations import Costs
+from xplain.explanation.again import Again
 from xplain.explanation.asking import Limits, Pool, Questions
 from xplain.explanation.label_table import LabelTable
 from xplain.people.own_table import no_map, own_table
@@ -151,7 +152,8 @@ def drafted(
     own, in_words = parts("study", config, wording, seen.scene)
     parameters = worded(seen.parameters, wording["facts"], in_words)
     does = wording["words"]["robot_does"]
-    costs = Costs(trade_off=config["lambda"], **{key: config[key] for key in COSTS})
+    again = Again(**config["again"])
+    costs = Costs(config["lambda"], again=again, **{key: config[key] for key in COSTS})
     # Roles and types have the same names; people as they are may be of any types that were found.
     names = tuple(one.name for one in types) if learned is None or not natural else learned.names
     shares = np.full(len(names), 1 / len(names)) if learned is None else learned.shares

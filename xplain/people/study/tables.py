@@ -122,7 +122,7 @@ def _labels(plan: StudyPlan, step: Row) -> Iterator[Row]:
 def _cost(plan: StudyPlan, one: Participant) -> float:
     """λ · messages + inexplicable labels of all steps + κ · questions."""
     problem, asked = plan.problem, len(one.state.asked)
-    messages = sum(float(problem.message_cost[j]) for j in one.state.heard)
+    messages = problem.communication(1 << j for j in one.state.heard)
     wrong: int = sum(event["payload"]["labels"].count(0) for event in one.answers("labels"))
     cost = problem.trade_off * messages + problem.inexplicability_cost * wrong
     return cost + (problem.questions.limits.cost * asked if problem.questions else 0.0)

@@ -22,15 +22,13 @@ from xplain.errors import TooLargeError
 from xplain.explanation import knowledge
 from xplain.explanation.belief import answered, rounded, told
 from xplain.explanation.message_sets import indices, subsets
-from xplain.solvers.answering import Answering, every_told, kept_of
+from xplain.solvers.answering import MAX_SETS, Answering, every_told, kept_of
 from xplain.solvers.base import best_question
 from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.knowing import make_knowing
 from xplain.solvers.model import best_set
 from xplain.solvers.reminding import Reminding
 
-MAX_SETS = 10
-"""Messages whose sets are weighed together, at most."""
 CLOSE = 0.02
 """Bounds so near, relative to 1 + their size, decide."""
 FAINT = 1e-7
@@ -234,7 +232,7 @@ class Bounded:
             said = sets >> j & 1 == 1
             price[said] += delay[said] * prices[j]
             delay[said] *= model.message_discount
-        base = -price - delay * (heard @ model.explain_cost[k])
+        base = -price - delay * (heard @ self.policy.explain_cost(k))
         upper, lower = np.empty((2, len(sets)))
         givens = np.array([self._given(node, chosen) for chosen in sets.tolist()])
         for given in np.unique(givens).tolist():
@@ -242,17 +240,16 @@ class Bounded:
             upper[own] = heard[own] @ self.policy.explained(k, given)
             worth = kept_of(problem, heard[own]) @ self._plans(k + 1, given).T
             lower[own] = worth.max(axis=1)
-        upper, lower = delay * upper - price, base + delay * model.discount * lower
-        later, lower = delay * model.discount, np.minimum(lower, upper)
-        for row in zip(
-            sets.tolist(), *(a.tolist() for a in (base, later, upper, lower)), strict=True
-        ):
-            yield Action(*row)
+        later = delay * model.discount
+        upper, lower = delay * upper - price, base + later * lower
+        columns = sets, base, later, upper, np.minimum(lower, upper)
+        for one in zip(*(column.tolist() for column in columns), strict=True):
+            yield Action(*one)
         if problem.questions is not None:
             cost = problem.questions.limits.cost
-            upper, lower = self._between(k, node.given, node.belief)
+            most, least = self._between(k, node.given, node.belief)
             for q in problem.questions.open(k, None, node.asked):
-                yield Action(~q, -cost, 1.0, upper - cost, lower - cost)
+                yield Action(~q, -cost, 1.0, most - cost, least - cost)
 
     def _given(self, node: Node, chosen: int) -> int:
         problem = self.problem
