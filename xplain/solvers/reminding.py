@@ -160,9 +160,9 @@ class Reminding:
         found = self._solve(make_rows(table, price))
         if self.delay == 1:
             return found
-        cheapest, values = price * min(1.0, problem.again.price), found.optimal[:, :, 0]
-        flat = values.reshape(len(values), -1, problem.n_types)
-        idle = delaying(table, cheapest, 1 - self.delay, flat)
+        cheapest, steps = price * min(1.0, problem.again.price), len(found.optimal)
+        values = found.optimal.reshape(steps, -1, problem.n_types)
+        idle = delaying(table, cheapest, 1 - self.delay, values)
         return self._solve(make_rows(table, price, idle)) if any(idle) else found
 
     def _solve(self, rows: Rows) -> Solved:

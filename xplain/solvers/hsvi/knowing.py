@@ -89,18 +89,20 @@ class Bounded:
         self.nodes: dict[tuple[int, int, bytes, int], Node] = {}
 
     def _worth_giving(self) -> tuple[int, ...]:
-        """Those that QMDP thinks of, and those that may pay as a mere delay of all that is still to
-        be paid at any belief: at most what some plan that heeds no answer costs."""
-        problem, kept = self.problem, self.policy.kept
-        delay = 1 - self.policy.delay
+        """Those that QMDP thinks of, and those that may pay as a mere delay of all that comes after
+        them: dearer messages, *explain*, and at most what some plan costs that heeds no answer."""
+        problem, policy = self.problem, self.policy
+        delay, kept = 1 - policy.delay, list(policy.kept)
         if delay == 0 or len(kept) == problem.n_messages:
-            return kept
+            return policy.kept
         plans = np.array([self._plans(k, 0) for k in range(problem.n_steps)])
         if problem.levels:  # where more was said, all but silence are worth something else
             plans = plans[:, -1:]
-        ahead = -plans.min(axis=2).max(axis=1).min()
-        price = problem.trade_off * problem.message_cost * min(1.0, problem.again.price)
-        stalling = np.flatnonzero(price < delay * ahead).tolist()
+        later = np.append(-plans.min(axis=2).max(axis=1)[1:], 0.0)
+        ahead = (self.model.explain_cost.max(axis=1) + self.model.discount * later).max()
+        price, factor = problem.prices(0), problem.again.price
+        ahead += max(1.0, factor) * price[kept].sum()
+        stalling = np.flatnonzero(min(1.0, factor) * price < delay * ahead).tolist()
         return tuple(sorted({*kept, *stalling}))
 
     def afresh(self) -> Bounded:

@@ -1,0 +1,263 @@
+"""Messages said again, at a price and to a limit: solvers and values against brute force."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from numpy.typing import NDArray
+
+from tests.explanation.test_knowledge import problem_of, seeds
+from tests.solvers.test_knowing import needy
+from xplain.errors import InputError, TooLargeError
+from xplain.explanation.again import Again
+from xplain.explanation.belief import told, update
+from xplain.explanation.habits import habits_of
+from xplain.explanation.literal_pomdp import literal_optimal_value
+from xplain.explanation.message_sets import indices
+from xplain.explanation.problem import Problem
+from xplain.solvers import knowing
+from xplain.solvers.base import Policy
+from xplain.solvers.bounds import bounds
+from xplain.solvers.cached_policy import CachedPolicy
+from xplain.solvers.hsvi.knowing import CertifiedKnowing
+from xplain.solvers.hsvi.solver import Certified
+from xplain.solvers.knowing_evaluation import simulate
+from xplain.solvers.lookahead import Lookahead
+from xplain.solvers.open_loop import Silent
+from xplain.solvers.policy_evaluation import evaluate
+from xplain.solvers.pomcp.solver import POMCP
+from xplain.solvers.qmdp import QMDP
+from xplain.solvers.reminding import Reminding
+
+AGAIN = [Again(), Again(0.3), Again(3.0), Again(most=1), Again(0.7, 2)]
+DISCOUNTS = [("step", 1.0), ("action", 0.8), ("action", 0.4)]
+
+
+def of_limits(problem: Problem, again: Again, discounts: tuple[str, float]) -> Problem:
+    return replace(problem, again=again, discount_per=discounts[0], discount=discounts[1])
+
+
+@settings(max_examples=100, deadline=None)
+@given(seeds)
+def test_what_was_said_counts_each_message_up_to_where_it_matters(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, again = 4, AGAIN[seed % len(AGAIN)]
+    said, times = 0, np.zeros(n, int)
+    for _ in range(4):
+        new = int(rng.integers(1 << n))
+        said, times = again.after(said, new, n), times + [new >> j & 1 for j in range(n)]
+        for j, level in product(range(n), range(max(again.levels, 1))):
+            assert (said >> level * n + j & 1) == (times[j] > level)
+        used = again.exhausted(said, n)
+        assert [used >> j & 1 for j in range(n)] == [
+            again.most is not None and count >= again.most for count in times
+        ]
+
+
+def known_optimum(problem: Problem, t: int) -> dict[int, float]:
+    """By row of the label table, what an explanation is worth to who sees it of a user of type t
+    after each action: every message and *explain* tried, nothing reduced."""
+    n, table = problem.n_messages, problem.table
+    accept, forget = float(problem.accept[t]), float(problem.forget[t])
+    delay = problem.discount if problem.discount_per == "action" else 1.0
+    most = problem.again.most or problem.n_steps
+
+    def row(known: frozenset[int]) -> int:
+        return int(table.subset(sum(1 << j for j in known))[t])
+
+    @cache
+    def value(k: int, times: tuple[int, ...], said: int, known: frozenset[int]) -> float:
+        if k == problem.n_steps:
+            return 0.0
+        cost = float((1 - table.p[: k + 1, row(known), t]).sum()) * problem.inexplicability_cost
+        after = tuple(count + (said >> j & 1) for j, count in enumerate(times))
+        later = 0.0
+        for size in range(len(known) + 1):
+            for kept in combinations(sorted(known), size):
+                share = (1 - forget) ** size * forget ** (len(known) - size)
+                later += share * value(k + 1, after, 0, frozenset(kept))
+        best = problem.discount * later - cost
+        for j in range(n):
+            if not said >> j & 1 and times[j] < most:
+                price = problem.trade_off * float(problem.message_cost[j])
+                price *= problem.again.price if times[j] else 1
+                missed = value(k, times, said | 1 << j, known)
+                landed = value(k, times, said | 1 << j, known | {j})
+                best = max(best, delay * (accept * landed + (1 - accept) * missed) - price)
+        return best
+
+    own = [j for j in table.relevant[t].tolist() if j >= 0]
+    sets = [frozenset(s) for size in range(len(own) + 1) for s in combinations(own, size)]
+    return {row(known): value(0, (0,) * n, 0, known) for known in sets}
+
+
+@pytest.mark.parametrize("discounts", DISCOUNTS)
+@pytest.mark.parametrize("again", AGAIN)
+def test_values_of_who_sees_type_and_knowledge_are_optimal(
+    again: Again, discounts: tuple[str, float]
+) -> None:
+    """Nothing left out, a mere delay least of all. Where such a delay has a price or a limit of its
+    own the value is a bound."""
+    exact = discounts[0] == "step" or again == Again()
+    for seed in range(6):
+        problem = of_limits(needy(seed), again, discounts)
+        for one in (problem, of_limits(problem_of(seed, messages=3), again, discounts)):
+            found = Reminding(one).known(0, 0).reshape(-1, one.n_types)
+            for t in range(one.n_types):
+                for row, value in known_optimum(one, t).items():
+                    assert found[row, t] >= value - 1e-9
+                    if exact:
+                        assert found[row, t] == pytest.approx(value, abs=1e-9)
+
+
+@pytest.mark.parametrize("discounts", DISCOUNTS)
+@pytest.mark.parametrize("again", AGAIN)
+def test_bounds_enclose_the_literal_optimum_and_close_on_it(
+    again: Again, discounts: tuple[str, float]
+) -> None:
+    for seed in range(3):
+        for problem in (needy(seed), problem_of(40 + seed)):
+            one = of_limits(problem, again, discounts)
+            policy, optimum = Certified(gap=1e-9).plan(one), literal_optimal_value(one)
+            assert isinstance(policy, CertifiedKnowing)
+            assert policy.lower - 1e-8 <= optimum <= policy.upper + 1e-8
+            assert policy.upper - policy.lower <= 1e-6
+            worth = evaluate(one, policy)
+            assert worth.value_is == "exact"
+            assert worth.value == pytest.approx(optimum, abs=1e-6)
+            assert worth_of(one, QMDP().plan(one))[0] <= optimum + 1e-9
+            if discounts[0] == "step":
+                scores = Lookahead().plan(one).values(0, 0, one.start).values()
+                assert (
+                    optimum - 1e-9 <= max(scores) <= Reminding(one).known(0, 0) @ one.start + 1e-9
+                )
+
+
+def test_a_delay_can_be_all_that_pays() -> None:
+    """Saying what nobody needs puts off what is still to be paid; bounds know."""
+    problem = Problem(np.full((1, 3, 4), 0.1), np.full(2, 0.1), discount=0.5)
+    knowing_it = problem.with_habits(habits_of(0.0, 0.7, 0.2))
+    optimum = literal_optimal_value(knowing_it)
+    silent = evaluate(knowing_it, Silent().plan(knowing_it)).value
+    assert optimum > silent + 0.5
+    found = bounds(knowing_it)
+    assert found.lower == pytest.approx(optimum, abs=1e-3)
+    assert found.upper == pytest.approx(optimum, abs=1e-3)
+    assert evaluate(knowing_it, QMDP().plan(knowing_it)).value > silent + 0.5
+
+
+def worth_of(
+    problem: Problem,
+    policy: Policy,
+    step: int = 0,
+    said: tuple[int, ...] = (),
+    belief: NDArray[np.float64] | None = None,
+) -> tuple[float, float]:
+    """Discounted return and undiscounted cost of a policy, over every answer."""
+    belief = problem.start if belief is None else belief
+    if step == problem.n_steps:
+        return 0.0, 0.0
+    given = 0
+    for new in said:
+        given = problem.again.after(given, new, problem.n_messages)
+    per_message = problem.discount if problem.discount_per == "action" else 1.0
+    new = policy.messages(step, given, belief)
+    prices = []
+    for j in indices(new):
+        times = sum(before >> j & 1 for before in said)
+        assert times < (problem.again.most or problem.n_steps)
+        factor = problem.again.price if times else 1.0
+        prices.append(problem.trade_off * float(problem.message_cost[j]) * factor)
+    value = -sum(price * per_message**i for i, price in enumerate(sorted(prices)))
+    belief, count = told(problem, belief, new), step + 1
+    p, answers = (t[:count].reshape(count, -1).T for t in (problem.table.p, problem.table.answered))
+    zeros = problem.inexplicability_cost * float(belief @ (1 - p).sum(axis=1))
+    cost, later = sum(prices) + zeros, 0.0
+    for labels in product((0, 1), repeat=count):
+        answer = np.array(labels, dtype=np.uint8)
+        chance = float(belief @ np.where(answer == 1, answers, 1 - answers).prod(axis=1))
+        if chance > 0:
+            after = update(problem, belief, given, answer)
+            returned, paid = worth_of(problem, policy, count, (*said, new), after)
+            later, cost = later + chance * returned, cost + chance * paid
+    factor = per_message ** len(prices)
+    return value + factor * (problem.discount * later - zeros), cost
+
+
+@pytest.mark.parametrize("discounts", DISCOUNTS[:2])
+@pytest.mark.parametrize("again", AGAIN)
+def test_exact_values_are_those_by_enumeration_and_simulation_is_near(
+    again: Again, discounts: tuple[str, float]
+) -> None:
+    for seed in range(2):
+        for problem in (needy(seed), problem_of(60 + seed, steps=3)):
+            one = of_limits(problem, again, discounts)
+            for solver in (QMDP(), Lookahead()):
+                policy = solver.plan(one)
+                worth, (value, cost) = evaluate(one, policy), worth_of(one, policy)
+                assert worth.value_is == "exact"
+                assert worth.value == pytest.approx(value, abs=1e-9)
+                assert worth.cost == pytest.approx(cost, abs=1e-9)
+            drawn = simulate(one, CachedPolicy(policy), 300, seed)
+            assert drawn.value_is == "simulated"
+            assert drawn.value == pytest.approx(value, abs=5 * drawn.value_se + 1e-9)
+            assert drawn.cost == pytest.approx(cost, abs=5 * drawn.cost_se + 1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_values_with_questions_are_exact_too(seed: int) -> None:
+    """The certified policy earns the optimum by brute force, by walk and by simulation."""
+    problem = needy(seed, questions=True)
+    policy, optimum = Certified(gap=1e-9).plan(problem), literal_optimal_value(problem)
+    worth = evaluate(problem, policy)
+    assert (worth.value_is, worth.value) == ("exact", pytest.approx(optimum, abs=1e-7))
+    drawn = simulate(problem, CachedPolicy(policy), 400, seed)
+    assert drawn.value == pytest.approx(optimum, abs=5 * drawn.value_se + 1e-9)
+
+
+@pytest.mark.parametrize("again", AGAIN)
+@pytest.mark.parametrize("seed", range(3))
+def test_kernels_decide_as_qmdp_does(seed: int, again: Again) -> None:
+    problem = of_limits(needy(seed), again, DISCOUNTS[seed])
+    policy, rng = Reminding(problem), np.random.default_rng(seed)
+    model = knowing.make_knowing(policy)
+    for step in (0, 1):
+        belief, given = rng.dirichlet(np.ones(problem.start.size)), 0
+        for new in rng.integers(4, size=2).tolist():
+            given = problem.again.after(given, new, 2)
+            assert knowing.given_after(model, 0, given & 3) == problem.again.after(0, given & 3, 2)
+        value, _, _ = knowing.best_now(model, step, given, 0, belief)
+        assert value == pytest.approx(max(policy.values(step, given, belief).values()), abs=1e-9)
+
+
+def test_a_high_price_and_a_limit_of_one_are_the_same_where_nobody_would_pay() -> None:
+    for seed in range(3):
+        once, dear = (
+            of_limits(needy(seed), again, DISCOUNTS[0]) for again in (Again(most=1), Again(1e6))
+        )
+        assert literal_optimal_value(once) == pytest.approx(literal_optimal_value(dear))
+        least, free = (bounds(replace(once, again=a)).lower for a in (Again(most=1), Again(0.0)))
+        assert least <= free
+
+
+def test_who_cannot_plan_with_it_says_so_in_one_line() -> None:
+    problem = needy(0)
+    with pytest.raises(InputError, match=r"again.*solver=pomcp; qmdp, lookahead and certified"):
+        POMCP().plan(replace(problem, again=Again(2.0)))
+    with pytest.raises(InputError, match=r"again.most=40: at most 31 with 2 messages"):
+        replace(problem, again=Again(most=40))
+    many = Problem(np.random.default_rng(0).random((1, 2, 1 << 11)), np.full(11, 0.1), discount=1.0)
+    for solver in (Lookahead(), Certified()):
+        with pytest.raises(TooLargeError, match="sets of messages together: 11 matter"):
+            solver.plan(many.with_habits(habits_of(0.0, 0.9, 0.0)))
+
+
+def test_a_file_keeps_it(tmp_path) -> None:
+    for again in AGAIN:
+        replace(needy(0), again=again).save(tmp_path / "problem.npz")
+        assert Problem.load(tmp_path / "problem.npz").again == again
