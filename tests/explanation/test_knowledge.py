@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -150,42 +149,11 @@ def worth(problem: Problem, step: int, mask: int, belief: np.ndarray) -> float:
 @given(seeds)
 def test_qmdp_is_between_what_it_earns_and_nothing_better(seed: int) -> None:
     """What it earns is at most the optimum by trying every action at every belief, and that is at
-    most its own value at the start, where type and knowledge become known. (Where messages
-    discount, an optimum may say some as a mere delay, which is not looked for here.)"""
-    problem = replace(problem_of(seed), discount_per="step")
+    most its own value at the start, where type and knowledge become known."""
+    problem = problem_of(seed)
     optimum = literal_optimal_value(problem)
     assert worth(problem, 0, 0, problem.start) <= optimum + 1e-9
-    bound = float(problem.start @ Reminding(problem).optimal[0].ravel())
-    assert optimum <= bound + 1e-9
-
-
-@settings(max_examples=40, deadline=None)
-@given(seeds)
-def test_optimal_values_solve_their_equation(seed: int) -> None:
-    """Type and knowledge seen: each value is the best of *explain* and of each message, which is
-    said again until it is taken in."""
-    problem = problem_of(seed, messages=3)
-    table, found = problem.table, Reminding(problem).optimal
-    accept = np.tile(problem.habits.accept, problem.n_user_types)
-    forget = np.tile(problem.habits.forget, problem.n_user_types)
-    delay = problem.discount if problem.discount_per == "action" else 1.0
-    rows = table.rows
-    for k, t in product(range(problem.n_steps), range(problem.n_types)):
-        for row in range(1 << len(rows[t])):
-            cost = problem.inexplicability_cost * float((1 - table.p[: k + 1, row, t]).sum())
-            held = [bit for bit in range(len(rows[t])) if row >> bit & 1]
-            left = 0.0
-            for kept in product((0, 1), repeat=len(held)):
-                share = (1 - forget[t]) ** sum(kept) * forget[t] ** (len(held) - sum(kept))
-                place = sum(1 << bit for bit, is_kept in zip(held, kept, strict=True) if is_kept)
-                left += share * found[k + 1, place, t]
-            options = [problem.discount * left - cost]
-            for bit, j in enumerate(rows[t]):
-                if not row >> bit & 1:
-                    price = problem.trade_off * float(problem.message_cost[j])
-                    then = accept[t] * found[k, row | 1 << bit, t]
-                    options.append(delay * (then + (1 - accept[t]) * found[k, row, t]) - price)
-            assert found[k, row, t] == pytest.approx(max(options), abs=1e-9)
+    assert optimum <= float(problem.start @ Reminding(problem).known(0, 0)) + 1e-9
 
 
 @settings(max_examples=40, deadline=None)

@@ -106,8 +106,8 @@ def test_losses_tell_what_qmdp_earns(seed: int) -> None:
     with np.errstate(over="ignore"):
         for _ in range(600):
             state = knowing.draw_state(counter, problem.start)
-            losses.append(expected_loss(model, counter, 0, state, problem.start.copy(), labels))
-    known = float(problem.start @ policy.optimal[0].ravel())
+            losses.append(expected_loss(model, counter, 0, 0, state, problem.start.copy(), labels))
+    known = float(problem.start @ policy.known(0, 0))
     se = np.std(losses) / np.sqrt(len(losses))
     assert known - np.mean(losses) == pytest.approx(
         worth(problem, 0, 0, problem.start), abs=5 * se + 1e-9
@@ -131,7 +131,7 @@ def test_qmdp_asks_what_is_worth_it() -> None:
 @pytest.mark.parametrize("seed", range(12))
 def test_certified_bounds_hold_and_close(seed: int) -> None:
     """On the optimum by trying every action at every belief."""
-    problem = replace(problem_of(40 + seed), discount_per="step")
+    problem = problem_of(40 + seed)
     policy = Certified(gap=1e-7).plan(problem)
     assert isinstance(policy, CertifiedKnowing)
     optimum = literal_optimal_value(problem)

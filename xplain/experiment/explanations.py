@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, number
+from xplain.errors import InputError, number, one_of
 from xplain.experiment.pipeline import Case, Prepared
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.again import Again
