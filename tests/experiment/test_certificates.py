@@ -10,14 +10,16 @@ from scipy import stats
 
 from tests.configurations import composed
 from tests.handmade import a_prepared, with_cases
+from tests.solvers.test_again import worth_of
 from tests.solvers.test_policy_evaluation import worth_by_enumeration
 from xplain.errors import InputError, TooLargeError
 from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import Costs, trace_seed
 from xplain.experiment.pipeline import Case, Prepared
+from xplain.explanation.again import Again
 from xplain.explanation.belief import Independent
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.literal_pomdp import reduced_optimal_value
+from xplain.explanation.literal_pomdp import literal_optimal_value, reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers import policy_evaluation as policy_value
 from xplain.solvers.known_type import Baseline, KnownType
@@ -207,3 +209,24 @@ def test_traces_alike_to_the_types_are_not_alike_to_everyone():
 def test_effort_is_checked(key, value):
     with pytest.raises(InputError, match=f"certify.{key}"):
         Certify(**{**EFFORT, key: value})
+
+
+@pytest.mark.parametrize("solver", [QMDP(), Baseline()])
+def test_where_messages_may_be_missed_all_is_of_that_model(solver):
+    """Optimum and values by every action and every answer, a price and a limit of saying again
+    among them."""
+    costs = replace(COSTS, again=Again(0.5, most=2))
+    belief, first = Independent(accept=0.7, forget=0.2), PREPARED.cases[0]
+    found = Certify(**{**EFFORT, "traces": 1}).certificates(PREPARED, costs, solver, belief, 4)
+    problem = replace(problem_of(first), again=costs.again).with_habits(belief.habits())
+    optimum = literal_optimal_value(problem)
+    assert found["optimal_lower"] - 1e-9 <= optimum <= found["optimal_upper"] + 1e-9
+    assert found["optimal_upper"] - found["optimal_lower"] <= EFFORT["gap"] + 1e-9
+    everyone = problem_of(first).with_types(first.everyone, ("everyone",))
+    own = problem if solver.knows == "types" else everyone
+    value, cost = worth_of(problem, solver.plan(own))
+    assert found["policy_value_exact"] == 1
+    assert found["policy_value"] == pytest.approx(value)
+    assert found["policy_cost"] == pytest.approx(cost)
+    assert found["known_type_value"] >= optimum
+    assert found["price_of_approximation_high"] >= optimum - value - 1e-9

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from tests.explanation.problems import random_problem
 from xplain import Explainer, GivenTypes
 from xplain.errors import InputError
+from xplain.explanation.again import Again
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import DENSE, LabelTable, joined
@@ -21,7 +22,6 @@ from xplain.explanation.message_sets import mask_of
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.solvers.known_type import Conformant, KnownType
-from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
 
@@ -334,7 +334,7 @@ def test_misuse_is_one_clear_line():
         (lambda: explainer.session().messages(), "finished"),
         (lambda: session.tell(["a"]), "before messages()"),
         (lambda: explainer.session([0]).tell(["c"]), "unknown message"),
-        (told_again, "not given before, as ('a',) were"),
+        (told_again, "may be said after ('a',)"),
         (lambda: explainer.session().tell(["a"]), "before messages()"),
         (lambda: explainer.session([-1]), "trace"),
         (lambda: explainer.from_json(json.dumps(state | {"messages": ["b", "a"]})), "messages"),
@@ -453,6 +453,24 @@ def test_a_message_that_was_not_taken_in_is_said_again():
     assert (session.messages(), session.again, session.said) == ((), (), ("fuel",))
 
 
+def test_a_message_said_again_has_its_own_price_and_a_limit():
+    table = np.zeros((1, 6, 2))
+    table[..., 1] = 1
+    types = GivenTypes(np.clip(table, 0.02, 0.98), ("fuel",), ("novice",))
+    explainer = Explainer(
+        types, belief_update=Independent(0.0, 0.7, 0.0), again=Again(0.25, most=2)
+    )
+    session = explainer.session(range(6))
+    for labels in ([0], [0, 0], [0, 0, 0]):
+        session.messages()
+        session.observe(labels)
+    assert session.cost == 1 + 0.25 + 6  # nothing at the third step
+    with pytest.raises(InputError, match="that may be said after"):
+        session.tell(["fuel"])
+    later = explainer.from_json(session.to_json())
+    assert (later.belief, later.messages()) == (session.belief, ())
+
+
 def test_what_people_are_like_is_learned_from_sessions_and_used_by_the_next():
     """Messages are missed half of the time: then they are said again sooner, and to others too."""
     table = np.zeros((1, 6, 2))
@@ -477,10 +495,9 @@ def test_what_people_are_like_is_learned_from_sessions_and_used_by_the_next():
     assert rates[0] < 0.75 < 0.9 < rates[1]
 
 
-@pytest.mark.parametrize("solver", [QHR(), Lookahead()])
-def test_solvers_that_cannot_say_a_message_again_say_so(solver):
+def test_a_solver_that_cannot_say_a_message_again_says_so():
     types = GivenTypes(np.full((2, 3, 4), 0.5), ("a", "b"), ("x", "y"))
-    session = Explainer(types, solver, belief_update=Independent(forget=0.1)).session(range(3))
+    session = Explainer(types, QHR(), belief_update=Independent(forget=0.1)).session(range(3))
     with pytest.raises(InputError, match="solver=qmdp"):
         session.messages()
 

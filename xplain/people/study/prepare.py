@@ -152,7 +152,7 @@ def drafted(
     own, in_words = parts("study", config, wording, seen.scene)
     parameters = worded(seen.parameters, wording["facts"], in_words)
     does = wording["words"]["robot_does"]
-    again = Again(**config["again"])
+    again = Again(**config.get("again", {}))
     costs = Costs(config["lambda"], again=again, **{key: config[key] for key in COSTS})
     # Roles and types have the same names; people as they are may be of any types that were found.
     names = tuple(one.name for one in types) if learned is None or not natural else learned.names

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
@@ -11,6 +12,7 @@ import pytest
 
 from tests.people.study.stand_in import CONFIG, FAULTLESS, street_study
 from xplain.errors import Refused
+from xplain.explanation.again import Again
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
@@ -81,7 +83,8 @@ def test_people_who_fail_are_explained_to_as_offline_and_logged_by_type(
 ) -> None:
     """The belief that a state carries is over types, habits and knowledge, that of the log over
     types."""
-    problem = study.plan.problem.with_habits(update.habits())
+    again = Again(1.5, most=2)
+    problem = replace(study.plan.problem, again=again).with_habits(update.habits())
     policy = QMDP().plan(problem)
     failing = replace(
         study,
@@ -109,6 +112,7 @@ def test_people_who_fail_are_explained_to_as_offline_and_logged_by_type(
                 assert outcome.decision.belief == outcome.answer.belief
             state = outcome.state
         assert state.again == offline.n_again
+        assert max(Counter(state.heard).values(), default=0) <= 2
         said_again += state.again
     assert (said_again > 0) == problem.tracks_knowledge
 
