@@ -83,7 +83,7 @@ def test_people_who_fail_are_explained_to_as_offline_and_logged_by_type(
 ) -> None:
     """The belief that a state carries is over types, habits and knowledge, that of the log over
     types."""
-    again = Again(1.5, most=2)
+    again = Again(0.5, most=2)
     problem = replace(study.plan.problem, again=again).with_habits(update.habits())
     policy = QMDP().plan(problem)
     failing = replace(
