@@ -106,6 +106,7 @@ NOT_OF_THE_SOURCE = {
     "solver": "explains what is there",
     "belief": "of the explanation",
     "explainee": "who it is explained to",
+    "again": "of the explanation",
     "ask.cost": "a price",
     "ask.most": "of the explanation",
     "ask.when": "of the explanation",
