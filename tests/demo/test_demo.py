@@ -14,7 +14,7 @@ from hydra.core.global_hydra import GlobalHydra
 
 from xplain.cli.main import main
 from xplain.demo.page import content, page
-from xplain.demo.play import Simulated, play, stage
+from xplain.demo.play import SimulatedListener, play, stage
 from xplain.demo.terminal import Terminal
 from xplain.explanation.belief import Independent
 from xplain.explanation.message_sets import mask_of
@@ -58,7 +58,7 @@ def test_it_plays_the_experiments_episode(rescue, user):
     labels = case.labels.of_types([prepared.types.index(user)])
     policy = QMDP().plan(problem)
     episode = explain(problem, policy, SimulatedUser(labels), Independent())
-    played = play(rescue, Simulated(rescue, user))
+    played = play(rescue, SimulatedListener(rescue, user))
     said = [mask_of(step.said, prepared.messages) for step in played.steps]
     assert said == episode.messages.tolist()
     assert played.steps[-1].cost == pytest.approx(episode.cost)
@@ -71,7 +71,7 @@ def test_by_default_it_tells_of_a_type_that_is_found_with_few_messages(rescue):
     """No user of any type is found on this trace with fewer messages, unless nothing is said."""
     found = {}
     for user in rescue.prepared.types:
-        played = play(rescue, Simulated(rescue, user))
+        played = play(rescue, SimulatedListener(rescue, user))
         said = sum(len(step.said) for step in played.steps)
         if sum(played.steps[-1].belief[name] for name in rescue.right(user)) > 0.9 and said:
             found[user] = said
@@ -100,14 +100,14 @@ def test_a_terminal_waits_a_step_at_a_time_until_it_is_told_not_to(
     """The end of the input is such a word, too."""
     monkeypatch.setattr(sys, "stdin", Keyboard(typed))
     monkeypatch.setattr(sys, "stdout", Keyboard())
-    play(rescue, Terminal(rescue, Simulated(rescue, "A")))
+    play(rescue, Terminal(rescue, SimulatedListener(rescue, "A")))
     text = sys.stdout.getvalue()
     assert text.count("the next step") == asked
     assert re.search(r"cost", text)
 
 
 def test_the_page_holds_the_session_and_loads_nothing(rescue):
-    played = play(rescue, Simulated(rescue, "A"))
+    played = play(rescue, SimulatedListener(rescue, "A"))
     html = page(rescue, played)
     data = re.search(r"^const D = (.*);$", html, re.MULTILINE)
     assert json.loads(data.group(1)) == json.loads(json.dumps(content(rescue, played)))
@@ -120,7 +120,7 @@ def test_words_of_a_domain_cannot_end_the_script(rescue):
     evil = "</script><script>alert(1)</script><!--"
     sentences = tuple(evil for _ in rescue.prepared.sentences)
     scene = replace(rescue, prepared=replace(rescue.prepared, sentences=sentences))
-    html = page(scene, play(scene, Simulated(scene, "A")))
+    html = page(scene, play(scene, SimulatedListener(scene, "A")))
     assert html.count("</script>") == 1
     assert "<!--" not in html
 
@@ -185,7 +185,7 @@ def test_the_page_can_be_stepped_through(rescue, tmp_path):
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
 
-    played = play(rescue, Simulated(rescue, "A"))
+    played = play(rescue, SimulatedListener(rescue, "A"))
     (tmp_path / "session.html").write_text(page(rescue, played), encoding="utf-8")
     options = webdriver.ChromeOptions()
     for flag in ("--headless=new", "--no-sandbox", f"--user-data-dir={tmp_path / 'profile'}"):

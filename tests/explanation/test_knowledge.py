@@ -13,7 +13,12 @@ from xplain.explanation import knowledge
 from xplain.explanation.belief import BeliefUpdate, Independent, Persistent, told, update
 from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.label_table import LabelTable
-from xplain.explanation.literal_pomdp import EXPLAIN, LiteralPOMDP, State, literal_optimal_value
+from xplain.explanation.literal_pomdp import (
+    EXPLAIN,
+    LiteralPOMDP,
+    LiteralState,
+    literal_optimal_value,
+)
 from xplain.explanation.problem import Problem
 from xplain.interaction.interaction import Interaction
 from xplain.solvers.qmdp import QMDP
@@ -108,10 +113,13 @@ def test_the_belief_is_that_over_the_states_of_the_literal_pomdp(seed: int) -> N
 
 
 def after(
-    pomdp: LiteralPOMDP, states: dict[State, float], action: int, seen: tuple[int, ...] | None
-) -> dict[State, float]:
+    pomdp: LiteralPOMDP,
+    states: dict[LiteralState, float],
+    action: int,
+    seen: tuple[int, ...] | None,
+) -> dict[LiteralState, float]:
     """Bayes' rule over states, written out."""
-    joint: dict[State, float] = {}
+    joint: dict[LiteralState, float] = {}
     for state, weight in states.items():
         for probability, new, observation, _ in pomdp.outcomes(state, action):
             if observation == seen:

@@ -13,7 +13,7 @@ from xplain.learning.clustering import Clusterer, Clustering, Perfect, Single
 from xplain.learning.data.dataset import Dataset, query_index
 from xplain.learning.disagreements import disagreements
 from xplain.learning.labelers import Labeler, LabelerTrainer
-from xplain.learning.paper_clusterer import Agglomerative, Elbow, KMeans, Partition
+from xplain.learning.paper_clusterer import Agglomerative, Elbow, KMeans, Partitioner
 from xplain.learning.user_types import AskedOnce, UserTypes, label_table, learn_types
 
 
@@ -84,7 +84,7 @@ class TestSingle(ClustererSuite):
 
 
 @pytest.mark.parametrize("partition", [KMeans(), Agglomerative(), Agglomerative("single")])
-def test_partitions_keep_equal_vectors_together(partition: Partition) -> None:
+def test_partitions_keep_equal_vectors_together(partition: Partitioner) -> None:
     rng = np.random.default_rng(0)
     vectors = rng.integers(0, 2, size=(30, 3)).astype(np.uint8)
     for k in range(1, 12):

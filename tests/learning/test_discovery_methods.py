@@ -15,7 +15,7 @@ from xplain.learning.clustering import Clustering, Perfect, Single
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.learning.fact_model.gibbs import sample
-from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior
+from xplain.learning.fact_model.model import CELL, NOISE, Prior, SortedLabels
 from xplain.learning.fact_model.resample_transitions import WIDE
 from xplain.learning.fact_model.split_merge import MANY_OBSERVERS
 from xplain.learning.labelers import LabelerTrainer
@@ -158,7 +158,7 @@ def test_observers_whose_answers_say_nothing_share_types_as_the_process_has_it(
         message_set=np.full(observers, 3),
         label=(everybody % 5 > 1).astype(np.uint8),
     )
-    answers, prior = Answers.of(dataset), Prior.of(2, 2)
+    answers, prior = SortedLabels.of(dataset), Prior.of(2, 2)
     first = np.zeros(observers, dtype=np.int64)
     rng = np.random.default_rng(1)
     found = sample(answers, prior, concentration, first, 6000, temperature, rng).types
@@ -185,7 +185,7 @@ def log_evidence(ones: int, zeros: int, noise: float, prior: float) -> float:
 @settings(max_examples=8, deadline=None)
 def test_score_is_the_joint_probability_by_its_definition(n: int, seed: int) -> None:
     dataset, _ = made(np.random.default_rng(seed), [[0], [1]], per_type=2, size=25 * n, n=n)
-    answers, prior = Answers.of(dataset), Prior.of(n, 2)
+    answers, prior = SortedLabels.of(dataset), Prior.of(n, 2)
     everything = (1 << n) - 1
     first = np.array([0, 1, everything, everything])
     rng = np.random.default_rng(seed)

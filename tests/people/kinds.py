@@ -18,7 +18,7 @@ from xplain.people.server.site import Site
 from xplain.people.server.store import Store
 from xplain.people.simulation.bots import Bot
 from xplain.people.simulation.browser import visit
-from xplain.people.study.bot import Person
+from xplain.people.study.bot import StudyBot
 from xplain.people.study.site import StudySite
 
 KINDS = ("study", "collect")
@@ -41,7 +41,7 @@ def bot_of(site: Site[Any], *seeds: int) -> Bot[Any, Any]:
     """Somebody faultless."""
     rng = np.random.default_rng(seeds)
     if isinstance(site, StudySite):
-        return Person(site.plan, studying.FAULTLESS, rng)
+        return StudyBot(site.plan, studying.FAULTLESS, rng)
     roles = site.plan.roles
     return Observer(site.plan, roles[seeds[-1] % len(roles)].held, collecting.FAULTLESS, rng)
 

@@ -13,7 +13,7 @@ from tests.people.killing import survive
 from tests.people.study.stand_in import ASK, FAULTLESS, street_study
 from tests.people.test_dry_runs import everything_replays
 from xplain.people.server.store import Store
-from xplain.people.study.bot import Person
+from xplain.people.study.bot import StudyBot
 from xplain.people.study.site import StudySite
 from xplain.people.study.tables import export
 
@@ -27,9 +27,9 @@ def test_questions_survive_kill_9(
     """Bots who err in all three conditions; the server dies while they are asked, too."""
     site, path = StudySite(street_study(ask=ASK)), tmp_path / "s.sqlite"
 
-    def erring(*seeds: int) -> Person:
+    def erring(*seeds: int) -> StudyBot:
         habits = replace(FAULTLESS, label_noise=0.2)
-        return Person(site.plan, habits, np.random.default_rng(seeds))
+        return StudyBot(site.plan, habits, np.random.default_rng(seeds))
 
     Store(path, site).close()
     acknowledged, stored = survive(path, site, "study", erring, kills, people)

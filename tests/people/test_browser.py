@@ -37,7 +37,7 @@ from xplain.people.simulation.chromium import (
     take_part,
     wait,
 )
-from xplain.people.study.bot import Habits, Person
+from xplain.people.study.bot import ParticipantHabits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import study_plan
@@ -170,14 +170,14 @@ def test_every_page_is_accessible_and_is_photographed(
         photograph(driver, "entrance")
         press(driver)
         wait(lambda: moved_on(driver, "none"))
-        person = Person(plan, FAULTLESS, np.random.default_rng(0))
+        person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
         assert take_part(driver, person, look=look) == "done"
         assert len(seen) == plan.n_steps + 9
         assert complaints(driver) == []
 
         # The pages off the way: a failed check, the ends, errors, the researcher's.
         go_in(driver, server.url, researcher.invite(1, "pilot")[0])
-        forgetful = Person(plan, Habits(mistake=1), np.random.default_rng(0))
+        forgetful = StudyBot(plan, ParticipantHabits(mistake=1), np.random.default_rng(0))
         for _ in range(20):
             page = Page.of_html(driver.page_source)
             if not page.hidden:
@@ -240,7 +240,7 @@ return total;
 """
 
 
-def scrolled(driver: Driver, person: Person) -> float:
+def scrolled(driver: Driver, person: StudyBot) -> float:
     """Pixels that a participant scrolls in the evaluation: to every answer that they click, and to
     the button, no further than they have to."""
     total = 0.0
@@ -281,7 +281,7 @@ def test_the_new_step_and_its_button_are_in_sight(
                 if page.stage in ("training", "ahead", "evaluation"):
                     assert max(out_of_sight(driver)) <= 0, page
 
-            person = Person(rescue.plan, FAULTLESS, np.random.default_rng(0))
+            person = StudyBot(rescue.plan, FAULTLESS, np.random.default_rng(0))
             assert take_part(driver, person, look=look) == "done"
 
 
@@ -320,7 +320,7 @@ def test_a_question_is_accessible_in_sight_and_photographed(
                         driver.execute_script(SAID, longest)
                         assert max(out_of_sight(driver)) <= 0, longest
 
-            person = Person(plan, FAULTLESS, np.random.default_rng(user_type))
+            person = StudyBot(plan, FAULTLESS, np.random.default_rng(user_type))
             assert take_part(driver, person, look=look) == "done"
         assert complaints(driver) == []
     assert len(seen) >= len(plan.roles)
@@ -340,7 +340,7 @@ def test_scrolling_hangs_on_no_condition(driver: Driver, rescue: Study, tmp_path
                 if user_type == 0:  # the other types meet the same pages
                     preview(driver, server, cell)
                     total[condition] += scrolled(
-                        driver, Person(plan, FAULTLESS, np.random.default_rng(0))
+                        driver, StudyBot(plan, FAULTLESS, np.random.default_rng(0))
                     )
             measured[width] = total
     print(measured)
@@ -355,7 +355,9 @@ def test_bots_in_chromium_take_part_and_replay_agrees(
     with serving(path, study) as server:
         for number, invitation in enumerate(Researcher(server.url, server.key).invite(3)):
             go_in(driver, server.url, invitation)
-            person = Person(study.plan, Habits(mistake=0), np.random.default_rng(number))
+            person = StudyBot(
+                study.plan, ParticipantHabits(mistake=0), np.random.default_rng(number)
+            )
             assert take_part(driver, person) == "done"
             assert "Simulated participant" in driver.page_source
     main(["study", "replay", str(path)])
@@ -380,7 +382,7 @@ def test_the_keyboard_is_enough(driver: Driver, kind: str, tmp_path: Path) -> No
         _tab_to(driver, "button")
         driver.switch_to.active_element.send_keys(Keys.ENTER)
         wait(lambda: moved_on(driver, "none"))
-        person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
+        person = StudyBot(study.plan, FAULTLESS, np.random.default_rng(0))
         while (page := Page.of_html(driver.page_source)).hidden:
             wanted = dict(person.fill(page)[0])
             for name, value in wanted.items():
@@ -418,7 +420,7 @@ def test_an_answer_survives_a_lost_server_a_reload_and_a_double_click(
     with server:
         (invitation,) = Researcher(server.url, server.key).invite(1)
         go_in(driver, server.url, invitation)
-        person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
+        person = StudyBot(study.plan, FAULTLESS, np.random.default_rng(0))
         for _ in range(6):
             page = Page.of_html(driver.page_source)
             choose(driver, person.fill(page)[0])
@@ -480,7 +482,7 @@ def test_new_messages_are_announced(driver: Driver, study: Study, tmp_path: Path
                 assert said == " ".join(" ".join(new).split())
                 announced.extend(new)
 
-        take_part(driver, Person(study.plan, FAULTLESS, np.random.default_rng(0)), look=look)
+        take_part(driver, StudyBot(study.plan, FAULTLESS, np.random.default_rng(0)), look=look)
         assert len(announced) > 1  # practice, then at least one of the robot's
 
 

@@ -18,7 +18,7 @@ from tests.people.test_browser import driver as driver
 from xplain.cli.main import main
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.plan import Rules
+from xplain.people.collect.plan import CollectRules
 from xplain.people.collect.site import CollectSite
 from xplain.people.server.store import Store
 from xplain.people.simulation.bots import Researcher
@@ -48,7 +48,7 @@ def rescue() -> Collection:
     )
     cfg = composed("collect", ["points=8", questions])
     config = fixed(cfg)
-    rules = Rules(points=8, **config["rules"] | {"listening": 2})
+    rules = CollectRules(points=8, **config["rules"] | {"listening": 2})
     plan = assemble(source_of(cfg), Adaptive(clip=2), rules, config)
     return at_work(plan)
 

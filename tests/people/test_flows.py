@@ -16,7 +16,7 @@ from werkzeug.datastructures import MultiDict
 from tests.people.kinds import KINDS, bot_of, site_of
 from xplain.errors import Refused
 from xplain.people.flow import State
-from xplain.people.plan import Asked
+from xplain.people.plan import LabQuestion
 from xplain.people.simulation.bots import answer
 from xplain.people.stages import check, small
 
@@ -205,7 +205,7 @@ def test_a_small_number_has_plain_digits_and_few(text: str | None, number: int |
 @pytest.mark.parametrize("text", ["17", "111", "²", "٣٤", "-18", "18.0", "9" * 10, "9" * 5000])
 def test_a_number_that_is_none_or_out_of_bounds_is_refused_whatever_was_typed(text: str) -> None:
     words = site_of("study").flow.words
-    age = Asked("age", "Your age", "number", low=18, high=110, max_length=10_000)
+    age = LabQuestion("age", "Your age", "number", low=18, high=110, max_length=10_000)
     for allowed in ("18", "110", ""):
         check(age, allowed, words)
     with pytest.raises(Refused):

@@ -25,7 +25,7 @@ from xplain.people.collect.plan import CollectPlan
 from xplain.people.simulation.bots import Researcher
 from xplain.people.simulation.browser import Page
 from xplain.people.simulation.chromium import Driver, go_in, press, take_part, wait
-from xplain.people.study.bot import Person
+from xplain.people.study.bot import StudyBot
 from xplain.people.study.plan import StudyPlan
 
 pytestmark = pytest.mark.browser
@@ -178,7 +178,7 @@ def test_a_lab_goes_from_an_empty_folder_to_a_robot_and_a_study(
         researcher = Researcher(server.url, server.key)
         look = Looking(driver, axe, "study")
         go_in(driver, server.url, researcher.invite(1, "person")[0])
-        person = Person(researcher.plan(StudyPlan), FAULTLESS, np.random.default_rng(0))
+        person = StudyBot(researcher.plan(StudyPlan), FAULTLESS, np.random.default_rng(0))
         assert take_part(driver, person, look=look) == "done"
         assert look.seen["evaluation"] == 5
         assert len(look.alts) == 5

@@ -18,9 +18,9 @@ from xplain.cli.main import main
 from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.learning.saved_types import LearnedTypes
-from xplain.people.collect.bot import Habits, bot
+from xplain.people.collect.bot import ObserverHabits, bot
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.plan import Rules
+from xplain.people.collect.plan import CollectRules
 from xplain.people.collect.prepare import assemble, source_of
 from xplain.people.collect.site import CollectSite
 from xplain.people.collect.tables import export
@@ -29,7 +29,7 @@ from xplain.people.server.site import Site
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Visitor as Bot
 from xplain.people.simulation.browser import visit
-from xplain.people.study.bot import Person
+from xplain.people.study.bot import StudyBot
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import study_plan
@@ -52,10 +52,12 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the tables of 24 people × 20 adaptive questions at 5 % wrong answers."""
     folder = tmp_path_factory.mktemp("labels")
     cfg = composed("collect", [])
-    plan = assemble(source_of(cfg), Adaptive(), Rules(points=20, **fixed(cfg)["rules"]), fixed(cfg))
+    plan = assemble(
+        source_of(cfg), Adaptive(), CollectRules(points=20, **fixed(cfg)["rules"]), fixed(cfg)
+    )
 
     def person(number: int) -> Bot:
-        return bot(plan, Habits(error=0.05), 1, number)
+        return bot(plan, ObserverHabits(error=0.05), 1, number)
 
     over_the_pages(folder / "c.sqlite", CollectSite(Collection(plan)), 24, person)
     export(folder / "c.sqlite", folder)
@@ -87,7 +89,7 @@ def test_people_as_they_are_get_fewer_messages_by_the_types_that_were_found(
     path = tmp_path / "study.sqlite"
 
     def person(number: int) -> Bot:
-        return Person(plan, FAULTLESS, np.random.default_rng(number))
+        return StudyBot(plan, FAULTLESS, np.random.default_rng(number))
 
     over_the_pages(path, StudySite(study_of(plan)), 16, person)
     main(["study", "replay", str(path)])
@@ -109,7 +111,7 @@ def test_people_as_they_are_are_told_nothing_and_not_tested_on_it(
     plan = planned(types, "briefing=none")
     store = Store(tmp_path / "s.sqlite", StudySite(study_of(plan)))
     visitor = Visitor(create_app(store, GENEROUS).test_client())
-    person = Person(plan, FAULTLESS, np.random.default_rng(3))
+    person = StudyBot(plan, FAULTLESS, np.random.default_rng(3))
     facts = {sentence for fact in plan.facts for sentence in (fact.message, fact.belief)}
     stages = []
     for html, page in pages(visitor, person, store.invite(1, "person")[0]):

@@ -12,7 +12,7 @@ from werkzeug.datastructures import MultiDict
 from xplain.people.server.http import Server
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Browser, Page
-from xplain.people.study.bot import Person
+from xplain.people.study.bot import StudyBot
 
 GENEROUS = Server(
     ("invitation", "platform", "open"), studies=("s",), burst=1e9, visitor_burst=1e9, blinded=False
@@ -57,7 +57,7 @@ def consent(store: Store, who: str) -> Any:
     return store.submit(who, 0, "consent", payload)
 
 
-def pages(visitor: Visitor, person: Person, invitation: str) -> Iterator[tuple[str, Page]]:
+def pages(visitor: Visitor, person: StudyBot, invitation: str) -> Iterator[tuple[str, Page]]:
     """Every page on the way, before it is answered."""
     html = enter(visitor, invitation)
     while True:

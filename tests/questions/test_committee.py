@@ -16,9 +16,9 @@ from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.data.queries import Independent
 from xplain.learning.fact_model.gibbs import init
-from xplain.learning.fact_model.model import CELL, NOISE, SUBSET, Answers, Prior
+from xplain.learning.fact_model.model import CELL, NOISE, SUBSET, Prior, SortedLabels
 from xplain.learning.labelers import LabelerTrainer
-from xplain.questions.committee import Pool, next_screen, p_explicable
+from xplain.questions.committee import Candidates, next_screen, p_explicable
 from xplain.questions.designs import Adaptive
 from xplain.testing import Chosen, QueriesConformance
 
@@ -79,7 +79,7 @@ def test_the_model_sums_over_what_might_be_true(seed):
     rows = np.stack([rng.integers(0, top, 9) for top in (2, 3, 8, 2)], axis=1)
     data, held = dataset_of(3, 3, rows), rng.integers(0, 8, 2)
     prior = Prior.of(3, 2)
-    state = init(Answers.of(data), prior, held)
+    state = init(SortedLabels.of(data), prior, held)
     told = rng.integers(0, 8, 3)
     found = p_explicable(data, 1, told, prior, state)
     for t, k in product(range(3), range(3)):
@@ -182,7 +182,7 @@ def test_the_first_question_is_about_what_the_robot_does_by_how_often_it_does_it
 def test_of_transitions_that_share_their_features_one_is_drawn_by_its_visits():
     """Three of one row of features, of which the first comes half of the time; -0 is 0."""
     features = np.array([[1.0], [0.0], [1.0], [1.0]])
-    pool = Pool.of(features, ("x",), np.array([3.0, 1.0, 2.0, 1.0]))
+    pool = Candidates.of(features, ("x",), np.array([3.0, 1.0, 2.0, 1.0]))
     assert pool.weight.tolist() == [1, 6]
     assert pool.features.tolist() == [[0], [1]]
     count = 6000

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xplain.questions.expectation import Tables, groups, questions_of
+from xplain.questions.expectation import AllQuestions, groups, questions_of
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.interactions import Interactions
 
@@ -76,8 +76,8 @@ def test_no_question_that_differs_in_one_message_tells_more(seed, variants):
 def test_where_all_sets_are_listed_all_questions_are_weighed(seed):
     hypotheses = random_list(seed)
     every = len(hypotheses.facts) == 1 << FACTS
-    assert isinstance(questions_of(hypotheses), Tables) == every
+    assert isinstance(questions_of(hypotheses), AllQuestions) == every
     weight = np.random.default_rng(seed).random((1, len(hypotheses.facts)))
     middle = weight.sum() / 2
-    best = Tables(groups(hypotheses)).nearest(weight, middle, 1).off.min()
+    best = AllQuestions(groups(hypotheses)).nearest(weight, middle, 1).off.min()
     assert Interactions.of(hypotheses).nearest(weight, middle, 1).off.min() >= best - 1e-9

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from xplain.report import stages as module
-from xplain.report.stages import Lines, Terminal, stages
+from xplain.report.stages import Lines, TerminalStages, stages
 
 
 class Screen(io.StringIO):
@@ -69,7 +69,7 @@ def test_on_a_terminal_lines_move_and_the_log_is_written_above_them(
     root.addHandler(handler)
     try:
         told = stages()
-        assert isinstance(told, Terminal)
+        assert isinstance(told, TerminalStages)
         with told.stage("whole"):
             for item in told.track("abc", "part", 3):
                 told.compiling("kernel 1 of at most 9 (walk)")

@@ -20,7 +20,7 @@ from xplain.experiment.results import save_results
 from xplain.runs import mlflow_sweep
 from xplain.runs.folder import FAILURE, STARTED, SweepFolder
 from xplain.runs.mlflow import MLflow
-from xplain.runs.mlflow_run import Store
+from xplain.runs.mlflow_run import RunStore
 from xplain.runs.mlflow_views import SWEEP_TAG
 from xplain.runs.plan import Job
 
@@ -114,10 +114,10 @@ class Noted(MLflow):
 
     client: Any = None
 
-    def store(self, outputs: Path) -> Store:
+    def store(self, outputs: Path) -> RunStore:
         if isinstance(self.client, Exception):
             raise self.client
-        return Store(self.client, "1")
+        return RunStore(self.client, "1")
 
 
 @pytest.fixture

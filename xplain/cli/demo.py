@@ -43,11 +43,11 @@ def main(arguments: list[str]) -> None:
         raise InputError("--html", str(given.html), "a file in a folder that exists")
     # What follows brings the heavy packages; --help is over by now.
     from xplain.demo.page import page
-    from xplain.demo.play import Simulated, play, stage
+    from xplain.demo.play import SimulatedListener, play, stage
     from xplain.demo.terminal import Terminal
 
     scene = stage(given.overrides, given.trace, given.user)
-    simulated = None if given.me else Simulated(scene, scene.user_type(given.user))
+    simulated = None if given.me else SimulatedListener(scene, scene.user_type(given.user))
     user = simulated if simulated and given.html else Terminal(scene, simulated)
     played = play(scene, user)
     if given.html is not None:

@@ -32,7 +32,7 @@ from xplain.experiment.config import composed
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.label_file import align, columns_of, read_table
 from xplain.questions.battery import battery
-from xplain.questions.committee import Pool, next_screen_of
+from xplain.questions.committee import Candidates, next_screen_of
 from xplain.questions.designs import WITHOUT, Adaptive, Battery, hypotheses_of
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.own_transitions import read_transitions
@@ -112,7 +112,7 @@ def _screen(cfg: DictConfig, design: Adaptive) -> tuple[list[Row], Row]:
     return rows, {"transitions": size, "observer": cfg.observer, "answers": len(answers)}
 
 
-def _pool(cfg: DictConfig) -> tuple[Pool, tuple[str, ...], tuple[str, ...], dict[str, str]]:
+def _pool(cfg: DictConfig) -> tuple[Candidates, tuple[str, ...], tuple[str, ...], dict[str, str]]:
     """What can be asked about, in words, its images, and what to say for each message."""
 
     if cfg.transitions is None:
@@ -121,13 +121,13 @@ def _pool(cfg: DictConfig) -> tuple[Pool, tuple[str, ...], tuple[str, ...], dict
         setting = Setting.build(domain, types)
         texts = tuple(domain.describe(transition) for transition in setting.reachable)
         said = {p.name: p.message for p in domain.parameters}
-        return Pool.of_setting(setting), texts, ("",) * len(texts), said
+        return Candidates.of_setting(setting), texts, ("",) * len(texts), said
     own = read_transitions(cfg.transitions)
     names = list(cfg.messages or (own.hypotheses.messages if own.facts else ()))
     if not names:
         raise InputError("messages", cfg.messages, "names of what people can be told")
     features, feature_names = own.told_apart()
-    pool = Pool.of(features, feature_names, np.ones(len(own.texts)))
+    pool = Candidates.of(features, feature_names, np.ones(len(own.texts)))
     return pool, own.texts, own.images, {name: name for name in names}
 
 

@@ -6,7 +6,7 @@ import json
 from importlib.resources import files
 from typing import Any
 
-from xplain.demo.play import Played, Stage
+from xplain.demo.play import DemoSetup, Played
 from xplain.experiment.results import told
 from xplain.interaction.moves import Why
 from xplain.storage import encode
@@ -15,7 +15,7 @@ SHOWN = 6
 """Number of values shown for a decision, the best ones."""
 
 
-def page(stage: Stage, played: Played) -> str:
+def page(stage: DemoSetup, played: Played) -> str:
     """The HTML of the page, with the session's data in it."""
     template = files("xplain.report").joinpath("player.html").read_text(encoding="utf-8")
     # Inside a script element only "</" and "<!--" could end or change what follows.
@@ -23,7 +23,7 @@ def page(stage: Stage, played: Played) -> str:
     return template.replace("/*DATA*/null", data)
 
 
-def content(stage: Stage, played: Played) -> dict[str, Any]:
+def content(stage: DemoSetup, played: Played) -> dict[str, Any]:
     """What the page draws, in plain JSON."""
     prepared, case = stage.prepared, stage.case
     return {

@@ -27,7 +27,7 @@ from xplain.solvers.base import Solver
 
 
 @dataclass(frozen=True)
-class Stage:
+class DemoSetup:
     """What is fixed before the first step.
 
     Attributes:
@@ -155,7 +155,7 @@ SURE = 0.9
 """A type counts as found from this belief on."""
 
 
-def stage(overrides: Sequence[str], trace: int | None = None, user: str | None = None) -> Stage:
+def stage(overrides: Sequence[str], trace: int | None = None, user: str | None = None) -> DemoSetup:
     """Learns the user types as an experiment does, and chooses one of its traces.
 
     Args:
@@ -180,7 +180,7 @@ def stage(overrides: Sequence[str], trace: int | None = None, user: str | None =
     beliefs = {t.name: tuple(sentence[fact] for fact in t.inaccurate) for t in true_types}
     cases = prepared.cases if trace is None else prepared.cases[trace:]
     stages = [
-        Stage(
+        DemoSetup(
             domain=domain_name(choices, cfg),
             solver=str(choices.solver),
             prepared=prepared,
@@ -199,7 +199,7 @@ def stage(overrides: Sequence[str], trace: int | None = None, user: str | None =
     return best if trace is not None else replace(best, chosen=_rule(prepared, best))
 
 
-def _rule(prepared: Prepared, best: Stage) -> str:
+def _rule(prepared: Prepared, best: DemoSetup) -> str:
     number = next(i for i, case in enumerate(prepared.cases) if case is best.case)
     return (
         f"Trace {number}: of the first {TRIED}, the one where the type of a simulated user is "
@@ -207,10 +207,10 @@ def _rule(prepared: Prepared, best: Stage) -> str:
     )
 
 
-def _tells(scene: Stage) -> tuple[bool, bool, int, float]:
+def _tells(scene: DemoSetup) -> tuple[bool, bool, int, float]:
     """How much a session shows of the method (larger is more): the type is found, with at least one
     message, and with few."""
-    played = play(scene, Simulated(scene, scene.suggested))
+    played = play(scene, SimulatedListener(scene, scene.suggested))
     belief = sum(played.steps[-1].belief[name] for name in scene.right(scene.suggested))
     messages = sum(len(step.said) for step in played.steps)
     return belief > SURE, messages > 0, -messages, belief
@@ -253,7 +253,7 @@ def _explainer(
     )
 
 
-def play(scene: Stage, user: User) -> Played:
+def play(scene: DemoSetup, user: User) -> Played:
     """Plays the session to its end."""
     session = scene.session()
     prior, steps = session.belief, list[Step]()
@@ -274,10 +274,10 @@ def play(scene: Stage, user: User) -> Played:
     return Played(user.user, prior, tuple(steps))
 
 
-class Simulated(User):
+class SimulatedListener(User):
     """Answers as a simulated user of a true type; of ``explainee``'s kind."""
 
-    def __init__(self, scene: Stage, user: str) -> None:
+    def __init__(self, scene: DemoSetup, user: str) -> None:
         self.user, self._messages = user, scene.prepared.messages
         truth, same = what_is_thought(scene.case)
         labels = truth.of_types([scene.prepared.types.index(user)])

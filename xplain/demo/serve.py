@@ -18,7 +18,7 @@ from typing import Any
 from flask import Flask, Response, jsonify, request
 from hydra.utils import instantiate
 
-from xplain.demo.play import Stage, stage
+from xplain.demo.play import DemoSetup, stage
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError, XplainError, one_of
 from xplain.experiment.config import composed
@@ -50,7 +50,11 @@ class Game:
     """
 
     def __init__(
-        self, scene: Stage, overrides: Sequence[str], solvers: Sequence[str], wrong: Sequence[str]
+        self,
+        scene: DemoSetup,
+        overrides: Sequence[str],
+        solvers: Sequence[str],
+        wrong: Sequence[str],
     ) -> None:
         if len(solvers) != 2 or not set(solvers) <= set(SOLVERS):
             raise InputError("solvers", list(solvers), f"two of {', '.join(SOLVERS)}")

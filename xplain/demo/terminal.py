@@ -12,7 +12,7 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
-from xplain.demo.play import Simulated, Stage, Step, User
+from xplain.demo.play import DemoSetup, SimulatedListener, Step, User
 from xplain.errors import InputError
 from xplain.explanation.asking import Question
 from xplain.interaction.session import Session
@@ -29,7 +29,7 @@ class Terminal(User):
         simulated: who answers; None if the person does.
     """
 
-    def __init__(self, stage: Stage, simulated: Simulated | None = None) -> None:
+    def __init__(self, stage: DemoSetup, simulated: SimulatedListener | None = None) -> None:
         width = None if sys.stdout.isatty() else 100
         self.console = Console(highlight=False, width=width)
         self.stage, self.simulated = stage, simulated

@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.mdp import Model
+from xplain.domains.mdp import TaskModel
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Domain(Protocol):
     feature_names: tuple[str, ...]
     starts: NDArray[np.int64]
 
-    def model(self, values: Mapping[str, Any]) -> Model:
+    def model(self, values: Mapping[str, Any]) -> TaskModel:
         """The task of somebody who holds these values: ``{parameter name: value}`` for all
         parameters."""
         ...

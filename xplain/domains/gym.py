@@ -34,7 +34,7 @@ CHANGES = ("when", "actions", "next", *EFFECTS)
 
 
 @dataclass(frozen=True)
-class Tables:
+class TabularModel:
     """An environment's model: [S, A, K] successor, probability and reward, [S] terminal."""
 
     successor: NDArray[np.int64]
@@ -253,7 +253,7 @@ def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
     return list(value)
 
 
-def read_model(id: str, arguments: Mapping[str, Any]) -> Tables:
+def read_model(id: str, arguments: Mapping[str, Any]) -> TabularModel:
     """The model that an environment shows as ``env.unwrapped.P[s][a]``, a list of (probability,
     next state, reward, terminated).
 
@@ -297,7 +297,7 @@ def read_model(id: str, arguments: Mapping[str, Any]) -> Tables:
     goes_on = met[:, None, None] & possible & ~ended
     if (goes_on & terminal[successor]).any():
         raise InputError("domain.id", id, "an environment whose end depends on the state alone")
-    return Tables(successor, probability, reward, terminal, starts)
+    return TabularModel(successor, probability, reward, terminal, starts)
 
 
 def _values(feature: str, given: int | Sequence[str]) -> list[Any]:

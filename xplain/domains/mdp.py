@@ -26,7 +26,7 @@ LARGEST_BATCH = 1 << 17
 """Outcomes (of all states, actions and models) that are swept at once."""
 
 
-class Model(Protocol):
+class TaskModel(Protocol):
     """A model of the task, the robot's or a user's: an :class:`MDP`, or a
     :class:`~xplain.domains.goal_task.GoalTask`. Arrays are as in :class:`MDP`."""
 

@@ -17,7 +17,7 @@ from xplain.errors import InputError
 from xplain.explanation.asking import Limits, Pool, Questions, alike_first, nearest_first
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.explanation.message_sets import subsets
-from xplain.learning.known_types import Tables
+from xplain.learning.known_types import TraceTables
 from xplain.randomness import stream
 
 TOLD = 0.01
@@ -92,7 +92,7 @@ class Clips:
 
     @classmethod
     def of(
-        cls, setting: Setting, tables: Callable[[NDArray[np.int64]], Tables], pool: Pool
+        cls, setting: Setting, tables: Callable[[NDArray[np.int64]], TraceTables], pool: Pool
     ) -> Clips:
         """Asks the labelers about each transition once."""
         every = setting.reachable

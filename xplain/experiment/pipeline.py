@@ -30,7 +30,7 @@ from xplain.learning.clustering import Clusterer
 from xplain.learning.data.observers import Observed, Observers
 from xplain.learning.data.queries import Queries
 from xplain.learning.data.rollouts import sample_trace
-from xplain.learning.known_types import Tables, find_types
+from xplain.learning.known_types import TraceTables, find_types
 from xplain.learning.labelers import LabelerTrainer
 from xplain.randomness import MOST, stream
 
@@ -188,7 +188,7 @@ def draw_trace(setting: Setting, max_steps: int, seed: int, index: int) -> NDArr
 def build_case(
     setting: Setting,
     transitions: NDArray[np.int64],
-    tables: Callable[[NDArray[np.int64]], Tables],
+    tables: Callable[[NDArray[np.int64]], TraceTables],
     clips: Clips | None = None,
     beliefs: Beliefs | None = None,
     most: int = 0,

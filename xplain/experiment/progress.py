@@ -25,7 +25,7 @@ class Progress(Protocol):
         ...
 
 
-class Silent:
+class NoProgress:
     """Tells nobody."""
 
     def track(self, items: Iterable[T], what: str, count: int) -> Iterator[T]:
@@ -40,4 +40,4 @@ class Silent:
         """Nothing."""
 
 
-SILENT: Progress = Silent()
+SILENT: Progress = NoProgress()

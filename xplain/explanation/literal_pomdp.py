@@ -23,7 +23,7 @@ EXPLAIN = -1
 """The action that is no message. Below it are the questions: −2 is the first."""
 
 
-class State(NamedTuple):
+class LiteralState(NamedTuple):
     """⟨k, L, E_given, E_next, t⟩, K where messages may be missed or forgotten, the questions
     asked, and every message shown at earlier steps, as often as it was."""
 
@@ -47,15 +47,15 @@ class LiteralPOMDP:
 
     problem: Problem
 
-    def initial(self) -> dict[State, float]:
+    def initial(self) -> dict[LiteralState, float]:
         """The belief before anything was shown."""
         return {
-            State(0, (), frozenset(), frozenset(), t): float(p)
+            LiteralState(0, (), frozenset(), frozenset(), t): float(p)
             for t, p in enumerate(self.problem.prior)
             if p > 0
         }
 
-    def actions(self, state: State) -> list[int]:
+    def actions(self, state: LiteralState) -> list[int]:
         """*Explain*, and the messages neither given nor pending (where they may be missed or
         forgotten, all that are not pending, and were not said as often as they may be), and
         questions while nothing is pending; none at the end of the trace."""
@@ -73,8 +73,8 @@ class LiteralPOMDP:
         return free
 
     def outcomes(
-        self, state: State, action: int
-    ) -> Iterator[tuple[float, State, Observation, float]]:
+        self, state: LiteralState, action: int
+    ) -> Iterator[tuple[float, LiteralState, Observation, float]]:
         """What may follow: (probability, next state, observation, reward)."""
         problem = self.problem
         if action < EXPLAIN:
@@ -115,8 +115,8 @@ class LiteralPOMDP:
                     yield probability * kept, after._replace(known=known), labels, reward
 
     def _answers(
-        self, state: State, question: int
-    ) -> Iterator[tuple[float, State, Observation, float]]:
+        self, state: LiteralState, question: int
+    ) -> Iterator[tuple[float, LiteralState, Observation, float]]:
         """What a question may be answered."""
         questions = self.problem.questions
         assert questions is not None
@@ -127,7 +127,7 @@ class LiteralPOMDP:
             if probability > 0:
                 yield probability, after, (answer,), -questions.limits.cost
 
-    def _not_forgotten(self, state: State) -> Iterator[tuple[float, frozenset[int]]]:
+    def _not_forgotten(self, state: LiteralState) -> Iterator[tuple[float, frozenset[int]]]:
         """What may be left of K after a step, and how likely it is."""
         forget = float(self.problem.forget[state.user_type])
         if not forget:
@@ -152,14 +152,14 @@ def literal_optimal_value(problem: Problem) -> float:
     """
     pomdp = LiteralPOMDP(problem)
 
-    def value(belief: dict[State, float]) -> float:
+    def value(belief: dict[LiteralState, float]) -> float:
         # All but L's cause, the type, is observed: the states of a belief share their actions.
         actions = pomdp.actions(next(iter(belief)))
         return max((action_value(belief, action) for action in actions), default=0.0)
 
-    def action_value(belief: dict[State, float], action: int) -> float:
+    def action_value(belief: dict[LiteralState, float], action: int) -> float:
         expected_reward = 0.0
-        joint: dict[Observation, dict[State, float]] = {}
+        joint: dict[Observation, dict[LiteralState, float]] = {}
         for state, weight in belief.items():
             for probability, after, observation, reward in pomdp.outcomes(state, action):
                 expected_reward += weight * probability * reward

@@ -17,7 +17,7 @@ from xplain.numba_kernels import lean_kernel
 
 
 @dataclass(frozen=True)
-class Cells:
+class LabelCells:
     """The labels of a dataset, sorted by cell; made once, used for every clustering.
 
     Attributes:
@@ -31,7 +31,7 @@ class Cells:
     label: NDArray[np.uint8]
 
     @classmethod
-    def of(cls, dataset: Dataset) -> Cells:
+    def of(cls, dataset: Dataset) -> LabelCells:
         """Sorts by cell. Cells whose labels all agree never count and are left out."""
         cell = query_index(dataset)
         ones = np.bincount(cell, weights=dataset.label)
@@ -54,7 +54,7 @@ class Cells:
 
 def disagreements(dataset: Dataset, assignment: NDArray[np.int64]) -> int:
     """Disagreements of one clustering: ``assignment`` [O] is the cluster of each observer."""
-    return Cells.of(dataset).disagreements(assignment)
+    return LabelCells.of(dataset).disagreements(assignment)
 
 
 @lean_kernel

@@ -27,7 +27,7 @@ from xplain.learning.user_types import AskedOnce, UserTypes, learn_types
 log = logging.getLogger(__name__)
 
 
-class Tables(NamedTuple):
+class TraceTables(NamedTuple):
     """P(label is 1) of a trace's m transitions under every message set.
 
     Attributes:
@@ -51,7 +51,7 @@ def unless_too_large(make: Callable[[], LabelTable]) -> LabelTable | None:
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownTypes:
     """What agents know of the users.
 
     Attributes:
@@ -73,7 +73,7 @@ class Known:
     figures: dict[str, float]
     curve: NDArray[np.float64]
     rule: str
-    tables: Callable[[NDArray[np.int64]], Tables]
+    tables: Callable[[NDArray[np.int64]], TraceTables]
     habits: Habits | None = None
     wrong: NDArray[np.float64] | None = None
 
@@ -92,7 +92,7 @@ class KnowsFacts(Protocol):
 class KnowsTypes(Protocol):
     """A component ``labeler`` that learns nothing from labels, because it knows the types."""
 
-    def types_of(self, observed: Observed) -> Known:
+    def types_of(self, observed: Observed) -> KnownTypes:
         """What agents know.
 
         Raises:
@@ -133,7 +133,7 @@ class References:
 
 def find_types(
     observed: Observed, trainer: LabelerTrainer, clusterer: Clusterer, seed: int
-) -> Known:
+) -> KnownTypes:
     """What agents know of the users: what the trainer knows, else what the labels tell, which are
     the types that the clusterer finds, with a labeler each.
 
@@ -160,9 +160,9 @@ def find_types(
     oracle = references.oracle
     once = AskedOnce()
 
-    def tables(transitions: NDArray[np.int64]) -> Tables:
+    def tables(transitions: NDArray[np.int64]) -> TraceTables:
         features = transition_features(domain, transitions)
-        return Tables(
+        return TraceTables(
             learned=once.label_table(types.labelers, features, transitions),
             everyone=unless_too_large(
                 lambda: once.label_table([references.everyone], features, transitions)
@@ -172,7 +172,7 @@ def find_types(
 
     clustering = types.clustering
     curve = np.zeros(0) if clustering.curve is None else clustering.curve
-    return Known(
+    return KnownTypes(
         names=types.names,
         matched_true_type=_match_true_types(observed, types),
         shares=np.bincount(clustering.assignment) / len(clustering.assignment),

@@ -17,14 +17,14 @@ from xplain.errors import Count, Range, checks
 from xplain.explanation.message_sets import bits_of
 from xplain.learning.clustering import Clustering
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.disagreements import Cells
+from xplain.learning.disagreements import LabelCells
 from xplain.learning.elbow import elbow
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.message_vectors import minimal_message_sets
 from xplain.randomness import derived_seed
 
 
-class Partition(Protocol):
+class Partitioner(Protocol):
     """The plug-in of :class:`Elbow`: any clustering into a given number of groups."""
 
     def partition(self, vectors: NDArray[np.uint8], k: int, seed: int) -> NDArray[np.int64]:
@@ -44,7 +44,7 @@ class Elbow:
         max_types: largest k tried; None is the number of observers (the paper).
     """
 
-    partition: Partition
+    partition: Partitioner
     few: Annotated[float, Range(0, 1, "[)")] = 0.01
     max_types: Count | None = None
 
@@ -70,7 +70,7 @@ class Elbow:
             for k in range(1, distinct + 1)
         ]
         # More groups than distinct vectors cannot be told apart: the last partition stays.
-        curve = Cells.of(dataset).curve(found)
+        curve = LabelCells.of(dataset).curve(found)
         curve = np.concatenate([curve, np.full(longest - distinct, curve[-1])])
         k, rule = elbow(curve, self.few)
         name = type(self.partition).__name__.lower()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from xplain.errors import InputError
 from xplain.learning.data.observers import Observed
-from xplain.learning.known_types import Known, Tables, unless_too_large
+from xplain.learning.known_types import KnownTypes, TraceTables, unless_too_large
 from xplain.learning.labelers import LabelerTrainer
 
 
@@ -30,7 +30,7 @@ class TrueLabels(LabelerTrainer):
         """There is nothing to choose."""
         super().__init__()
 
-    def types_of(self, observed: Observed) -> Known:
+    def types_of(self, observed: Observed) -> KnownTypes:
         """The true types with their true labels. One labeler for everybody is the share of
         observers whose type would label so.
 
@@ -42,12 +42,12 @@ class TrueLabels(LabelerTrainer):
             raise InputError("labeler", "true", "needs simulated observers, whose type is known")
         shares = np.bincount(truth, minlength=len(setting.types)) / len(truth)
 
-        def tables(transitions: NDArray[np.int64]) -> Tables:
+        def tables(transitions: NDArray[np.int64]) -> TraceTables:
             labels = setting.true_labels(transitions)
-            return Tables(labels, unless_too_large(lambda: labels.mixed(shares)), labels)
+            return TraceTables(labels, unless_too_large(lambda: labels.mixed(shares)), labels)
 
         count = float(len(np.unique(setting.distinct)))
-        return Known(
+        return KnownTypes(
             names=tuple(user_type.name for user_type in setting.types),
             matched_true_type=setting.distinct,
             shares=shares,

@@ -82,7 +82,7 @@ class Ahead:
 
 
 @dataclass(frozen=True)
-class Asked:
+class LabQuestion:
     """One question of the lab's own to the participant.
 
     Attributes:
@@ -123,7 +123,7 @@ class Asked:
             raise InputError(f"{key}.right", self.right, ", ".join(self.options))
 
     @classmethod
-    def of(cls, question: Mapping[str, Any]) -> Asked:
+    def of(cls, question: Mapping[str, Any]) -> LabQuestion:
         """A question as the configuration has it."""
         lists = {key: tuple(question.get(key, ())) for key in ("choices", "ends")}
         return cls(**{**question, **lists})
@@ -214,7 +214,7 @@ class StoredPlan:
     seed: int
     domain: str
     texts: Texts
-    asked: tuple[Asked, ...]
+    asked: tuple[LabQuestion, ...]
     facts: tuple[Fact, ...]
     scene: Scene | None
     icons: Mapping[str, str]

@@ -8,7 +8,7 @@ from typing import Any
 
 from xplain.errors import Refused
 from xplain.people.flow import F, Fields, Form, Outcome, S, Stage
-from xplain.people.plan import Asked
+from xplain.people.plan import LabQuestion
 
 
 class Consent(Stage[F, S]):
@@ -90,7 +90,7 @@ class LookingAhead(OneLabel[F, S]):
 
 
 @dataclass(frozen=True)
-class Questions(Stage[F, S]):
+class QuestionStage(Stage[F, S]):
     """The lab's own questions.
 
     Attributes:
@@ -120,7 +120,7 @@ class Questions(Stage[F, S]):
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
         """Each answer has to be one that its question allows."""
-        asked: Sequence[Asked] = getattr(flow.plan, self.of)
+        asked: Sequence[LabQuestion] = getattr(flow.plan, self.of)
         for one in asked:
             check(one, payload.get(one.name, ""), flow.words)
         if payload.keys() - {one.name for one in asked}:
@@ -166,7 +166,7 @@ def choices(values: object, counts: Sequence[int], otherwise: str) -> tuple[int,
     return tuple(choice(value, count, otherwise) for value, count in pairs)
 
 
-def check(asked: Asked, value: object, words: Mapping[str, str]) -> None:
+def check(asked: LabQuestion, value: object, words: Mapping[str, str]) -> None:
     """Raises Refused: an answer that its question does not allow."""
     label = asked.label
     if not isinstance(value, str) or len(value) > asked.max_length:

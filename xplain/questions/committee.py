@@ -30,9 +30,9 @@ from xplain.learning.fact_model.gibbs import sample
 from xplain.learning.fact_model.model import (
     CELL,
     NOISE,
-    Answers,
+    ChainState,
     Prior,
-    State,
+    SortedLabels,
     facts_that_matter,
 )
 from xplain.learning.labelers import paper_tree
@@ -89,7 +89,7 @@ def next_screen(
     if len(dataset) == 0:  # nobody knows anything: what the robot does, unexplained
         transition = rng.choice(len(weight), count, replace=False, p=weight / weight.sum())
         return Screen(transition, np.zeros(count, dtype=np.int64), everything)
-    answers, prior = Answers.of(dataset), Prior.of(n, _depth(n))
+    answers, prior = SortedLabels.of(dataset), Prior.of(n, _depth(n))
     chains = [
         sample(answers, prior, 1.0, first, SWEEPS, HEAT, rng)
         for first in (everything if facts is None else facts, everything)
@@ -110,7 +110,7 @@ def next_screen(
 
 
 def p_explicable(
-    dataset: Dataset, observer: int, told: NDArray[np.int64], prior: Prior, state: State
+    dataset: Dataset, observer: int, told: NDArray[np.int64], prior: Prior, state: ChainState
 ) -> NDArray[np.float64]:
     """P(f = 1 | labels) of every transition under the message sets [K], for one observer, were
     everybody's facts those of ``state``: [T, K]. Which facts matter at a transition, and its noise,
@@ -178,7 +178,7 @@ def _depth(n: int) -> int:
 
 
 @dataclass(frozen=True)
-class Pool:
+class Candidates:
     """What can be asked about: T transitions, of which those that share their features are one, as
     no labeler tells them apart.
 
@@ -200,13 +200,13 @@ class Pool:
         features: NDArray[np.float64],
         feature_names: tuple[str, ...],
         visits: NDArray[np.float64],
-    ) -> Pool:
+    ) -> Candidates:
         """From the features [T, F] of all transitions."""
         distinct, which = np.unique(features, axis=0, return_inverse=True)
         return cls(distinct, feature_names, visits, which.ravel())
 
     @classmethod
-    def of_setting(cls, setting: Setting) -> Pool:
+    def of_setting(cls, setting: Setting) -> Candidates:
         """All that the robot can do, in the order of ``setting.reachable``."""
         names = transition_feature_names(setting.domain)
         features = transition_features(setting.domain, setting.reachable)
@@ -254,13 +254,13 @@ def visits_of(setting: Setting) -> NDArray[np.float64]:
 
 
 def next_screen_of(
-    pool: Pool, answers: Dataset, observer: str, count: int, rng: np.random.Generator
+    pool: Candidates, answers: Dataset, observer: str, count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """What to ask somebody next by the answers so far, who may have given none yet.
 
     Args:
         pool: what can be asked about.
-        answers: numbered as in the pool (:meth:`Pool.answered`).
+        answers: numbered as in the pool (:meth:`Candidates.answered`).
         observer: who is asked, by name.
         count: questions wanted; at most one a row of the pool's features.
         rng: of every draw.
@@ -298,7 +298,7 @@ class Committee:
         answered ``before``. Of transitions that share their features, which no labeler tells
         apart, the one asked about is drawn by how often the robot makes it."""
         rng = stream(seed, "queries", "committee")
-        reachable, pool = setting.reachable, Pool.of_setting(setting)
+        reachable, pool = setting.reachable, Candidates.of_setting(setting)
         data = pool.unanswered(setting.message_names)
         asked = list(before)
         for o, one in enumerate(asked):

@@ -17,7 +17,7 @@ from xplain.errors import Count, InputError, Range, checks
 from xplain.learning.data.dataset import places
 from xplain.learning.data.queries import Answer, Answered
 from xplain.questions.battery import battery
-from xplain.questions.committee import Committee, Pool, visits_of
+from xplain.questions.committee import Candidates, Committee, visits_of
 from xplain.questions.growth import grown
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.known_transitions import KnownTransitions
@@ -266,7 +266,9 @@ class _Checks:
 def _contest(known: Hypotheses, transitions: NDArray[np.int64], setting: Setting) -> Contest:
     """Before anybody is asked about these transitions [T, 3] of the hypotheses."""
     features = transition_features(setting.domain, transitions)
-    nobody = replace(Pool.of_setting(setting).unanswered(setting.message_names), features=features)
+    nobody = replace(
+        Candidates.of_setting(setting).unanswered(setting.message_names), features=features
+    )
     by_features = KnownTransitions.of(replace(known, features=features))
     return Contest(TwoWays(by_features, by_features.find(features)), nobody)
 

@@ -36,7 +36,7 @@ EQUAL = 1e-11
 """Questions tie when their P(label 1) lie as far from ½, but for this."""
 
 
-class Questions(Protocol):
+class WeighedQuestions(Protocol):
     """All questions whose answer tells anything, by distinct label functions.
 
     Attributes:
@@ -52,19 +52,19 @@ class Questions(Protocol):
         ...
 
 
-def questions_of(hypotheses: Hypotheses) -> Questions:
+def questions_of(hypotheses: Hypotheses) -> WeighedQuestions:
     """All of them, where every set of facts is a candidate; else, as facts are many, those that a
     search finds (:mod:`xplain.questions.interactions`)."""
     if hypotheses.complete:
-        return Tables(groups(hypotheses))
+        return AllQuestions(groups(hypotheses))
     return Interactions.of(hypotheses)
 
 
 @dataclass(frozen=True)
-class Tables:
+class AllQuestions:
     """Every question there is, weighed at once."""
 
-    groups: tuple[Group, ...]
+    groups: tuple[FactGroup, ...]
 
     @cached_property
     def transitions(self) -> Sequence[NDArray[np.int64]]:
@@ -72,7 +72,7 @@ class Tables:
         return [own for group in self.groups for own in group.transitions]
 
     def nearest(self, weight: NDArray[np.float64], middle: float, count: int) -> Nearest:
-        """See :class:`Questions`."""
+        """See :class:`WeighedQuestions`."""
         off = [group.expected(weight) for group in self.groups]
         for values in off:
             np.abs(np.subtract(values, middle, out=values), out=values)
@@ -87,7 +87,7 @@ class Tables:
 
 
 @dataclass(frozen=True)
-class Group:
+class FactGroup:
     """The label functions that depend on the same s facts.
 
     Attributes:
@@ -116,7 +116,7 @@ class Group:
         return result
 
 
-def groups(hypotheses: Hypotheses) -> tuple[Group, ...]:
+def groups(hypotheses: Hypotheses) -> tuple[FactGroup, ...]:
     """The label functions of all transitions whose label tells anything, by their facts.
 
     Raises:
@@ -145,7 +145,7 @@ def groups(hypotheses: Hypotheses) -> tuple[Group, ...]:
         coefficients = np.ascontiguousarray(labels[:, :, first])
         for one in coefficients:
             _zeta(one, -1)
-        found.append(Group(held, packed, coefficients, transitions))
+        found.append(FactGroup(held, packed, coefficients, transitions))
     return tuple(found)
 
 

@@ -58,7 +58,7 @@ def partition(known: KnownTransitions, observers: list[Answers], concentration: 
         observers: the answers of each.
         concentration: α of the Chinese restaurant process.
     """
-    search = _Search(known, observers, concentration)
+    search = _Sampling(known, observers, concentration)
     state = search.start()
     search.merge(state)
     search.learn(state)
@@ -70,13 +70,13 @@ def errors_of(
     known: KnownTransitions, observers: list[Answers], types: NDArray[np.int64]
 ) -> AnswerModel:
     """How answers err, the types [O] of the observers being given."""
-    search = _Search(known, observers, 1.0)
+    search = _Sampling(known, observers, 1.0)
     search.alike()
     search.learn(search.best_of(types))
     return search.learn(search.best_of(types))
 
 
-class _Search:
+class _Sampling:
     """What is known in :func:`partition`, whose state is an index into ``facts`` for each
     observer."""
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import entr
 
-from xplain.questions.expectation import EQUAL, Questions
+from xplain.questions.expectation import EQUAL, WeighedQuestions
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.interactions import Nearest
 
@@ -108,7 +108,7 @@ class Posterior:
         return float(self._bits(shares[:, :, None])[0])
 
     def best_questions(
-        self, questions: Questions, count: int, seen: list[int], rng: np.random.Generator
+        self, questions: WeighedQuestions, count: int, seen: list[int], rng: np.random.Generator
     ) -> list[tuple[int, int]]:
         """The ``count`` best questions about one transition, the best first; of equal ones those
         about transitions not asked about before, else at random.
@@ -131,7 +131,7 @@ class Posterior:
         return chosen
 
     def best_near_even(
-        self, questions: Questions, count: int, rng: np.random.Generator
+        self, questions: WeighedQuestions, count: int, rng: np.random.Generator
     ) -> tuple[int, int]:
         """The best question about one transition among those of which the labels of the
         hypotheses, without slips and guesses, are nearest to even odds; ``count`` at least."""
@@ -140,7 +140,7 @@ class Posterior:
         every = {(int(t), told) for at, told in pairs for t in questions.transitions[at]}
         return self.best_of(sorted(every), rng)
 
-    def _nearest(self, questions: Questions, count: int) -> Nearest:
+    def _nearest(self, questions: WeighedQuestions, count: int) -> Nearest:
         weight = (1 - 2 * self.error)[:, None] * self.weight
         weight[0] += weight[-1]
         weight = weight[:-1]

@@ -91,9 +91,9 @@ class Interactions:
         return entry, self._sets[entry] & ~(1 << fact), self.function[entry] * n + fact
 
     def nearest(self, weight: NDArray[np.float64], middle: float, count: int) -> Nearest:
-        """See :class:`xplain.questions.expectation.Questions`: two questions a function, found
-        from nothing told and from everything told. No question that differs from one of them in
-        one message is nearer to the middle."""
+        """See :class:`xplain.questions.expectation.WeighedQuestions`: two questions a function,
+        found from nothing told and from everything told. No question that differs from one of
+        them in one message is nearer to the middle."""
         share = self._shares(weight)
         found = []
         for start in (np.zeros_like(self.facts), self.facts):

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, Range, number, whole_number
-from xplain.questions.expectation import Questions, questions_of
+from xplain.questions.expectation import WeighedQuestions, questions_of
 from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.information import Posterior
 from xplain.questions.label_tables import prior_over
@@ -335,7 +335,7 @@ class Questionnaire:
         return Posterior(self.hypotheses, self._weight, self._error, self.misread, self.rates)
 
     @cached_property
-    def _questions(self) -> Questions:
+    def _questions(self) -> WeighedQuestions:
         return questions_of(self.hypotheses)
 
     def _checked(self, question: Any) -> tuple[NDArray[np.int64], int]:

@@ -29,7 +29,7 @@ MOST_EPISODES = 40_000_000
 
 
 @dataclass(frozen=True)
-class Picture:
+class CaptionedImage:
     """An image file with its caption."""
 
     path: Path
@@ -46,8 +46,8 @@ class Picture:
 class Pictures:
     """The pictures of the page, by section."""
 
-    types: list[Picture] = field(default_factory=list)
-    traces: dict[str, list[Picture]] = field(default_factory=dict)
+    types: list[CaptionedImage] = field(default_factory=list)
+    traces: dict[str, list[CaptionedImage]] = field(default_factory=dict)
 
 
 def page(summary: Summary, pictures: Pictures) -> str:

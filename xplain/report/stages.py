@@ -26,9 +26,9 @@ EVERY = 10.0
 """Seconds before and between lines of a stage where there is no terminal."""
 
 
-def stages() -> Terminal | Lines:
+def stages() -> TerminalStages | Lines:
     """Those for the standard error that there is."""
-    return Terminal() if sys.stderr.isatty() else Lines()
+    return TerminalStages() if sys.stderr.isatty() else Lines()
 
 
 class Lines:
@@ -74,7 +74,7 @@ class Lines:
             self.note(f"compiling (once; later runs load) {text}, {seconds:.0f} s since the first")
 
 
-class Terminal:
+class TerminalStages:
     """A moving line for each stage that is open, gone when it ends."""
 
     def __init__(self) -> None:

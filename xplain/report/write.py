@@ -9,7 +9,7 @@ from typing import Any
 from xplain.experiment.results import Results
 from xplain.report import claims, comparison, decomposition, learning, paper_table
 from xplain.report.combinations import differences_csv, regret_csv
-from xplain.report.page import Picture, Pictures, page
+from xplain.report.page import CaptionedImage, Pictures, page
 from xplain.report.paper import title
 from xplain.report.summary import Summary, rank
 from xplain.storage import write_text
@@ -78,9 +78,9 @@ def draw(summary: Summary, report: Path) -> Pictures:
             "Disagreements of labels within clusters against the number of clusters; rings mark "
             "the numbers of user types that were chosen."
         )
-        pictures.types.append(Picture(report / "disagreements.svg", caption))
+        pictures.types.append(CaptionedImage(report / "disagreements.svg", caption))
     for domain, path, caption in _trace_pictures(summary, report):
-        pictures.traces.setdefault(domain, []).append(Picture(path, caption))
+        pictures.traces.setdefault(domain, []).append(CaptionedImage(path, caption))
     return pictures
 
 

@@ -169,7 +169,7 @@ def run_experiment(
         progress: hears how far it is.
         tell: hears the results before the certificates, which take as long again, are sought.
     """
-    config, choices, started, clock = composed.config, composed.choices, time.time(), Clock()
+    config, choices, started, clock = composed.config, composed.choices, time.time(), StageTimes()
     experiment = composed.experiment()
     prepared = experiment.prepared(composed.outputs / "cache", source_fingerprint(config), progress)
     clock.lap("prepare")
@@ -196,7 +196,7 @@ def run_experiment(
     return replace(results, bounds=bounds, seconds=dict(clock.laps)), prepared
 
 
-class Clock:
+class StageTimes:
     """Seconds spent by stage."""
 
     def __init__(self) -> None:

@@ -21,7 +21,7 @@ from typing import Protocol
 
 from xplain.report.summary import SWEEP
 from xplain.runs.folder import SweepFolder
-from xplain.runs.mlflow_run import Store, send_run
+from xplain.runs.mlflow_run import RunStore, send_run
 from xplain.runs.mlflow_sweep import SweepRuns
 from xplain.runs.mlflow_views import describe_experiment
 from xplain.runs.plan import Job
@@ -87,7 +87,7 @@ class MLflow:
             uri = "sqlite:///outputs/mlflow.db"
         return f"mlflow ui --backend-store-uri {uri}"
 
-    def store(self, outputs: Path) -> Store:
+    def store(self, outputs: Path) -> RunStore:
         """The server or database; pages of an SQLite file are shown on this machine.
 
         Raises:
@@ -150,7 +150,7 @@ class MLflow:
         return ended
 
 
-def opened(uri: str, experiment: str, outputs: Path, pages: str) -> Store:
+def opened(uri: str, experiment: str, outputs: Path, pages: str) -> RunStore:
     """The store, with its experiment, made when missing.
 
     Raises:
@@ -180,7 +180,7 @@ def opened(uri: str, experiment: str, outputs: Path, pages: str) -> Store:
         found = client.get_experiment_by_name(experiment)
     if found is None:
         raise OSError(f"the experiment {experiment} can be neither found nor made")
-    return Store(client, found.experiment_id, pages)
+    return RunStore(client, found.experiment_id, pages)
 
 
 def _create_whole(uri: str) -> None:

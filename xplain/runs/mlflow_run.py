@@ -36,7 +36,7 @@ MOST_PARAMETERS = 25
 
 
 @dataclass(frozen=True)
-class Store:
+class RunStore:
     """Where runs go.
 
     Attributes:
@@ -79,7 +79,7 @@ class Store:
         return str(created.info.run_id), True
 
 
-def send_run(store: Store, folder: Path) -> str:
+def send_run(store: RunStore, folder: Path) -> str:
     """Sends the results of a run on its own; returns the id of its run in MLflow."""
     results = load_results(folder)
     known = store.tagged(RESULT_TAG, results.id)

@@ -18,7 +18,7 @@ from xplain.runs.mlflow_run import (
     MOST_PARAMETERS,
     PARENT_TAG,
     RESULT_TAG,
-    Store,
+    RunStore,
     ended,
     fill,
     source_tags,
@@ -50,7 +50,7 @@ class SweepRuns:
         folder: of the sweep.
     """
 
-    def __init__(self, store: Store, folder: SweepFolder) -> None:
+    def __init__(self, store: RunStore, folder: SweepFolder) -> None:
         from mlflow.entities import Param, RunTag
 
         self._store, self._folder = store, folder

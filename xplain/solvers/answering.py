@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from xplain.explanation import knowledge
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
-from xplain.solvers.count_lattice import Answers, branch, make_answers
+from xplain.solvers.count_lattice import Branches, branch, make_answers
 from xplain.solvers.rows import Rows
 
 MAX_SETS = 10
@@ -45,7 +45,7 @@ class Answering:
         )
         answered = np.ascontiguousarray(problem.table.answered.reshape(steps, 1, states))
         self._lattice = Lattice(answered, rows)
-        self._room: Answers = make_answers(1 << 10, steps, states)
+        self._room: Branches = make_answers(1 << 10, steps, states)
 
     def after(
         self, step: int, belief: NDArray[np.float64], negligible: float, most: int | None = None

@@ -25,7 +25,7 @@ likeliest type's probability."""
 FAINT = -(1 << 50)
 
 
-class Answers(NamedTuple):
+class Branches(NamedTuple):
     """What :func:`branch` finds, for m steps and N types, and room for it to work in.
 
     Attributes:
@@ -50,9 +50,9 @@ class Answers(NamedTuple):
     logs: NDArray[np.int64]
 
 
-def make_answers(capacity: int, steps: int, types: int, words: int = 0) -> Answers:
+def make_answers(capacity: int, steps: int, types: int, words: int = 0) -> Branches:
     """Room for so many answers, each with ``words`` integers that answers do not change."""
-    return Answers(
+    return Branches(
         np.empty((capacity, types)),
         np.empty((capacity, types + words), np.int64),
         np.empty(types),

@@ -77,13 +77,13 @@ class Lookahead:
             "lookahead", dense_table_bytes(small), self.memory_gib, "qhr plans without tables"
         )
         model = model_of(small.dense())
-        tables = Tables(model, optimal_values(model), set_prices(model))
+        tables = LookaheadTables(model, optimal_values(model), set_prices(model))
         return LookaheadPolicy(
             Expectimax(tables, self.candidates, self.answers), kept, problem.prior
         )
 
 
-class Tables(NamedTuple):
+class LookaheadTables(NamedTuple):
     """What a decision reads.
 
     Attributes:
@@ -106,7 +106,7 @@ class Expectimax:
         candidates, answers: as :class:`Lookahead` has them.
     """
 
-    tables: Tables
+    tables: LookaheadTables
     candidates: int
     answers: int
 

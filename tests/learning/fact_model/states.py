@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.learning.fact_model.gibbs import init
-from xplain.learning.fact_model.model import Answers, Prior, State
-from xplain.learning.fact_model.resample_transitions import Scratch as TransitionScratch
+from xplain.learning.fact_model.model import ChainState, Prior, SortedLabels
+from xplain.learning.fact_model.resample_transitions import TransitionScratch as TransitionScratch
 from xplain.learning.fact_model.resample_transitions import resample_transitions
 
 
 def begun(
-    answers: Answers, prior: Prior, facts: NDArray[np.int64], rng: np.random.Generator
-) -> State:
+    answers: SortedLabels, prior: Prior, facts: NDArray[np.int64], rng: np.random.Generator
+) -> ChainState:
     """Each R as given, and S and ε drawn once, so that some fact matters."""
     state = init(answers, prior, facts)
     scratch = TransitionScratch.of(
@@ -25,7 +25,7 @@ def begun(
     return state
 
 
-def counted(answers: Answers, prior: Prior, state: State) -> NDArray[np.int64]:
+def counted(answers: SortedLabels, prior: Prior, state: ChainState) -> NDArray[np.int64]:
     """[T, 2^depth, 2] the labels 0 and 1 of each cell, from the labels themselves."""
     counts = np.zeros_like(state.counts)
     held = state.facts[answers.owner] & ~answers.message_set

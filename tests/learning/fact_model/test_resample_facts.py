@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.learning.fact_model.states import begun, counted
-from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior, State
-from xplain.learning.fact_model.resample_facts import InUse, Scratch, resample_facts
+from xplain.learning.fact_model.model import CELL, NOISE, ChainState, Prior, SortedLabels
+from xplain.learning.fact_model.resample_facts import FactScratch, InUse, resample_facts
 
 N, CONCENTRATION = 2, 0.7
 
@@ -20,7 +20,7 @@ def test_two_observers_are_drawn_from_their_posterior(seed: int) -> None:
     rng = np.random.default_rng(seed)
     answers, prior = some_answers(rng), Prior.of(N, 2)
     state = begun(answers, prior, rng.integers(1 << N, size=2), rng)
-    log_new, scratch = np.log(CONCENTRATION) - N * np.log(2), Scratch.of(N, 2)
+    log_new, scratch = np.log(CONCENTRATION) - N * np.log(2), FactScratch.of(N, 2)
     visits = np.zeros((20, 1 << N, 1 << N))
     for batch in visits:
         for _ in range(1000):
@@ -33,11 +33,11 @@ def test_two_observers_are_drawn_from_their_posterior(seed: int) -> None:
     assert (np.abs(visits.mean(axis=0) - posterior(answers, prior, state)) < 5 * error + 1e-3).all()
 
 
-def some_answers(rng: np.random.Generator) -> Answers:
+def some_answers(rng: np.random.Generator) -> SortedLabels:
     """Two people, each asked nine times about three transitions, under any messages."""
     transition = np.concatenate([np.sort(rng.integers(3, size=9)) for _ in range(2)])
     rows = np.argsort(transition, kind="stable")
-    return Answers(
+    return SortedLabels(
         start=np.array([0, 9, 18]),
         transition=transition,
         message_set=rng.integers(1 << N, size=18),
@@ -49,7 +49,7 @@ def some_answers(rng: np.random.Generator) -> Answers:
     )
 
 
-def posterior(answers: Answers, prior: Prior, state: State) -> NDArray[np.float64]:
+def posterior(answers: SortedLabels, prior: Prior, state: ChainState) -> NDArray[np.float64]:
     """[2^n, 2^n] P(R of the one, R of the other | labels, S, ε)."""
     log_joint = np.empty((1 << N, 1 << N))
     for both in product(range(1 << N), repeat=2):

@@ -12,10 +12,10 @@ from tests.learning.fact_model.states import counted
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.fact_model.counts import REACH
 from xplain.learning.fact_model.gibbs import init
-from xplain.learning.fact_model.model import CELL, NOISE, Answers, Prior, State
+from xplain.learning.fact_model.model import CELL, NOISE, ChainState, Prior, SortedLabels
 from xplain.learning.fact_model.resample_transitions import (
     WIDE,
-    Scratch,
+    TransitionScratch,
     resample_transitions,
 )
 
@@ -23,7 +23,7 @@ LOG_NOISE = np.log(np.arange(1.0, len(NOISE) + 1) / np.arange(1.0, len(NOISE) + 
 """Some prior over the levels of noise."""
 
 
-def some_answers(rng: np.random.Generator, n: int, size: int, ones: float) -> Answers:
+def some_answers(rng: np.random.Generator, n: int, size: int, ones: float) -> SortedLabels:
     """Of three observers about two transitions, under any messages."""
     dataset = Dataset(
         features=np.arange(2.0)[:, None],
@@ -35,10 +35,10 @@ def some_answers(rng: np.random.Generator, n: int, size: int, ones: float) -> An
         message_set=rng.integers(1 << n, size=size),
         label=(rng.random(size) < ones).astype(np.uint8),
     )
-    return Answers.of(dataset)
+    return SortedLabels.of(dataset)
 
 
-def log_joint(answers: Answers, prior: Prior, state: State) -> NDArray[np.float64]:
+def log_joint(answers: SortedLabels, prior: Prior, state: ChainState) -> NDArray[np.float64]:
     """[T, Z, E] log P(S, ε and the labels about a transition | everybody's R), f summed out."""
     held = state.facts[answers.owner] & ~answers.message_set
     found = np.empty((len(state.subset), len(prior.size), len(NOISE)))
@@ -59,9 +59,11 @@ def log_joint(answers: Answers, prior: Prior, state: State) -> NDArray[np.float6
     return found
 
 
-def begun(answers: Answers, prior: Prior, facts: Any) -> tuple[State, NDArray[np.int64], Scratch]:
+def begun(
+    answers: SortedLabels, prior: Prior, facts: Any
+) -> tuple[ChainState, NDArray[np.int64], TransitionScratch]:
     state = init(answers, prior, np.array(facts))
-    scratch = Scratch.of(
+    scratch = TransitionScratch.of(
         answers.transition_start, len(prior.size), prior.subsets.shape[1], len(NOISE)
     )
     return state, state.facts[answers.owner] & ~answers.message_set, scratch

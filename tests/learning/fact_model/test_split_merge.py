@@ -7,7 +7,7 @@ import pytest
 
 from tests.learning.fact_model.states import begun, counted
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.fact_model.model import Answers, Prior
+from xplain.learning.fact_model.model import Prior, SortedLabels
 from xplain.learning.fact_model.split_merge import merge_types
 
 
@@ -27,7 +27,7 @@ def test_who_says_nothing_of_a_type_joins_the_many(many: int, other: int) -> Non
         message_set=message_set,
         label=label.astype(np.uint8),
     )
-    answers, prior = Answers.of(dataset), Prior.of(2, 2)
+    answers, prior = SortedLabels.of(dataset), Prior.of(2, 2)
     facts = np.array([other, *[many] * 4])
     state = begun(answers, prior, facts, np.random.default_rng(0))
     assert merge_types(answers, prior, state, np.log(0.7) - 2 * np.log(2)) > 0

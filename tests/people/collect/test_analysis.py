@@ -14,8 +14,8 @@ from tests.people.collect.stand_in import FAULTLESS, street_collection
 from xplain.errors import InputError
 from xplain.learning.data.label_file import read_table, write_table
 from xplain.people.analysis.stored import opened, plan_of
-from xplain.people.collect.asking import ATTENTION, State, shared
-from xplain.people.collect.bot import Habits, bot, take_part
+from xplain.people.collect.asking import ATTENTION, CollectState, shared
+from xplain.people.collect.bot import ObserverHabits, bot, take_part
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.labels import (
     compared,
@@ -35,15 +35,15 @@ from xplain.people.study.site import StudySite
 COLLECTION = street_collection()
 
 
-def person(number: int, habits: Habits = FAULTLESS) -> State:
+def person(number: int, habits: ObserverHabits = FAULTLESS) -> CollectState:
     return take_part(COLLECTION, bot(COLLECTION.plan, habits, 0, number), number, {})
 
 
-def with_stage(state: State, stage: str) -> State:
+def with_stage(state: CollectState, stage: str) -> CollectState:
     return replace(state, stage=stage)
 
 
-def inattentive(state: State) -> State:
+def inattentive(state: CollectState) -> CollectState:
     answered = tuple(
         replace(clip, labels=(1,)) if clip.purpose == ATTENTION else clip for clip in state.answered
     )
@@ -53,10 +53,10 @@ def inattentive(state: State) -> State:
 def test_what_people_say_is_compared_with_what_their_answers_say() -> None:
     plan = COLLECTION.plan
     people = [
-        replace(State(), belief={str(held): 0.9, "none": 0.1}, stated=stated)
+        replace(CollectState(), belief={str(held): 0.9, "none": 0.1}, stated=stated)
         for held, stated in ((3, (1, 1, 0, 0)), (3, (0, 1, 2, 0)), (0, (1, 0, 0, 0)))
     ]
-    found = compared(plan, [*people, State()])
+    found = compared(plan, [*people, CollectState()])
     bridge, market, school, tunnel = (found[fact.name] for fact in plan.facts)
     assert bridge == {"said": 2, "inferred": 2, "agree": 1, "of": 3}
     assert market == {"said": 2, "inferred": 2, "agree": 3, "of": 3}
@@ -65,8 +65,8 @@ def test_what_people_say_is_compared_with_what_their_answers_say() -> None:
     # Whom no hypothesis fits, or who is unsure of everything, is compared with nothing.
     unlike, known = {"none": 1.0}, {"3": 0.9, "none": 0.1}
     nobody = [
-        replace(State(), belief=unlike, stated=(0,) * 4),
-        replace(State(), belief=known, stated=(2,) * 4),
+        replace(CollectState(), belief=unlike, stated=(0,) * 4),
+        replace(CollectState(), belief=known, stated=(2,) * 4),
     ]
     assert compared(plan, nobody) == {}
 
@@ -158,7 +158,7 @@ def filled(path: Path, collection: Collection, count: int = 4) -> list[str]:
     store, found = Store(path, CollectSite(collection)), []
     for number in range(count):
         who = store.enter_invited(store.invite(1, "person")[0])
-        someone = bot(collection.plan, Habits(mistake=0), 1, number)
+        someone = bot(collection.plan, ObserverHabits(mistake=0), 1, number)
         state = store.submit(
             who, 0, "consent", {"agree": 1, "text": collection.plan.texts.consent_hash}
         )

@@ -22,8 +22,8 @@ from xplain.people.collect import bot
 from xplain.people.collect.asking import (
     HEEDED,
     QUESTION,
-    Clip,
-    State,
+    AskedClip,
+    CollectState,
     shared,
 )
 from xplain.people.collect.bot import Observer, take_part
@@ -37,7 +37,7 @@ COLLECTION = street_collection(listening=MESSAGES)
 UNKNOWN = habits_of("learned", "learned", "learned")
 
 
-def somebody(held: int, number: int, habits: bot.Habits = FAULTLESS) -> State:
+def somebody(held: int, number: int, habits: bot.ObserverHabits = FAULTLESS) -> CollectState:
     person = Observer(COLLECTION.plan, held, habits, np.random.default_rng(number))
     return take_part(COLLECTION, person, number, {})
 
@@ -73,7 +73,9 @@ def test_without_them_all_else_is_as_it_was() -> None:
         without, with_them = (
             take_part(
                 collection,
-                Observer(collection.plan, 5, bot.Habits(0.1), np.random.default_rng(number)),
+                Observer(
+                    collection.plan, 5, bot.ObserverHabits(0.1), np.random.default_rng(number)
+                ),
                 number,
                 {},
             )
@@ -87,10 +89,10 @@ def test_without_them_all_else_is_as_it_was() -> None:
 
 def test_pages_say_how_long_a_message_holds() -> None:
     site = site_of("collect")
-    person, state = bot_of(site, 2), State()
+    person, state = bot_of(site, 2), CollectState()
     words, seen = site.plan.texts.words, dict[str, set[bool]]()
     consent = {"number": 0, "role": None, "others": {}}
-    state = site.flow.after(State(), **site.flow.admitted(consent)).state
+    state = site.flow.after(CollectState(), **site.flow.admitted(consent)).state
     while not state.over:
         view = site.flow.view(state)
         if state.clip:
@@ -148,7 +150,7 @@ def test_what_one_person_tells_equals_enumeration(seed: int) -> None:
     known = Hypotheses.of(table)
     purposes = rng.choice([QUESTION, *HEEDED], 5)
     clips = [
-        Clip(
+        AskedClip(
             str(what),
             tuple(rng.integers(4, size=2).tolist()),
             int(rng.integers(8)),
@@ -172,8 +174,8 @@ def test_rates_of_simulated_people_are_found_again(accept: float, forget: float,
     at first the label is 1 with p = α (1 − e) + (1 − α) e, so that α is known to sd(p) / (1 − 2e);
     a fact taken in is there three pages later with (1 − φ)³, the slope of which is 3 at most."""
     people, error = 120, 0.05
-    habits = bot.Habits(error, forgetting=1 - accept, losing=forget, mistake=0)
-    states: list[State] = []
+    habits = bot.ObserverHabits(error, forgetting=1 - accept, losing=forget, mistake=0)
+    states: list[CollectState] = []
     for number in range(people):
         role = COLLECTION.plan.roles[number % len(COLLECTION.plan.roles)]
         rng = np.random.default_rng([seed, number])

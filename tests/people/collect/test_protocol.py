@@ -18,13 +18,13 @@ from xplain.people.collect.asking import (
     ATTENTION,
     QUESTION,
     REPEAT,
-    Clip,
-    State,
+    AskedClip,
+    CollectState,
     belief,
     schedule,
     shared,
 )
-from xplain.people.collect.bot import Habits, Observer, take_part
+from xplain.people.collect.bot import Observer, ObserverHabits, take_part
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.simulation.bots import answer
@@ -37,8 +37,8 @@ numbers = st.integers(0, 10_000)
 
 
 def somebody(
-    collection: Collection, held: int, number: int = 0, habits: Habits = FAULTLESS
-) -> State:
+    collection: Collection, held: int, number: int = 0, habits: ObserverHabits = FAULTLESS
+) -> CollectState:
     """An observer in the bare protocol, to the end."""
     person = Observer(collection.plan, held, habits, np.random.default_rng(number))
     return take_part(collection, person, number, {})
@@ -49,10 +49,10 @@ def consent(collection: Collection, **changes: Any) -> dict[str, Any]:
     return {"agree": 1, "text": text, "number": 5, "role": None, "others": {}} | changes
 
 
-def states(collection: Collection, held: int = 3, number: int = 5) -> list[State]:
+def states(collection: Collection, held: int = 3, number: int = 5) -> list[CollectState]:
     """Every state on the way."""
     person = Observer(collection.plan, held, FAULTLESS, np.random.default_rng(number))
-    found = [State()]
+    found = [CollectState()]
     kind, payload = "consent", consent(collection, number=number)
     while not found[-1].over:
         found.append(collection.advance(found[-1], kind, payload).state)
@@ -123,7 +123,7 @@ def test_whoever_never_errs_is_found_consistent_and_attentive(design: Battery | 
 
 
 def test_whoever_tosses_coins_is_neither() -> None:
-    habits = Habits(error=0.5, mistake=0.0)
+    habits = ObserverHabits(error=0.5, mistake=0.0)
     found = [somebody(COLLECTION, 3, number, habits) for number in range(40)]
     # 80 repeated labels, 40 obvious steps: both are fair coins.
     assert 0.35 < np.mean([state.consistency for state in found]) < 0.65
@@ -145,7 +145,7 @@ def test_a_list_is_the_same_for_everybody_in_an_order_of_their_own() -> None:
 @given(numbers, st.integers(0, 15), st.booleans())
 def test_between_two_looks_at_a_step_there_are_others(number: int, held: int, listed: bool) -> None:
     collection = LISTED if listed else COLLECTION
-    person = Observer(collection.plan, held, Habits(0.2), np.random.default_rng(number))
+    person = Observer(collection.plan, held, ObserverHabits(0.2), np.random.default_rng(number))
     clips = take_part(collection, person, number, {}).answered
     phrases = collection.plan.hypotheses.phrases
     steps = [[phrases[t] for t in clip.transitions] for clip in clips]
@@ -197,10 +197,14 @@ def test_what_is_kept_of_earlier_answers_changes_nothing(monkeypatch: pytest.Mon
     # Three who answer alike, in turn: two of one number, one of them with a prior of others.
     monkeypatch.setattr("xplain.people.collect.flow.QUESTIONNAIRES", 5)
     shared_by_all = street_collection()
-    people = [State(number=4), State(number=4, others={"6": 1.0}), State(number=5)]
+    people = [
+        CollectState(number=4),
+        CollectState(number=4, others={"6": 1.0}),
+        CollectState(number=5),
+    ]
     rng = np.random.default_rng(0)
     for step in range(12):
-        clips = [Clip(QUESTION, (int(rng.integers(4)),), 0, (int(rng.integers(2)),))] * 3
+        clips = [AskedClip(QUESTION, (int(rng.integers(4)),), 0, (int(rng.integers(2)),))] * 3
         if step == 6:
             clips[2] = replace(clips[2], purpose=ATTENTION)  # is no answer
         people = [
@@ -220,7 +224,7 @@ def test_what_is_kept_of_earlier_answers_changes_nothing(monkeypatch: pytest.Mon
 @settings(max_examples=25, deadline=None)
 @given(numbers, st.integers(0, 15))
 def test_the_posterior_is_one_and_depends_on_the_answers_alone(number: int, held: int) -> None:
-    habits = Habits(error=0.2, mistake=0.0)
+    habits = ObserverHabits(error=0.2, mistake=0.0)
     state = somebody(COLLECTION, held, number, habits)
     assert abs(sum(state.belief.values()) - 1) < 1e-4  # but for what is not written down
     assert belief(COLLECTION.questionnaire(state)) == state.belief
@@ -245,7 +249,7 @@ def test_nothing_of_what_is_behind_a_clip_is_on_its_page() -> None:
 
 def test_half_of_a_prior_is_what_others_hold_wrong() -> None:
     """By hand: half the prior of 16 equally likely sets, half on {0, 1} and {2} as 3 to 1."""
-    first = State(number=0, others={"3": 0.75, "4": 0.25})
+    first = CollectState(number=0, others={"3": 0.75, "4": 0.25})
     prior = COLLECTION.questionnaire(first).posterior / (1 - 0.01)
     known = COLLECTION.plan.hypotheses
     expected = np.full(16, 0.5 / 16)
@@ -277,7 +281,7 @@ def test_later_people_need_fewer_questions() -> None:
     def needed(others: dict[str, float]) -> int:
         person = Observer(COLLECTION.plan, held, FAULTLESS, np.random.default_rng(0))
         state = take_part(COLLECTION, person, 0, others)
-        known = COLLECTION.questionnaire(State(number=0, others=others))
+        known = COLLECTION.questionnaire(CollectState(number=0, others=others))
         for count, clip in enumerate(state.questions()):
             if known.posterior[COLLECTION.plan.hypotheses.row(np.array(held))] > 0.9:
                 return count

@@ -17,8 +17,8 @@ from tests.people.visitors import GENEROUS, Visitor, pages
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.simulation.bots import answer
-from xplain.people.study.bot import Person
-from xplain.people.study.flow import State
+from xplain.people.study.bot import StudyBot
+from xplain.people.study.flow import StudyState
 from xplain.people.study.site import StudySite
 
 
@@ -33,7 +33,7 @@ def test_a_question_comes_with_the_messages_and_moves_no_progress(store: Store) 
     app, seen = create_app(store, GENEROUS), 0
     for number, token in enumerate(store.invite(6, "bot")):
         person, told, part = (
-            Person(store.site.plan, FAULTLESS, np.random.default_rng(number)),
+            StudyBot(store.site.plan, FAULTLESS, np.random.default_rng(number)),
             set[str](),
             set[str](),
         )
@@ -56,7 +56,7 @@ def test_a_question_comes_with_the_messages_and_moves_no_progress(store: Store) 
 
 def test_researchers_see_who_is_asked_where_they_are(store: Store) -> None:
     app, (token,) = create_app(store, GENEROUS), store.invite(1, "person")
-    person = Person(store.site.plan, FAULTLESS, np.random.default_rng(0))
+    person = StudyBot(store.site.plan, FAULTLESS, np.random.default_rng(0))
     for _, page in pages(Visitor(app.test_client()), person, token):
         if page.stage == "asking":
             break
@@ -72,7 +72,7 @@ def test_an_answer_counts_once(store: Store) -> None:
     """Sent twice, from a second tab, or of a question that is over."""
     app, (token,) = create_app(store, GENEROUS), store.invite(1, "person")
     visitor = Visitor(app.test_client())
-    person = Person(store.site.plan, FAULTLESS, np.random.default_rng(0))
+    person = StudyBot(store.site.plan, FAULTLESS, np.random.default_rng(0))
     for _, page in pages(visitor, person, token):
         if page.stage == "asking":
             break
@@ -94,9 +94,9 @@ def test_a_start_says_what_questions_are_worth() -> None:
     plan, costs = site.plan, dict[str, list[float]]()
     questions = 0
     for condition, user_type in product(plan.conditions, range(3)):
-        person = Person(plan, FAULTLESS, np.random.default_rng(0))
+        person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
         person.user_type = user_type
-        start = State(stage="eligibility", user_type=user_type, condition=condition)
+        start = StudyState(stage="eligibility", user_type=user_type, condition=condition)
         state, wrong = site.flow.after(start).state, 0
         while state.stage in ("asking", "evaluation"):
             kind, payload = answer(site.flow, person, state)

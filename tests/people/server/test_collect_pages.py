@@ -18,10 +18,10 @@ from tests.people.collect.stand_in import FAULTLESS, street_collection, street_p
 from tests.people.study.stand_in import PLACES
 from tests.people.visitors import GENEROUS, Visitor, enter, field
 from xplain.cli.discover import sentences_of
-from xplain.people.collect.asking import State, belief, schedule
+from xplain.people.collect.asking import CollectState, belief, schedule
 from xplain.people.collect.bot import bot
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.labels import Found
+from xplain.people.collect.labels import KnownSoFar
 from xplain.people.collect.site import CollectSite
 from xplain.people.plan import Picture
 from xplain.people.server.app import create_app
@@ -68,7 +68,7 @@ def test_of_the_erased_nothing_stays_in_memory(
 ) -> None:
     store.site.forget()  # of people of other tests, who may have answered the same
     gc.collect()
-    earlier = [one for one in gc.get_objects() if isinstance(one, (Questionnaire, Found))]
+    earlier = [one for one in gc.get_objects() if isinstance(one, (Questionnaire, KnownSoFar))]
     known = {id(one) for one in earlier}
     for number in range(2):
         list(walk(browser(), store, number))
@@ -81,13 +81,13 @@ def test_of_the_erased_nothing_stays_in_memory(
     def remembered() -> set[str]:
         gc.collect()
         alive = gc.get_objects()
-        states = {one.text for one in alive if isinstance(one, State)}
+        states = {one.text for one in alive if isinstance(one, CollectState)}
         new = [one for one in alive if id(one) not in known]
         held = [belief(one) for one in new if isinstance(one, Questionnaire) and one.asked]
         return {
             *({"state"} if gone["state"] in states else ()),
             *({"questionnaire"} if any(beliefs.items() <= one.items() for one in held) else ()),
-            *({"types"} if any(isinstance(one, Found) for one in new) else ()),
+            *({"types"} if any(isinstance(one, KnownSoFar) for one in new) else ()),
         }
 
     assert remembered() == {"state", "questionnaire", "types"}

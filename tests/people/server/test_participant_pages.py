@@ -18,14 +18,14 @@ from xplain.people.server.http import Context, Server
 from xplain.people.server.map_svg import picture
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Page, visit
-from xplain.people.study.bot import Person
+from xplain.people.study.bot import StudyBot
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.policies import study_of
 from xplain.people.study.site import StudySite
 
 
 def test_earlier_labels_stay_and_only_the_new_one_is_needed(
-    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], StudyBot]
 ) -> None:
     visitor = browser()
     for _, page in pages(visitor, person(), store.invite(1, "person")[0]):
@@ -51,7 +51,7 @@ def test_a_message_is_said_again_in_words_that_blame_nobody(tmp_path: Path) -> N
     client = create_app(store, GENEROUS)
     habits, marked = replace(FAULTLESS, forgetting=0.5, losing=0.5), []
     for number, token in enumerate(store.invite(18, "bot")):
-        someone = Person(store.site.plan, habits, np.random.default_rng(number))
+        someone = StudyBot(store.site.plan, habits, np.random.default_rng(number))
         for html, page in pages(Visitor(client.test_client()), someone, token):
             assert len(set(page.messages)) == len(page.messages)
             marked += re.findall(r'<span class="tag">As said before:</span> (.*?)</div>', html)
@@ -61,7 +61,7 @@ def test_a_message_is_said_again_in_words_that_blame_nobody(tmp_path: Path) -> N
 
 
 def test_pages_have_no_inline_script_or_style_and_load_nothing_from_elsewhere(
-    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], StudyBot]
 ) -> None:
     for html, page in pages(browser(), person(), store.invite(1, "bot")[0]):
         assert not re.search(r"<script(?! src=\"/static)", html), page.stage
@@ -72,7 +72,7 @@ def test_pages_have_no_inline_script_or_style_and_load_nothing_from_elsewhere(
 
 
 def test_what_people_write_is_escaped_everywhere(
-    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], StudyBot]
 ) -> None:
     attack = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)>{{7*7}}\x00\u202e"
     visitor = browser()
@@ -97,7 +97,7 @@ def test_what_people_write_is_escaped_everywhere(
 
 
 def test_sentences_of_the_domain_are_escaped(
-    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], StudyBot]
 ) -> None:
     for html, page in pages(browser(), person(), store.invite(1, "person")[0]):
         assert "<robot>" not in html
@@ -123,7 +123,7 @@ def test_entry_is_as_configured(store: Store) -> None:
         Server(entry=("anybody",))
 
 
-def test_the_platform_gets_its_code_back(store: Store, person: Callable[[], Person]) -> None:
+def test_the_platform_gets_its_code_back(store: Store, person: Callable[[], StudyBot]) -> None:
     server = Server(
         completion_url="https://example.org/back?cc={code}",
         completion_code="C0DE",
@@ -141,13 +141,13 @@ def test_a_domain_without_a_map_gets_its_study(tmp_path: Path) -> None:
     study = study_of(street_plan(map_shown=False, questions=[]))
     store = Store(tmp_path / "s.sqlite", StudySite(study))
     visitor = Visitor(create_app(store, GENEROUS).test_client())
-    person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
+    person = StudyBot(study.plan, FAULTLESS, np.random.default_rng(0))
     assert visit(visitor, person, store.invite(1, "bot")[0]) == "done"
     store.close()
 
 
 def test_without_a_map_the_page_lists_what_each_step_changed(
-    tmp_path: Path, person: Callable[[], Person]
+    tmp_path: Path, person: Callable[[], StudyBot]
 ) -> None:
     """Up to the step that is shown, and no further."""
     plan = street_plan(map_shown=False)

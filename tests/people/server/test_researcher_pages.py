@@ -17,7 +17,7 @@ from xplain.people.server.app import create_app
 from xplain.people.server.security import Keys
 from xplain.people.server.store import Store, Unknown
 from xplain.people.simulation.browser import visit
-from xplain.people.study.bot import Person
+from xplain.people.study.bot import StudyBot
 
 
 def test_the_researchers_page_needs_its_key(store: Store, client: FlaskClient) -> None:
@@ -84,7 +84,7 @@ def test_the_researcher_is_blinded_unless_they_want_it_otherwise(
 
 
 def test_places_are_counted_by_type_and_condition_or_by_stream_alone(
-    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person]
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], StudyBot]
 ) -> None:
     done, under_way, also = store.invite(3, "person")
     visit(browser(), person(), done)

@@ -28,8 +28,8 @@ from xplain.people.server.security import Keys
 from xplain.people.server.site import Full
 from xplain.people.server.store import MAX_TAB_EVENTS, Store, Unknown
 from xplain.people.simulation.browser import visit
-from xplain.people.study.bot import Habits, Person
-from xplain.people.study.flow import State, Study
+from xplain.people.study.bot import ParticipantHabits, StudyBot
+from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.site import StudySite
 
@@ -251,7 +251,7 @@ def test_a_place_is_held_for_longer_the_further_somebody_is(
     """Ids that somebody makes up consent and no more: their places are soon free again."""
     rules = study.plan.rules
     app = create_app(store, GENEROUS)
-    person = Person(study.plan, FAULTLESS, np.random.default_rng(0))
+    person = StudyBot(study.plan, FAULTLESS, np.random.default_rng(0))
     stages = []
     for html, page in pages(Visitor(app.test_client()), person, store.invite(1, "person")[0]):
         accepted = int(page.hidden.get("sequence", 0)) if page.stage != "consent" else 0
@@ -305,8 +305,8 @@ def test_cells_are_balanced_in_spite_of_drop_outs(tmp_path: Path) -> None:
     for number in range(400):
         if stages["done"] == 24:
             break
-        habits = Habits(leaving=0.06, mistake=0.05)
-        person = Person(study.plan, habits, np.random.default_rng(number))
+        habits = ParticipantHabits(leaving=0.06, mistake=0.05)
+        person = StudyBot(study.plan, habits, np.random.default_rng(number))
         token = store.invite(1, "person")[0]
         stages[visit(Visitor(app.test_client()), person, token)] += 1
         time.now += 40 * 60  # whoever left has been silent for too long by now
@@ -360,7 +360,7 @@ def test_bots_and_pilots_do_not_touch_peoples_places(store: Store) -> None:
     ],
 )
 def test_the_log_only_grows_and_a_bot_stays_a_bot(
-    store: Store, browser: Callable[[], Visitor], person: Callable[[], Person], sql: str
+    store: Store, browser: Callable[[], Visitor], person: Callable[[], StudyBot], sql: str
 ) -> None:
     visit(browser(), person(), store.invite(1, "bot")[0])
     with pytest.raises(sqlite3.IntegrityError), store.transaction() as do:
@@ -424,14 +424,14 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
 
 def states_in_memory() -> set[str]:
     gc.collect()
-    return {one.text for one in gc.get_objects() if isinstance(one, State)}
+    return {one.text for one in gc.get_objects() if isinstance(one, StudyState)}
 
 
 def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, study: Study) -> None:
     path = tmp_path / "s.sqlite"
     store = Store(path, StudySite(study))
     app = create_app(store, GENEROUS)
-    someone = [Person(study.plan, FAULTLESS, np.random.default_rng(n)) for n in range(2)]
+    someone = [StudyBot(study.plan, FAULTLESS, np.random.default_rng(n)) for n in range(2)]
     for person, token in zip(someone, store.invite(2, "person"), strict=True):
         visit(Visitor(app.test_client()), person, token)
     (gone, said), (kept, _) = (

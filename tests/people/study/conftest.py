@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from tests.people.study.stand_in import FAULTLESS, street_study
-from xplain.people.study.bot import Habits, Person
+from xplain.people.study.bot import ParticipantHabits, StudyBot
 from xplain.people.study.flow import Study
 
 
@@ -19,9 +19,9 @@ def study() -> Study:
 
 
 @pytest.fixture
-def person(study: Study) -> Callable[..., Person]:
-    def make(number: int = 0, habits: Habits = FAULTLESS) -> Person:
-        return Person(study.plan, habits, np.random.default_rng(number))
+def person(study: Study) -> Callable[..., StudyBot]:
+    def make(number: int = 0, habits: ParticipantHabits = FAULTLESS) -> StudyBot:
+        return StudyBot(study.plan, habits, np.random.default_rng(number))
 
     return make
 

@@ -20,7 +20,7 @@ from xplain.learning.labelers import Labeler
 from xplain.learning.saved_types import LearnedTypes, SavedTable
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
-from xplain.people.study.bot import Person
+from xplain.people.study.bot import StudyBot
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import study_plan
@@ -117,7 +117,7 @@ def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, tmp_path
     store = Store(tmp_path / "s.sqlite", site)
     visitor = Visitor(create_app(store, GENEROUS).test_client())
     (token,) = store.invite(1, "person")
-    person = Person(site.plan, FAULTLESS, np.random.default_rng(0))
+    person = StudyBot(site.plan, FAULTLESS, np.random.default_rng(0))
     seen = list(pages(visitor, person, token))
     assert [page.stage for _, page in seen] == [
         *("consent", "briefing", "training", "training", *["evaluation"] * 5),
@@ -155,7 +155,7 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path
     app, asked = create_app(store, GENEROUS), 0
     for number, token in enumerate(store.invite(9, "person")):
         visitor = Visitor(app.test_client())
-        person = Person(plan, FAULTLESS, np.random.default_rng(number))
+        person = StudyBot(plan, FAULTLESS, np.random.default_rng(number))
         for html, page in pages(visitor, person, token):
             if page.stage != "asking":
                 continue

@@ -8,7 +8,7 @@ import pytest
 
 from tests.people.study.stand_in import street_plan, street_study
 from xplain.errors import XplainError
-from xplain.people.study.evaluation import State
+from xplain.people.study.evaluation import StudyState
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.policies import study_of
 from xplain.randomness import stream
@@ -27,7 +27,9 @@ def test_probes_of_stored_plans_are_answered_as_when_they_were_stored() -> None:
     study = street_study()
     for number in (0, 1):
         rng = stream(0, "probes", number)
-        state = study.after(State(stage="eligibility", user_type=0, condition="conformant")).state
+        state = study.after(
+            StudyState(stage="eligibility", user_type=0, condition="conformant")
+        ).state
         while state.stage == "evaluation":
             labels = [int(one < 0.8) for one in rng.random(state.step + 1)]
             state = study.advance(state, "labels", {"labels": labels}).state

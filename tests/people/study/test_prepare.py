@@ -22,7 +22,7 @@ from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import visit
 from xplain.people.study import known_types, prepare
-from xplain.people.study.bot import Person
+from xplain.people.study.bot import StudyBot
 from xplain.people.study.content import needed
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.policies import difference, study_of
@@ -67,7 +67,7 @@ def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) ->
     study = study_of(plan)
     store = Store(tmp_path / "s.sqlite", StudySite(study))
     client = Visitor(create_app(store, GENEROUS).test_client())
-    person = Person(plan, FAULTLESS, np.random.default_rng(0))
+    person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
     assert visit(client, person, store.invite(1, "bot")[0]) == "done"
     store.close()
     with pytest.raises(InputError, match=r"wording\.hide"):

@@ -11,7 +11,7 @@ import pytest
 
 from xplain.explanation.problem import Problem
 from xplain.solvers.hsvi import explore as module
-from xplain.solvers.hsvi.explore import Effort, Found, explore
+from xplain.solvers.hsvi.explore import Effort, Explored, explore
 from xplain.solvers.hsvi.search import Start
 from xplain.solvers.hsvi.solver import tables_within
 from xplain.solvers.hsvi.tree import OPENED, store_bytes
@@ -21,12 +21,12 @@ HARD = Problem(np.random.default_rng(0).random((4, 8, 16)), np.full(4, 0.5))
 """Far from closed after thousands of beliefs."""
 
 
-def searched(problem: Problem, effort: Effort, **options: object) -> Found:
+def searched(problem: Problem, effort: Effort, **options: object) -> Explored:
     small, tables = tables_within(problem, 8.0)
     return explore(tables, Start(0, 0, small.prior), effort, **options)  # type: ignore[arg-type]
 
 
-def gap_of(found: Found) -> float:
+def gap_of(found: Explored) -> float:
     return found.upper - found.lower
 
 

@@ -18,7 +18,7 @@ from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
 from xplain.solvers.hsvi import solver
-from xplain.solvers.hsvi.explore import Effort, Found, explore
+from xplain.solvers.hsvi.explore import Effort, Explored, explore
 from xplain.solvers.hsvi.search import TAIL
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
 from xplain.solvers.hsvi.tree import ACTIONS, NODES, OPENED, find, grown, rehash
@@ -93,7 +93,7 @@ def test_a_decision_opens_as_few_beliefs_as_told(monkeypatch: pytest.MonkeyPatch
     policy = planned(problem, gap=1e-6, nodes=300, decision_nodes=5)
     opened = []
 
-    def counted(*search: Any) -> Found:
+    def counted(*search: Any) -> Explored:
         found = explore(*search)
         opened.append(int(found.store.used[OPENED]))
         return found

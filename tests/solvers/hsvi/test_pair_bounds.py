@@ -7,7 +7,7 @@ import pytest
 
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
-from xplain.solvers.count_lattice import Answers, make_answers
+from xplain.solvers.count_lattice import Branches, make_answers
 from xplain.solvers.hsvi import explore as hsvi
 from xplain.solvers.hsvi import pair_bounds
 from xplain.solvers.hsvi.pair_bounds import SWEEPS, Pairs, PairTables, mix, mixed, with_own_room
@@ -93,7 +93,7 @@ def test_room_that_is_too_small_grows_and_changes_nothing(monkeypatch: pytest.Mo
     enough = [PairTables(problem).make() for problem in problems]
     capacities = []
 
-    def little(capacity: int, steps: int, types: int) -> Answers:
+    def little(capacity: int, steps: int, types: int) -> Branches:
         capacities.append(2 if capacity == 64 else capacity)
         return make_answers(capacities[-1], steps, types)
 

@@ -19,7 +19,7 @@ Wrong = frozenset[int]
 """The facts that somebody holds wrong."""
 
 
-class Beliefs:
+class BelievedTask:
     """A task, and the facts about it that people may hold wrong.
 
     Args:

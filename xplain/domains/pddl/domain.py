@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xplain.domains.base import Parameter
 from xplain.domains.goal_task import GoalTask
-from xplain.domains.pddl.beliefs import Beliefs, Wrong
+from xplain.domains.pddl.beliefs import BelievedTask, Wrong
 from xplain.domains.pddl.changes import Change, applied, checked
 from xplain.domains.pddl.differences import differences, told
 from xplain.domains.pddl.features import counts
@@ -96,7 +96,7 @@ class PDDL:
         given = _mapping("facts", facts, "{name: {change, message, belief}}")
         self.parameters = self._parameters(given, found, more)
         facts_held = [parameter.inaccurate for parameter in self.parameters]
-        self._beliefs = Beliefs(self.task, facts_held, more, self.dead_end_cost, max_states)
+        self._beliefs = BelievedTask(self.task, facts_held, more, self.dead_end_cost, max_states)
         self._model = cache(self._beliefs.model)
         self._name_states(_mapping("features", features, "{name: pattern, or a list of them}"))
         robot = self._model(frozenset())

@@ -44,7 +44,7 @@ class Setting:
 
     domain: Domain
     types: tuple[UserType, ...]
-    models: tuple[mdp.Model, ...]
+    models: tuple[mdp.TaskModel, ...]
     optimal: mdp.Solution
     bits: tuple[tuple[int, ...], ...]
     table: tuple[NDArray[np.int64], ...]
@@ -74,7 +74,7 @@ class Setting:
             )
         accurate = {parameter.name: parameter.accurate for parameter in domain.parameters}
         index: dict[str, int] = {}
-        models: list[mdp.Model] = []
+        models: list[mdp.TaskModel] = []
         whose: list[str] = []
 
         def model_of(values: dict[str, Any], who: str) -> int:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.mdp import Model
+from xplain.domains.mdp import TaskModel
 
 
 def sample_trace(
-    model: Model,
+    model: TaskModel,
     optimal: NDArray[np.bool_],
     starts: NDArray[np.int64],
     rng: np.random.Generator,
@@ -36,7 +36,7 @@ def sample_trace(
 
 
 def expected_visits(
-    model: Model,
+    model: TaskModel,
     optimal: NDArray[np.bool_],
     starts: NDArray[np.int64],
     transitions: NDArray[np.int64],

@@ -20,7 +20,13 @@ from xplain.learning.answer_model import AnswerModel, CellAnswers, learned
 from xplain.learning.clustering import Clustering, KnowsFactSets, by_first_appearance
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.fact_model.gibbs import Chain, sample
-from xplain.learning.fact_model.model import NOISE, Answers, Prior, State, facts_that_matter
+from xplain.learning.fact_model.model import (
+    NOISE,
+    ChainState,
+    Prior,
+    SortedLabels,
+    facts_that_matter,
+)
 from xplain.learning.fact_model.resample_transitions import WIDE
 from xplain.learning.labelers import LabelerTrainer
 from xplain.randomness import derived_seed, stream
@@ -101,7 +107,7 @@ class DirichletMixture:
             raise TooLargeError(
                 f"clusterer.depth={depth}: too many sets of {n} messages; use a smaller depth"
             )
-        answers, prior = Answers.of(dataset), Prior.of(n, depth)
+        answers, prior = SortedLabels.of(dataset), Prior.of(n, depth)
         sweeps = min(self.sweeps, max(self.updates // observers, FEWEST_SWEEPS))
         chains: list[Chain] = Parallel(n_jobs=self.jobs, prefer="threads")(
             delayed(sample)(
@@ -138,7 +144,7 @@ class DirichletMixture:
         return stream(seed, "dirichlet", "first", chain).integers(0, 1 << n, observers)
 
 
-def _errors(dataset: Dataset, prior: Prior, state: State) -> AnswerModel:
+def _errors(dataset: Dataset, prior: Prior, state: ChainState) -> AnswerModel:
     """Slips, guesses and error rates, were the cells of all answers those of ``state``.
 
     The sampler itself has one rate of errors a transition: an observer's own would make labels of a

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.learning.fact_model.model import Answers, Prior, State, facts_that_matter
+from xplain.learning.fact_model.model import ChainState, Prior, SortedLabels, facts_that_matter
+from xplain.learning.fact_model.resample_facts import FactScratch as ObserverScratch
 from xplain.learning.fact_model.resample_facts import InUse, resample_facts
-from xplain.learning.fact_model.resample_facts import Scratch as ObserverScratch
-from xplain.learning.fact_model.resample_transitions import Scratch as TransitionScratch
+from xplain.learning.fact_model.resample_transitions import TransitionScratch as TransitionScratch
 from xplain.learning.fact_model.resample_transitions import resample_transitions
 from xplain.learning.fact_model.split_merge import MANY_OBSERVERS, merge_types, split_merge
 
@@ -31,13 +31,13 @@ class Chain(NamedTuple):
             not).
     """
 
-    best: State
+    best: ChainState
     score: float
     types: NDArray[np.int64]
 
 
 def sample(
-    answers: Answers,
+    answers: SortedLabels,
     prior: Prior,
     concentration: float,
     first: NDArray[np.int64],
@@ -80,11 +80,11 @@ def sample(
     return Chain(best, best_score, types[sweeps // 2 :])
 
 
-def init(answers: Answers, prior: Prior, first: NDArray[np.int64]) -> State:
+def init(answers: SortedLabels, prior: Prior, first: NDArray[np.int64]) -> ChainState:
     """The state in which observers hold ``first`` [O] wrong, no fact matters anywhere, and all
     levels of noise are as likely; nothing is counted yet."""
     transitions, levels = len(answers.transition_start) - 1, len(prior.log_flip)
-    return State(
+    return ChainState(
         facts=first.copy(),
         subset=np.zeros(transitions, dtype=np.int64),
         noise=np.zeros(transitions, dtype=np.int64),

@@ -39,7 +39,7 @@ SUBSET = 0.5
 """Each further fact that matters at a transition halves the prior of S_τ."""
 
 
-class Answers(NamedTuple):
+class SortedLabels(NamedTuple):
     """The labels of a dataset, sorted by observer and, of each observer, by transition.
 
     P labels by O observers on T transitions.
@@ -62,7 +62,7 @@ class Answers(NamedTuple):
     n_messages: int
 
     @classmethod
-    def of(cls, dataset: Dataset) -> Answers:
+    def of(cls, dataset: Dataset) -> SortedLabels:
         """Sorts the labels of a dataset."""
         order = np.lexsort((dataset.transition, dataset.observer))
         owner, transition = dataset.observer[order], dataset.transition[order]
@@ -134,7 +134,7 @@ class Prior(NamedTuple):
         )
 
 
-class State(NamedTuple):
+class ChainState(NamedTuple):
     """One state of a chain, and what is counted of it. A step overwrites the arrays.
 
     Attributes:
@@ -156,9 +156,9 @@ class State(NamedTuple):
     counts: NDArray[np.int64]
     order: NDArray[np.int64]
 
-    def copy(self) -> State:
+    def copy(self) -> ChainState:
         """The same state in arrays of its own."""
-        return State(
+        return ChainState(
             self.facts.copy(),
             self.subset.copy(),
             self.noise.copy(),
@@ -169,7 +169,7 @@ class State(NamedTuple):
         )
 
 
-def facts_that_matter(prior: Prior, state: State) -> int:
+def facts_that_matter(prior: Prior, state: ChainState) -> int:
     """The facts that matter at some transition, as a bitmask: types that differ in others only
     are behaviourally one."""
     return int(np.bitwise_or.reduce(prior.members[state.subset]))

@@ -41,7 +41,7 @@ class InUse(NamedTuple):
         return cls(room[0], room[1])
 
 
-class Scratch(NamedTuple):
+class FactScratch(NamedTuple):
     """Room for what is weighed for one observer; no value outlives it.
 
     Attributes:
@@ -60,7 +60,7 @@ class Scratch(NamedTuple):
     values: NDArray[np.float64]
 
     @classmethod
-    def of(cls, n: int, depth: int) -> Scratch:
+    def of(cls, n: int, depth: int) -> FactScratch:
         """For n messages, of which at most ``depth`` matter at a transition."""
         masks = 1 << min(n, BLOCK)
         return cls(

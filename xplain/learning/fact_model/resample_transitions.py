@@ -21,7 +21,7 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 """2^64 over the golden ratio: multiplied by it, keys spread over the table (Fibonacci hashing)."""
 
 
-class Scratch(NamedTuple):
+class TransitionScratch(NamedTuple):
     """Room for the answers about one transition and for what is weighed; no value outlives it.
 
     Up to A answers are about one transition; Z subsets, E levels of noise.
@@ -51,7 +51,7 @@ class Scratch(NamedTuple):
     @classmethod
     def of(
         cls, transition_start: NDArray[np.int64], subsets: int, depth: int, levels: int
-    ) -> Scratch:
+    ) -> TransitionScratch:
         """For transitions whose answers begin at ``transition_start`` [T + 1]."""
         answers = int(np.diff(transition_start).max(initial=1))
         wrong, where, cell = np.zeros((3, answers), dtype=np.int64)

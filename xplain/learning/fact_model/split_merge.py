@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.learning.fact_model.counts import ADDED, REACH, TAKEN, count_rows, table_row
-from xplain.learning.fact_model.model import Answers, Prior, State
+from xplain.learning.fact_model.model import ChainState, Prior, SortedLabels
 from xplain.numba_kernels import kernel
 
 MANY_OBSERVERS = 100
@@ -42,9 +42,9 @@ class Move(NamedTuple):
 
 
 def split_merge(
-    answers: Answers,
+    answers: SortedLabels,
     prior: Prior,
-    state: State,
+    state: ChainState,
     log_new: float,
     temperature: float,
     rng: np.random.Generator,
@@ -73,7 +73,7 @@ def split_merge(
             state.counts[:] = count
 
 
-def merge_types(answers: Answers, prior: Prior, state: State, log_new: float) -> float:
+def merge_types(answers: SortedLabels, prior: Prior, state: ChainState, log_new: float) -> float:
     """Lets a type take the fact set of another wherever that makes ``state`` likelier.
 
     Returns:
@@ -138,7 +138,7 @@ def _log_ways(whole: int, part: int) -> float:
     return log(whole - 1) + choose
 
 
-def _log_likelihood(prior: Prior, state: State) -> float:
+def _log_likelihood(prior: Prior, state: ChainState) -> float:
     return float(log_likelihood(state.counts, state.noise, prior.marginal, prior.log_flip))
 
 

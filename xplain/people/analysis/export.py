@@ -27,7 +27,7 @@ _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠")
 
 
 @dataclass(frozen=True)
-class Participant(Generic[S]):
+class ParticipantRow(Generic[S]):
     """A row of the participant table, with its state and events in order, payloads decoded."""
 
     row: Row
@@ -60,10 +60,10 @@ def everybody(connection: sqlite3.Connection) -> list[tuple[Row, tuple[Row, ...]
     return [(row, tuple(events)) for row, events in of.values()]
 
 
-def participants(connection: sqlite3.Connection, kind: type[S]) -> list[Participant[S]]:
+def participants(connection: sqlite3.Connection, kind: type[S]) -> list[ParticipantRow[S]]:
     """The same with the states that are stored."""
     return [
-        Participant(row, kind.from_text(row["state"]), own) for row, own in everybody(connection)
+        ParticipantRow(row, kind.from_text(row["state"]), own) for row, own in everybody(connection)
     ]
 
 
@@ -107,9 +107,9 @@ def write(
     folder: Path,
     plan: type[Plan],
     state: type[S],
-    tables: Callable[[Plan, list[Participant[S]], list[Row]], Mapping[str, Iterable[Row]]],
+    tables: Callable[[Plan, list[ParticipantRow[S]], list[Row]], Mapping[str, Iterable[Row]]],
     codebook: Codebook,
-) -> tuple[str, Plan, list[Participant[S]]]:
+) -> tuple[str, Plan, list[ParticipantRow[S]]]:
     """Writes the tables of a database (better: of a snapshot) into a folder, with the events of
     everybody who is in them, the codebook and the plan; and the head of the log, by which a replay
     can tell whether anything before was changed since.
@@ -146,7 +146,7 @@ def write(
     return head, own, people
 
 
-def events_of(people: Iterable[Participant[Any]]) -> list[Row]:
+def events_of(people: Iterable[ParticipantRow[Any]]) -> list[Row]:
     """Rows of the table of events."""
     return [
         event | {"payload": json.dumps(event["payload"], sort_keys=True)}

@@ -15,7 +15,7 @@ from typing import Any
 
 from xplain.errors import Refused
 from xplain.people.analysis import log
-from xplain.people.analysis.export import Participant, Row, everybody
+from xplain.people.analysis.export import ParticipantRow, Row, everybody
 from xplain.people.flow import Flow, Outcome, S
 
 Steps = dict[int, dict[str, Any]]
@@ -39,7 +39,7 @@ class Findings:
 
 def replayed(
     connection: sqlite3.Connection, flow: Flow[Any, S], head: str, step: str
-) -> tuple[Findings, list[Participant[S]]]:
+) -> tuple[Findings, list[ParticipantRow[S]]]:
     """What differs, and everybody whose events could be replayed, with the states as computed
     again; erased participants are counted, not replayed.
 
@@ -58,7 +58,7 @@ def replayed(
     found.erased = len(gone)
     found.differences += [f"{who}: erased, says the log or the table alone" for who in gone ^ said]
     for row, events in everybody(connection):
-        one, differences = Participant(row, flow.STATE(), events), list[str]()
+        one, differences = ParticipantRow(row, flow.STATE(), events), list[str]()
         about = [e["payload"].items() for e in events if e["kind"] == "enter"]
         if len(about) != 1 or any(row[key] != value for key, value in about[0]):
             differences.append("who they are is not what the log says")
@@ -69,7 +69,7 @@ def replayed(
         except Refused as error:
             differences.append(str(error))
         else:
-            people.append(Participant(row, state, one.events))
+            people.append(ParticipantRow(row, state, one.events))
             if not _alike(row["state"], state.text) or state.over != bool(row["over"]):
                 differences.append("the stored state differs")
             stored = connection.execute("SELECT * FROM step WHERE participant = ?", (one.id,))

@@ -38,7 +38,7 @@ SHARED = 1e-3
 
 
 @dataclass(frozen=True)
-class Clip:
+class AskedClip:
     """A few transitions under one message set, and their labels once they are given.
 
     Attributes:
@@ -60,7 +60,7 @@ class Clip:
 
 
 @dataclass(frozen=True)
-class State(core.State):
+class CollectState(core.State):
     """Where a participant is. The first value is the start.
 
     Attributes:
@@ -76,8 +76,8 @@ class State(core.State):
     number: int | None = None
     role: int | None = None
     others: Mapping[str, float] = field(default_factory=dict)
-    answered: tuple[Clip, ...] = ()
-    clip: Clip | None = None
+    answered: tuple[AskedClip, ...] = ()
+    clip: AskedClip | None = None
     belief: Mapping[str, float] = field(default_factory=dict)
     stated: tuple[int, ...] = ()
 
@@ -87,7 +87,7 @@ class State(core.State):
         assert self.number is not None, f"no number at {self.stage}"
         return self.number
 
-    def questions(self) -> list[Clip]:
+    def questions(self) -> list[AskedClip]:
         """The answered clips that are questions: what is learned from."""
         return [clip for clip in self.answered if clip.purpose == QUESTION]
 
@@ -110,7 +110,7 @@ class State(core.State):
         return sum(a == b for a, b in pairs) / len(pairs) if pairs else None
 
 
-class Task(NamedTuple):
+class ClipTask(NamedTuple):
     """What one clip is for: a question, a second look at the question ``again``, attention, or the
     message number ``again`` of those that hold from then on."""
 
@@ -118,19 +118,19 @@ class Task(NamedTuple):
     again: int = -1
 
 
-def schedule(plan: CollectPlan, number: int) -> tuple[Task, ...]:
+def schedule(plan: CollectPlan, number: int) -> tuple[ClipTask, ...]:
     """What the clips of one participant are for, in order: questions, the obvious step amid them,
     and near the end some of the first questions again; then messages that hold from then on."""
     asked = questions_of(plan)
     rng = stream(plan.seed, "schedule", number)
-    tasks = [Task(QUESTION)] * asked
+    tasks = [ClipTask(QUESTION)] * asked
     again = rng.permutation(max(asked // 2, 1))[: plan.rules.repeats].tolist()
     late = np.sort(rng.integers(asked - asked // 4, asked + 1, len(again)))[::-1].tolist()
     for place, question in zip(late, again, strict=True):
-        tasks.insert(place, Task(REPEAT, question))
+        tasks.insert(place, ClipTask(REPEAT, question))
     if plan.rules.attention:
-        tasks.insert(int(rng.integers(asked // 3, asked - asked // 3 + 1)), Task(ATTENTION))
-    rounds = [Task(what, which) for what in HEEDED for which in range(plan.rules.listening)]
+        tasks.insert(int(rng.integers(asked // 3, asked - asked // 3 + 1)), ClipTask(ATTENTION))
+    rounds = [ClipTask(what, which) for what in HEEDED for which in range(plan.rules.listening)]
     return (*tasks, *rounds)
 
 
@@ -173,7 +173,9 @@ def questions_of(plan: CollectPlan) -> int:
     return -(-plan.rules.points // plan.design.clip)
 
 
-def clip(plan: CollectPlan, state: State, tasks: Sequence[Task], asking: Questionnaire) -> Clip:
+def clip(
+    plan: CollectPlan, state: CollectState, tasks: Sequence[ClipTask], asking: Questionnaire
+) -> AskedClip:
     """The clip for the next of the tasks, after all that was answered. Two clips of the same step
     never follow each other while there are others."""
     step, questions = len(state.answered), state.questions()
@@ -181,7 +183,7 @@ def clip(plan: CollectPlan, state: State, tasks: Sequence[Task], asking: Questio
     if task.purpose == REPEAT:
         return replace(questions[task.again], purpose=REPEAT, labels=())
     if task.purpose == ATTENTION:
-        return Clip(ATTENTION, (), 0)
+        return AskedClip(ATTENTION, (), 0)
     if task.purpose in HEEDED:
         return _heeded(plan, state, task)
     looks_back = [questions[n.again] for n in following if n.purpose == REPEAT]
@@ -196,16 +198,16 @@ def clip(plan: CollectPlan, state: State, tasks: Sequence[Task], asking: Questio
         last = {t for one in state.answered[-1:] for t in one.transitions}
         many = Counter(transition for transition, _ in listed)  # or one alone would be left
         about, told = max(listed, key=lambda q: (q[0] not in last, q[0] not in near, many[q[0]]))
-        return Clip(QUESTION, (about,), told)
+        return AskedClip(QUESTION, (about,), told)
     if asking.clip == 1:
         about, told = _varied(plan, questions, near, asking)
-        return Clip(QUESTION, (about,), told)
+        return AskedClip(QUESTION, (about,), told)
     about, told = asking.next()
-    return Clip(QUESTION, tuple(np.atleast_1d(about)[:left].tolist()), told)
+    return AskedClip(QUESTION, tuple(np.atleast_1d(about)[:left].tolist()), told)
 
 
 def _varied(
-    plan: CollectPlan, before: Sequence[Clip], near: set[int], asking: Questionnaire
+    plan: CollectPlan, before: Sequence[AskedClip], near: set[int], asking: Questionnaire
 ) -> tuple[int, int]:
     """The best question about a step unlike all before, if it tells about as much as the best one;
     else the best about a step unlike those next to it."""
@@ -218,14 +220,14 @@ def _varied(
     return (apart or found)[0]
 
 
-def _heeded(plan: CollectPlan, state: State, task: Task) -> Clip:
+def _heeded(plan: CollectPlan, state: CollectState, task: ClipTask) -> AskedClip:
     """A message that holds from now on, with the step that most likely makes sense because of it
     and made none before; or such a step once more."""
     before = [clip for clip in state.answered if clip.purpose == TOLD]
     if task.purpose != TOLD:
         first = before[task.again]
         told = first.told if task.purpose == AGAIN else 0
-        return Clip(task.purpose, first.transitions, told)
+        return AskedClip(task.purpose, first.transitions, told)
     known, said = plan.hypotheses, sum(clip.told for clip in before)
     shares = {int(facts): share for facts, share in state.belief.items() if facts != "none"}
     held, share = np.array([*shares]) & ~said, np.array([*shares.values()])
@@ -234,4 +236,4 @@ def _heeded(plan: CollectPlan, state: State, task: Task) -> Clip:
     now = known.labels[known.row(held)]
     turns = np.array([share @ (known.labels[known.row(held & ~(1 << j))] > now) for j in left])
     best, about = np.unravel_index(turns.round(9).argmax(), turns.shape)
-    return Clip(TOLD, (int(about),), 1 << left[int(best)])
+    return AskedClip(TOLD, (int(about),), 1 << left[int(best)])

@@ -15,7 +15,7 @@ import numpy as np
 
 from xplain.errors import XplainError
 from xplain.explanation.message_sets import indices
-from xplain.people.collect.asking import State
+from xplain.people.collect.asking import CollectState
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.flow import Fields
@@ -28,7 +28,7 @@ PROBES = 4
 
 
 @dataclass(frozen=True)
-class Habits(bots.Habits):
+class ObserverHabits(bots.BotHabits):
     """Assumptions about observers.
 
     Attributes:
@@ -46,7 +46,7 @@ class Habits(bots.Habits):
     seconds: float = 6.0
 
 
-class Observer(bots.Bot[CollectPlan, Habits]):
+class Observer(bots.Bot[CollectPlan, ObserverHabits]):
     """One simulated observer.
 
     Args:
@@ -57,7 +57,7 @@ class Observer(bots.Bot[CollectPlan, Habits]):
     """
 
     def __init__(
-        self, plan: CollectPlan, held: int, habits: Habits, rng: np.random.Generator
+        self, plan: CollectPlan, held: int, habits: ObserverHabits, rng: np.random.Generator
     ) -> None:
         super().__init__(plan, habits, rng)
         self.held = held
@@ -111,7 +111,7 @@ class Observer(bots.Bot[CollectPlan, Habits]):
         return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], float(seconds)
 
 
-def bot(plan: CollectPlan, habits: Habits, seed: int, number: int) -> Observer:
+def bot(plan: CollectPlan, habits: ObserverHabits, seed: int, number: int) -> Observer:
     """The simulated observer with a number; the roles take turns."""
     held = plan.roles[number % len(plan.roles)].held
     return Observer(plan, held, habits, stream(seed, "bots", number))
@@ -123,7 +123,7 @@ def take_part(
     number: int,
     others: Mapping[str, float],
     role: int | None = None,
-) -> State:
+) -> CollectState:
     """One observer in the bare flow, to the end or to where they leave.
 
     Args:
@@ -134,7 +134,7 @@ def take_part(
         role: whose briefing they get, if any.
     """
     consent = {"number": number, "role": role, "others": others}
-    state = collection.after(State(), **collection.admitted(consent)).state
+    state = collection.after(CollectState(), **collection.admitted(consent)).state
     return bots.take_part(collection, person, state)
 
 
@@ -142,7 +142,7 @@ def probes(collection: Collection) -> tuple[str, ...]:
     """The clips and the last posterior of some simulated people, one text a person."""
     found = []
     for number in range(PROBES):
-        person = bot(collection.plan, Habits(0.1, mistake=0), 0, number)
+        person = bot(collection.plan, ObserverHabits(0.1, mistake=0), 0, number)
         state = take_part(collection, person, number, {})
         clips = [(one.transitions, one.told) for one in state.answered]
         found.append(f"{clips} {[float(share).hex() for share in state.belief.values()]}")

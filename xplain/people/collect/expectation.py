@@ -24,8 +24,8 @@ from xplain.learning.data.label_file import align
 from xplain.learning.data.observers import Observed
 from xplain.learning.data.queries import Queries
 from xplain.learning.fact_model.dirichlet import DirichletMixture
-from xplain.people.collect.asking import State, shared
-from xplain.people.collect.bot import Habits, bot, take_part
+from xplain.people.collect.asking import CollectState, shared
+from xplain.people.collect.bot import ObserverHabits, bot, take_part
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.labels import dataset_of, fact_sets
 from xplain.people.collect.plan import CollectPlan
@@ -40,10 +40,10 @@ MORE = 10
 TRACES = 5
 
 
-def crowd(plan: CollectPlan, people: int, habits: Habits, seed: int) -> list[State]:
+def crowd(plan: CollectPlan, people: int, habits: ObserverHabits, seed: int) -> list[CollectState]:
     """Simulated observers one after the other, the roles in turn."""
     collection = Collection(plan)
-    states: list[State] = []
+    states: list[CollectState] = []
     for number in range(people):
         person = bot(plan, habits, seed, number)
         others = shared([state.belief for state in states])
@@ -61,7 +61,7 @@ def truth_of(plan: CollectPlan, people: int) -> NDArray[np.int64]:
     return known.essential[known.row(held)]
 
 
-def rand_index(plan: CollectPlan, states: Sequence[State]) -> float:
+def rand_index(plan: CollectPlan, states: Sequence[CollectState]) -> float:
     """Adjusted Rand index of the types found in the labels of :func:`crowd`."""
     from sklearn.metrics import adjusted_rand_score
 
@@ -81,7 +81,7 @@ def expect(
         error: share of wrong answers of simulated people.
         domain, users: the task, where there is a model of it.
     """
-    habits = Habits(error=error, mistake=0.0)
+    habits = ObserverHabits(error=error, mistake=0.0)
     people = plan.rules.people
     runs = [crowd(plan, people + MORE, habits, seed) for seed in range(RUNS)]
     index = [rand_index(plan, states[:people]) for states in runs]
@@ -118,7 +118,7 @@ class Gathered:
 
 
 def explanation_costs(
-    plan: CollectPlan, states: Sequence[State], domain: Domain, users: TypeSource, seed: int
+    plan: CollectPlan, states: Sequence[CollectState], domain: Domain, users: TypeSource, seed: int
 ) -> tuple[float, float]:
     """The mean cost of explaining traces to users of the roles, with the types found in these
     labels, and with every label known."""

@@ -15,37 +15,44 @@ from xplain.explanation.message_sets import indices
 from xplain.people import flow as core
 from xplain.people import stages
 from xplain.people.collect import asking
-from xplain.people.collect.asking import ATTENTION, HEEDED, QUESTION, STATED, Clip, State
+from xplain.people.collect.asking import (
+    ATTENTION,
+    HEEDED,
+    QUESTION,
+    STATED,
+    AskedClip,
+    CollectState,
+)
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.flow import Answer, Decision, Fields, Flow, Form, Stage
-from xplain.people.stages import Consent, LookingAhead, Questions, choices, small
+from xplain.people.stages import Consent, LookingAhead, QuestionStage, choices, small
 from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import derived_seed, stream
 
-Outcome = core.Outcome[State]
+Outcome = core.Outcome[CollectState]
 QUESTIONNAIRES = 512
 """Kept at a time: more than people answer at once."""
 
 
-class Task(Stage["Collection", State]):
+class TaskStage(Stage["Collection", CollectState]):
     """What the robot does, told neutrally."""
 
-    def view(self, flow: Collection, state: State) -> dict[str, Any]:
+    def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
         """With the briefing, where there is one."""
         return flow.briefing(state)
 
 
-class Practice(stages.Practice["Collection", State]):
+class CollectPractice(stages.Practice["Collection", CollectState]):
     """An action that makes no sense under one sentence, and sense under another."""
 
-    def view(self, flow: Collection, state: State) -> dict[str, Any]:
+    def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
         """One of the sentences at a time."""
         example = flow.plan.example
         told = example.speaks_for if state.part else example.against
         return {"part": state.part, "told": [told], "action": example.action}
 
 
-class Clips(Stage["Collection", State]):
+class ClipStage(Stage["Collection", CollectState]):
     """A few steps in a row under some messages, one clip after the other.
 
     Attributes:
@@ -54,11 +61,11 @@ class Clips(Stage["Collection", State]):
 
     LASTING: ClassVar = False
 
-    def enter(self, flow: Collection, state: State) -> Outcome:
+    def enter(self, flow: Collection, state: CollectState) -> Outcome:
         """The first clip."""
         return self._next(flow, replace(state, wrong=False), None)
 
-    def view(self, flow: Collection, state: State) -> dict[str, Any]:
+    def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
         """Nothing of the hypotheses, the posterior, or what a clip is for."""
         assert state.clip is not None, "a clip is on the page"
         return flow.briefing(state) | {
@@ -68,7 +75,7 @@ class Clips(Stage["Collection", State]):
             "clip_count": len(asking.schedule(flow.plan, state.person)),
         }
 
-    def read(self, flow: Collection, state: State, form: Form) -> dict[str, Any]:
+    def read(self, flow: Collection, state: CollectState, form: Form) -> dict[str, Any]:
         """A label a step."""
         steps = range(state.clip.size if state.clip else 0)
         return {"labels": [small(form.get(f"label_{i}")) for i in steps]}
@@ -77,7 +84,7 @@ class Clips(Stage["Collection", State]):
         """A label a step."""
         return [(f"label_{i}", str(label)) for i, label in enumerate(payload["labels"])]
 
-    def advance(self, flow: Collection, state: State, payload: Mapping[str, Any]) -> Outcome:
+    def advance(self, flow: Collection, state: CollectState, payload: Mapping[str, Any]) -> Outcome:
         """To the next clip, or on from the last one."""
         clip = state.clip
         assert clip is not None, "a clip is on the page"
@@ -85,7 +92,9 @@ class Clips(Stage["Collection", State]):
         answered = (*state.answered, replace(clip, labels=chosen))
         return self._next(flow, replace(state, answered=answered, clip=None), chosen)
 
-    def _next(self, flow: Collection, state: State, labels: tuple[int, ...] | None) -> Outcome:
+    def _next(
+        self, flow: Collection, state: CollectState, labels: tuple[int, ...] | None
+    ) -> Outcome:
         """The next clip, or the end of the clips; ``labels`` were given to the last one."""
         step, known = len(state.answered), flow.questionnaire(state)
         belief = asking.belief(known)
@@ -105,7 +114,7 @@ class Clips(Stage["Collection", State]):
         return replace(state.to(stage=self.name, clip=clip), decision=decision, answer=answer)
 
 
-class Listening(Clips):
+class Listening(ClipStage):
     """Steps under messages that hold from then on, and later without them."""
 
     LASTING: ClassVar = True
@@ -115,16 +124,16 @@ class Listening(Clips):
         return plan.rules.listening > 0
 
 
-class Beliefs(Stage["Collection", State]):
+class BeliefStage(Stage["Collection", CollectState]):
     """What they say they thought of each fact."""
 
-    def view(self, flow: Collection, state: State) -> dict[str, Any]:
+    def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
         """The facts in the participant's order."""
         shown = statements(flow.plan, state.person)
         fields = {f"fact_{j}": pair for j, pair in shown}
         return flow.briefing(state) | {"statements": shown, "fields": fields}
 
-    def read(self, flow: Collection, state: State, form: Form) -> dict[str, Any]:
+    def read(self, flow: Collection, state: CollectState, form: Form) -> dict[str, Any]:
         """An index into STATED a fact."""
         facts = range(len(flow.plan.facts))
         return {"stated": [small(form.get(f"fact_{j}")) for j in facts]}
@@ -133,7 +142,7 @@ class Beliefs(Stage["Collection", State]):
         """An index a fact."""
         return [(f"fact_{j}", str(value)) for j, value in enumerate(payload["stated"])]
 
-    def advance(self, flow: Collection, state: State, payload: Mapping[str, Any]) -> Outcome:
+    def advance(self, flow: Collection, state: CollectState, payload: Mapping[str, Any]) -> Outcome:
         """All of them are needed."""
         counts = [len(STATED)] * len(flow.plan.facts)
         return flow.after(
@@ -142,30 +151,30 @@ class Beliefs(Stage["Collection", State]):
 
 
 @dataclass(frozen=True)
-class Collection(Flow[CollectPlan, State]):
+class Collection(Flow[CollectPlan, CollectState]):
     """A plan with its questionnaire at work.
 
     The questionnaires of the latest participants are kept, so that an answer is added to those
     before and not all of them are taken anew. Nothing that is computed depends on it.
     """
 
-    STATE: ClassVar = State
+    STATE: ClassVar = CollectState
     STAGES: ClassVar = (
         Consent("consent", "consent"),
-        Task("task", "read"),
-        Practice("practice", "example", "choose"),
+        TaskStage("task", "read"),
+        CollectPractice("practice", "example", "choose"),
         LookingAhead("ahead", "ahead", "choose"),
-        Clips("clips", "labels"),
+        ClipStage("clips", "labels"),
         Listening("listening", "labels"),
-        Beliefs("beliefs", "beliefs"),
-        Questions("questions", "answers"),
+        BeliefStage("beliefs", "beliefs"),
+        QuestionStage("questions", "answers"),
     )
 
     def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
         """The number, whose briefing they get, and what others hold wrong."""
         return {key: payload[key] for key in ("number", "role", "others")}
 
-    def briefing(self, state: State) -> dict[str, Any]:
+    def briefing(self, state: CollectState) -> dict[str, Any]:
         """What they were told, if anything."""
         return {} if state.role is None else {"briefing": self.plan.roles[state.role].briefing}
 
@@ -192,7 +201,7 @@ class Collection(Flow[CollectPlan, State]):
 
         return kept
 
-    def questionnaire(self, state: State) -> Questionnaire:
+    def questionnaire(self, state: CollectState) -> Questionnaire:
         """That of a participant, with all that they answered."""
         answers = tuple((one.labels, one.transitions, one.told) for one in state.questions())
         known: Questionnaire = self.kept(state.person, frozenset(state.others.items()), answers)
@@ -211,7 +220,7 @@ def statements(plan: CollectPlan, number: int) -> list[tuple[int, list[tuple[int
     return found
 
 
-def _clip(plan: CollectPlan, clip: Clip) -> dict[str, Any]:
+def _clip(plan: CollectPlan, clip: AskedClip) -> dict[str, Any]:
     told = [plan.facts[j].message for j in indices(clip.told)]
     if clip.purpose == ATTENTION:
         return {"told": told, "steps": [plan.attention], "transitions": (), "situation": ()}

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.evidence import Evidence
-from xplain.people.collect.asking import FINISHED, STATED, State
+from xplain.people.collect.asking import FINISHED, STATED, CollectState
 from xplain.people.collect.plan import CollectPlan
 from xplain.questions.fact_sets import partition
 from xplain.questions.known_transitions import KnownTransitions
@@ -24,14 +24,14 @@ SURE = 0.95
 """Posterior above which it is known what somebody holds wrong."""
 
 
-def why_left_out(state: State) -> str:
+def why_left_out(state: CollectState) -> str:
     """Why a participant's labels are not learned from; "" where they are."""
     if state.stage not in FINISHED:
         return state.stage if state.over else "unfinished"
     return "inattentive" if state.attentive is False else ""
 
 
-def dataset_of(plan: CollectPlan, people: Mapping[str, State]) -> Dataset:
+def dataset_of(plan: CollectPlan, people: Mapping[str, CollectState]) -> Dataset:
     """The labels of the questions of these people, as :mod:`xplain.learning.data.label_file` writes
     them. Second looks and the obvious step are no questions."""
     known = plan.hypotheses
@@ -72,7 +72,7 @@ class FoundType:
 
 
 @dataclass(frozen=True)
-class Found:
+class KnownSoFar:
     """What is known after N people.
 
     Attributes:
@@ -94,7 +94,7 @@ class Found:
     next_new: float
 
 
-def fact_sets(plan: CollectPlan, people: Sequence[State]) -> tuple[NDArray[np.int64], float]:
+def fact_sets(plan: CollectPlan, people: Sequence[CollectState]) -> tuple[NDArray[np.int64], float]:
     """[N] the facts that each person's type holds wrong, and the share of wrong answers: the
     Dirichlet process over fact sets that ``discover`` runs with the same hypotheses."""
     ways, data = _asked(plan, people)
@@ -104,14 +104,14 @@ def fact_sets(plan: CollectPlan, people: Sequence[State]) -> tuple[NDArray[np.in
     return facts, answers.wrong(every.transition, data.observer)
 
 
-def _asked(plan: CollectPlan, people: Sequence[State]) -> tuple[TwoWays, Dataset]:
+def _asked(plan: CollectPlan, people: Sequence[CollectState]) -> tuple[TwoWays, Dataset]:
     """The labels of these people, and how to foretell them."""
     known = KnownTransitions.of(plan.hypotheses)
     data = dataset_of(plan, {str(o): state for o, state in enumerate(people)})
     return TwoWays(known, known.find(data.features)), data
 
 
-def found_types(plan: CollectPlan, people: Sequence[State]) -> Found | None:
+def found_types(plan: CollectPlan, people: Sequence[CollectState]) -> KnownSoFar | None:
     """The types so far; None before the second person."""
     if len(people) < 2:
         return None
@@ -126,7 +126,7 @@ def found_types(plan: CollectPlan, people: Sequence[State]) -> Found | None:
     types.sort(key=lambda one: -len(one.members))
     best = [max([p for f, p in s.belief.items() if f != "none"], default=0.0) for s in people]
     next_new, new_types = expected_new(len(types), len(people), 10)
-    return Found(
+    return KnownSoFar(
         types=tuple(types),
         error=error,
         unsure=sum(one <= SURE for one in best),
@@ -137,7 +137,7 @@ def found_types(plan: CollectPlan, people: Sequence[State]) -> Found | None:
     )
 
 
-def compared(plan: CollectPlan, people: Sequence[State]) -> dict[str, dict[str, int]]:
+def compared(plan: CollectPlan, people: Sequence[CollectState]) -> dict[str, dict[str, int]]:
     """By fact, of the people ("of") who had an opinion at the end: how many said that they hold it
     wrong ("said"), of how many their answers say so ("inferred"), and of how many both are the same
     ("agree")."""

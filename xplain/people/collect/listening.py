@@ -21,7 +21,7 @@ from xplain.explanation.habits import Habits
 from xplain.explanation.knowledge import forget, say
 from xplain.explanation.message_sets import indices, subsets
 from xplain.people.analysis.stored import STREAMS, plan_of, reading
-from xplain.people.collect.asking import ATTENTION, HEEDED, Clip, State, prior
+from xplain.people.collect.asking import ATTENTION, HEEDED, AskedClip, CollectState, prior
 from xplain.people.collect.labels import why_left_out
 from xplain.people.collect.plan import CollectPlan
 from xplain.questions.hypotheses import Hypotheses
@@ -44,7 +44,7 @@ class Asked:
     known: Hypotheses
     held: NDArray[np.int64]
     prior: NDArray[np.float64]
-    clips: Sequence[Clip]
+    clips: Sequence[AskedClip]
 
     def posterior(self, habits: Habits) -> NDArray[np.float64]:
         """[F] how likely each habit is to be the person's."""
@@ -58,7 +58,7 @@ class Asked:
         return np.asarray(found / found.sum())
 
     def _through(
-        self, clips: Sequence[Clip], weight: NDArray[np.float64], habits: Habits
+        self, clips: Sequence[AskedClip], weight: NDArray[np.float64], habits: Habits
     ) -> NDArray[np.float64]:
         """The weights [N F] of (fact set, habit), times what pages tell on which what is said holds
         from page to page; nothing is known before."""
@@ -93,7 +93,7 @@ def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
     with reading(database) as connection:
         plan = plan_of(connection, CollectPlan)
         query = "SELECT state FROM participant WHERE stream = ? AND NOT erased ORDER BY number"
-        states = [State.from_text(text) for (text,) in connection.execute(query, (stream,))]
+        states = [CollectState.from_text(text) for (text,) in connection.execute(query, (stream,))]
     if not plan.rules.listening:
         wanted = "1 or more at the start of the collection: nothing was asked again"
         raise InputError("rules.listening", 0, wanted)
@@ -103,7 +103,7 @@ def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
     return [asked_of(plan, state) for state in kept]
 
 
-def asked_of(plan: CollectPlan, state: State) -> Asked:
+def asked_of(plan: CollectPlan, state: CollectState) -> Asked:
     """The pages of somebody who came to the end of them."""
     known = plan.hypotheses
     before = np.bincount(known.classes, prior(plan, state.others))

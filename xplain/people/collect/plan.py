@@ -27,7 +27,7 @@ class Example:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rules(Patience):
+class CollectRules(Patience):
     """Numbers of the protocol; how long somebody may be silent is in the base class.
 
     Attributes:
@@ -57,7 +57,7 @@ class Rules(Patience):
 
 
 @dataclass(frozen=True)
-class Role:
+class CollectRole:
     """Somebody who holds certain facts wrong: simulated people are one of several, and with
     assigned briefings real ones are told what one knows, to see whether it is found again.
 
@@ -99,8 +99,8 @@ class CollectPlan(StoredPlan):
     OF = "a collection of labels"
 
     example: Example
-    rules: Rules
-    roles: tuple[Role, ...]
+    rules: CollectRules
+    roles: tuple[CollectRole, ...]
     assigned: bool
     hypotheses: Hypotheses
     whole: Hypotheses | None

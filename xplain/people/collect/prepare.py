@@ -19,12 +19,12 @@ from xplain.people.collect.expectation import expect
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import (
     CollectPlan,
+    CollectRole,
+    CollectRules,
     Example,
-    Role,
-    Rules,
 )
 from xplain.people.own_table import no_map, own_table
-from xplain.people.plan import Ahead, Asked, Fact, Picture, Told, Way, facts_of
+from xplain.people.plan import Ahead, Fact, LabQuestion, Picture, Told, Way, facts_of
 from xplain.people.wording import each, fixed, of_states, parts, worded
 from xplain.questions.battery import battery
 from xplain.questions.designs import Adaptive, Battery, hypotheses_of
@@ -75,7 +75,7 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
 
     run_seed(cfg.seed)
     config = fixed(cfg)
-    rules = Rules(points=config["points"], **config["rules"])  # refused before the work
+    rules = CollectRules(points=config["points"], **config["rules"])  # refused before the work
     error = number("expected_error", config["expected_error"])
     if not 0 <= error < 0.5:
         raise InputError("expected_error", error, "a share in [0, 0.5)")
@@ -155,7 +155,7 @@ def own_source(table: Path, facts: str | None, seed: int) -> Source:
 
 
 def assemble(
-    source: Source, design: Adaptive | Battery, rules: Rules, config: Mapping[str, Any]
+    source: Source, design: Adaptive | Battery, rules: CollectRules, config: Mapping[str, Any]
 ) -> CollectPlan:
     """A plan from its parts, without expectation and probes.
 
@@ -184,7 +184,7 @@ def assemble(
         domain=source.name,
         example=Example(**wording["example"]),
         rules=rules,
-        asked=tuple(map(Asked.of, wording["questions"])),
+        asked=tuple(map(LabQuestion.of, wording["questions"])),
         facts=facts,
         roles=tuple(_role(name, held, facts) for name, held in source.roles.items()),
         assigned=config["briefing"] == "assigned",
@@ -214,6 +214,6 @@ def with_expectation(plan: CollectPlan, source: Source, error: float) -> Collect
     return CollectPlan.from_text(plan.text)
 
 
-def _role(name: str, held: int, facts: Sequence[Fact]) -> Role:
+def _role(name: str, held: int, facts: Sequence[Fact]) -> CollectRole:
     briefing = tuple(f.belief if held >> j & 1 else f.message for j, f in enumerate(facts))
-    return Role(name, held, briefing)
+    return CollectRole(name, held, briefing)

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup
 
 from xplain.errors import Refused
-from xplain.people.analysis.export import Participant
-from xplain.people.collect.asking import FINISHED, State, schedule, shared
+from xplain.people.analysis.export import ParticipantRow
+from xplain.people.collect.asking import FINISHED, CollectState, schedule, shared
 from xplain.people.collect.flow import Collection
-from xplain.people.collect.labels import Found, compared, found_types, why_left_out
+from xplain.people.collect.labels import KnownSoFar, compared, found_types, why_left_out
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.collect.tables import export
 from xplain.people.server import map_svg, site
@@ -35,7 +35,7 @@ class CollectSite(site.Site[Collection]):
 
     def __init__(self, flow: Collection) -> None:
         super().__init__(flow)
-        self._found: dict[tuple[str, ...], Found | None] = {}
+        self._found: dict[tuple[str, ...], KnownSoFar | None] = {}
 
     @classmethod
     def new_plan(cls, cfg: DictConfig) -> CollectPlan:
@@ -84,7 +84,7 @@ class CollectSite(site.Site[Collection]):
             f"json_extract(state, '$.stage') IN ({marks}) ORDER BY number",
             (own, *FINISHED),
         ).fetchall()
-        before = {row["number"]: State.from_text(row["state"]) for row in rows}
+        before = {row["number"]: CollectState.from_text(row["state"]) for row in rows}
         kept = {
             number: state.belief
             for number, state in before.items()
@@ -137,7 +137,9 @@ class CollectSite(site.Site[Collection]):
         or of bots while there are none."""
         rows = query("SELECT id, stream, state FROM participant ORDER BY number")
         own = "person" if any(row["stream"] == "person" for row in rows) else "bot"
-        states = {row["id"]: State.from_text(row["state"]) for row in rows if row["stream"] == own}
+        states = {
+            row["id"]: CollectState.from_text(row["state"]) for row in rows if row["stream"] == own
+        }
         kept = {who: state for who, state in states.items() if not why_left_out(state)}
         key = tuple(kept)
         if key not in self._found:
@@ -156,12 +158,12 @@ class CollectSite(site.Site[Collection]):
             "data": "Labels for xplain discover, observers and every answer as CSV tables",
         }
 
-    def step_of(self, state: State) -> str:
+    def step_of(self, state: CollectState) -> str:
         """Of the clips."""
         return f"page {len(state.answered) + 1}" if state.clip else ""
 
     def unequal(
-        self, connection: sqlite3.Connection, people: list[Participant[State]]
+        self, connection: sqlite3.Connection, people: list[ParticipantRow[CollectState]]
     ) -> Iterator[str]:
         """The prior must be that of people of the same stream who had answered every clip. Where
         one of them was erased it stands as the log has it: their part of it is all that stays."""

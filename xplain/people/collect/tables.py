@@ -18,12 +18,12 @@ from xplain.learning.data.label_file import write_table
 from xplain.people.analysis import export as exported
 from xplain.people.analysis.export import Row, events_of, seconds, write
 from xplain.people.analysis.stored import STREAMS
-from xplain.people.collect.asking import STATED, State
+from xplain.people.collect.asking import STATED, CollectState
 from xplain.people.collect.codebook import CODEBOOK
 from xplain.people.collect.labels import dataset_of, why_left_out
 from xplain.people.collect.plan import CollectPlan
 
-Participant = exported.Participant[State]
+Participant = exported.ParticipantRow[CollectState]
 
 
 def export(database: Path, folder: Path) -> str:
@@ -32,7 +32,7 @@ def export(database: Path, folder: Path) -> str:
     Raises:
         InputError: it is no collection's database.
     """
-    head, plan, people = write(database, folder, CollectPlan, State, tables, CODEBOOK)
+    head, plan, people = write(database, folder, CollectPlan, CollectState, tables, CODEBOOK)
     for stream in STREAMS:
         own = [one for one in people if one.row["stream"] == stream]
         if kept := {one.id: one.state for one in own if not why_left_out(one.state)}:

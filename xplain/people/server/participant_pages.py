@@ -195,7 +195,7 @@ def events() -> AnyResponse:
 # From what a browser sent; nothing of it is trusted ----------------------------------------------
 
 
-class Item(BaseModel, strict=True):
+class PageEvent(BaseModel, strict=True):
     """One event of a page: its number there, the page's clock, the browser's wall clock (ms)."""
 
     n: int = Field(ge=0, lt=100_000)
@@ -210,7 +210,7 @@ class Report(BaseModel, strict=True):
 
     token: str
     tab: str = Field(pattern=r"^[a-z0-9]{8,32}$")
-    items: list[Item] = Field(max_length=MAX_ITEMS)
+    items: list[PageEvent] = Field(max_length=MAX_ITEMS)
 
 
 def sequence_of(form: Mapping[str, str]) -> int:

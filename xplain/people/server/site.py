@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 from markupsafe import Markup
 
 from xplain.errors import Refused
-from xplain.people.analysis.export import Participant
+from xplain.people.analysis.export import ParticipantRow
 from xplain.people.analysis.replay import Findings, replayed
 from xplain.people.flow import Flow, State
 from xplain.people.plan import Pictures, StoredPlan
@@ -195,6 +195,6 @@ class Site(ABC, Generic[F]):
 
     @abstractmethod
     def unequal(
-        self, connection: sqlite3.Connection, people: list[Participant[Any]]
+        self, connection: sqlite3.Connection, people: list[ParticipantRow[Any]]
     ) -> Iterable[str]:
         """What else differs from what the log says, a sentence each."""

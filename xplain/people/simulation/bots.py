@@ -26,14 +26,14 @@ from werkzeug.datastructures import MultiDict
 from xplain.errors import InputError
 from xplain.people.analysis.stored import Plan, opened, plan_of
 from xplain.people.flow import Fields, Flow, S
-from xplain.people.plan import Asked
+from xplain.people.plan import LabQuestion
 from xplain.people.simulation import chromium
 from xplain.people.simulation.browser import Browser, Page, Visitor, visit
 from xplain.randomness import below
 
 
 @dataclass(frozen=True, kw_only=True)
-class Habits:
+class BotHabits:
     """Assumptions about people. None is measured.
 
     Attributes:
@@ -53,7 +53,7 @@ class Habits:
                 raise InputError(f"habits.{one.name}", value, wanted)
 
 
-H = TypeVar("H", bound=Habits)
+H = TypeVar("H", bound=BotHabits)
 P = TypeVar("P")
 
 
@@ -91,7 +91,7 @@ class Bot(Generic[P, H]):
             self.corrected.add((page.stage, right))
         return [("label", str(right ^ errs))]
 
-    def asked(self, questions: tuple[Asked, ...]) -> Fields:
+    def asked(self, questions: tuple[LabQuestion, ...]) -> Fields:
         """What is right, else the first that is allowed, of questions that need an answer."""
         return [
             (q.name, q.right or (q.options or (str(q.low) if q.kind == "number" else "–",))[0])

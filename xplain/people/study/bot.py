@@ -1,6 +1,6 @@
 """Simulated participants: they read sentences, forget some, err now and then, and take their time.
 
-A :class:`Person` knows the plan's table of true labels, but only uses what the pages told them.
+A :class:`StudyBot` knows the plan's table of true labels, but only uses what the pages told them.
 The same person takes part in the bare flow, over HTTP, and in a real browser.
 """
 
@@ -15,13 +15,13 @@ from xplain.explanation.message_sets import indices
 from xplain.people.flow import Fields
 from xplain.people.simulation import bots
 from xplain.people.simulation.browser import Page
-from xplain.people.study.flow import State, Study
+from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import StudyPlan
 from xplain.randomness import stream
 
 
 @dataclass(frozen=True)
-class Habits(bots.Habits):
+class ParticipantHabits(bots.BotHabits):
     """Assumptions about participants; the power curves show what each does.
 
     Attributes:
@@ -47,10 +47,12 @@ class Habits(bots.Habits):
     spread: float = 0.35
 
 
-class Person(bots.Bot[StudyPlan, Habits]):
+class StudyBot(bots.Bot[StudyPlan, ParticipantHabits]):
     """One simulated participant; as they are, until a briefing tells them what to know."""
 
-    def __init__(self, plan: StudyPlan, habits: Habits, rng: np.random.Generator) -> None:
+    def __init__(
+        self, plan: StudyPlan, habits: ParticipantHabits, rng: np.random.Generator
+    ) -> None:
         super().__init__(plan, habits, rng)
         self.user_type = int(rng.integers(len(plan.kinds))) if plan.kinds else 0
         self.known = 0
@@ -150,9 +152,9 @@ class Person(bots.Bot[StudyPlan, Habits]):
         return list(self._labels), seconds * self._pace
 
 
-def bot(plan: StudyPlan, habits: Habits, seed: int, number: int) -> Person:
+def bot(plan: StudyPlan, habits: ParticipantHabits, seed: int, number: int) -> StudyBot:
     """The simulated participant with a number."""
-    return Person(plan, habits, stream(seed, "bots", number))
+    return StudyBot(plan, habits, stream(seed, "bots", number))
 
 
 @dataclass(frozen=True)
@@ -167,13 +169,17 @@ class Measures:
 
 
 def take_part(
-    study: Study, user_type: int, condition: str, habits: Habits, rng: np.random.Generator
+    study: Study,
+    user_type: int,
+    condition: str,
+    habits: ParticipantHabits,
+    rng: np.random.Generator,
 ) -> Measures | None:
     """One simulated participant in the bare flow; None if they did not get to the end of it."""
-    person, role = Person(study.plan, habits, rng), study.plan.roles[user_type]
+    person, role = StudyBot(study.plan, habits, rng), study.plan.roles[user_type]
     orders = {"quiz": range(len(role.quiz)), "eligibility": range(len(role.eligibility))}
     slot = {"user_type": user_type, "condition": condition, "orders": orders, "width": 9999}
-    state = study.after(State(), **study.admitted(slot)).state
+    state = study.after(StudyState(), **study.admitted(slot)).state
     found = bots.take_part(study, person, replace(state, stage="briefing"))
     if found.score is None:
         return None

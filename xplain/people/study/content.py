@@ -16,7 +16,7 @@ from xplain.domains.base import Parameter
 from xplain.domains.users.setting import UserType
 from xplain.explanation.message_sets import indices
 from xplain.people.plan import Fact, facts_of
-from xplain.people.study.plan import Known, Question, Role, Statement
+from xplain.people.study.plan import Known, QuizQuestion, Statement, StudyRole
 
 NATURAL = "natural"
 """Name of the role of people who are not briefed."""
@@ -43,7 +43,7 @@ def roles_of(
     types: Sequence[UserType],
     labels: NDArray[np.uint8],
     wording: Mapping[str, Any],
-) -> tuple[Role, ...]:
+) -> tuple[StudyRole, ...]:
     """What each type is told and asked.
 
     Args:
@@ -61,7 +61,7 @@ def roles_of(
     for t, user_type in enumerate(types):
         wrong = tuple(j for j, fact in enumerate(facts) if fact.name in user_type.inaccurate)
         roles.append(
-            Role(
+            StudyRole(
                 user_type.name,
                 wrong,
                 tuple(f.belief if j in wrong else f.message for j, f in enumerate(facts)),
@@ -72,7 +72,9 @@ def roles_of(
     return tuple(roles)
 
 
-def natural_role(facts: Sequence[Fact], known: Sequence[Known], labels: NDArray[np.uint8]) -> Role:
+def natural_role(
+    facts: Sequence[Fact], known: Sequence[Known], labels: NDArray[np.uint8]
+) -> StudyRole:
     """The one role of people as they are: no briefing, and a quiz about what simulated people need.
 
     Args:
@@ -80,7 +82,7 @@ def natural_role(facts: Sequence[Fact], known: Sequence[Known], labels: NDArray[
         labels: [M, m, 2^n] true labels of the trace, of the kinds of simulated people.
     """
     need = int(np.bitwise_or.reduce([needed(of_kind) for of_kind in labels]))
-    return Role(NATURAL, (), (), (), _quiz(facts, known, (), need, 0))
+    return StudyRole(NATURAL, (), (), (), _quiz(facts, known, (), need, 0))
 
 
 def _eligibility(
@@ -88,7 +90,7 @@ def _eligibility(
     facts: Sequence[Fact],
     user_type: UserType,
     wording: Mapping[str, Any],
-) -> tuple[Question, ...]:
+) -> tuple[QuizQuestion, ...]:
     """A question a fact, with the answer of somebody who knows what this type was told."""
     words, rewards, questions = wording["words"], wording["rewards"], []
     for fact, parameter in zip(facts, parameters, strict=True):
@@ -97,12 +99,12 @@ def _eligibility(
         if parameter.name in rewards and number:
             text = words["reward_question"].format(action=rewards[parameter.name])
             options = (words["reward_good"], words["reward_bad"])
-            questions.append(Question(text, options, 0 if value >= 0 else 1))
+            questions.append(QuizQuestion(text, options, 0 if value >= 0 else 1))
         else:
             # The two sentences in an order that does not give the answer away.
             pair = sorted((fact.message, fact.belief))
             told = fact.belief if parameter.name in user_type.inaccurate else fact.message
-            questions.append(Question(words["which_told"], tuple(pair), pair.index(told)))
+            questions.append(QuizQuestion(words["which_told"], tuple(pair), pair.index(told)))
     return tuple(questions)
 
 

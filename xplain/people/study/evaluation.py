@@ -20,14 +20,14 @@ from xplain.interaction.interaction import Interaction
 from xplain.people import flow as core
 from xplain.people.flow import Answer, Decision, Fields, Flow, Form, Stage
 from xplain.people.stages import OneLabel, choices, small
-from xplain.people.study.plan import Role, StudyPlan
+from xplain.people.study.plan import StudyPlan, StudyRole
 from xplain.solvers.base import Policy
 
 ENDS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out")
 
 
 @dataclass(frozen=True)
-class Inquiry:
+class AskedQuestion:
     """A question to the participant.
 
     Attributes:
@@ -51,7 +51,7 @@ class Inquiry:
 
 
 @dataclass(frozen=True)
-class State(core.State):
+class StudyState(core.State):
     """Where a participant is. The first value is the start.
 
     Attributes:
@@ -83,7 +83,7 @@ class State(core.State):
     labels: tuple[int, ...] = ()
     score: int | None = None
     heard: tuple[int, ...] = ()
-    asked: tuple[Inquiry, ...] = ()
+    asked: tuple[AskedQuestion, ...] = ()
 
     @property
     def text(self) -> str:
@@ -105,11 +105,11 @@ class State(core.State):
         return len(self.heard) - self.given.bit_count()
 
 
-Outcome = core.Outcome[State]
+Outcome = core.Outcome[StudyState]
 
 
 @dataclass(frozen=True)
-class Explaining(Flow[StudyPlan, State]):
+class Explaining(Flow[StudyPlan, StudyState]):
     """A flow in which a trace is explained.
 
     Attributes:
@@ -120,11 +120,11 @@ class Explaining(Flow[StudyPlan, State]):
     policies: Mapping[str, Policy]
     belief: BeliefUpdate
 
-    def role(self, state: State) -> Role:
+    def role(self, state: StudyState) -> StudyRole:
         """What the participant is told and asked, in the stages after consent."""
         return self.plan.roles[state.slot_type]
 
-    def talk(self, state: State) -> Interaction:
+    def talk(self, state: StudyState) -> Interaction:
         """The explanation as it stands at a page of the evaluation."""
         condition = state.condition or ""
         problem = self.plan.problem_of(condition)
@@ -151,7 +151,7 @@ class Explaining(Flow[StudyPlan, State]):
         )
         return talk
 
-    def next_step(self, state: State, answer: Answer | None = None) -> Outcome:
+    def next_step(self, state: StudyState, answer: Answer | None = None) -> Outcome:
         """A question, if the policy asks one before the state's step; else the step with the
         policy's messages."""
         talk, belief = self.talk(state), self.of_types(state.belief)
@@ -160,7 +160,7 @@ class Explaining(Flow[StudyPlan, State]):
         if question != NO_QUESTION:
             best = max(said.values(), default=0.0)
             worth = float(values[~question]) - best if ~question in values else None
-            one = Inquiry(state.step, question, len(state.heard), worth, belief)
+            one = AskedQuestion(state.step, question, len(state.heard), worth, belief)
             return replace(state.to(stage="asking", asked=(*state.asked, one)), answer=answer)
         new = talk.say()
         shown = {str(int(mask)): value for mask, value in said.items()}
@@ -178,7 +178,7 @@ class Explaining(Flow[StudyPlan, State]):
         """What is logged: over user types, whatever habits and knowledge go with them."""
         return tuple(self.plan.problem.type_belief(np.array(belief)).tolist())
 
-    def told(self, state: State) -> dict[str, Any]:
+    def told(self, state: StudyState) -> dict[str, Any]:
         """What every page of the evaluation shows: the briefing, the old messages and the new ones,
         each where it was said last; ``again`` are those of the new ones that had been said
         before."""
@@ -198,15 +198,15 @@ class Explaining(Flow[StudyPlan, State]):
         }
 
 
-class Evaluation(Stage["Explaining", State]):
+class Evaluation(Stage["Explaining", StudyState]):
     """The robot's steps, one after the other, with the policy's messages."""
 
-    def enter(self, flow: Explaining, state: State) -> Outcome:
+    def enter(self, flow: Explaining, state: StudyState) -> Outcome:
         """The first step."""
         belief = tuple(flow.plan.problem_of(state.condition or "").start.tolist())
         return flow.next_step(replace(state, wrong=False, belief=belief))
 
-    def view(self, flow: Explaining, state: State) -> dict[str, Any]:
+    def view(self, flow: Explaining, state: StudyState) -> dict[str, Any]:
         """The steps so far, the labels, the old messages and the new ones."""
         plan = flow.plan
         return flow.told(state) | {
@@ -217,7 +217,7 @@ class Evaluation(Stage["Explaining", State]):
             "fields": {f"label_{i}": [] for i in range(state.step + 1)},
         }
 
-    def read(self, flow: Explaining, state: State, form: Form) -> dict[str, Any]:
+    def read(self, flow: Explaining, state: StudyState, form: Form) -> dict[str, Any]:
         """An earlier label that is not sent again stays as it was."""
         kept = [*state.labels[: state.step], None]
         sent = [small(form.get(f"label_{i}")) for i in range(state.step + 1)]
@@ -228,7 +228,7 @@ class Evaluation(Stage["Explaining", State]):
         """All labels."""
         return [(f"label_{i}", str(label)) for i, label in enumerate(payload["labels"])]
 
-    def advance(self, flow: Explaining, state: State, payload: Mapping[str, Any]) -> Outcome:
+    def advance(self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]) -> Outcome:
         """To the next step, or on from the last one."""
         count = [2] * (state.step + 1)
         chosen = choices(payload.get("labels"), count, flow.words["label_missing"])
@@ -242,12 +242,12 @@ class Evaluation(Stage["Explaining", State]):
         return flow.next_step(replace(state, step=state.step + 1), answer)
 
 
-class Asking(OneLabel["Explaining", State]):
+class Asking(OneLabel["Explaining", StudyState]):
     """One step of the task, which need not be on the trace: does it make sense?"""
 
     WITHIN: ClassVar = "evaluation"
 
-    def view(self, flow: Explaining, state: State) -> dict[str, Any]:
+    def view(self, flow: Explaining, state: StudyState) -> dict[str, Any]:
         """The clip, and the messages so far."""
         question = state.asked[-1].question
         return flow.told(state) | {
@@ -257,7 +257,7 @@ class Asking(OneLabel["Explaining", State]):
             "fields": {"label": []},
         }
 
-    def advance(self, flow: Explaining, state: State, payload: Mapping[str, Any]) -> Outcome:
+    def advance(self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]) -> Outcome:
         """To another question, or to the next step."""
         label, talk = self.label(flow, payload), flow.talk(state)
         talk.hear_answer(state.asked[-1].question, label)

@@ -17,18 +17,18 @@ from typing import Any, ClassVar
 from xplain.errors import Refused
 from xplain.people import stages
 from xplain.people.flow import Fields, Form, Stage
-from xplain.people.stages import LookingAhead, Questions, choice, choices, small
-from xplain.people.study.evaluation import ENDS, Asking, Evaluation, Explaining, Outcome, State
+from xplain.people.stages import LookingAhead, QuestionStage, choice, choices, small
+from xplain.people.study.evaluation import ENDS, Asking, Evaluation, Explaining, Outcome, StudyState
 from xplain.people.study.plan import StudyPlan
 
-__all__ = ["ENDS", "State", "Study"]
+__all__ = ["ENDS", "Study", "StudyState"]
 _WIDTH = re.compile(r"[1-9][0-9]{1,4}\Z")
 
 
-class Consent(stages.Consent["Study", State]):
+class StudyConsent(stages.Consent["Study", StudyState]):
     """With the width of the window."""
 
-    def read(self, flow: Study, state: State, form: Form) -> dict[str, Any]:
+    def read(self, flow: Study, state: StudyState, form: Form) -> dict[str, Any]:
         """Without scripts the width is None."""
         width = (form.getlist("width") or [""])[-1]
         return super().read(flow, state, form) | {
@@ -40,10 +40,10 @@ class Consent(stages.Consent["Study", State]):
         return [*super().fields(payload), ("width", str(payload["width"] or ""))]
 
 
-class Briefing(Stage["Study", State]):
+class Briefing(Stage["Study", StudyState]):
     """What this user type knows."""
 
-    def view(self, flow: Study, state: State) -> dict[str, Any]:
+    def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """The sentences of the type, and what everybody is told."""
         return {
             "briefing": flow.role(state).briefing,
@@ -51,17 +51,17 @@ class Briefing(Stage["Study", State]):
             "attempts_left": flow.plan.rules.max_attempts - state.attempts,
         }
 
-    def advance(self, flow: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
+    def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> Outcome:
         """After a failed attempt the example is known; only the facts need another look."""
         if state.attempts:
             return state.to(stage="eligibility", wrong=False)
         return flow.after(state, wrong=False)
 
 
-class Training(stages.Practice["Study", State]):
+class TrainingStage(stages.Practice["Study", StudyState]):
     """An added action, unexpected without its message."""
 
-    def view(self, flow: Study, state: State) -> dict[str, Any]:
+    def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """The message only in the second half."""
         example = flow.plan.training
         told = [example.message] if state.part else []
@@ -69,14 +69,14 @@ class Training(stages.Practice["Study", State]):
         return {"training": example, "part": state.part, "slots": slots, "told": told}
 
 
-class Eligibility(Stage["Study", State]):
+class Eligibility(Stage["Study", StudyState]):
     """Whether they know what they were told."""
 
     def wanted(self, plan: StudyPlan) -> bool:
         """Nobody who is not briefed can be checked."""
         return not plan.kinds
 
-    def view(self, flow: Study, state: State) -> dict[str, Any]:
+    def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """The questions in the participant's order."""
         questions = flow.role(state).eligibility
         return {
@@ -84,7 +84,7 @@ class Eligibility(Stage["Study", State]):
             "fields": {f"q{i}": list(enumerate(q.options)) for i, q in enumerate(questions)},
         }
 
-    def read(self, flow: Study, state: State, form: Form) -> dict[str, Any]:
+    def read(self, flow: Study, state: StudyState, form: Form) -> dict[str, Any]:
         """The answers in the plan's order."""
         count = len(flow.role(state).eligibility)
         return {"answers": [small(form.get(f"q{i}")) for i in range(count)]}
@@ -93,7 +93,7 @@ class Eligibility(Stage["Study", State]):
         """The answers."""
         return [(f"q{i}", str(answer)) for i, answer in enumerate(payload["answers"])]
 
-    def advance(self, flow: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
+    def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> Outcome:
         """On with all of them right; else back to the briefing, or to the end."""
         questions = flow.role(state).eligibility
         counts = [len(question.options) for question in questions]
@@ -106,16 +106,16 @@ class Eligibility(Stage["Study", State]):
         return state.to(stage="briefing", attempts=attempts, wrong=True)
 
 
-class Quiz(Stage["Study", State]):
+class Quiz(Stage["Study", StudyState]):
     """Which statements are true of the robot; no way back to the briefing."""
 
-    def view(self, flow: Study, state: State) -> dict[str, Any]:
+    def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """The statements in the participant's order."""
         statements = flow.role(state).quiz
         shown = [(i, statements[i].text) for i in (state.orders or {})["quiz"]]
         return {"statements": shown, "fields": {"true": shown}}
 
-    def read(self, flow: Study, state: State, form: Form) -> dict[str, Any]:
+    def read(self, flow: Study, state: StudyState, form: Form) -> dict[str, Any]:
         """Those that are ticked."""
         return {"chosen": [small(text) for text in form.getlist("true")[:100]]}
 
@@ -123,7 +123,7 @@ class Quiz(Stage["Study", State]):
         """Those that are ticked."""
         return [("true", str(one)) for one in payload["chosen"]]
 
-    def advance(self, flow: Study, state: State, payload: Mapping[str, Any]) -> Outcome:
+    def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> Outcome:
         """A point for each statement judged rightly."""
         statements, chosen = flow.role(state).quiz, payload.get("chosen")
         missing = flow.words["quiz_missing"]
@@ -138,21 +138,21 @@ class Quiz(Stage["Study", State]):
 class Study(Explaining):
     """A plan with its policies at work."""
 
-    STATE: ClassVar = State
+    STATE: ClassVar = StudyState
     STAGES: ClassVar = (
-        Consent("consent", "consent"),
-        Questions("before", "screening", "before", "screened_out"),
+        StudyConsent("consent", "consent"),
+        QuestionStage("before", "screening", "before", "screened_out"),
         Briefing("briefing", "read"),
-        Training("training", "example", "label_missing"),
+        TrainingStage("training", "example", "label_missing"),
         LookingAhead("ahead", "ahead", "label_missing"),
         Eligibility("eligibility", "eligibility"),
         Evaluation("evaluation", "labels"),
         Asking("asking", "clip", "label_missing"),
         Quiz("quiz", "quiz"),
-        Questions("questions", "answers"),
+        QuestionStage("questions", "answers"),
     )
 
-    def view(self, state: State) -> dict[str, Any]:
+    def view(self, state: StudyState) -> dict[str, Any]:
         """At an end for good also which of the sentences that they were told are not true."""
         view = super().view(state)
         if not state.over or state.stage == "timed_out" or state.user_type is None:

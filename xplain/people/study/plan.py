@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from xplain.errors import Count, Whole, checks
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
-from xplain.people.plan import Asked, Patience, Picture, StoredPlan, Told, Way
+from xplain.people.plan import LabQuestion, Patience, Picture, StoredPlan, Told, Way
 
 PERSONALIZED, CONFORMANT, ASKING = "personalized", "conformant", "asking"
 """Names of conditions that something hangs on: the policy of the last may ask before it speaks."""
@@ -31,7 +31,7 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Question:
+class QuizQuestion:
     """One question with its possible answers; ``answer`` is the index of the right one."""
 
     text: str
@@ -49,7 +49,7 @@ class Statement:
 
 
 @dataclass(frozen=True)
-class Role:
+class StudyRole:
     """What participants of one user type are told and asked.
 
     Attributes:
@@ -63,7 +63,7 @@ class Role:
     name: str
     wrong: tuple[int, ...]
     briefing: tuple[str, ...]
-    eligibility: tuple[Question, ...]
+    eligibility: tuple[QuizQuestion, ...]
     quiz: tuple[Statement, ...]
 
 
@@ -99,7 +99,7 @@ class Clip:
 
 @checks("rules")
 @dataclass(frozen=True, kw_only=True)
-class Rules(Patience):
+class StudyRules(Patience):
     """Numbers of the protocol; how long somebody may be silent is in the base class.
 
     Attributes:
@@ -144,10 +144,10 @@ class StudyPlan(StoredPlan):
     OF = "a study"
 
     training: Training
-    rules: Rules
+    rules: StudyRules
     known: tuple[Known, ...] = ()
-    before: tuple[Asked, ...] = ()
-    roles: tuple[Role, ...]
+    before: tuple[LabQuestion, ...] = ()
+    roles: tuple[StudyRole, ...]
     kinds: tuple[tuple[int, ...], ...] = ()
     trace: tuple[str, ...]
     path: Way | None

@@ -12,7 +12,7 @@ from xplain.explanation.label_table import LabelTable, joined
 from xplain.interaction.episode import Episode, explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.people.analysis.stored import renamed
-from xplain.people.study.flow import State, Study
+from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import ASKING, StudyPlan
 from xplain.randomness import derived_seed, stream
 from xplain.solvers.base import asking
@@ -88,7 +88,7 @@ def probes(study: Study) -> dict[str, tuple[str, ...]]:
 
 def _walk(study: Study, condition: str, number: int) -> str:
     rng = stream(0, "probes", number)
-    before = State(stage="eligibility", user_type=0, condition=condition)
+    before = StudyState(stage="eligibility", user_type=0, condition=condition)
     state = study.after(before).state
     messages = [state.new]
     while state.stage in ("evaluation", "asking"):

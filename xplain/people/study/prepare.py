@@ -17,12 +17,20 @@ from xplain.explanation.again import Again
 from xplain.explanation.asking import Limits, Pool, Questions
 from xplain.explanation.label_table import LabelTable
 from xplain.people.own_table import no_map, own_table
-from xplain.people.plan import Asked, facts_of
+from xplain.people.plan import LabQuestion, facts_of
 from xplain.people.study import content
 from xplain.people.study.known_types import Learned, fitting, learned_types, matched
-from xplain.people.study.plan import ASKING, PERSONALIZED, Clip, Known, Rules, StudyPlan, Training
+from xplain.people.study.plan import (
+    ASKING,
+    PERSONALIZED,
+    Clip,
+    Known,
+    StudyPlan,
+    StudyRules,
+    Training,
+)
 from xplain.people.study.policies import at_work, difference, probes
-from xplain.people.study.task import MayAsk, OfDomain, OfTable, Seen, Task
+from xplain.people.study.task import MayAsk, OfDomain, OfTable, ShownTask, StudyTask
 from xplain.people.wording import InWords, each, fixed, parts, worded
 
 if TYPE_CHECKING:
@@ -50,7 +58,7 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
         cfg = cfg.copy()
         cfg.seed = secrets.randbelow(2**31)
     config = fixed(cfg)
-    Rules(**config["rules"])  # refused before the work, not after it
+    StudyRules(**config["rules"])  # refused before the work, not after it
     config["conditions"] = conditions_of(config)
     one_of("briefing", config["briefing"], ("assigned", "none"))
     task, learned = _task_and_types(cfg, config)
@@ -97,7 +105,7 @@ def conditions_of(config: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**conditions, ASKING: conditions[PERSONALIZED]}
 
 
-def _task_and_types(cfg: DictConfig, config: Mapping[str, Any]) -> tuple[Task, Learned]:
+def _task_and_types(cfg: DictConfig, config: Mapping[str, Any]) -> tuple[StudyTask, Learned]:
     """What is explained, and the types that the policies know.
 
     Raises:
@@ -128,7 +136,7 @@ def stored(plan: StudyPlan) -> StudyPlan:
 
 
 def drafted(
-    seen: Seen,
+    seen: ShownTask,
     table: LabelTable,
     config: Mapping[str, Any],
     learned: Learned | None = None,
@@ -174,9 +182,9 @@ def drafted(
         domain=seen.name,
         known=known,
         training=Training(**wording["training"]),
-        rules=Rules(**config["rules"]),
-        before=tuple(map(Asked.of, config["before"])),
-        asked=tuple(map(Asked.of, config["questions"])),
+        rules=StudyRules(**config["rules"]),
+        before=tuple(map(LabQuestion.of, config["before"])),
+        asked=tuple(map(LabQuestion.of, config["questions"])),
         facts=facts,
         roles=(content.natural_role(facts, known, seen.labels),) if natural else roles,
         kinds=tuple(role.wrong for role in roles) if natural else (),

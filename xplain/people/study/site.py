@@ -12,11 +12,11 @@ import numpy as np
 from markupsafe import Markup
 
 from xplain.errors import Refused
-from xplain.people.analysis.export import Participant
+from xplain.people.analysis.export import ParticipantRow
 from xplain.people.plan import Pictures
 from xplain.people.server import map_svg, site
 from xplain.people.server.database import Do
-from xplain.people.study.flow import State, Study
+from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import ASKING, StudyPlan
 from xplain.people.study.tables import export
 from xplain.randomness import stream
@@ -149,7 +149,7 @@ class StudySite(site.Site[Study]):
         taken = {key: slot[key] for key in ("position", "user_type", "condition")}
         return taken | {"orders": orders}
 
-    def readmit(self, do: Do, person: Mapping[str, Any], state: State) -> dict[str, Any]:
+    def readmit(self, do: Do, person: Mapping[str, Any], state: StudyState) -> dict[str, Any]:
         """A slot like the one that somebody lost by being silent: the same type and condition."""
         if state.stage != "timed_out":
             raise Refused("other_page")
@@ -166,11 +166,11 @@ class StudySite(site.Site[Study]):
         )
 
     def _take(
-        self, do: Do, person: Mapping[str, Any], like: State | None = None
+        self, do: Do, person: Mapping[str, Any], like: StudyState | None = None
     ) -> Mapping[str, Any]:
         """The first free slot of the person's stream, now held by them: any, or of the type and
         condition of a state. People find none where all are taken; pilots and bots get more."""
-        own, cell = person["stream"], like or State()
+        own, cell = person["stream"], like or StudyState()
         wanted = {"stream": own, "user_type": cell.user_type, "condition": cell.condition}
         slot: Mapping[str, Any] | None = do(FREE, wanted).fetchone()
         if slot is None and own == "person":
@@ -230,20 +230,20 @@ class StudySite(site.Site[Study]):
         data = "CSV and Parquet tables"
         return {"slots": left, "roles": roles, "cells": cells, "data": data}
 
-    def step_of(self, state: State) -> str:
+    def step_of(self, state: StudyState) -> str:
         """Of the evaluation."""
         if state.stage == "asking":
             return f"before step {state.step + 1}"
         return f"step {state.step + 1}" if state.stage == "evaluation" else ""
 
-    def about(self, state: State, blinded: bool) -> dict[str, str]:
+    def about(self, state: StudyState, blinded: bool) -> dict[str, str]:
         """Also type and condition."""
         role = "" if state.user_type is None else self.plan.roles[state.user_type].name
         hidden = {} if blinded else {"Type": role, "Condition": state.condition or ""}
         return super().about(state, blinded) | hidden
 
     def unequal(
-        self, connection: sqlite3.Connection, people: list[Participant[State]]
+        self, connection: sqlite3.Connection, people: list[ParticipantRow[StudyState]]
     ) -> Iterator[str]:
         """Slots whose holder is of another type, or has left."""
         for slot in connection.execute(
@@ -251,7 +251,7 @@ class StudySite(site.Site[Study]):
             "iif(entry = 'preview', 'preview', participant.stream) AS whose FROM slot "
             "JOIN participant ON participant.id = slot.holder"
         ):
-            state = State.from_text(slot["state"])
+            state = StudyState.from_text(slot["state"])
             cell = (state.user_type, state.condition, slot["whose"])
             done = state.stage == "done"
             if (

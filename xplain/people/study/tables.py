@@ -15,10 +15,10 @@ from xplain.explanation.message_sets import names_of
 from xplain.people.analysis import export as exported
 from xplain.people.analysis.export import Row, events_of, seconds, write
 from xplain.people.study.codebook import CODEBOOK
-from xplain.people.study.flow import State
+from xplain.people.study.flow import StudyState
 from xplain.people.study.plan import StudyPlan
 
-Participant = exported.Participant[State]
+Participant = exported.ParticipantRow[StudyState]
 EVALUATING = ("evaluation", "asking")
 """Stages whose pages are the evaluation."""
 
@@ -29,7 +29,7 @@ def export(database: Path, folder: Path) -> str:
     Raises:
         InputError: it is no study's database.
     """
-    return write(database, folder, StudyPlan, State, tables, CODEBOOK)[0]
+    return write(database, folder, StudyPlan, StudyState, tables, CODEBOOK)[0]
 
 
 def tables(

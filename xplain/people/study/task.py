@@ -34,7 +34,7 @@ Rules = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Seen:
+class ShownTask:
     """A task, and one trace of it, as participants meet them; phrases not yet in a lab's words.
 
     Attributes:
@@ -111,10 +111,10 @@ class OfDomain:
         features = transition_features(self.setting.domain, trace)[:, learned.columns]
         return label_table(learned.labelers, features, trace)
 
-    def seen(self, trace: NDArray[np.int64]) -> Seen:
+    def seen(self, trace: NDArray[np.int64]) -> ShownTask:
         """What participants see of a trace: on the domain's map, if it has one."""
         domain, states = self.setting.domain, [*trace[:, 0].tolist(), int(trace[-1, 2])]
-        return Seen(
+        return ShownTask(
             name=domain.name,
             parameters=domain.parameters,
             types=self.setting.types,
@@ -173,12 +173,12 @@ class OfTable:
         assert features is not None, "own tables have features"
         return label_table(learned.labelers, features[trace][:, learned.columns])
 
-    def seen(self, trace: NDArray[np.int64]) -> Seen:
+    def seen(self, trace: NDArray[np.int64]) -> ShownTask:
         """With its images, without a map."""
         own, names = self.own, self.own.hypotheses.messages
         facts = (Parameter(one.name, True, False, one.message, one.belief) for one in own.facts)
         pictures = tuple(own.pictures[row] for row in trace) if own.pictures else ()
-        return Seen(
+        return ShownTask(
             name=own.name,
             parameters=tuple(facts),
             types=tuple(
@@ -212,7 +212,7 @@ class OfTable:
         return np.stack([known.labels[of_kind][:, trace].T for of_kind in rows])
 
 
-Task = OfDomain | OfTable
+StudyTask = OfDomain | OfTable
 """What a study explains; traces are arrays as its methods hand them on."""
 
 

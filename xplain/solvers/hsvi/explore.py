@@ -14,14 +14,14 @@ import numpy as np
 from xplain.errors import Count, Positive, Range, checks
 from xplain.explanation.problem import Problem
 from xplain.solvers.count_lattice import make_answers
-from xplain.solvers.hsvi.initial_bounds import Tables
+from xplain.solvers.hsvi.initial_bounds import BoundTables
 from xplain.solvers.hsvi.pair_bounds import PairTables, with_own_room
 from xplain.solvers.hsvi.search import (
     DONE,
     FULL,
     NEWS,
     TAIL,
-    Limits,
+    SearchLimits,
     Start,
     back_up_all,
     make_path,
@@ -32,7 +32,7 @@ from xplain.solvers.hsvi.tree import (
     OPENED,
     ROOT,
     WORK,
-    Store,
+    NodeStore,
     grown,
     make_store,
     store_bytes,
@@ -72,7 +72,7 @@ class Effort:
 
 
 @dataclass(frozen=True)
-class Found:
+class Explored:
     """What a search found.
 
     Attributes:
@@ -80,8 +80,8 @@ class Found:
         store: its nodes.
     """
 
-    tables: Tables
-    store: Store
+    tables: BoundTables
+    store: NodeStore
 
     @property
     def lower(self) -> float:
@@ -102,12 +102,12 @@ class Found:
 
 
 def explore(
-    tables: Tables,
+    tables: BoundTables,
     start: Start,
     effort: Effort,
     problem: Problem | None = None,
     told: Callable[[float], None] | None = None,
-) -> Found:
+) -> Explored:
     """Searches from a belief at (k, H), within the effort. Ctrl-C is heard throughout.
 
     With the ``problem`` of the tables, a long search makes those of pairs; a short one does not
@@ -123,13 +123,13 @@ def explore(
         search.back_up()
     if search.gap > effort.gap:
         search.back_up_all()
-    return Found(search.tables, search.store)
+    return Explored(search.tables, search.store)
 
 
 class _Search:
     """A search under way."""
 
-    def __init__(self, tables: Tables, start: Start, effort: Effort, problem: Problem | None):
+    def __init__(self, tables: BoundTables, start: Start, effort: Effort, problem: Problem | None):
         self.began = time.perf_counter()
         self.effort = effort
         inquiry = tables.model.inquiry
@@ -158,7 +158,7 @@ class _Search:
     def sample(self) -> None:
         """Trials, for a while."""
         tail_gap = self.effort.gap * TAIL / len(self.tables.explain)
-        limits = Limits(self.asked, tail_gap, self.effort.nodes, CHUNK)
+        limits = SearchLimits(self.asked, tail_gap, self.effort.nodes, CHUNK)
         while True:
             self.status = sample(
                 self.tables, self.store, self.start, limits, self.path, self.answers

@@ -28,7 +28,7 @@ from xplain.solvers.model import (
 )
 
 
-class Tables(NamedTuple):
+class BoundTables(NamedTuple):
     """What the search reads.
 
     Attributes:
@@ -55,7 +55,7 @@ def table_bytes(problem: Problem) -> int:
     return dense_table_bytes(problem) * (problem.n_types + 4)
 
 
-def make_tables(problem: Problem) -> Tables:
+def make_tables(problem: Problem) -> BoundTables:
     """Known-type values and the plans' values of a dense problem, by dynamic programming."""
     model = model_of(problem)
     optimal, costs = optimal_values(model), explain_costs(model)
@@ -65,7 +65,7 @@ def make_tables(problem: Problem) -> Tables:
     for first, end in backwards(model):
         _plan(model, costs, optimal, explain, plans, first, end)
     room = make_room(model.inquiry)
-    return Tables(model, optimal, explain, plans, set_prices(model), no_pairs(model), room)
+    return BoundTables(model, optimal, explain, plans, set_prices(model), no_pairs(model), room)
 
 
 @kernel

@@ -36,7 +36,7 @@ FAINT = 1e-7
 
 
 @dataclass
-class Action:
+class Choice:
     """A set of messages and *explain*, or ~q: its bounds, and what may follow."""
 
     name: int
@@ -59,7 +59,7 @@ class Node:
     asked: int
     upper: float
     lower: float
-    actions: list[Action] = field(default_factory=list)
+    actions: list[Choice] = field(default_factory=list)
 
     @property
     def gap(self) -> float:
@@ -220,10 +220,10 @@ class Bounded:
             moved = moved or (node.upper, node.lower, action.upper) != before
         return moved
 
-    def _is_leaf(self, node: Node, action: Action) -> bool:
+    def _is_leaf(self, node: Node, action: Choice) -> bool:
         return action.name >= 0 and node.step == self.problem.n_steps - 1
 
-    def _actions(self, node: Node) -> Iterator[Action]:
+    def _actions(self, node: Node) -> Iterator[Choice]:
         """All that may be done, with bounds of one step."""
         model, problem, k = self.model, self.problem, node.step
         prices, may_say = problem.prices(node.given), problem.may_say(node.given)
@@ -246,19 +246,19 @@ class Bounded:
         upper, lower = delay * upper - price, base + later * lower
         columns = sets, base, later, upper, np.minimum(lower, upper)
         for one in zip(*(column.tolist() for column in columns), strict=True):
-            yield Action(*one)
+            yield Choice(*one)
         if problem.questions is not None:
             cost = problem.questions.limits.cost
             most, least = self._between(k, node.given, node.belief)
             for q in problem.questions.open(k, None, node.asked):
-                yield Action(~q, -cost, 1.0, most - cost, least - cost)
+                yield Choice(~q, -cost, 1.0, most - cost, least - cost)
 
     def _given(self, node: Node, chosen: int) -> int:
         problem = self.problem
         after = problem.again.after(node.given, chosen, problem.n_messages)
         return after if problem.levels else 0
 
-    def _expand(self, node: Node, action: Action) -> None:
+    def _expand(self, node: Node, action: Choice) -> None:
         problem, k = self.problem, node.step
         action.children = []
         if action.name < 0:
@@ -278,7 +278,7 @@ class Bounded:
             child = self.node(k + 1, given, weight / share, node.asked)
             action.children.append((share, child))
 
-    def _back_up(self, action: Action) -> None:
+    def _back_up(self, action: Choice) -> None:
         if action.children is None:
             return
         upper = action.tail[0] + sum(share * child.upper for share, child in action.children)

@@ -2,8 +2,8 @@
 
 Opening a node lists the sets of messages that may be optimal there; expanding one of these makes
 the nodes of its answers; backing up takes a node's bounds from theirs. ``tables`` are
-:class:`~xplain.solvers.hsvi.initial_bounds.Tables`, ``store`` is a
-:class:`~xplain.solvers.hsvi.tree.Store`, ``index`` a node's.
+:class:`~xplain.solvers.hsvi.initial_bounds.BoundTables`, ``store`` is a
+:class:`~xplain.solvers.hsvi.tree.NodeStore`, ``index`` a node's.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ class Start(NamedTuple):
     asked: NDArray[np.int64] = np.empty(0, np.int64)
 
 
-class Limits(NamedTuple):
+class SearchLimits(NamedTuple):
     """When :func:`sample` returns.
 
     Attributes:

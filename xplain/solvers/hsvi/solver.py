@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from xplain.errors import Count, Positive, checks
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy, best_question
-from xplain.solvers.hsvi.explore import Effort, Found, Gap, explore
-from xplain.solvers.hsvi.initial_bounds import Tables, make_tables, table_bytes
+from xplain.solvers.hsvi.explore import Effort, Explored, Gap, explore
+from xplain.solvers.hsvi.initial_bounds import BoundTables, make_tables, table_bytes
 from xplain.solvers.hsvi.knowing import Bounded, CertifiedKnowing
 from xplain.solvers.hsvi.search import Start
 from xplain.solvers.hsvi.tree import NODES
@@ -81,7 +81,7 @@ class Certified:
         return CertifiedKnowing(bounded, root, brief)
 
 
-def tables_within(problem: Problem, memory_gib: float) -> tuple[Problem, Tables]:
+def tables_within(problem: Problem, memory_gib: float) -> tuple[Problem, BoundTables]:
     """The problem made dense, and the bounds' tables.
 
     Raises:
@@ -123,7 +123,7 @@ class Searched:
         brief: the effort for a belief not found there.
     """
 
-    found: Found
+    found: Explored
     brief: Effort
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:

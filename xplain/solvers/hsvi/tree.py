@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from xplain.numba_kernels import inlined
 from xplain.solvers.count_lattice import hash_key, same
-from xplain.solvers.hsvi.initial_bounds import Tables
+from xplain.solvers.hsvi.initial_bounds import BoundTables
 
 ROOT = np.int64(0)
 """The first node. (numba would compile what it is passed to once more for the literal 0.)"""
@@ -60,7 +60,7 @@ NODES, ACTIONS, ANSWERS, CANDIDATES, SHARED, OPENED, WORK, HASHED = range(8)
 """What ``Store.used`` counts; OPENED nodes, WORK done, and nodes in the hash table."""
 
 
-class Store(NamedTuple):
+class NodeStore(NamedTuple):
     """Nodes, their actions, these actions' answers; N types, m steps, n messages.
 
     Attributes:
@@ -115,13 +115,13 @@ _KIND = {
 """What bounds the length of an array that grows."""
 
 
-def make_store(tables: Tables, nodes: int = 1 << 10) -> Store:
+def make_store(tables: BoundTables, nodes: int = 1 << 10) -> NodeStore:
     """An empty store, with room for so many nodes."""
     steps, sets, types = tables.explain.shape
     actions, answers, shared = max(4 * nodes, 2 * sets), 4 * nodes, 16
     places = np.zeros((steps, sets), PLACE)
     places["shared"] = NONE
-    return Store(
+    return NodeStore(
         used=np.zeros(8, np.int64),
         nodes=np.zeros(nodes, NODE),
         belief=np.zeros((nodes, types)),
@@ -142,7 +142,7 @@ def make_store(tables: Tables, nodes: int = 1 << 10) -> Store:
     )
 
 
-def grown(store: Store) -> Store:
+def grown(store: NodeStore) -> NodeStore:
     """The same store with twice the room for whatever has used up half of it."""
     arrays: dict[str, Any] = store._asdict()
     size = {kind: len(arrays[name]) for name, kind in _KIND.items()}
@@ -155,10 +155,10 @@ def grown(store: Store) -> Store:
             arrays[name][: store.used[kind]] = array[: store.used[kind]]
     arrays["hash_table"] = np.full(4 * len(arrays["nodes"]), NONE, np.int32)
     store.used[HASHED] = 0
-    return Store(**arrays)
+    return NodeStore(**arrays)
 
 
-def store_bytes(store: Store) -> int:
+def store_bytes(store: NodeStore) -> int:
     """What a store takes."""
     return sum(array.nbytes for array in store)
 

@@ -25,7 +25,7 @@ Run = Callable[[int, Tree, Roots], None]
 """Runs so many simulations in a tree."""
 
 
-class Start(NamedTuple):
+class SearchRoot(NamedTuple):
     """Where a search starts: k; H, or where messages may be said again what was said at this step;
     a belief; the bitmask of questions asked; and whether one may be asked now."""
 
@@ -58,7 +58,7 @@ class Forest(NamedTuple):
     inquiry: Inquiry
     seed: int
 
-    def values(self, start: Start, runs: Callable[[], Run]) -> dict[int, float]:
+    def values(self, start: SearchRoot, runs: Callable[[], Run]) -> dict[int, float]:
         """Estimated return of *explain* (0), of each message (its bit) and question (~q), where it
         was tried. ``runs`` makes what a thread runs simulations with."""
         value, visits = self.merged(start, runs)
@@ -71,7 +71,7 @@ class Forest(NamedTuple):
         return {names[a]: float(value[a]) for a in order if visits[a]}
 
     def merged(
-        self, start: Start, runs: Callable[[], Run]
+        self, start: SearchRoot, runs: Callable[[], Run]
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Value and visits of each action at the root, merged over the trees: [n + 1 + B] each,
         messages, *explain*, then the most telling questions. The random stream comes from what is

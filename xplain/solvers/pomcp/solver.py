@@ -41,7 +41,7 @@ from xplain.solvers.inquiry import Inquiry
 from xplain.solvers.knowing import make_knowing
 from xplain.solvers.memory import check_memory
 from xplain.solvers.model import best_set, one_by_one, table_bytes
-from xplain.solvers.pomcp.forest import Forest, Run, Start
+from xplain.solvers.pomcp.forest import Forest, Run, SearchRoot
 from xplain.solvers.pomcp.kernel import simulate
 from xplain.solvers.pomcp.knowing import KnowingSearch, simulate_knowing
 from xplain.solvers.pomcp.search_model import (
@@ -174,7 +174,9 @@ class Search:
         """The messages to give before the next *explain*, as
         :class:`xplain.solvers.base.Policy` says."""
         return one_by_one(
-            lambda said: best_set(self._values(Start(step, said, belief, asked, said == given))),
+            lambda said: best_set(
+                self._values(SearchRoot(step, said, belief, asked, said == given))
+            ),
             given,
         )
 
@@ -187,15 +189,15 @@ class Search:
     ) -> Mapping[int, float]:
         """Estimated return of *explain* (0), of each message (its bit) and question (~q), where it
         was tried."""
-        return self._values(Start(step, given, belief, asked))
+        return self._values(SearchRoot(step, given, belief, asked))
 
     def search(
         self, step: int, given: int, belief: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """As :meth:`xplain.solvers.pomcp.forest.Forest.merged`."""
-        return self.forest.merged(Start(step, given, belief), self._run)
+        return self.forest.merged(SearchRoot(step, given, belief), self._run)
 
-    def _values(self, start: Start) -> Mapping[int, float]:
+    def _values(self, start: SearchRoot) -> Mapping[int, float]:
         if self.known_is_exact and rounded(start.belief).max() == 1.0:
             return self._known_values(start.step, start.given, int(np.argmax(start.belief)))
         return once(self._last, start, lambda: self.forest.values(start, self._run))
@@ -240,7 +242,7 @@ class Remembering:
         """The messages to give before the next *explain*, some of them perhaps again."""
         said = 0
         while True:
-            new = best_set(self._values(Start(step, said, belief, asked, not said)))
+            new = best_set(self._values(SearchRoot(step, said, belief, asked, not said)))
             if not new:
                 return said
             said |= new
@@ -254,9 +256,9 @@ class Remembering:
         self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
     ) -> Mapping[int, float]:
         """As :meth:`Search.values`, before anything is said at this step."""
-        return self._values(Start(step, 0, belief, asked))
+        return self._values(SearchRoot(step, 0, belief, asked))
 
-    def _values(self, start: Start) -> Mapping[int, float]:
+    def _values(self, start: SearchRoot) -> Mapping[int, float]:
         return once(self._last, start, lambda: self.forest.values(start, self._run))
 
     def _run(self) -> Run:
@@ -268,7 +270,7 @@ class Remembering:
 
 def once(
     last: dict[tuple[object, ...], Mapping[int, float]],
-    start: Start,
+    start: SearchRoot,
     search: Callable[[], Mapping[int, float]],
 ) -> Mapping[int, float]:
     """The values of a start. What is searched for a question is searched for messages next, so the

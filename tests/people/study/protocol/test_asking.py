@@ -16,8 +16,8 @@ from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Slips
-from xplain.people.study.bot import Person
-from xplain.people.study.flow import State, Study
+from xplain.people.study.bot import StudyBot
+from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.policies import difference
 from xplain.people.study.prepare import conditions_of
 from xplain.solvers.cached_policy import CachedPolicy
@@ -148,7 +148,7 @@ def test_bots_answer_questions_as_they_label(asking: Study, noise: int) -> None:
 
     plan = asking.plan
     for user_type, known, clip in product(range(3), range(16), range(4)):
-        bot = Person(plan, replace(FAULTLESS, label_noise=noise), np.random.default_rng(0))
+        bot = StudyBot(plan, replace(FAULTLESS, label_noise=noise), np.random.default_rng(0))
         bot.user_type, bot.known = user_type, known
         fields, seconds = bot.fill(Page("asking", steps=[clip]))[0:2]
         assert fields == [("label", str(plan.true_labels[user_type, clip, known] ^ noise))]
@@ -188,4 +188,4 @@ def test_a_state_with_questions_comes_back_from_its_text(asking: Study) -> None:
     state = at_evaluation(asking, 1, "asking")
     state = asking.advance(state, "clip", {"label": 0}).state
     assert state.asked
-    assert State.from_text(state.text) == state
+    assert StudyState.from_text(state.text) == state

@@ -18,17 +18,17 @@ from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Heedless, SimulatedUser
 from xplain.people.study.bot import take_part
-from xplain.people.study.flow import State, Study
+from xplain.people.study.flow import Study, StudyState
 from xplain.solvers.qmdp import QMDP
 
 ORDERS = {"eligibility": (2, 0, 1, 3), "quiz": (3, 2, 1, 0)}
 
 
-def at_evaluation(study: Study, user_type: int, condition: str) -> State:
+def at_evaluation(study: Study, user_type: int, condition: str) -> StudyState:
     slot = {"user_type": user_type, "condition": condition, "orders": ORDERS}
     text = study.plan.texts.consent_hash
     right = [q.answer for q in study.plan.roles[user_type].eligibility]
-    state = State()
+    state = StudyState()
     for kind, payload in (
         ("consent", {"agree": 1, "text": text, **slot}),
         ("read", {}),
@@ -42,7 +42,7 @@ def at_evaluation(study: Study, user_type: int, condition: str) -> State:
     return state
 
 
-def evaluated(study: Study, user_type: int, condition: str) -> Iterator[State]:
+def evaluated(study: Study, user_type: int, condition: str) -> Iterator[StudyState]:
     """Each step of the evaluation of somebody who never errs, and what comes after it."""
     state = at_evaluation(study, user_type, condition)
     while state.stage == "evaluation":
@@ -120,11 +120,11 @@ def test_people_who_fail_are_explained_to_as_offline_and_logged_by_type(
 def test_a_message_that_is_said_again_moves_to_the_new_ones_and_says_so(study: Study) -> None:
     messages = [fact.message for fact in study.plan.facts]
     at = {"stage": "evaluation", "user_type": 1, "step": 2, "labels": (1, 0), "given": 0b0111}
-    view = study.view(State(**at, new=0b0110, heard=(1, 0, 1, 2)))
+    view = study.view(StudyState(**at, new=0b0110, heard=(1, 0, 1, 2)))
     assert view["old"] == [messages[0]]
     assert view["new"] == [messages[1], messages[2]]
     assert view["again"] == [messages[1]]
-    later = study.view(State(**at, new=0, heard=(1, 0, 1, 2)))
+    later = study.view(StudyState(**at, new=0, heard=(1, 0, 1, 2)))
     assert (later["old"], later["again"]) == ([messages[0], messages[1], messages[2]], [])
 
 
@@ -167,7 +167,7 @@ def test_a_faultless_participant_errs_only_where_nothing_was_said(study: Study) 
 
 def test_failing_the_check_leads_to_the_briefing_then_to_a_polite_end(study: Study) -> None:
     wrong = [1 - q.answer for q in study.plan.roles[0].eligibility]
-    state = State(stage="eligibility", user_type=0, condition="conformant")
+    state = StudyState(stage="eligibility", user_type=0, condition="conformant")
     state = study.advance(state, "eligibility", {"answers": wrong}).state
     assert (state.stage, state.attempts, state.wrong) == ("briefing", 1, True)
     assert study.view(state)["attempts_left"] == 1
@@ -181,7 +181,7 @@ def test_failing_the_check_leads_to_the_briefing_then_to_a_polite_end(study: Stu
 
 
 def test_quiz_scores_every_statement_judged_rightly(study: Study) -> None:
-    state = State(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
+    state = StudyState(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
     true = [i for i, s in enumerate(study.plan.roles[1].quiz) if s.true]
     for none in ([4], [-1], [0.0], ["0"], [0] * 5, None, "0"):
         with pytest.raises(Refused):
@@ -195,13 +195,13 @@ def test_pages_show_the_trace_so_far_the_messages_apart_and_questions_in_their_o
     study: Study,
 ) -> None:
     plan = study.plan
-    asked = State(stage="eligibility", user_type=1, condition="conformant", orders=ORDERS)
+    asked = StudyState(stage="eligibility", user_type=1, condition="conformant", orders=ORDERS)
     shown = study.view(asked)["questions"]
     assert shown == [(i, plan.roles[1].eligibility[i]) for i in (2, 0, 1, 3)]
-    quiz = State(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
+    quiz = StudyState(stage="quiz", user_type=1, condition="conformant", orders=ORDERS)
     statements = study.view(quiz)["statements"]
     assert statements == [(i, plan.roles[1].quiz[i].text) for i in (3, 2, 1, 0)]
-    state = State(
+    state = StudyState(
         stage="evaluation",
         user_type=1,
         step=2,
@@ -222,7 +222,7 @@ def test_pages_carry_nothing_that_tells_type_condition_or_answers(study: Study) 
         state = at_evaluation(study, user_type, condition)
         view = study.view(state)
         assert not view.keys() & {"belief", "condition", "user_type", "true", "score", "values"}
-        quiz = State(stage="quiz", user_type=user_type, condition=condition, orders=ORDERS)
+        quiz = StudyState(stage="quiz", user_type=user_type, condition=condition, orders=ORDERS)
         texts = [text for _, text in study.view(quiz)["statements"]]
         assert sorted(texts) == sorted(s.text for s in study.plan.roles[user_type].quiz)
 
@@ -244,10 +244,10 @@ RATING = {"name": "robots", "label": "I know robots", "kind": "scale", "low": 1,
 RULES = {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 30, "recall": True}
 
 
-def agreed(study: Study, **more: object) -> State:
+def agreed(study: Study, **more: object) -> StudyState:
     slot = {"user_type": 0, "condition": "conformant", "orders": ORDERS}
     payload = {"agree": 1, "text": study.plan.texts.consent_hash, **slot, **more}
-    return study.advance(State(), "consent", payload).state
+    return study.advance(StudyState(), "consent", payload).state
 
 
 def test_a_missed_attention_check_ends_the_part_before_it_begins() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from tests.people.study.stand_in import street_plan
 from xplain.errors import InputError
-from xplain.people.study.plan import Rules, StudyPlan
+from xplain.people.study.plan import StudyPlan, StudyRules
 
 
 def test_a_plan_survives_storage_to_the_last_bit() -> None:
@@ -24,4 +24,4 @@ def test_a_plan_survives_storage_to_the_last_bit() -> None:
 def test_rules_that_let_nobody_through_are_named(key: str, value: float) -> None:
     numbers = {"per_cell": 4, "max_attempts": 3, "timeout_minutes": 30.0} | {key: value}
     with pytest.raises(InputError, match=rf"rules\.{key}"):
-        Rules(**numbers, recall=True)  # type: ignore[arg-type]
+        StudyRules(**numbers, recall=True)  # type: ignore[arg-type]

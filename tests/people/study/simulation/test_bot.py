@@ -10,12 +10,12 @@ from tests.people.visitors import GENEROUS, Visitor, pages
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Page
-from xplain.people.study.bot import Person
-from xplain.people.study.flow import State
+from xplain.people.study.bot import StudyBot
+from xplain.people.study.flow import StudyState
 
 
 def test_a_message_that_was_missed_is_taken_in_when_it_is_said_again(
-    person: Callable[..., Person],
+    person: Callable[..., StudyBot],
 ) -> None:
     someone = person(habits=replace(FAULTLESS, forgetting=1))
     (wrong, *_) = someone.plan.wrong[someone.user_type]
@@ -29,7 +29,7 @@ def test_a_message_that_was_missed_is_taken_in_when_it_is_said_again(
     assert someone.known == 1 << wrong
 
 
-def test_what_is_lost_after_a_step_counts_at_the_next(person: Callable[..., Person]) -> None:
+def test_what_is_lost_after_a_step_counts_at_the_next(person: Callable[..., StudyBot]) -> None:
     someone = person(habits=replace(FAULTLESS, losing=1))
     truth = someone.plan.true_labels[someone.user_type]
     count = someone.plan.n_steps
@@ -42,7 +42,7 @@ def test_what_is_lost_after_a_step_counts_at_the_next(person: Callable[..., Pers
 
 
 def test_pages_tell_what_is_said_now_as_views_do(
-    store: Store, person: Callable[..., Person]
+    store: Store, person: Callable[..., StudyBot]
 ) -> None:
     """Over HTTP as in the bare flow."""
     app, flow = create_app(store, GENEROUS), store.site.flow
@@ -50,7 +50,7 @@ def test_pages_tell_what_is_said_now_as_views_do(
     seen = 0
     for _, page in pages(Visitor(app.test_client()), person(), token):
         (row,) = store.query("SELECT state FROM participant")
-        view = Page.of_view(flow.view(State.from_text(row["state"])))
+        view = Page.of_view(flow.view(StudyState.from_text(row["state"])))
         if page.stage == "evaluation":
             assert list(page.new) == list(view.new)
             seen += len(page.new)

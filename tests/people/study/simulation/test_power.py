@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from tests.people.study.stand_in import ASK, street_plan, street_study
 from xplain.cli.main import main
 from xplain.errors import InputError
-from xplain.people.study.bot import Habits
+from xplain.people.study.bot import ParticipantHabits
 from xplain.people.study.plan import ASKING, CONFORMANT, PERSONALIZED
 from xplain.people.study.power import (
     SWEEPS,
-    Pool,
+    SimulatedCrowd,
     compared,
     curves,
     draw_curves,
@@ -33,7 +33,7 @@ from xplain.people.study.table2 import MEASURES
 def test_false_alarms_are_as_rare_as_promised() -> None:
     rng = np.random.default_rng(3)
     noise = rng.normal(size=(5, 300, len(MEASURES)))
-    pool = Pool({"conformant": noise, "personalized": noise})
+    pool = SimulatedCrowd({"conformant": noise, "personalized": noise})
     plain, corrected = power(pool, 20, 4000, rng)
     assert (np.abs(plain - 0.05) < 0.015).all()
     assert corrected.max() < 0.03
@@ -42,7 +42,7 @@ def test_false_alarms_are_as_rare_as_promised() -> None:
 def test_simulated_power_agrees_with_theory() -> None:
     rng = np.random.default_rng(4)
     a, b = rng.normal(0.7, 1, (1, 40_000, 3)), rng.normal(0, 1, (1, 40_000, 3))
-    plain, corrected = power(Pool({"conformant": a, "personalized": b}), 20, 3000, rng)
+    plain, corrected = power(SimulatedCrowd({"conformant": a, "personalized": b}), 20, 3000, rng)
     assert plain == pytest.approx(t_power(0.7, 20), abs=0.035)
     assert (corrected <= plain).all()
 
@@ -51,7 +51,7 @@ def test_types_beyond_an_even_share_are_drawn_anew_in_each_study_and_condition()
     """Types answer 0 and 1 for certain; of three people two are of one type. In half of the studies
     that is another type in the other condition: t = 1/√2, p = 0.52 (4 degrees of freedom)."""
     values = np.array([0.0, 1.0])[:, None, None] * np.ones((2, 10, len(MEASURES)))
-    pool = Pool({"conformant": values, "personalized": values})
+    pool = SimulatedCrowd({"conformant": values, "personalized": values})
     plain, _ = power(pool, 3, 4000, np.random.default_rng(6), alpha=0.6)
     # Within four standard deviations of a binomial.
     assert plain == pytest.approx(0.5, abs=4 * (0.25 / 4000) ** 0.5)
@@ -59,10 +59,10 @@ def test_types_beyond_an_even_share_are_drawn_anew_in_each_study_and_condition()
 
 def test_what_people_forget_changes_what_the_study_would_find() -> None:
     study = street_study()
-    perfect = simulate(study, Habits(0, 0, 0, 0, mistake=0), 20, seed=0)
-    overloaded = simulate(study, Habits(0, 0, 0.4, 0, mistake=0), 20, seed=0)
-    slow = simulate(study, Habits(message_seconds=30, spread=0.1), 20, seed=0)
-    fast = simulate(study, Habits(message_seconds=0, spread=0.1), 20, seed=0)
+    perfect = simulate(study, ParticipantHabits(0, 0, 0, 0, mistake=0), 20, seed=0)
+    overloaded = simulate(study, ParticipantHabits(0, 0, 0.4, 0, mistake=0), 20, seed=0)
+    slow = simulate(study, ParticipantHabits(message_seconds=30, spread=0.1), 20, seed=0)
+    fast = simulate(study, ParticipantHabits(message_seconds=0, spread=0.1), 20, seed=0)
     inexplicable = list(MEASURES).index("inexplicable_transitions")
     for condition in ("conformant", "personalized"):
         better, worse = (
@@ -73,18 +73,18 @@ def test_what_people_forget_changes_what_the_study_would_find() -> None:
     # Whoever needs long for a message gains most from getting fewer of them.
     assert slow.effect()[0] > fast.effect()[0]
     with pytest.raises(InputError):
-        simulate(study, Habits(mistake=1), 2, seed=0)
+        simulate(study, ParticipantHabits(mistake=1), 2, seed=0)
     with pytest.raises(InputError):
-        Habits(label_noise=2)
+        ParticipantHabits(label_noise=2)
 
 
 @pytest.mark.parametrize("habit", SWEEPS)
 def test_assumptions_are_varied_upwards_around_their_default(habit: str) -> None:
     values = SWEEPS[habit]
     assert list(values) == sorted(set(values))
-    assert values[0] <= getattr(Habits(), habit) <= values[-1]
-    Habits(**{habit: values[0]})
-    Habits(**{habit: values[-1]})
+    assert values[0] <= getattr(ParticipantHabits(), habit) <= values[-1]
+    ParticipantHabits(**{habit: values[0]})
+    ParticipantHabits(**{habit: values[-1]})
 
 
 def test_pictures_show_every_figure_at_its_place(tmp_path: Path, drawn: list[Figure]) -> None:
@@ -131,7 +131,7 @@ def test_a_condition_is_compared_with_the_one_that_the_analysis_compares_it_with
     quiz; the other two conditions are alike."""
     rng = np.random.default_rng(7)
     others = {c: rng.normal(0, 1, (1, 20_000, 3)) for c in (CONFORMANT, PERSONALIZED)}
-    pool = Pool({**others, ASKING: rng.normal([0, -0.5, 0.5], 1, (1, 20_000, 3))})
+    pool = SimulatedCrowd({**others, ASKING: rng.normal([0, -0.5, 0.5], 1, (1, 20_000, 3))})
     rows = pd.DataFrame(curves(pool, (40,), 2000, 0)).set_index(["comparison", "measure"])
     assert [*compared(pool.values)] == ["table2", "asking"]
     assert pool.effect((PERSONALIZED, ASKING)) == pytest.approx([0, 0.5, -0.5], abs=0.04)
