@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from tests.people.server_process import ServerProcess
 from xplain.experiment.config import composed
-from xplain.people.collect.bot import ObserverHabits as Answers
+from xplain.people.collect.bot import Habits as Answers
 from xplain.people.collect.bot import bot, collection_of
 from xplain.people.collect.prepare import collect_plan
 from xplain.people.collect.site import CollectSite
@@ -38,7 +38,7 @@ from xplain.people.server.site import Site
 from xplain.people.server.store import Store
 from xplain.people.simulation.bots import Researcher
 from xplain.people.simulation.browser import Browser, Page, Visitor
-from xplain.people.study.bot import ParticipantHabits, StudyBot
+from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite
@@ -141,7 +141,7 @@ def study() -> tuple[Site[Any], Callable[[int], Visitor]]:
     """The shipped study, and its people."""
     small = ["seed=0", "observers.points=150", "trace.candidates=40"]
     plan = study_plan(composed("study", small))
-    habits = ParticipantHabits(0, 0, 0, 0, mistake=0)
+    habits = Habits(0, 0, 0, 0, mistake=0)
     rng = np.random.default_rng
     return StudySite(study_of(plan)), lambda number: StudyBot(plan, habits, rng(number))
 

@@ -23,12 +23,12 @@ from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.interaction.statistics import clustered_mean
 from xplain.learning.data.label_file import write_table
-from xplain.people.collect.bot import ObserverHabits as Observing
+from xplain.people.collect.bot import Habits as Observing
 from xplain.people.collect.expectation import crowd, truth_of
 from xplain.people.collect.labels import dataset_of, why_left_out
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble, source_of
-from xplain.people.study.bot import Measures, ParticipantHabits, take_part
+from xplain.people.study.bot import Habits, Measures, take_part
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import study_plan
@@ -39,8 +39,8 @@ from xplain.randomness import stream
 
 LABELS, PEOPLE, ERROR = 20, 24, 0.05
 HABITS = {
-    "people without fault": ParticipantHabits(0, 0, 0, 0, mistake=0),
-    "people who err in 3 %, forget, and take in less of more messages": ParticipantHabits(),
+    "people without fault": Habits(0, 0, 0, 0, mistake=0),
+    "people who err in 3 %, forget, and take in less of more messages": Habits(),
 }
 MEASURES = ["messages", "inexplicable", "score", "seconds"]
 
@@ -75,9 +75,7 @@ def study(domain: str, types: Path, seed: int) -> StudyPlan:
     return study_plan(composed("study", given))
 
 
-def took_part(
-    plan: StudyPlan, people: int, habits: ParticipantHabits, seed: int
-) -> list[dict[str, object]]:
+def took_part(plan: StudyPlan, people: int, habits: Habits, seed: int) -> list[dict[str, object]]:
     """A row a simulated participant who got to the end: condition and measures."""
     at_work, rows = study_of(plan), []
     for condition in CONDITIONS:

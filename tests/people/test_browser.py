@@ -37,7 +37,7 @@ from xplain.people.simulation.chromium import (
     take_part,
     wait,
 )
-from xplain.people.study.bot import ParticipantHabits, StudyBot
+from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import study_plan
@@ -177,7 +177,7 @@ def test_every_page_is_accessible_and_is_photographed(
 
         # The pages off the way: a failed check, the ends, errors, the researcher's.
         go_in(driver, server.url, researcher.invite(1, "pilot")[0])
-        forgetful = StudyBot(plan, ParticipantHabits(mistake=1), np.random.default_rng(0))
+        forgetful = StudyBot(plan, Habits(mistake=1), np.random.default_rng(0))
         for _ in range(20):
             page = Page.of_html(driver.page_source)
             if not page.hidden:
@@ -355,9 +355,7 @@ def test_bots_in_chromium_take_part_and_replay_agrees(
     with serving(path, study) as server:
         for number, invitation in enumerate(Researcher(server.url, server.key).invite(3)):
             go_in(driver, server.url, invitation)
-            person = StudyBot(
-                study.plan, ParticipantHabits(mistake=0), np.random.default_rng(number)
-            )
+            person = StudyBot(study.plan, Habits(mistake=0), np.random.default_rng(number))
             assert take_part(driver, person) == "done"
             assert "Simulated participant" in driver.page_source
     main(["study", "replay", str(path)])

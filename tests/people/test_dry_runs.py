@@ -32,7 +32,7 @@ from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.simulation.bots import Researcher
 from xplain.people.simulation.browser import Browser, Refusal, visit
-from xplain.people.study.bot import ParticipantHabits, StudyBot
+from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.site import StudySite
 from xplain.people.study.tables import export
@@ -174,7 +174,7 @@ def test_from_bots_to_types(
     assert wrong <= likeliest
 
 
-def fill_every_place(study: Study, path: Path, habits: ParticipantHabits) -> Counter[str]:
+def fill_every_place(study: Study, path: Path, habits: Habits) -> Counter[str]:
     """People's places, filled over HTTP by simulated people some of whom drop out for good."""
     Store(path, StudySite(study)).close()
     places = len(study.plan.cells) * study.plan.rules.per_cell
@@ -212,7 +212,7 @@ RULES = {"per_cell": 2, "max_attempts": 2, "timeout_minutes": 0.04, "recall": Tr
 
 def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study, path = street_study(rules=RULES), tmp_path / "study.sqlite"
-    stages = fill_every_place(study, path, ParticipantHabits(leaving=0.04, mistake=0.03))
+    stages = fill_every_place(study, path, Habits(leaving=0.04, mistake=0.03))
     assert stages["left"] > 0
     every_cell_is_full(study, path, tmp_path / "out")
     everything_replays("study", path, capsys)
@@ -228,7 +228,7 @@ def test_forty_bots_in_the_rescue_study(tmp_path: Path, capsys: pytest.CaptureFi
         study_plan(composed("study", ["rules.per_cell=4", "rules.timeout_minutes=0.05"]))
     )
     path = tmp_path / "study.sqlite"
-    stages = fill_every_place(study, path, ParticipantHabits(leaving=0.02))
+    stages = fill_every_place(study, path, Habits(leaving=0.02))
     assert stages["done"] == 40
     assert stages["left"] > 3
     every_cell_is_full(study, path, tmp_path / "out")

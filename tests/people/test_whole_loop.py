@@ -18,7 +18,7 @@ from xplain.cli.main import main
 from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.learning.saved_types import LearnedTypes
-from xplain.people.collect.bot import ObserverHabits, bot
+from xplain.people.collect.bot import Habits, bot
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectRules
 from xplain.people.collect.prepare import assemble, source_of
@@ -57,7 +57,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
 
     def person(number: int) -> Bot:
-        return bot(plan, ObserverHabits(error=0.05), 1, number)
+        return bot(plan, Habits(error=0.05), 1, number)
 
     over_the_pages(folder / "c.sqlite", CollectSite(Collection(plan)), 24, person)
     export(folder / "c.sqlite", folder)

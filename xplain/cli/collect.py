@@ -26,7 +26,7 @@ def bots(arguments: list[str]) -> None:
     ``--key``: the researcher's key, which the server prints; ``--error``: share of wrong answers;
     ``--lapse``: share of pages clicked through; ``--leaving``: chance to leave, a page; ``--pace``:
     1 is real time; ``--save``: where the export (ZIP) goes afterwards. Every habit of
-    ``xplain.people.collect.bot.ObserverHabits`` is a flag, such as ``--mistake 0.1``.
+    ``xplain.people.collect.bot.Habits`` is a flag, such as ``--mistake 0.1``.
     """
     people.bots("collect", arguments)
 

@@ -28,7 +28,7 @@ def bots(arguments: list[str]) -> None:
 
     ``--key``: the researcher's key, which the server prints; ``--pace``: 1 is real time;
     ``--leaving``: chance to leave, a page; ``--save``: where the export (ZIP) goes afterwards.
-    Other habits (``xplain.people.study.bot.ParticipantHabits``) are flags too, such as
+    Other habits (``xplain.people.study.bot.Habits``) are flags too, such as
     ``--label-noise 0.1``.
     """
     people.bots("study", arguments)

@@ -10,13 +10,13 @@ from omegaconf import OmegaConf
 from tests.people.study.stand_in import AHEAD, TYPES, Street
 from xplain.domains.users.types import Explicit
 from xplain.experiment.config import CONF
-from xplain.people.collect.bot import ObserverHabits, collection_of, probes
+from xplain.people.collect.bot import Habits, collection_of, probes
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble, domain_source
 from xplain.questions.designs import Adaptive, Battery
 
-FAULTLESS = ObserverHabits(error=0.0, mistake=0.0)
+FAULTLESS = Habits(error=0.0, mistake=0.0)
 RULES: dict[str, Any] = {"people": 6, "repeats": 2, "attention": True, "timeout_minutes": 30}
 STREET = Street()
 EXPECTED = {

@@ -15,7 +15,7 @@ from xplain.errors import InputError
 from xplain.learning.data.label_file import read_table, write_table
 from xplain.people.analysis.stored import opened, plan_of
 from xplain.people.collect.asking import ATTENTION, CollectState, shared
-from xplain.people.collect.bot import ObserverHabits, bot, take_part
+from xplain.people.collect.bot import Habits, bot, take_part
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.labels import (
     compared,
@@ -35,7 +35,7 @@ from xplain.people.study.site import StudySite
 COLLECTION = street_collection()
 
 
-def person(number: int, habits: ObserverHabits = FAULTLESS) -> CollectState:
+def person(number: int, habits: Habits = FAULTLESS) -> CollectState:
     return take_part(COLLECTION, bot(COLLECTION.plan, habits, 0, number), number, {})
 
 
@@ -158,7 +158,7 @@ def filled(path: Path, collection: Collection, count: int = 4) -> list[str]:
     store, found = Store(path, CollectSite(collection)), []
     for number in range(count):
         who = store.enter_invited(store.invite(1, "person")[0])
-        someone = bot(collection.plan, ObserverHabits(mistake=0), 1, number)
+        someone = bot(collection.plan, Habits(mistake=0), 1, number)
         state = store.submit(
             who, 0, "consent", {"agree": 1, "text": collection.plan.texts.consent_hash}
         )

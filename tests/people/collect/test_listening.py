@@ -37,7 +37,7 @@ COLLECTION = street_collection(listening=MESSAGES)
 UNKNOWN = habits_of("learned", "learned", "learned")
 
 
-def somebody(held: int, number: int, habits: bot.ObserverHabits = FAULTLESS) -> CollectState:
+def somebody(held: int, number: int, habits: bot.Habits = FAULTLESS) -> CollectState:
     person = Observer(COLLECTION.plan, held, habits, np.random.default_rng(number))
     return take_part(COLLECTION, person, number, {})
 
@@ -73,9 +73,7 @@ def test_without_them_all_else_is_as_it_was() -> None:
         without, with_them = (
             take_part(
                 collection,
-                Observer(
-                    collection.plan, 5, bot.ObserverHabits(0.1), np.random.default_rng(number)
-                ),
+                Observer(collection.plan, 5, bot.Habits(0.1), np.random.default_rng(number)),
                 number,
                 {},
             )
@@ -174,7 +172,7 @@ def test_rates_of_simulated_people_are_found_again(accept: float, forget: float,
     at first the label is 1 with p = α (1 − e) + (1 − α) e, so that α is known to sd(p) / (1 − 2e);
     a fact taken in is there three pages later with (1 − φ)³, the slope of which is 3 at most."""
     people, error = 120, 0.05
-    habits = bot.ObserverHabits(error, forgetting=1 - accept, losing=forget, mistake=0)
+    habits = bot.Habits(error, forgetting=1 - accept, losing=forget, mistake=0)
     states: list[CollectState] = []
     for number in range(people):
         role = COLLECTION.plan.roles[number % len(COLLECTION.plan.roles)]

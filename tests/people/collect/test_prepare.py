@@ -15,7 +15,7 @@ from xplain.cli.people import configured
 from xplain.domains.users.types import Explicit
 from xplain.errors import InputError
 from xplain.experiment.config import CONF
-from xplain.people.collect.bot import ObserverHabits
+from xplain.people.collect.bot import Habits
 from xplain.people.collect.expectation import crowd, expect, rand_index, truth_of
 from xplain.people.collect.plan import CollectRules
 from xplain.people.collect.prepare import assemble, domain_source, own_source
@@ -205,8 +205,8 @@ def test_the_expectation_is_of_the_plan_and_its_people() -> None:
 
 def test_whoever_answers_at_random_cannot_be_sorted() -> None:
     plan = street_plan()
-    right = np.mean([rand_index(plan, crowd(plan, 12, ObserverHabits(0.0), s)) for s in range(2)])
-    random = np.mean([rand_index(plan, crowd(plan, 12, ObserverHabits(0.5), s)) for s in range(2)])
+    right = np.mean([rand_index(plan, crowd(plan, 12, Habits(0.0), s)) for s in range(2)])
+    random = np.mean([rand_index(plan, crowd(plan, 12, Habits(0.5), s)) for s in range(2)])
     assert right == 1.0
     assert abs(random) < 0.5
     assert len(set(truth_of(plan, 12).tolist())) == 3
@@ -228,8 +228,7 @@ def test_24_people_and_20_questions_find_the_types(domain: str, types: int) -> N
     plan = assemble(source_of(cfg), instantiate(cfg.queries), rules, config)
     assert len(plan.roles) == types
     found = [
-        rand_index(plan, crowd(plan, 24, ObserverHabits(error=0.05), seed))
-        for seed in range(100, 105)
+        rand_index(plan, crowd(plan, 24, Habits(error=0.05), seed)) for seed in range(100, 105)
     ]
     assert min(found) >= 0.9
     assert np.mean(found) >= 0.95

@@ -24,7 +24,7 @@ from xplain.people.collect.asking import (
     schedule,
     shared,
 )
-from xplain.people.collect.bot import Observer, ObserverHabits, take_part
+from xplain.people.collect.bot import Habits, Observer, take_part
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.simulation.bots import answer
@@ -37,7 +37,7 @@ numbers = st.integers(0, 10_000)
 
 
 def somebody(
-    collection: Collection, held: int, number: int = 0, habits: ObserverHabits = FAULTLESS
+    collection: Collection, held: int, number: int = 0, habits: Habits = FAULTLESS
 ) -> CollectState:
     """An observer in the bare protocol, to the end."""
     person = Observer(collection.plan, held, habits, np.random.default_rng(number))
@@ -123,7 +123,7 @@ def test_whoever_never_errs_is_found_consistent_and_attentive(design: Battery | 
 
 
 def test_whoever_tosses_coins_is_neither() -> None:
-    habits = ObserverHabits(error=0.5, mistake=0.0)
+    habits = Habits(error=0.5, mistake=0.0)
     found = [somebody(COLLECTION, 3, number, habits) for number in range(40)]
     # 80 repeated labels, 40 obvious steps: both are fair coins.
     assert 0.35 < np.mean([state.consistency for state in found]) < 0.65
@@ -145,7 +145,7 @@ def test_a_list_is_the_same_for_everybody_in_an_order_of_their_own() -> None:
 @given(numbers, st.integers(0, 15), st.booleans())
 def test_between_two_looks_at_a_step_there_are_others(number: int, held: int, listed: bool) -> None:
     collection = LISTED if listed else COLLECTION
-    person = Observer(collection.plan, held, ObserverHabits(0.2), np.random.default_rng(number))
+    person = Observer(collection.plan, held, Habits(0.2), np.random.default_rng(number))
     clips = take_part(collection, person, number, {}).answered
     phrases = collection.plan.hypotheses.phrases
     steps = [[phrases[t] for t in clip.transitions] for clip in clips]
@@ -224,7 +224,7 @@ def test_what_is_kept_of_earlier_answers_changes_nothing(monkeypatch: pytest.Mon
 @settings(max_examples=25, deadline=None)
 @given(numbers, st.integers(0, 15))
 def test_the_posterior_is_one_and_depends_on_the_answers_alone(number: int, held: int) -> None:
-    habits = ObserverHabits(error=0.2, mistake=0.0)
+    habits = Habits(error=0.2, mistake=0.0)
     state = somebody(COLLECTION, held, number, habits)
     assert abs(sum(state.belief.values()) - 1) < 1e-4  # but for what is not written down
     assert belief(COLLECTION.questionnaire(state)) == state.belief

@@ -28,7 +28,7 @@ from xplain.people.server.security import Keys
 from xplain.people.server.site import Full
 from xplain.people.server.store import MAX_TAB_EVENTS, Store, Unknown
 from xplain.people.simulation.browser import visit
-from xplain.people.study.bot import ParticipantHabits, StudyBot
+from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.site import StudySite
@@ -305,7 +305,7 @@ def test_cells_are_balanced_in_spite_of_drop_outs(tmp_path: Path) -> None:
     for number in range(400):
         if stages["done"] == 24:
             break
-        habits = ParticipantHabits(leaving=0.06, mistake=0.05)
+        habits = Habits(leaving=0.06, mistake=0.05)
         person = StudyBot(study.plan, habits, np.random.default_rng(number))
         token = store.invite(1, "person")[0]
         stages[visit(Visitor(app.test_client()), person, token)] += 1

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from tests.people.study.stand_in import FAULTLESS, street_study
-from xplain.people.study.bot import ParticipantHabits, StudyBot
+from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 
 
@@ -20,7 +20,7 @@ def study() -> Study:
 
 @pytest.fixture
 def person(study: Study) -> Callable[..., StudyBot]:
-    def make(number: int = 0, habits: ParticipantHabits = FAULTLESS) -> StudyBot:
+    def make(number: int = 0, habits: Habits = FAULTLESS) -> StudyBot:
         return StudyBot(study.plan, habits, np.random.default_rng(number))
 
     return make

@@ -19,14 +19,14 @@ from xplain.domains.users.setting import Setting, UserType
 from xplain.experiment.config import CONF
 from xplain.explanation.label_table import LabelTable
 from xplain.people.plan import Ahead
-from xplain.people.study.bot import ParticipantHabits
+from xplain.people.study.bot import Habits
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import Clip, StudyPlan
 from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import conditions_of, drafted, stored
 from xplain.people.study.task import MayAsk, OfDomain
 
-FAULTLESS = ParticipantHabits(0, 0, 0, 0, mistake=0)
+FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
 """Of a participant who errs, forgets and leaves nowhere."""
 
 PLACES = ("bridge", "market", "school", "tunnel")

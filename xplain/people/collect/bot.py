@@ -28,7 +28,7 @@ PROBES = 4
 
 
 @dataclass(frozen=True)
-class ObserverHabits(bots.BotHabits):
+class Habits(bots.BotHabits):
     """Assumptions about observers.
 
     Attributes:
@@ -46,7 +46,7 @@ class ObserverHabits(bots.BotHabits):
     seconds: float = 6.0
 
 
-class Observer(bots.Bot[CollectPlan, ObserverHabits]):
+class Observer(bots.Bot[CollectPlan, Habits]):
     """One simulated observer.
 
     Args:
@@ -57,7 +57,7 @@ class Observer(bots.Bot[CollectPlan, ObserverHabits]):
     """
 
     def __init__(
-        self, plan: CollectPlan, held: int, habits: ObserverHabits, rng: np.random.Generator
+        self, plan: CollectPlan, held: int, habits: Habits, rng: np.random.Generator
     ) -> None:
         super().__init__(plan, habits, rng)
         self.held = held
@@ -111,7 +111,7 @@ class Observer(bots.Bot[CollectPlan, ObserverHabits]):
         return [(f"label_{i}", str(label)) for i, label in enumerate(labels)], float(seconds)
 
 
-def bot(plan: CollectPlan, habits: ObserverHabits, seed: int, number: int) -> Observer:
+def bot(plan: CollectPlan, habits: Habits, seed: int, number: int) -> Observer:
     """The simulated observer with a number; the roles take turns."""
     held = plan.roles[number % len(plan.roles)].held
     return Observer(plan, held, habits, stream(seed, "bots", number))
@@ -142,7 +142,7 @@ def probes(collection: Collection) -> tuple[str, ...]:
     """The clips and the last posterior of some simulated people, one text a person."""
     found = []
     for number in range(PROBES):
-        person = bot(collection.plan, ObserverHabits(0.1, mistake=0), 0, number)
+        person = bot(collection.plan, Habits(0.1, mistake=0), 0, number)
         state = take_part(collection, person, number, {})
         clips = [(one.transitions, one.told) for one in state.answered]
         found.append(f"{clips} {[float(share).hex() for share in state.belief.values()]}")

@@ -25,7 +25,7 @@ from xplain.learning.data.observers import Observed
 from xplain.learning.data.queries import Queries
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.people.collect.asking import CollectState, shared
-from xplain.people.collect.bot import ObserverHabits, bot, take_part
+from xplain.people.collect.bot import Habits, bot, take_part
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.labels import dataset_of, fact_sets
 from xplain.people.collect.plan import CollectPlan
@@ -40,7 +40,7 @@ MORE = 10
 TRACES = 5
 
 
-def crowd(plan: CollectPlan, people: int, habits: ObserverHabits, seed: int) -> list[CollectState]:
+def crowd(plan: CollectPlan, people: int, habits: Habits, seed: int) -> list[CollectState]:
     """Simulated observers one after the other, the roles in turn."""
     collection = Collection(plan)
     states: list[CollectState] = []
@@ -81,7 +81,7 @@ def expect(
         error: share of wrong answers of simulated people.
         domain, users: the task, where there is a model of it.
     """
-    habits = ObserverHabits(error=error, mistake=0.0)
+    habits = Habits(error=error, mistake=0.0)
     people = plan.rules.people
     runs = [crowd(plan, people + MORE, habits, seed) for seed in range(RUNS)]
     index = [rand_index(plan, states[:people]) for states in runs]

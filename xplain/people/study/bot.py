@@ -21,7 +21,7 @@ from xplain.randomness import stream
 
 
 @dataclass(frozen=True)
-class ParticipantHabits(bots.BotHabits):
+class Habits(bots.BotHabits):
     """Assumptions about participants; the power curves show what each does.
 
     Attributes:
@@ -47,12 +47,10 @@ class ParticipantHabits(bots.BotHabits):
     spread: float = 0.35
 
 
-class StudyBot(bots.Bot[StudyPlan, ParticipantHabits]):
+class StudyBot(bots.Bot[StudyPlan, Habits]):
     """One simulated participant; as they are, until a briefing tells them what to know."""
 
-    def __init__(
-        self, plan: StudyPlan, habits: ParticipantHabits, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, plan: StudyPlan, habits: Habits, rng: np.random.Generator) -> None:
         super().__init__(plan, habits, rng)
         self.user_type = int(rng.integers(len(plan.kinds))) if plan.kinds else 0
         self.known = 0
@@ -152,7 +150,7 @@ class StudyBot(bots.Bot[StudyPlan, ParticipantHabits]):
         return list(self._labels), seconds * self._pace
 
 
-def bot(plan: StudyPlan, habits: ParticipantHabits, seed: int, number: int) -> StudyBot:
+def bot(plan: StudyPlan, habits: Habits, seed: int, number: int) -> StudyBot:
     """The simulated participant with a number."""
     return StudyBot(plan, habits, stream(seed, "bots", number))
 
@@ -172,7 +170,7 @@ def take_part(
     study: Study,
     user_type: int,
     condition: str,
-    habits: ParticipantHabits,
+    habits: Habits,
     rng: np.random.Generator,
 ) -> Measures | None:
     """One simulated participant in the bare flow; None if they did not get to the end of it."""

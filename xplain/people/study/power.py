@@ -20,7 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from xplain.errors import InputError
-from xplain.people.study.bot import ParticipantHabits, take_part
+from xplain.people.study.bot import Habits, take_part
 from xplain.people.study.flow import Study
 from xplain.people.study.report import figure_of, saved
 from xplain.people.study.statistics import holm, student_p, t_power
@@ -77,7 +77,7 @@ def compared(conditions: Iterable[str]) -> dict[str, tuple[str, str]]:
     return found
 
 
-def simulate(study: Study, habits: ParticipantHabits, a_cell: int, seed: int) -> SimulatedCrowd:
+def simulate(study: Study, habits: Habits, a_cell: int, seed: int) -> SimulatedCrowd:
     """``a_cell`` participants of each type under each condition of the plan, who reach the end.
 
     Raises:
@@ -153,7 +153,7 @@ def curves(
 
 
 def sensitivity(
-    study: Study, habits: ParticipantHabits, a_cell: int, n: int, studies: int, seed: int
+    study: Study, habits: Habits, a_cell: int, n: int, studies: int, seed: int
 ) -> list[dict[str, Any]]:
     """Effect and power (Holm, n a condition) when one assumption is varied."""
     rows: list[dict[str, Any]] = []
@@ -230,7 +230,7 @@ def write(study: Study, folder: Path, people: int, studies: int, n: int) -> list
         studies: planned studies a point.
         n: participants a condition, for the sensitivity.
     """
-    seed, habits, pairs = study.plan.seed, ParticipantHabits(), compared(study.plan.conditions)
+    seed, habits, pairs = study.plan.seed, Habits(), compared(study.plan.conditions)
     rows = curves(simulate(study, habits, people, seed), SIZES, studies, seed)
     swept = sensitivity(study, habits, max(2, people // 2), n, studies, seed)
     folder.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ from tests.people.visitors import GENEROUS, Visitor
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import visit
-from xplain.people.study.bot import ParticipantHabits, StudyBot
+from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.site import StudySite
 
@@ -25,12 +25,12 @@ def collected(tmp_path_factory: pytest.TempPathFactory, study: Study) -> tuple[b
     store = Store(folder / "study.sqlite", StudySite(study))
     app = create_app(store, GENEROUS)
 
-    def take_part(number: int, habits: ParticipantHabits, token: str) -> None:
+    def take_part(number: int, habits: Habits, token: str) -> None:
         someone = StudyBot(study.plan, habits, np.random.default_rng(number))
         visit(Visitor(app.test_client()), someone, token)
 
     for number, token in enumerate(store.invite(24, "bot")):
-        take_part(number, ParticipantHabits(leaving=0.05, mistake=0.1), token)
+        take_part(number, Habits(leaving=0.05, mistake=0.1), token)
     take_part(0, FAULTLESS, store.invite(1, "person")[0])
     store.enter_invited(store.invite(1, "person")[0])
     store.snapshot(folder / "snapshot.sqlite")

@@ -16,7 +16,7 @@ from xplain.cli.main import main
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import visit
-from xplain.people.study.bot import ParticipantHabits, StudyBot
+from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.preregistration import document
 from xplain.people.study.site import StudySite
 from xplain.people.study.table2 import MEASURES, analyses
@@ -31,7 +31,7 @@ def test_costs_and_questions_are_those_of_the_log(
     store = Store(path, site)
     app = create_app(store, GENEROUS)
     for number, token in enumerate(store.invite(36, "bot")):
-        habits = ParticipantHabits(label_noise=0.1, leaving=0.02)
+        habits = Habits(label_noise=0.1, leaving=0.02)
         visit(
             Visitor(app.test_client()),
             StudyBot(site.plan, habits, np.random.default_rng(number)),

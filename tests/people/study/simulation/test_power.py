@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from tests.people.study.stand_in import ASK, street_plan, street_study
 from xplain.cli.main import main
 from xplain.errors import InputError
-from xplain.people.study.bot import ParticipantHabits
+from xplain.people.study.bot import Habits
 from xplain.people.study.plan import ASKING, CONFORMANT, PERSONALIZED
 from xplain.people.study.power import (
     SWEEPS,
@@ -59,10 +59,10 @@ def test_types_beyond_an_even_share_are_drawn_anew_in_each_study_and_condition()
 
 def test_what_people_forget_changes_what_the_study_would_find() -> None:
     study = street_study()
-    perfect = simulate(study, ParticipantHabits(0, 0, 0, 0, mistake=0), 20, seed=0)
-    overloaded = simulate(study, ParticipantHabits(0, 0, 0.4, 0, mistake=0), 20, seed=0)
-    slow = simulate(study, ParticipantHabits(message_seconds=30, spread=0.1), 20, seed=0)
-    fast = simulate(study, ParticipantHabits(message_seconds=0, spread=0.1), 20, seed=0)
+    perfect = simulate(study, Habits(0, 0, 0, 0, mistake=0), 20, seed=0)
+    overloaded = simulate(study, Habits(0, 0, 0.4, 0, mistake=0), 20, seed=0)
+    slow = simulate(study, Habits(message_seconds=30, spread=0.1), 20, seed=0)
+    fast = simulate(study, Habits(message_seconds=0, spread=0.1), 20, seed=0)
     inexplicable = list(MEASURES).index("inexplicable_transitions")
     for condition in ("conformant", "personalized"):
         better, worse = (
@@ -73,18 +73,18 @@ def test_what_people_forget_changes_what_the_study_would_find() -> None:
     # Whoever needs long for a message gains most from getting fewer of them.
     assert slow.effect()[0] > fast.effect()[0]
     with pytest.raises(InputError):
-        simulate(study, ParticipantHabits(mistake=1), 2, seed=0)
+        simulate(study, Habits(mistake=1), 2, seed=0)
     with pytest.raises(InputError):
-        ParticipantHabits(label_noise=2)
+        Habits(label_noise=2)
 
 
 @pytest.mark.parametrize("habit", SWEEPS)
 def test_assumptions_are_varied_upwards_around_their_default(habit: str) -> None:
     values = SWEEPS[habit]
     assert list(values) == sorted(set(values))
-    assert values[0] <= getattr(ParticipantHabits(), habit) <= values[-1]
-    ParticipantHabits(**{habit: values[0]})
-    ParticipantHabits(**{habit: values[-1]})
+    assert values[0] <= getattr(Habits(), habit) <= values[-1]
+    Habits(**{habit: values[0]})
+    Habits(**{habit: values[-1]})
 
 
 def test_pictures_show_every_figure_at_its_place(tmp_path: Path, drawn: list[Figure]) -> None:
