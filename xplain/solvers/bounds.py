@@ -68,7 +68,8 @@ def bounds(
     """
     if problem.tracks_knowledge:
         nodes = -(-effort.nodes // DEARER)
-        solver = Certified(effort.gap, nodes, effort.seconds, memory_gib=effort.memory_gib)
+        seconds = effort.seconds if np.isfinite(effort.seconds) else None
+        solver = Certified(effort.gap, nodes, seconds, memory_gib=effort.memory_gib)
         searched = solver.plan_knowing(problem)
         known = float(problem.start @ searched.bounded.policy.known(0, 0))
         return Bounds(float(searched.lower), float(searched.upper), known)
