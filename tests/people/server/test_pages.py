@@ -18,7 +18,7 @@ BEFORE = {
     "study": ("consent", "briefing", "training", "training", "ahead", "eligibility"),
     "collect": ("consent", "task", "practice", "practice", "ahead"),
 }
-STEPS = {"study": ["evaluation"] * 4, "collect": ["clips"] * 15}
+STEPS = {"study": ["evaluation"] * 4, "collect": ["clips"] * 15 + ["listening"] * 6}
 AFTER = {"study": ("quiz", "questions", "done"), "collect": ("beliefs", "questions", "done")}
 
 
