@@ -32,9 +32,8 @@ test-docs: $(READY)
 test-slow: $(READY)
 	$(BIN)/python -m pytest -q -m "slow and not browser"
 
-# One file has most of them: they go a test at a time, and those that share what is dear together.
 browser-test: $(READY)
-	$(BIN)/python -m pytest -q -m browser --numprocesses auto --dist loadgroup --no-loadscope-reorder
+	$(BIN)/python -m pytest -q -m browser $(SPREAD)
 
 # Interrupted, it goes on where it was; another SEED is another sample.
 SAMPLE ?= 60

@@ -39,20 +39,11 @@ LONGEST = (
 )
 """Files that take half a minute and more."""
 
-DEAR = ("sweep", "rescue", "asking", "address")
-"""Fixtures of modules that tests in a browser share: these tests go to one process. All others go
-to any (`make browser-test`)."""
 
-
-@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest files begin first: none is left to one core at the end."""
     first = {ROOT / "tests" / file: place for place, file in enumerate(LONGEST)}
     items.sort(key=lambda item: first.get(item.path, len(first)))
-    for item in items:
-        shared = [name for name in DEAR if name in getattr(item, "fixturenames", ())]
-        if shared and item.get_closest_marker("browser"):
-            item.add_marker(pytest.mark.xdist_group(f"{item.path.stem} {shared[0]}"))
 
 
 @pytest.hookimpl(trylast=True)
