@@ -23,6 +23,18 @@ from xplain.experiment.config import CONF
 HEAVY = ("mlflow", "sklearn", "kneed", "numba", "scipy", "pandas", "matplotlib")
 
 
+def python(code, folder):
+    """Runs code in a process of its own, there."""
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
 def test_help_imports_nothing_heavy_and_lists_the_choices(tmp_path):
     code = (
         "import sys, runpy\n"
@@ -30,15 +42,8 @@ def test_help_imports_nothing_heavy_and_lists_the_choices(tmp_path):
         "try:\n    runpy.run_module('xplain', run_name='__main__', alter_sys=True)\n"
         f"finally:\n    print('HEAVY', sorted(set({HEAVY!r}) & set(sys.modules)))\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=True,
-    )
+    done = python(code, tmp_path)
+    assert done.returncode == 0, done.stderr
     assert "HEAVY []" in done.stdout
     for word in ("solver=pomcp", "rescue", "discover", "--keys"):
         assert word in done.stdout
@@ -171,12 +176,5 @@ def test_other_programs_of_hydra_get_none_of_our_plugins(tmp_path):
         "    print('clean', cfg.a)\n"
         "job()\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    done = python(code, tmp_path)
     assert done.stdout == "clean 1\n", done.stderr
