@@ -32,7 +32,7 @@ from xplain.solvers.open_loop import Silent
 from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.qmdp import QMDP
-from xplain.solvers.reminding import Reminding
+from xplain.solvers.reminding import PATIENCE, Reminding
 
 AGAIN = [Again(), Again(0.3), Again(3.0), Again(most=1), Again(0.7, 2)]
 DISCOUNTS = [("step", 1.0), ("action", 0.8), ("action", 0.4)]
@@ -231,8 +231,30 @@ def test_kernels_decide_as_qmdp_does(seed: int, again: Again) -> None:
         for new in rng.integers(4, size=2).tolist():
             given = problem.again.after(given, new, 2)
             assert knowing.given_after(model, 0, given & 3) == problem.again.after(0, given & 3, 2)
-        value, _, _ = knowing.best_now(model, step, given, 0, belief)
-        assert value == pytest.approx(max(policy.values(step, given, belief).values()), abs=1e-9)
+        value, action, _ = knowing.best_now(model, step, given, 0, belief)
+        said, first = policy.messages(step, given, belief), 1 << action if action < 2 else 0
+        assert first & said == first
+        assert bool(first) == bool(said)
+        assert value == pytest.approx(policy.values(step, given, belief)[first], abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_message_that_hardly_pays_waits_while_the_state_is_in_doubt(seed: int) -> None:
+    """Known for sure, QMDP gives what is best; in doubt, only what gains the margin, and what is
+    left out gains no more."""
+    problem, rng = needy(seed), np.random.default_rng(seed)
+    policy, states = Reminding(problem), np.eye(problem.start.size)
+    for step, belief in product((0, 1), [*states, *rng.dirichlet(np.ones(len(states)), 40)]):
+        values = policy.values(step, 0, belief)
+        said = policy.messages(step, 0, belief)
+        owed = PATIENCE * (1 - belief.max()) * problem.prices(0).max()
+        best = max(values.values())
+        assert max(v for a, v in values.items() if a & said or a == said) >= best - owed - 1e-9
+        if belief.max() == 1 and not said:
+            assert best == pytest.approx(values[0], abs=1e-9)
+        gains = {a: v - values[0] for a, v in values.items() if a}
+        if max(gains.values()) < PATIENCE * (1 - belief.max()) * problem.prices(0).min() - 1e-9:
+            assert not said
 
 
 def test_a_high_price_and_a_limit_of_one_are_the_same_where_nobody_would_pay() -> None:

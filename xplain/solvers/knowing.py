@@ -18,7 +18,7 @@ from xplain.numba_kernels import inlined, lean_kernel
 from xplain.solvers.count_lattice import copy
 from xplain.solvers.inquiry import Inquiry, hear_answer, make_inquiry, open_questions
 from xplain.solvers.random_words import next_uniform
-from xplain.solvers.reminding import Reminding
+from xplain.solvers.reminding import PATIENCE, Reminding
 from xplain.solvers.rows import row
 
 ROUNDING = 1e-12
@@ -199,20 +199,22 @@ def given_after(model, given, new):  # type: ignore[no-untyped-def]
 
 @inlined
 def best_now(model, step, given, said, belief):  # type: ignore[no-untyped-def]
-    """QMDP's value at a belief [S], its action (n is *explain*), and what it loses against being
-    told the state now. Messages ``said`` at this step are not said again; ``given`` is what was
-    said before it."""
+    """QMDP's action at a belief [S] (n is *explain*), its value, and what it loses against being
+    told the state now: value, action, loss. Messages ``said`` at this step are not said again;
+    ``given`` is what was said before it."""
     types, n = len(model.accept), len(model.price)
     shown, full = given_after(model, given, said), said
     if model.most > 0:
         full |= given >> (model.most - 1) * n
-    sure, best, action = 0.0, 0.0, n
+    sure, best, action, likeliest = 0.0, 0.0, n, 0.0
     for t in range(types):
         now = model.optimal[step, row(model.counts, given, t), row(model.part, said, t)]
         explain = model.explain[step, row(model.counts, shown, t)]
         for s in range(t, len(belief), types):
             sure += belief[s] * now[s]
             best += belief[s] * explain[s]
+            likeliest = max(likeliest, belief[s])
+    least, margin = best, PATIENCE * (1.0 - likeliest)
     for j in range(n):
         if full >> j & 1:
             continue
@@ -231,8 +233,8 @@ def best_now(model, step, given, said, belief):  # type: ignore[no-untyped-def]
                     gain += belief[s] * model.accept[t] * (more[s + jump] - more[s])
         price = model.price[j] * (model.again if model.levels > 0 and given >> j & 1 else 1.0)
         value = model.message_discount * (sure + gain) - price
-        if matters and value > best + ROUNDING:
-            best, action = value, j
+        if matters and value - margin * price > least + ROUNDING:
+            best, action, least = value, j, value - margin * price
     return best, action, sure - best
 
 
