@@ -113,6 +113,10 @@ def test_one_type_cannot_gain_over_itself() -> None:
     data, *_ = people(0)
     known = held_out(data, Single(), LabelerTrainer(), 0)
     assert known.types == known.one_type
+    tenths = known.calibration
+    assert all(0 <= one.said <= 1 for one in tenths)
+    said, ones, labels = np.array([(one.said, one.ones, one.labels) for one in tenths]).T
+    assert said @ labels == pytest.approx(ones @ labels, rel=0.1)  # right on the whole
     assert known.gain[1] <= 0 or known.one_type < known.question_mean
 
 

@@ -44,6 +44,7 @@ def test_tables_say_what_their_codebook_says(
         assert row["quiz_score"] == quiz.loc[quiz["participant"] == who, "correct"].sum()
         own = events[events["participant"] == who]
         shown = own[(own["kind"] == "shown") & own["payload"].str.contains("evaluation")]
+        assert all(set(json.loads(one)) for one in own.loc[own["kind"] == "labels", "payload"])
         until = own.loc[own["kind"] == "labels", "wall"].max()
         assert row["interaction_time_s"] == pytest.approx(until - shown["wall"].min(), abs=1e-3)
     shown_for = done["interaction_time_s"] - done["hidden_s"]
