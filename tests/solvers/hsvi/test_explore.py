@@ -11,11 +11,12 @@ import pytest
 
 from xplain.explanation.problem import Problem
 from xplain.solvers.hsvi import explore as module
-from xplain.solvers.hsvi.explore import Effort, Explored, explore
+from xplain.solvers.hsvi.explore import Effort, Explored, _Search, explore
 from xplain.solvers.hsvi.search import Start
 from xplain.solvers.hsvi.solver import tables_within
 from xplain.solvers.hsvi.tree import OPENED, store_bytes
 from xplain.solvers.memory import GIB
+from xplain.testing.problems import with_questions
 
 HARD = Problem(np.random.default_rng(0).random((4, 8, 16)), np.full(4, 0.5))
 """Far from closed after thousands of beliefs."""
@@ -93,3 +94,27 @@ def test_tables_of_pairs_take_a_quarter_of_the_memory_at_most_and_a_fifth_of_the
     assert search._make_pairs() == made
     assert (len(search.tables.pairs.cell) > 0) == made
     assert not search._make_pairs()  # once
+
+
+@pytest.mark.parametrize("questions", [False, True])
+def test_one_pass_brings_all_that_was_learned_to_the_root(
+    monkeypatch: pytest.MonkeyPatch, questions: bool
+) -> None:
+    """What follows comes first: a second pass moves the root hardly any more."""
+    monkeypatch.setattr(module, "CHUNK", 300)
+    moved = []
+    for seed in range(6):
+        problem = Problem(np.random.default_rng(seed).random((4, 8, 16)), np.full(4, 0.5))
+        if questions:
+            problem = with_questions(np.random.default_rng(seed), problem)
+        small, tables = tables_within(problem, 8.0)
+        search = _Search(tables, Start(0, 0, small.prior), Effort(gap=1e-9, nodes=5000), None)
+        search.sample()
+        search.sample()
+        gaps = [search.gap]
+        for _ in range(2):
+            search.back_up_all()
+            gaps.append(search.gap)
+        moved.append(gaps[0] - gaps[1])
+        assert gaps[1] - gaps[2] <= 0.01 * moved[-1] + 1e-9
+    assert max(moved) > 0.01
