@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from tests.report import handmade
-from xplain.report import console, sweep_plots
+from xplain.report import comparison, console, sweep_plots
 from xplain.report.combinations import differences_csv, regret_csv
 from xplain.report.comparison import table as comparison_table
 from xplain.report.layout import plot_layout, shown_keys, table_layout
@@ -236,3 +236,15 @@ def test_what_table_1_has_no_row_for_is_not_pooled_into_it(tmp_path):
     summary = summary_of(tmp_path, jobs, report="table1", pool=["users.count"])
     assert summary.report is None
     assert comparison_table(summary).heads[0] == "observers.label_noise"
+
+
+def test_a_way_that_sets_nothing_has_a_name(tmp_path):
+    """One way of several has the defaults of all that the others set: it stands in heads, and in
+    what costs least."""
+    ways = [{}, {"belief.error": "learned"}, {"belief.accept": "learned"}]
+    jobs = [way | {"domain": name} for name in ("rescue", "four_rooms") for way in ways]
+    summary = summary_of(tmp_path, jobs)
+    assert all(head.strip() for head in comparison_table(summary).heads)
+    assert "defaults" in comparison_table(summary).heads
+    parts = comparison.answer(summary).removeprefix("Least cost: ").split(";")
+    assert all(not part.strip().startswith("in ") for part in parts)

@@ -178,5 +178,7 @@ def value_label(key: str, value: Value) -> str:
 
 
 def label(values: Mapping[str, Value]) -> str:
-    """Values with their keys, as :func:`value_label` has them."""
-    return ", ".join(filter(None, itertools.starmap(value_label, values.items())))
+    """Values with their keys, as :func:`value_label` has them; of a job that has none of the keys,
+    that it has the defaults."""
+    found = filter(None, itertools.starmap(value_label, values.items()))
+    return ", ".join(found) or ("defaults" if values else "")

@@ -16,7 +16,7 @@ from typing import Any
 from xplain.experiment.results import EPISODES, Results
 from xplain.interaction.statistics import Estimate
 from xplain.report import claims, comparison, decomposition, learning, paper_table
-from xplain.report.combinations import grouped, heading, label, value_title
+from xplain.report.combinations import grouped, heading, value_label, value_title
 from xplain.report.layout import plot_layout, shown_keys, table_layout
 from xplain.report.measure import TITLES
 from xplain.report.paper import title
@@ -156,7 +156,7 @@ def _plots(summary: Summary) -> dict[str, Any]:
                 "name": heading(key),
                 "axis": AXES.get(key, heading(key)),
                 "values": [value_title(key, value) or "–" for value in values[key]],
-                "labels": [label({key: value}) or "–" for value in values[key]],
+                "labels": [value_label(key, value) or "–" for value in values[key]],
                 "numbers": values[key] if layout.numeric and key == layout.x else None,
                 "middle": values[key].index(middle(summary, key)),
             }
