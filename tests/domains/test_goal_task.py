@@ -51,6 +51,17 @@ def tasks(draw: Any) -> tuple[GoalTask, dict[tuple[int, int], int]]:
     return task, edges
 
 
+@settings(max_examples=100, deadline=None)
+@given(tasks())
+def test_edges_are_looked_up_where_there_are_any(made: Any) -> None:
+    task, edges = made
+    space, keys = task.space, sorted(edges)
+    states, variants = np.indices((space.n_states + 1, space.n_actions + 1)).reshape(2, -1) - 1
+    wanted = zip(states.tolist(), variants.tolist(), strict=True)
+    expected = [keys.index(key) if key in edges else -1 for key in wanted]
+    assert space.edges(states, variants).tolist() == expected
+
+
 @settings(max_examples=300, deadline=None)
 @given(tasks())
 def test_the_cost_to_go_is_that_of_the_cheapest_way_to_a_goal(made: Any) -> None:

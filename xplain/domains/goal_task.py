@@ -56,12 +56,13 @@ class StateSpace:
         return np.concatenate([[0], np.cumsum(count)]).astype(np.int64), order
 
     def edges(self, states: NDArray[np.int64], variants: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The edge of each (state [T], variant [T]); −1 where there is none."""
+        """The edge of each (state [T], variant [T]); −1 where there is none, as of the state −1 and
+        of the variant −1."""
         keys = self._keys
         wanted = states.astype(np.int64) * len(self.action) + variants
         at = np.minimum(np.searchsorted(keys, wanted), max(len(keys) - 1, 0))
         found = (keys[at] == wanted) if len(keys) else np.zeros(len(wanted), dtype=bool)
-        return np.where(found & (variants >= 0) & (states >= 0), at, -1)
+        return np.where(found & (variants >= 0), at, -1)  # no edge leaves the state −1
 
     @cached_property
     def _keys(self) -> NDArray[np.int64]:
