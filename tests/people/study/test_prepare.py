@@ -15,6 +15,7 @@ from xplain.domains.base import cell_name
 from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.experiment.config import composed
+from xplain.explanation.belief import Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
@@ -37,10 +38,13 @@ def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
     cfg = composed("study", ["seed=0", "trace.candidates=40"])
     plan = study_plan(cfg)
     assert study_plan(cfg).hash == plan.hash  # same configuration, same study
-    study_of(plan)
+    assert study_of(plan).belief == Persistent("learned")
     assert (len(plan.roles), plan.problem.trade_off) == (5, 1.0)
     assert set(plan.conditions) == {"personalized", "conformant"}
-    agree = (plan.problem.p_explicable > 0.5) == plan.true_labels.astype(bool)
+    rates = plan.problem.habits.error
+    assert rates.min() == 0 < rates.max()  # some never err
+    true = np.repeat(plan.true_labels.astype(bool), len(rates), axis=0)
+    agree = (plan.problem.p_explicable > 0.5) == true
     assert agree.mean() > 0.95
     assert plan.scene is not None
     assert set(plan.icons) >= {item.name for item in plan.scene.items}
