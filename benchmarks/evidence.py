@@ -43,9 +43,9 @@ from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.learning import evidence
 from xplain.learning.data.observers import SimulatedObservers
+from xplain.learning.fact_sets import fact_set_classifier, labels_alone
 from xplain.learning.known_types import learn
 from xplain.learning.user_types import label_table
-from xplain.questions import fact_set_classifier, labels_alone
 from xplain.questions.designs import Adaptive
 from xplain.randomness import stream
 from xplain.solvers.qmdp import QMDP

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from xplain import Hypotheses
 from xplain.domains.base import Domain, Parameter
+from xplain.domains.users.hypotheses import hypotheses_of
+from xplain.domains.users.inaccurate_values import without_ties
 from xplain.domains.users.setting import Setting, UserType
 from xplain.domains.users.types import RandomCover
 from xplain.errors import XplainError
 from xplain.explanation.message_sets import indices
 from xplain.learning.data.queries import Answer, Queries
-from xplain.questions.designs import hypotheses_of
-from xplain.questions.inaccurate_values import without_ties
 from xplain.randomness import stream
 
 AS_ASSUMED = "as assumed"

@@ -60,6 +60,7 @@ from xplain import Hypotheses, Questionnaire
 from xplain.domains.base import Domain, transition_features
 from xplain.domains.four_rooms import FourRooms
 from xplain.domains.rescue import Rescue
+from xplain.domains.users.hypotheses import hypotheses_of
 from xplain.domains.users.setting import Setting
 from xplain.errors import XplainError
 from xplain.experiment.config import composed
@@ -70,10 +71,10 @@ from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.learning.data.observers import Observed, SimulatedObservers
 from xplain.learning.data.queries import Independent, Queries
+from xplain.learning.fact_sets.labeler import HypothesisTrainer
 from xplain.learning.known_types import References, learn, learn_references
 from xplain.learning.user_types import UserTypes, label_table
-from xplain.questions.designs import Adaptive, Battery, hypotheses_of
-from xplain.questions.labeler import HypothesisTrainer
+from xplain.questions.designs import Adaptive, Battery
 from xplain.randomness import stream
 from xplain.report.plots import COLOURS, MARKERS, STYLES
 from xplain.solvers.qmdp import QMDP

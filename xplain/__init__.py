@@ -27,7 +27,7 @@ __version__ = "0.1.0"
 _WHERE = {
     "Explainer": "xplain.interaction.explainer",
     "GivenTypes": "xplain.interaction.explainer",
-    "Hypotheses": "xplain.questions.hypotheses",
+    "Hypotheses": "xplain.domains.users.hypotheses",
     "LearnedTypes": "xplain.learning.saved_types",
     "Questionnaire": "xplain.questions.questionnaire",
     **dict.fromkeys(("Run", "Sweep", "load", "run", "sweep"), "xplain.runs.api"),

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.experiment.config import CONF
-from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.labeler import HypothesisTrainer
+from xplain.learning.fact_sets.labeler import HypothesisTrainer
 from xplain.testing import (
     Chosen,
     ClustererConformance,

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from hydra.utils import instantiate
 
+from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.experiment.config import composed
 from xplain.people.ahead import ahead_of
-from xplain.questions.designs import hypotheses_of
-from xplain.questions.hypotheses import Hypotheses
 
 MAPS = ("US..#.\nf.....\nF..r..\npr....\np.AVr.\n...f..", "S..\n.#.\nVAF\npU.\nfr.")
 ON_THE_WAY = "sAFVUrpfS"

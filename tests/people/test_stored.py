@@ -21,6 +21,7 @@ STORED = [
     "xplain.data.queries.Shared",
     "xplain.evaluation.explainees.Slips",
     "xplain.learning.dirichlet.DirichletMixture",
+    "xplain.questions.labeler.HypothesisTrainer",
     "xplain.solvers.certified.Certified",
     "xplain.solvers.pomcp.POMCP",
     "xplain.users.observers.FileObservers",

@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 
-from xplain.questions.hypotheses import Hypotheses
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.questions.questionnaire import NONE_ERROR
 
 

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.questions.tables import random_hypotheses
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError
 from xplain.questions.battery import battery
-from xplain.questions.hypotheses import Hypotheses
 
 
 def separated(hypotheses, transitions, told):

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 from tests.domains.users.corridor import Corridor
+from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError
 from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.data.queries import Independent
 from xplain.learning.fact_model.dirichlet import DirichletMixture
+from xplain.learning.fact_sets.labeler import HypothesisTrainer
 from xplain.learning.known_types import learn
 from xplain.questions import designs
 from xplain.questions.committee import Committee
-from xplain.questions.designs import Adaptive, Battery, hypotheses_of, transitions_of
-from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.labeler import HypothesisTrainer
-from xplain.questions.labels_alone import Contest
+from xplain.questions.contest import Contest
+from xplain.questions.designs import Adaptive, Battery, transitions_of
 from xplain.questions.questionnaire import Questionnaire
 
 

@@ -11,12 +11,13 @@ from xplain.learning.clustering import Single
 from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import BEATEN, BEFORE, COIN, LEAST, Evidence, foretold, parts, stacked
 from xplain.learning.fact_model.dirichlet import DirichletMixture
+from xplain.learning.fact_sets.known_transitions import KnownTransitions
+from xplain.learning.fact_sets.labeler import HypothesisTrainer
+from xplain.learning.fact_sets.labels_alone import TwoWays
 from xplain.learning.known_types import learn
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.user_types import learn_types
-from xplain.questions.known_transitions import KnownTransitions
-from xplain.questions.labeler import HypothesisTrainer
-from xplain.questions.labels_alone import Contest, TwoWays
+from xplain.questions.contest import Contest
 from xplain.questions.questionnaire import Questionnaire
 
 

@@ -9,13 +9,12 @@ from hypothesis import strategies as st
 from scipy.special import logsumexp
 
 from tests.questions.tables import random_hypotheses
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.learning.data.dataset import Dataset
-from xplain.questions.fact_set_classifier import FactSetClassifier
-from xplain.questions.fact_sets import partition
-from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.known_transitions import MATTERS, UNWRITTEN, KnownTransitions
-from xplain.questions.labeler import HypothesisTrainer
-from xplain.questions.likelihood import (
+from xplain.learning.fact_sets.fact_set_classifier import FactSetClassifier
+from xplain.learning.fact_sets.known_transitions import MATTERS, UNWRITTEN, KnownTransitions
+from xplain.learning.fact_sets.labeler import HypothesisTrainer
+from xplain.learning.fact_sets.likelihood import (
     DEVIATION,
     DISPUTED,
     ERROR,
@@ -24,6 +23,7 @@ from xplain.questions.likelihood import (
     by_level,
     log_prior,
 )
+from xplain.learning.fact_sets.partition import partition
 
 
 def known_of(hypotheses_seed=0, facts=3, transitions=5, variants=1, unwritten=0):

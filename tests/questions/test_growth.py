@@ -9,18 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xplain.domains.base import transition_features
+from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting, UserType
 from xplain.domains.warehouse import Warehouse
 from xplain.errors import DomainError, TooLargeError
 from xplain.explanation.message_sets import mask_of
 from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.fact_model.dirichlet import DirichletMixture
+from xplain.learning.fact_sets.fact_set_classifier import MOST
+from xplain.learning.fact_sets.growth import LIKELY, grown, posterior_by
+from xplain.learning.fact_sets.labeler import HypothesisTrainer
 from xplain.questions.battery import battery
-from xplain.questions.designs import Adaptive, hypotheses_of
-from xplain.questions.fact_set_classifier import MOST
-from xplain.questions.growth import LIKELY, grown, posterior_by
-from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.labeler import HypothesisTrainer
+from xplain.questions.designs import Adaptive
 
 FACTS = 7
 

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from tests.domains.configs import domain_of
 from tests.domains.users.corridor import Corridor
 from tests.questions.tables import random_hypotheses
+from xplain.domains.users import hypotheses as hypotheses_module
 from xplain.domains.users import setting as setting_module
+from xplain.domains.users.hypotheses import AS_ASSUMED, OPPOSITE, Hypotheses
+from xplain.domains.users.inaccurate_values import NUDGES, scaled_values, without_ties
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import DomainError, InputError, TooLargeError, XplainError
 from xplain.experiment.config import composed
-from xplain.questions import hypotheses as hypotheses_module
 from xplain.questions.expectation import groups
-from xplain.questions.hypotheses import AS_ASSUMED, OPPOSITE, Hypotheses
-from xplain.questions.inaccurate_values import NUDGES, scaled_values, without_ties
 
 seeds = st.integers(0, 10_000)
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.questions.expectation import AllQuestions, groups, questions_of
-from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.interactions import Interactions
 
 seeds = st.integers(0, 10_000)

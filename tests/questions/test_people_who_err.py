@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from tests.questions.tables import random_hypotheses
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.learning.clustering import Clustering, Single
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
 from xplain.learning.fact_model.dirichlet import DirichletMixture
+from xplain.learning.fact_sets.labeler import HypothesisTrainer
 from xplain.learning.known_types import learn
 from xplain.learning.labelers import Labeler
 from xplain.learning.prediction import held_out, predicted
 from xplain.learning.saved_types import LearnedTypes
 from xplain.learning.user_types import learn_types
-from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.labeler import HypothesisTrainer
 
 
 def hypotheses(seed=1, facts=4, transitions=30):

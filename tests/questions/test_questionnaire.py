@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from tests.questions.tables import information, joint, random_hypotheses
 from xplain import Questionnaire
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError
 from xplain.explanation.message_sets import indices, subsets
-from xplain.questions.hypotheses import Hypotheses
 
 seeds = st.integers(0, 10_000)
 

@@ -37,6 +37,7 @@ from rich.console import Console
 from rich.table import Table
 from yaml import YAMLError
 
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError, TooLargeError, one_of
 from xplain.experiment.config import composed
 from xplain.explanation.message_sets import names_of
@@ -48,7 +49,6 @@ from xplain.learning.message_vectors import minimal_message_set
 from xplain.learning.prediction import Tenth, held_out, predicted
 from xplain.learning.saved_types import LearnedTypes
 from xplain.learning.user_types import UserTypes
-from xplain.questions.hypotheses import Hypotheses
 from xplain.randomness import run_seed
 
 Row = dict[str, Any]

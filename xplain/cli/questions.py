@@ -26,6 +26,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 from rich.table import Table
 
+from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.experiment.config import composed
@@ -33,8 +34,7 @@ from xplain.explanation.message_sets import names_of
 from xplain.learning.data.label_file import align, columns_of, read_table
 from xplain.questions.battery import battery
 from xplain.questions.committee import Candidates, next_screen_of
-from xplain.questions.designs import WITHOUT, Adaptive, Battery, hypotheses_of
-from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.designs import WITHOUT, Adaptive, Battery
 from xplain.questions.own_transitions import read_transitions
 from xplain.randomness import run_seed, stream
 from xplain.storage import written_whole

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError
 from xplain.explanation.message_sets import names_of
 from xplain.people.plan import Fact, Picture
-from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.own_transitions import read_transitions, with_features
 from xplain.randomness import stream
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import TooLargeError, whole_number
 from xplain.explanation.message_sets import indices, subsets
-from xplain.questions.hypotheses import Hypotheses
 from xplain.randomness import stream
 
 MAX_CELLS = 1 << 26

@@ -6,22 +6,22 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, replace
 from typing import Annotated
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import Domain, transition_features
+from xplain.domains.base import transition_features
+from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting
 from xplain.errors import Count, InputError, Range, checks
 from xplain.learning.data.dataset import places
 from xplain.learning.data.queries import Answer, Answered
+from xplain.learning.fact_sets.growth import grown
+from xplain.learning.fact_sets.known_transitions import KnownTransitions
+from xplain.learning.fact_sets.labels_alone import TwoWays
 from xplain.questions.battery import battery
 from xplain.questions.committee import Candidates, Committee, visits_of
-from xplain.questions.growth import grown
-from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.known_transitions import KnownTransitions
-from xplain.questions.labels_alone import Contest, TwoWays
+from xplain.questions.contest import Contest
 from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
 from xplain.randomness import derived_seed, stream
 
@@ -36,22 +36,6 @@ KEPT = 0.01
 Share = Annotated[float, Range(0, 1, "[)")]
 Posterior = tuple[NDArray[np.int64], NDArray[np.float64]]
 """Candidates (bitmasks), and the probability of each."""
-_OF_DOMAIN: WeakKeyDictionary[Domain, Hypotheses] = WeakKeyDictionary()
-
-
-def hypotheses_of(domain: Domain | None, path: str | None) -> Hypotheses:
-    """Those of a file, or else the domain's, which are worked out once.
-
-    Raises:
-        InputError: neither; or they cannot be used.
-    """
-    if path is not None:
-        return Hypotheses.load(path)
-    if domain is None:
-        raise InputError("hypotheses", None, "an .npz file of hypotheses")
-    if domain not in _OF_DOMAIN:
-        _OF_DOMAIN[domain] = Hypotheses.of_domain(domain)
-    return _OF_DOMAIN[domain]
 
 
 def transitions_of(hypotheses: Hypotheses, setting: Setting) -> NDArray[np.int64]:

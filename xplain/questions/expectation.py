@@ -23,9 +23,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import TooLargeError
 from xplain.explanation.message_sets import indices, names_of, subsets
-from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.interactions import Interactions, Nearest
 
 MAX_FACTS = 14

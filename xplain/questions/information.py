@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import entr
 
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.questions.expectation import EQUAL, WeighedQuestions
-from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.interactions import Nearest
 
 TIE = 1e-9

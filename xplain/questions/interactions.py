@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.questions.hypotheses import Hypotheses
+from xplain.domains.users.hypotheses import Hypotheses
 
 TURN = 1e-9
 """A fact is turned where the question comes nearer by more."""

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.setting import MAX_MODELS
 from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of
-from xplain.questions.hypotheses import Hypotheses
 
 TEXT, IMAGE, ALT, WHEN = "text", "image", "alt", "inexplicable_if"
 

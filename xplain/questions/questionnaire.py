@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xplain.domains.users.hypotheses import Hypotheses
+from xplain.domains.users.label_tables import prior_over
 from xplain.errors import InputError, Range, number, whole_number
 from xplain.questions.expectation import WeighedQuestions, questions_of
-from xplain.questions.hypotheses import Hypotheses
 from xplain.questions.information import Posterior
-from xplain.questions.label_tables import prior_over
 from xplain.randomness import stream
 
 NONE_ERROR = 1 / 3

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tests.people.collect.stand_in import FAULTLESS, street_collection, street_plan
 from tests.people.kinds import bot_of, filled, site_of
 from xplain.cli.main import main
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError
 from xplain.explanation.habits import Habits, habits_of
 from xplain.explanation.listening import PRIOR_PEOPLE, learned_habits
@@ -30,7 +31,6 @@ from xplain.people.collect.bot import Observer, take_part
 from xplain.people.collect.listening import Asked, asked_of, listeners_in
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Page
-from xplain.questions.hypotheses import Hypotheses
 
 MESSAGES = 3
 COLLECTION = street_collection(listening=MESSAGES)

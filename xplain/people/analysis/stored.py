@@ -21,6 +21,7 @@ MOVED = {
     "xplain.data.queries": "xplain.learning.data.queries",
     "xplain.evaluation.explainees": "xplain.interaction.explainees",
     "xplain.learning.dirichlet": "xplain.learning.fact_model.dirichlet",
+    "xplain.questions.labeler": "xplain.learning.fact_sets.labeler",
     "xplain.solvers.certified": "xplain.solvers.hsvi.solver",
     "xplain.solvers.pomcp": "xplain.solvers.pomcp.solver",
     "xplain.users.observers": "xplain.learning.data.observers",

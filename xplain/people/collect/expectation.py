@@ -24,12 +24,12 @@ from xplain.learning.data.label_file import align
 from xplain.learning.data.observers import Observed
 from xplain.learning.data.queries import Queries
 from xplain.learning.fact_model.dirichlet import DirichletMixture
+from xplain.learning.fact_sets.labeler import HypothesisTrainer
 from xplain.people.collect.asking import CollectState, shared
 from xplain.people.collect.bot import Habits, bot, take_part
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.labels import dataset_of, fact_sets
 from xplain.people.collect.plan import CollectPlan
-from xplain.questions.labeler import HypothesisTrainer
 from xplain.randomness import derived_seed
 from xplain.solvers.known_type import KnownType
 from xplain.solvers.qmdp import QMDP

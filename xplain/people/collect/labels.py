@@ -12,11 +12,11 @@ from scipy.optimize import brentq
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.evidence import Evidence
+from xplain.learning.fact_sets.known_transitions import KnownTransitions
+from xplain.learning.fact_sets.labels_alone import TwoWays, answers_of
+from xplain.learning.fact_sets.partition import partition
 from xplain.people.collect.asking import FINISHED, STATED, CollectState
 from xplain.people.collect.plan import CollectPlan
-from xplain.questions.fact_sets import partition
-from xplain.questions.known_transitions import KnownTransitions
-from xplain.questions.labels_alone import TwoWays, answers_of
 
 CONCENTRATION = 1.0
 """Of the process over types; that of ``clusterer=dirichlet``."""

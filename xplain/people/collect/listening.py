@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError, one_of
 from xplain.explanation.habits import Habits
 from xplain.explanation.knowledge import forget, say
@@ -24,7 +25,6 @@ from xplain.people.analysis.stored import STREAMS, plan_of, reading
 from xplain.people.collect.asking import ATTENTION, HEEDED, AskedClip, CollectState, prior
 from xplain.people.collect.labels import why_left_out
 from xplain.people.collect.plan import CollectPlan
-from xplain.questions.hypotheses import Hypotheses
 
 FACT_SETS = 64
 """The likeliest of a person, by their answers to all questions; others are left out."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import InputError, whole_number
 from xplain.people.plan import Patience, StoredPlan, Told, Way
 from xplain.questions.designs import Adaptive
-from xplain.questions.hypotheses import Hypotheses
 
 
 @dataclass(frozen=True)

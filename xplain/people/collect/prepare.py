@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xplain.domains.base import Domain, Scene, changes_of
+from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.types import TypeSource
 from xplain.errors import InputError, number
 from xplain.explanation.message_sets import mask_of
@@ -27,8 +28,7 @@ from xplain.people.own_table import no_map, own_table
 from xplain.people.plan import Ahead, Fact, LabQuestion, Picture, Told, Way, facts_of
 from xplain.people.wording import each, fixed, of_states, parts, worded
 from xplain.questions.battery import battery
-from xplain.questions.designs import Adaptive, Battery, hypotheses_of
-from xplain.questions.hypotheses import Hypotheses
+from xplain.questions.designs import Adaptive, Battery
 from xplain.randomness import derived_seed, run_seed, stream
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.setting import MAX_MODELS
-from xplain.questions.growth import grown, posterior_by
-from xplain.questions.hypotheses import Hypotheses
+from xplain.learning.fact_sets.growth import grown, posterior_by
 
 UNWRITTEN = 0.1
 """Probability that somebody holds a fact wrong that has a message, but is in no hypothesis."""

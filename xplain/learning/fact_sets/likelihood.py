@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.learning.answer_model import summed
-from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.known_transitions import Answers, KnownTransitions
+from xplain.learning.fact_sets.known_transitions import Answers, KnownTransitions
 
 DEVIATION = np.array([0.0005, 0.005, 0.05, 1 / 3])
 """δ is one of these; the last is that of people whom no hypothesis fits."""
@@ -61,7 +61,7 @@ class Cells:
         key: [N] row of what is held wrong · U + transition; ascending for each fact set.
         share: [N, 1 + V] the hypotheses' P(label 1), by variant.
         given: [N, 2, E] log P(answers in the cell | f) for f = 0 and 1 and E levels of error.
-        sizes: [1 + V] see :attr:`~xplain.questions.hypotheses.Hypotheses.sizes`.
+        sizes: [1 + V] see :attr:`~xplain.domains.users.hypotheses.Hypotheses.sizes`.
     """
 
     which: NDArray[np.int64]

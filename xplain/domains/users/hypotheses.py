@@ -14,15 +14,13 @@ from functools import cached_property
 from math import comb
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.domains.base import Domain, transition_feature_names, transition_features
-from xplain.domains.users.setting import MAX_MODELS
-from xplain.errors import InputError, TooLargeError, whole_number
-from xplain.explanation.message_sets import names_of
-from xplain.questions.inaccurate_values import (
+from xplain.domains.users.inaccurate_values import (
     FurtherLabels,
     few,
     labels_of,
@@ -31,7 +29,10 @@ from xplain.questions.inaccurate_values import (
     with_subsets,
     without_ties,
 )
-from xplain.questions.label_tables import prior_over, table_of_labels
+from xplain.domains.users.label_tables import prior_over, table_of_labels
+from xplain.domains.users.setting import MAX_MODELS
+from xplain.errors import InputError, TooLargeError, whole_number
+from xplain.explanation.message_sets import names_of
 from xplain.storage import written_whole
 
 AS_ASSUMED = 0.6
@@ -136,9 +137,9 @@ class Hypotheses:
             scales: one variant each: all inaccurate values that are numbers times this. Further
                 variants have them on the other side of the robot's values, all at once or, up to
                 EACH facts, one alone. A value that the domain refuses stays as assumed. Where ties
-                are ambiguous, values are nudged, or stay as assumed with a warning: see
-                :func:`~xplain.questions.inaccurate_values.without_ties`. Where no value is another
-                than assumed, there is no variant.
+                are ambiguous, values are nudged, or stay as assumed with a warning
+                (:func:`~xplain.domains.users.inaccurate_values.without_ties`). Where no value is
+                another than assumed, there is no variant.
 
         Raises:
             DomainError: some model's ties are ambiguous, values being as assumed.
@@ -390,3 +391,21 @@ class Hypotheses:
                 "facts that cannot be told apart: no question separates any of them, as every "
                 "transition has one label whatever is held wrong",
             )
+
+
+_OF_DOMAIN: WeakKeyDictionary[Domain, Hypotheses] = WeakKeyDictionary()
+
+
+def hypotheses_of(domain: Domain | None, path: str | None) -> Hypotheses:
+    """Those of a file, or else the domain's, which are worked out once.
+
+    Raises:
+        InputError: neither; or they cannot be used.
+    """
+    if path is not None:
+        return Hypotheses.load(path)
+    if domain is None:
+        raise InputError("hypotheses", None, "an .npz file of hypotheses")
+    if domain not in _OF_DOMAIN:
+        _OF_DOMAIN[domain] = Hypotheses.of_domain(domain)
+    return _OF_DOMAIN[domain]

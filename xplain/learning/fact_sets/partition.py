@@ -1,6 +1,6 @@
 """Which fact sets observers have, and how their answers err: types are shared by a Chinese
 restaurant process, as in :mod:`xplain.learning.fact_model.model`, and what answers say of a fact
-set is in :mod:`xplain.questions.likelihood`.
+set is in :mod:`xplain.learning.fact_sets.likelihood`.
 
 Nothing is sampled: hypotheses leave so few fact sets that the likeliest sharing is found by merging
 (benchmarks/README.md compares).
@@ -19,9 +19,9 @@ from scipy.special import gammaln, logsumexp, softmax
 
 from xplain.learning import answer_model
 from xplain.learning.answer_model import AnswerModel
-from xplain.questions.fact_mixture import mixture
-from xplain.questions.known_transitions import Answers, KnownTransitions
-from xplain.questions.likelihood import ERROR, Cells, by_level, log_prior, truth
+from xplain.learning.fact_sets.fact_mixture import mixture
+from xplain.learning.fact_sets.known_transitions import Answers, KnownTransitions
+from xplain.learning.fact_sets.likelihood import ERROR, Cells, by_level, log_prior, truth
 
 CANDIDATE = 0.01
 """A fact set starts as a candidate where somebody's own answers give it so much."""

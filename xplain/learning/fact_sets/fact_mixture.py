@@ -13,8 +13,8 @@ from scipy.special import expit, softmax
 
 from xplain.learning import answer_model
 from xplain.learning.answer_model import AnswerModel, summed
-from xplain.questions.known_transitions import Answers, KnownTransitions
-from xplain.questions.likelihood import log_prior, truth
+from xplain.learning.fact_sets.known_transitions import Answers, KnownTransitions
+from xplain.learning.fact_sets.likelihood import log_prior, truth
 
 ROUNDS, AS_SAID = 30, 5
 """Of expectation maximisation; in the first ones f is as the hypotheses say."""

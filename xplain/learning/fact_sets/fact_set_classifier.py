@@ -1,5 +1,5 @@
 """What people of one type find explicable, by what their answers say of the facts that they hold
-wrong (:mod:`xplain.questions.likelihood`)."""
+wrong (:mod:`xplain.learning.fact_sets.likelihood`)."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from scipy.special import logsumexp
 from xplain.errors import TooLargeError
 from xplain.explanation.message_sets import bits_of
 from xplain.learning.evidence import DOUBTED
+from xplain.learning.fact_sets.known_transitions import Answers, KnownTransitions
+from xplain.learning.fact_sets.likelihood import DEVIATION, ERROR, Cells, by_level, log_prior, truth
 from xplain.learning.labelers import Labeler, OfTruth
-from xplain.questions.known_transitions import Answers, KnownTransitions
-from xplain.questions.likelihood import DEVIATION, ERROR, Cells, by_level, log_prior, truth
 
 KEPT = 1e-4
 """Fact sets with a smaller share of the posterior are left out of predictions."""
@@ -98,7 +98,7 @@ class FactSetClassifier(OfTruth):
 
     def log_answered(self, answers: Answers) -> NDArray[np.float64]:
         """log P of further answers [P], which err by the levels of
-        :func:`~xplain.questions.likelihood.by_level`: [P]."""
+        :func:`~xplain.learning.fact_sets.likelihood.by_level`: [P]."""
         one = self.known_rows(answers.transition, answers.message_set)
         error = self.level @ ERROR
         same = np.where(answers.label == 1, one, 1 - one)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from xplain.domains.users.hypotheses import Hypotheses
 from xplain.errors import DomainError, TooLargeError
-from xplain.questions.hypotheses import Hypotheses
 
 log = logging.getLogger(__name__)
 

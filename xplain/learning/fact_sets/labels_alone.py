@@ -3,18 +3,17 @@ of a dataset, and while people are asked."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.evidence import BEATEN, Evidence, cheap, foretold, parts
+from xplain.learning.evidence import Evidence, cheap, foretold
+from xplain.learning.fact_sets.fact_set_classifier import FactSetClassifier
+from xplain.learning.fact_sets.known_transitions import Answers, KnownTransitions
 from xplain.learning.prediction import log_likelihood
-from xplain.questions.fact_set_classifier import FactSetClassifier
-from xplain.questions.known_transitions import Answers, KnownTransitions
-from xplain.questions.questionnaire import Questionnaire
 
 
 @dataclass(frozen=True)
@@ -57,37 +56,3 @@ def answers_of(place: NDArray[np.int64], dataset: Dataset) -> Answers:
     """The labels of a dataset, about transitions that the hypotheses have at ``place`` [T]."""
     label = dataset.label.astype(np.int64)
     return Answers(place[dataset.transition], dataset.message_set, label)
-
-
-@dataclass
-class Contest:
-    """Of those asked so far, one after the other: who is thought to hold the same facts wrong as
-    somebody before is foretold by their answers too.
-
-    Attributes:
-        ways: hypotheses, and labels alone.
-        answers: of everybody asked so far.
-        best: what each is thought to hold wrong, as a bitmask.
-        ahead: log P of all answers by labels alone, less that by hypotheses.
-    """
-
-    ways: TwoWays
-    answers: Dataset
-    best: list[int] = field(default_factory=list)
-    ahead: float = 0.0
-
-    def beaten(self, asked: Questionnaire) -> bool:
-        """Whether hypotheses are, once somebody more has answered."""
-        person, first = len(self.best), len(self.answers)
-        self.best.append(asked.best)
-        known = replace(self.answers, observers=(*self.answers.observers, str(person)))
-        self.answers = known.answered(person, *asked.answers)
-        alike = np.isin(self.answers.observer, np.flatnonzero(np.equal(self.best, asked.best)))
-        part = np.where(np.arange(len(self.answers)) < first, -1, parts(self.answers.observer))
-        for number in np.unique(part[first:]).tolist():
-            before, rows = np.flatnonzero(alike & (part < number)), np.flatnonzero(part == number)
-            if len(before):
-                train, test = self.answers.take(before), self.answers.take(rows)
-                self.ahead += float(self.ways.labels(train, test).sum())
-                self.ahead -= float(self.ways.hypotheses(train, test).sum())
-        return self.ahead > BEATEN

@@ -1,8 +1,9 @@
 """A labeler of hypotheses: P(label = 1) of people of one type, by what they may hold wrong.
 
 What it knows of a type is a posterior over fact sets; where a cell was asked about and the answers
-contradict the hypotheses, its label goes by the answers (:mod:`xplain.questions.likelihood`), all
-others stay with the hypotheses. docs/what-to-ask.md
+contradict the hypotheses, its label goes by the answers
+(:mod:`xplain.learning.fact_sets.likelihood`), all others stay with the hypotheses.
+docs/what-to-ask.md
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.errors import InputError
 from xplain.explanation.label_table import DENSE, LabelTable
 from xplain.explanation.message_sets import indices, names_of, subsets
@@ -24,19 +26,17 @@ from xplain.learning.clustering import Clustering
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import Evidence, cheap
+from xplain.learning.fact_sets.fact_set_classifier import FactSetClassifier
+from xplain.learning.fact_sets.known_transitions import Answers, KnownTransitions
+from xplain.learning.fact_sets.labels_alone import TwoWays, answers_of
+from xplain.learning.fact_sets.likelihood import scaled
+from xplain.learning.fact_sets.partition import errors_of, partition
 from xplain.learning.labelers import (
     Labeler,
     LabelerTrainer,
     check_looked_at,
     paper_tree,
 )
-from xplain.questions.designs import hypotheses_of
-from xplain.questions.fact_set_classifier import FactSetClassifier
-from xplain.questions.fact_sets import errors_of, partition
-from xplain.questions.hypotheses import Hypotheses
-from xplain.questions.known_transitions import Answers, KnownTransitions
-from xplain.questions.labels_alone import TwoWays, answers_of
-from xplain.questions.likelihood import scaled
 
 log = logging.getLogger(__name__)
 
