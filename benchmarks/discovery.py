@@ -136,7 +136,7 @@ def regrets(found: Found, seed: int, traces: int) -> dict[str, float]:
     setting, dataset, trainer = found.setting, found.dataset, LabelerTrainer()
 
     def learned(clustering: Clustering) -> UserTypes:
-        return learn_types(dataset, clustering, trainer, seed, prior="uniform")
+        return learn_types(dataset, clustering, trainer, seed)
 
     perfect = learned(Perfect().cluster(dataset, trainer, 0, found.truth))
     plans = {"found": learned(found.clustering), "true": perfect}

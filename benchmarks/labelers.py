@@ -126,7 +126,7 @@ def measure(
     observed = observers.collect(setting, queries.Independent(), seed)
     dataset, truth = observed.dataset, observed.truth
     clustering = Perfect().cluster(dataset, LabelerTrainer(), 0, truth)
-    learned = learn_types(dataset, clustering, LABELERS[name], seed, prior="uniform")
+    learned = learn_types(dataset, clustering, LABELERS[name], seed)
     p, y = [], []
     for t, labeler in enumerate(learned.labelers):
         fresh, who = unseen(setting, dataset.of(clustering.members(t)), seed)

@@ -14,7 +14,13 @@ from xplain.learning.data.dataset import Dataset, query_index
 from xplain.learning.disagreements import disagreements
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.paper_clusterer import Agglomerative, Elbow, KMeans, Partitioner
-from xplain.learning.user_types import AskedOnce, UserTypes, label_table, learn_types
+from xplain.learning.user_types import (
+    AskedOnce,
+    UserTypes,
+    label_table,
+    learn_types,
+    with_none_of_these,
+)
 
 
 class ClustererSuite:
@@ -140,35 +146,17 @@ def test_types_are_fitted_to_their_own_observers(rng: np.random.Generator) -> No
     assert table.shape == (2, len(dataset.features), 16)
     # The last type needs message 2 at transition 2, whatever else is said.
     assert (table[1, 2] > 0.5).tolist() == [bool(h & 4) for h in range(16)]
-    uniform = learn_types(
-        dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0, prior="uniform"
-    )
-    assert uniform.prior == pytest.approx([0.5, 0.5])
 
 
-@pytest.mark.parametrize(
-    ("options", "key"),
-    [
-        ({"prior": "guess"}, "prior"),
-        ({"none_of_these": float("nan")}, "none_of_these"),
-        ({"none_of_these": -0.5}, "none_of_these"),
-    ],
-)
-def test_a_prior_of_another_kind_is_refused(
-    rng: np.random.Generator, options: dict[str, Any], key: str
+@pytest.mark.parametrize("weight", [float("nan"), -0.5])
+def test_a_weight_of_none_of_these_below_0_is_refused(
+    rng: np.random.Generator, weight: float
 ) -> None:
     dataset, truth = made(rng, [[0], [1]], per_type=1)
-    with pytest.raises(InputError, match=key):
-        learn_types(dataset, Clustering(truth, "test", "given"), LabelerTrainer(), 0, **options)
-
-
-def test_who_is_like_none_weighs_as_one_type_where_types_are_equally_likely(
-    rng: np.random.Generator,
-) -> None:
-    dataset, _ = made(rng, [[0], [1]], per_type=2)
-    given = Clustering(np.array([0, 0, 0, 1]), "test", "given")
-    types = learn_types(dataset, given, LabelerTrainer(), 0, prior="uniform", none_of_these=0.5)
-    assert types.prior == pytest.approx([0.4, 0.4, 0.2])
+    given = Clustering(truth, "test", "given")
+    types = learn_types(dataset, given, LabelerTrainer(), 0)
+    with pytest.raises(InputError, match="none_of_these"):
+        with_none_of_these(types, dataset, weight)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from xplain.learning.fact_model.resample_transitions import WIDE
 from xplain.learning.fact_model.split_merge import MANY_OBSERVERS
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.prediction import held_out
-from xplain.learning.user_types import base_rate, label_table, learn_types
+from xplain.learning.user_types import base_rate, label_table, learn_types, with_none_of_these
 
 TYPES = [[0, 1], [2], [1, 3]]
 
@@ -226,10 +226,12 @@ def test_true_types_predict_better_than_one_for_all() -> None:
 def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
     dataset, truth = made(rng, TYPES, size=100)
     clustering = Perfect().cluster(dataset, LabelerTrainer(), 0, truth)
-    types = learn_types(dataset, clustering, LabelerTrainer(), 0, none_of_these=1.0)
+    others = learn_types(dataset, clustering, LabelerTrainer(), 0)
+    assert with_none_of_these(others, dataset, 0.0) is others
+    types = with_none_of_these(others, dataset, 1.0)
     assert types.names[-1] == "none of these"
     assert types.prior == pytest.approx([0.3, 0.3, 0.3, 0.1])
-    heavy = learn_types(dataset, clustering, LabelerTrainer(), 0, none_of_these=3.0)
+    heavy = with_none_of_these(others, dataset, 3.0)
     assert heavy.prior == pytest.approx([0.25] * 4)
     stranger = label_table(types.labelers, dataset.features).array(dataset.n_messages)[-1]
     assert np.ptp(stranger) == 0
@@ -237,7 +239,7 @@ def test_none_of_these_is_a_type_of_its_own(rng: np.random.Generator) -> None:
     only = dataset.take(np.flatnonzero(dataset.label == 0))
     assert base_rate(only).table(only.features).array(only.n_messages)[0].max() < 0.1
     with pytest.raises(InputError, match="none_of_these"):
-        learn_types(dataset, clustering, LabelerTrainer(), 0, none_of_these=-1.0)
+        with_none_of_these(others, dataset, -1.0)
 
 
 @pytest.mark.parametrize(

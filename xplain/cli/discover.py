@@ -48,7 +48,7 @@ from xplain.learning.known_types import learn
 from xplain.learning.message_vectors import minimal_message_set
 from xplain.learning.prediction import Tenth, held_out, predicted
 from xplain.learning.saved_types import LearnedTypes
-from xplain.learning.user_types import UserTypes
+from xplain.learning.user_types import UserTypes, with_none_of_these
 from xplain.randomness import run_seed
 
 Row = dict[str, Any]
@@ -74,7 +74,8 @@ def discover(arguments: list[str]) -> Row:
     asked = None
     if cfg.predict is not None:
         asked = read_questions(cfg.predict, dataset, cfg.features, cfg.ignore)
-    types = learn(Observed(dataset), trainer, clusterer, cfg.seed, cfg.none_of_these)
+    types = learn(Observed(dataset), trainer, clusterer, cfg.seed)
+    types = with_none_of_these(types, dataset, cfg.none_of_these)
     clustering = types.clustering
     unseen = held_out(dataset, clusterer, trainer, cfg.seed) if cfg.held_out else None
     told = None if unseen is None else asdict(unseen) | {"verdict": unseen.verdict}

@@ -102,7 +102,8 @@ class Clips:
     def near(self, transitions: NDArray[np.int64]) -> CaseQuestions:
         """Those to choose from while a trace [m, 3] is explained."""
         every, domain = self.setting.reachable, self.setting.domain
-        order = nearest_first(self.features, transition_features(domain, transitions))
+        features = transition_features(domain, transitions)
+        order = nearest_first(self.features, features)
         order = order[alike_first(self.learned.of_steps(order.tolist()), self.pool.clips)]
         chosen = every[order]
         return CaseQuestions(

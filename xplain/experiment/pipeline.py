@@ -174,7 +174,8 @@ def observe(
     Raises:
         XplainError: the types do not fit the domain, or the labels cannot be used.
     """
-    setting = Setting.build(domain, users.types(domain, stream(seed, "users")))
+    types = users.types(domain, stream(seed, "users"))
+    setting = Setting.build(domain, types)
     return observers.collect(setting, queries, seed)
 
 
@@ -204,8 +205,8 @@ def build_case(
         transitions=transitions,
         phrases=tuple(domain.describe(transition) for transition in transitions),
         positions=tuple(cell for cell in cells if cell is not None),
-        **tables(transitions)._asdict(),
-        labels=setting.true_labels(transitions),
-        changes=changes_of(domain, transitions),
         questions=merged(asked, most),
+        changes=changes_of(domain, transitions),
+        labels=setting.true_labels(transitions),
+        **tables(transitions)._asdict(),
     )

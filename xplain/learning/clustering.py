@@ -60,6 +60,11 @@ class Clustering:
         """N: how many types were found."""
         return int(self.assignment.max()) + 1
 
+    @property
+    def shares(self) -> NDArray[np.float64]:
+        """[N] of the observers."""
+        return np.bincount(self.assignment) / len(self.assignment)
+
     def members(self, cluster: int) -> NDArray[np.int64]:
         """Indices of the observers of a cluster, ascending."""
         return np.flatnonzero(self.assignment == cluster)

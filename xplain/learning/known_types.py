@@ -13,12 +13,11 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import Domain, transition_feature_names, transition_features
-from xplain.errors import InputError, TooLargeError, XplainError
+from xplain.domains.base import transition_features
+from xplain.errors import TooLargeError, XplainError
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.learning.clustering import Clusterer, Perfect
-from xplain.learning.data.dataset import Dataset
 from xplain.learning.data.observers import Observed
 from xplain.learning.labelers import Labeler, LabelerTrainer
 from xplain.learning.prediction import fresh_accuracy
@@ -144,14 +143,12 @@ def find_types(
         seed: of the run.
 
     Raises:
-        InputError: the labels are too few, or not of this domain's features and messages; or the
-            types are unknown that the trainer should know.
+        InputError: the labels are too few, or the types are unknown that the trainer should know.
     """
     if isinstance(trainer, KnowsTypes):
         return trainer.types_of(observed)
     assert observed.setting is not None
     domain = observed.setting.domain
-    _require_same_features(observed.dataset, domain)
     trainer = _given(trainer, observed)  # once: what it works out of its task is kept with it
     references = learn_references(observed, trainer, seed)
     perfect = references.perfect.by_observers if references.perfect else None
@@ -175,7 +172,7 @@ def find_types(
     return KnownTypes(
         names=types.names,
         matched_true_type=_match_true_types(observed, types),
-        shares=np.bincount(clustering.assignment) / len(clustering.assignment),
+        shares=clustering.shares,
         figures=_figures(observed, types, references, trainer, seed),
         curve=np.asarray(curve, dtype=float),
         rule=clustering.rule,
@@ -197,7 +194,6 @@ def learn(
     trainer: LabelerTrainer,
     clusterer: Clusterer,
     seed: int,
-    none_of_these: float = 0.0,
     known: Mapping[tuple[int, ...], Labeler] | None = None,
 ) -> UserTypes:
     """Clusters the observers, and learns one labeler a cluster.
@@ -208,18 +204,11 @@ def learn(
         trainer: fits labelers.
         clusterer: finds the types.
         seed: of the run.
-        none_of_these, known: see :func:`xplain.learning.user_types.learn_types`.
+        known: see :func:`xplain.learning.user_types.learn_types`.
     """
     trainer, dataset = _given(trainer, observed), observed.dataset
     clustering = clusterer.cluster(dataset, trainer, seed, observed.behaviour)
-    types = learn_types(
-        dataset,
-        clustering,
-        trainer,
-        seed,
-        none_of_these=none_of_these,
-        known=known,
-    )
+    types = learn_types(dataset, clustering, trainer, seed, known)
     if types.evidence is not None and types.evidence.lost:
         log.warning("%s", types.evidence)
     return types
@@ -311,19 +300,3 @@ def _require_tested(labelers: Iterable[Any]) -> None:
                 "(transition, message set), and its labeler needs two: one to train it and one "
                 "to test it"
             )
-
-
-def _require_same_features(dataset: Dataset, domain: Domain) -> None:
-    names = transition_feature_names(domain)
-    if dataset.feature_names != names:
-        raise InputError(
-            "observers.path",
-            ",".join(dataset.feature_names),
-            f"labels of {domain.name} need the features {','.join(names)} in this order "
-            "(python -m xplain discover finds types in labels of any task)",
-        )
-    wanted = tuple(parameter.name for parameter in domain.parameters)
-    if dataset.messages != wanted:
-        raise InputError(
-            "observers.messages", ",".join(dataset.messages), f"must be {','.join(wanted)}"
-        )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, runtime_checkable
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import Range, number, one_of
+from xplain.errors import Range, number
 from xplain.explanation.label_table import DENSE, LabelTable, stacked
 from xplain.learning.answer_model import AnswerModel
 from xplain.learning.clustering import Clustering
@@ -123,8 +123,6 @@ def learn_types(
     clustering: Clustering,
     trainer: LabelerTrainer,
     seed: int,
-    prior: Literal["share", "uniform"] = "share",
-    none_of_these: float = 0.0,
     known: Mapping[tuple[int, ...], Labeler] | None = None,
 ) -> UserTypes:
     """One labeler from the pooled labels of each cluster (paper, section 4.1).
@@ -135,40 +133,46 @@ def learn_types(
         trainer: fits the labelers.
         seed: of every fit. It is one for all types, so that a labeler depends on its labels alone,
             not on how clusters are numbered.
-        prior: ``share`` of the observers, or ``uniform``.
-        none_of_these: where positive, one more type for users unlike all others, with the prior
-            weight of so many observers (of one type where the prior is uniform, α in a Dirichlet
-            process). It labels at everybody's rate, whatever is shown and said.
         known: labelers by their observers, fitted to this dataset with this trainer and seed: they
             are not fitted again.
-
-    Raises:
-        InputError: another prior, a negative weight.
     """
-    n = clustering.n_types
-    number("none_of_these", none_of_these, Range(0))
-    one_of("prior", prior, ("share", "uniform"))
-    weight = np.bincount(clustering.assignment, minlength=n).astype(np.float64)
-    if prior == "uniform":
-        weight[:] = 1
-    clusters = [clustering.members(t) for t in range(n)]
+    clusters = [clustering.members(t) for t in range(clustering.n_types)]
     answers, evidence = clustering.answers, None
     if isinstance(trainer, LearnsErrors):
         heeding = trainer.with_errors(dataset, clustering.assignment)
         trainer, answers, evidence = heeding, heeding.answers or answers, heeding.evidence
         if known is not None and {tuple(own.tolist()) for own in clusters} != set(known):
             known = None  # how people err was learned with other types
-    labelers = [
+    labelers = tuple(
         (known or {}).get(tuple(own.tolist())) or trainer.fit(dataset.of(own), seed)
         for own in clusters
-    ]
-    names = [f"type_{t}" for t in range(n)]
-    if none_of_these > 0:
-        labelers.append(base_rate(dataset))
-        names.append("none of these")
-        weight = np.append(weight, none_of_these)
-    shares = weight / weight.sum()
-    return UserTypes(tuple(labelers), clustering, tuple(names), shares, answers, evidence)
+    )
+    names = tuple(f"type_{t}" for t in range(clustering.n_types))
+    return UserTypes(labelers, clustering, names, clustering.shares, answers, evidence)
+
+
+def with_none_of_these(types: UserTypes, dataset: Dataset, weight: float) -> UserTypes:
+    """With one more type, for users unlike all others: it labels at everybody's rate, whatever is
+    shown and said.
+
+    Args:
+        types: learned from the dataset.
+        dataset: the labels.
+        weight: prior weight of that type, in observers (α in a Dirichlet process); 0: no such type.
+
+    Raises:
+        InputError: a negative weight.
+    """
+    number("none_of_these", weight, Range(0))
+    if weight == 0:
+        return types
+    count = np.append(np.bincount(types.clustering.assignment), weight)
+    return replace(
+        types,
+        labelers=(*types.labelers, base_rate(dataset)),
+        names=(*types.names, "none of these"),
+        prior=count / count.sum(),
+    )
 
 
 def base_rate(dataset: Dataset) -> Labeler:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Protocol
 
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.base import transition_feature_names, transition_features
+from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting
 from xplain.errors import InputError, Range, checks
 from xplain.learning.data.dataset import Dataset
@@ -37,6 +39,33 @@ class Observed:
     setting: Setting | None = None
     likely: NDArray[np.int64] | None = None
     beaten: bool = False
+
+    def __post_init__(self) -> None:
+        """Raises InputError where the labels are not of the setting's features and messages."""
+        if self.setting is None:
+            return
+        domain, dataset = self.setting.domain, self.dataset
+        names = transition_feature_names(domain)
+        if dataset.feature_names != names:
+            raise InputError(
+                "observers.path",
+                ",".join(dataset.feature_names),
+                f"labels of {domain.name} need the features {','.join(names)} in this order "
+                "(python -m xplain discover finds types in labels of any task)",
+            )
+        wanted = self.setting.message_names
+        if dataset.messages != wanted:
+            given = ",".join(dataset.messages)
+            raise InputError("observers.messages", given, f"must be {','.join(wanted)}")
+
+    @cached_property
+    def hypotheses(self) -> Hypotheses | None:
+        """What people may hold wrong: the domain's, with the fact sets that the questions found
+        likely. None where there is only a table."""
+        if self.setting is None:
+            return None
+        own = hypotheses_of(self.setting.domain, None)
+        return own if self.likely is None else own.with_sets(self.likely)
 
     @property
     def behaviour(self) -> NDArray[np.int64] | None:

@@ -113,12 +113,9 @@ class HypothesisTrainer(LabelerTrainer):
         than labels alone."""
         if observed.beaten:
             return self._alone
-        if self.hypotheses is not None or self.path is not None or observed.setting is None:
+        if self.hypotheses is not None or self.path is not None:
             return self
-        own = hypotheses_of(observed.setting.domain, None)
-        return replace(
-            self, hypotheses=own if observed.likely is None else own.with_sets(observed.likely)
-        )
+        return replace(self, hypotheses=observed.hypotheses)
 
     @cached_property
     def known(self) -> KnownTransitions:
