@@ -33,6 +33,8 @@ TYPES = Explicit({"A": ["fire"], "B": ["fire"], "C": ["puddle", "fence"]})
 class Rate:
     """A labeler that says how often its labels were 1."""
 
+    wrong = None
+
     rate: float
     n_test: int = 1
     n_train: int = 1
@@ -62,6 +64,11 @@ class Rates:
         # Where a test asks for it, the labelers of small clusters are left untested.
         untested = self.n_test == 0 and len(set(dataset.observer.tolist())) == 1
         return Rate(float(dataset.label.mean()), 0 if untested else 1)
+
+    fit_untested = fit
+
+    def given(self, observed: Observed) -> Rates:
+        return self
 
 
 @dataclass(frozen=True)

@@ -78,16 +78,6 @@ class KnownTypes:
 
 
 @runtime_checkable
-class KnowsFacts(Protocol):
-    """A labeler of one type that may know what its people hold wrong."""
-
-    @property
-    def wrong(self) -> NDArray[np.float64] | None:
-        """[n] P(a person of the type holds a fact wrong); None where that is unknown."""
-        ...
-
-
-@runtime_checkable
 class KnowsTypes(Protocol):
     """A component ``labeler`` that learns nothing from labels, because it knows the types."""
 
@@ -98,19 +88,6 @@ class KnowsTypes(Protocol):
             InputError: these observers' types are unknown.
         """
         ...
-
-
-@runtime_checkable
-class KnowsTask(Protocol):
-    """A trainer that can use more of what was observed than the labels."""
-
-    def given(self, observed: Observed) -> LabelerTrainer:
-        """The trainer with what it knows of the observers' task, and of what they were asked."""
-        ...
-
-
-def _given(trainer: LabelerTrainer, observed: Observed) -> LabelerTrainer:
-    return trainer.given(observed) if isinstance(trainer, KnowsTask) else trainer
 
 
 @dataclass(frozen=True)
@@ -149,7 +126,7 @@ def find_types(
         return trainer.types_of(observed)
     assert observed.setting is not None
     domain = observed.setting.domain
-    trainer = _given(trainer, observed)  # once: what it works out of its task is kept with it
+    trainer = trainer.given(observed)  # once: what it works out of its task is kept with it
     references = learn_references(observed, trainer, seed)
     perfect = references.perfect.by_observers if references.perfect else None
     types = learn(observed, trainer, clusterer, seed, known=perfect)
@@ -167,7 +144,8 @@ def find_types(
             perfect=None if oracle is None else once.label_table(oracle, features, transitions),
         )
 
-    clustering = types.clustering
+    clustering, wrong = types.clustering, [labeler.wrong for labeler in types.labelers]
+    known = [own for own in wrong if own is not None]
     curve = np.zeros(0) if clustering.curve is None else clustering.curve
     return KnownTypes(
         names=types.names,
@@ -178,15 +156,8 @@ def find_types(
         rule=clustering.rule,
         tables=tables,
         habits=None if types.answers is None else types.answers.habits,
-        wrong=_wrong(types.labelers),
+        wrong=np.stack(known) if len(known) == len(wrong) else None,
     )
-
-
-def _wrong(labelers: Iterable[Any]) -> NDArray[np.float64] | None:
-    """[N, n] P(a user of a type holds a fact wrong); None where a labeler does not know."""
-    every = [one.wrong if isinstance(one, KnowsFacts) else None for one in labelers]
-    known = [own for own in every if own is not None]
-    return np.stack(known) if len(known) == len(every) else None
 
 
 def learn(
@@ -206,7 +177,7 @@ def learn(
         seed: of the run.
         known: see :func:`xplain.learning.user_types.learn_types`.
     """
-    trainer, dataset = _given(trainer, observed), observed.dataset
+    trainer, dataset = trainer.given(observed), observed.dataset
     clustering = clusterer.cluster(dataset, trainer, seed, observed.behaviour)
     types = learn_types(dataset, clustering, trainer, seed, known)
     if types.evidence is not None and types.evidence.lost:
@@ -221,7 +192,7 @@ def learn_references(observed: Observed, trainer: LabelerTrainer, seed: int) -> 
         XplainError: too few labels to hold some out.
     """
     dataset, behaviour = observed.dataset, observed.behaviour
-    trainer = _given(trainer, observed)
+    trainer = trainer.given(observed)
     everyone = trainer.fit(dataset, seed)
     _require_tested([everyone])
     if behaviour is None:

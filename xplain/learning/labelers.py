@@ -14,6 +14,7 @@ from xplain.errors import InputError, Range, TooLargeError, checks
 from xplain.explanation.label_table import DENSE, MAX_RELEVANT, LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.learning.data.dataset import Dataset, inputs, query_index
+from xplain.learning.data.observers import Observed
 from xplain.learning.tree_leaves import cubes
 from xplain.randomness import derived_seed, stream
 
@@ -68,6 +69,11 @@ class Labeler:
         """Whether P(label = 1) is what people think; else it is what they answer, as the confidence
         is measured on answers."""
         return isinstance(self.classifier, OfTruth)
+
+    @property
+    def wrong(self) -> NDArray[np.float64] | None:
+        """[n] P(a person of the type holds a fact wrong); None where that is unknown."""
+        return None
 
     def predict(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
@@ -192,6 +198,11 @@ class LabelerTrainer:
                 raise InputError("labeler.classifier", self.classifier, "a scikit-learn classifier")
         if self.confidence == "leaf" and not hasattr(self.classifier, "predict_proba"):
             raise InputError("labeler.classifier", self.classifier, "leaf needs predict_proba")
+
+    def given(self, observed: Observed) -> LabelerTrainer:
+        """With what can be used of the observers' task, and of what they were asked, beside their
+        labels."""
+        return self
 
     def fit(self, dataset: Dataset, seed: int) -> Labeler:
         """Fits one labeler to all labels of a dataset. The same labels, in whatever order, and the

@@ -4,7 +4,7 @@ labelers predict answers that were held out."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -201,15 +201,6 @@ def _all_learned(
     return learn_types(train, replace(found, assignment=assignment), trainer, seed)
 
 
-@runtime_checkable
-class FitsUntested(Protocol):
-    """A trainer that can leave out to measure how sure a labeler may be."""
-
-    def fit_untested(self, dataset: Dataset, seed: int) -> Labeler:
-        """A labeler with the predictions of that of ``fit``."""
-        ...
-
-
 def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> float:
     """What a labeler fitted to these labels gets right of fresh questions: cross-validated over
     message sets, each distinct (transition, message set) once. NaN where there is one message set.
@@ -223,12 +214,10 @@ def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> floa
         return float("nan")
     count = min(max(round(1 / trainer.holdout), 2), len(told))
     fold = (stream(derived_seed(seed, "labelers"), "fresh").permutation(len(told)) % count)[group]
-    # What is only asked for its predictions needs no confidence.
-    fit = trainer.fit_untested if isinstance(trainer, FitsUntested) else trainer.fit
     right = np.zeros(len(dataset), dtype=bool)
     for number in range(count):
         test = dataset.take(np.flatnonzero(fold == number))
-        labeler = fit(dataset.take(np.flatnonzero(fold != number)), seed)
+        labeler = trainer.fit_untested(dataset.take(np.flatnonzero(fold != number)), seed)
         said = labeler.predict(test.features[test.transition], test.message_set)
         right[fold == number] = said == test.label
     return float(by_question(right, query_index(dataset)).mean())

@@ -15,7 +15,7 @@ from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting
 from xplain.errors import Count, InputError, Range, checks
 from xplain.learning.data.dataset import places
-from xplain.learning.data.queries import Answer, Answered
+from xplain.learning.data.queries import Answer, Answered, asked_in_order
 from xplain.learning.fact_sets.growth import grown
 from xplain.learning.fact_sets.known_transitions import KnownTransitions
 from xplain.learning.fact_sets.labels_alone import TwoWays
@@ -84,12 +84,7 @@ class Battery:
         chosen, told = battery(
             known, self.redundancy, derived_seed(seed, "queries"), int(sizes.max())
         )
-        transitions = transitions_of(known, setting)[chosen]
-        asked = []
-        for o, size in enumerate(sizes):
-            questions = transitions[:size], told[:size]
-            asked.append(Answered(*questions, answer(o, *questions)))
-        return asked
+        return asked_in_order(transitions_of(known, setting)[chosen], told, sizes, answer)
 
 
 @checks("queries")

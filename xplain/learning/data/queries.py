@@ -64,6 +64,17 @@ class Queries(Protocol):
         ...
 
 
+def asked_in_order(
+    transitions: NDArray[np.int64],
+    message_sets: NDArray[np.int64],
+    sizes: NDArray[np.int64],
+    answer: Answer,
+) -> list[Answered]:
+    """Asks each observer the first of their ``sizes`` [O] of one list of questions."""
+    each = [(transitions[:size], message_sets[:size]) for size in sizes]
+    return [Answered(*own, answer(o, *own)) for o, own in enumerate(each)]
+
+
 @dataclass(frozen=True)
 class RandomTraces:
     """The paper's questions: transitions of the robot's traces, which start at random and follow an
@@ -122,8 +133,4 @@ class Shared(RandomTraces):
     ) -> list[Answered]:
         """The first ``sizes`` questions of one battery."""
         battery = self.draw(setting, int(sizes.max()), stream(seed, "queries", "shared"))
-        asked = []
-        for o, size in enumerate(sizes):
-            questions = battery[0][:size], battery[1][:size]
-            asked.append(Answered(*questions, answer(o, *questions)))
-        return asked
+        return asked_in_order(*battery, sizes, answer)

@@ -62,8 +62,7 @@ class HypothesisLabeler(Labeler):
 
     @property
     def wrong(self) -> NDArray[np.float64] | None:
-        """[n] P(a person of the type holds a fact wrong); None where the hypotheses know nothing
-        of the task."""
+        """As :attr:`Labeler.wrong`; None where the hypotheses know nothing of the task."""
         facts = isinstance(self.classifier, FactSetClassifier)
         return self.classifier.wrong if facts else None
 
