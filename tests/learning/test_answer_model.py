@@ -164,10 +164,10 @@ def test_rates_that_are_none_are_refused(rates, prior):
 
 def test_questions_are_known_by_their_features():
     errors = QuestionErrors(
-        np.array([[1.0, 0.0], [2.0, 0.0]]),
         np.array([0.1, 0.2, 0.3]),
         np.array([0.01, 0.02, 0.03]),
         ErrorRates.of(),
+        np.array([[1.0, 0.0], [2.0, 0.0]]),
     )
     slip, guess = errors.rates_of(np.array([[2, -0.0], [3, 0], [1, 0]]))
     assert slip.tolist() == [0.2, 0.3, 0.1]
@@ -178,4 +178,4 @@ def test_questions_are_known_by_their_features():
         ([0.0] * 3, [0.1] * 3),
     ):
         with pytest.raises(InputError, match=r"slip"):
-            QuestionErrors(errors.features, np.array(slips), np.array(guesses), errors.errors)
+            QuestionErrors(np.array(slips), np.array(guesses), errors.errors, errors.features)

@@ -282,7 +282,7 @@ def test_types_of_which_nobody_learned_how_people_err_say_so(tmp_path):
 def test_doctored_errors_are_refused(tmp_path, key, value):
     types, data = learned(DecisionTreeClassifier())
     slip, rates = np.full(41, 0.1), ErrorRates.of([0.0, 0.2], [0.5, 0.5])
-    errors = QuestionErrors(data.features, slip, slip, rates)
+    errors = QuestionErrors(slip, slip, rates, data.features)
     replace(types, errors=errors).save(tmp_path / "types.npz")
     assert LearnedTypes.load(tmp_path / "types.npz").errors.errors.prior.tolist() == [0.5, 0.5]
     with np.load(tmp_path / "types.npz") as file:

@@ -10,13 +10,11 @@ observer is averaged over all draws: one sharing of classes is surer than answer
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln, gammaln, softmax
 
+from xplain.learning.clustering import Clustering, shares_of
 from xplain.learning.data.dataset import Dataset
 from xplain.randomness import stream
 
@@ -30,23 +28,9 @@ SHRINKAGE = np.array([0.5, 1, 2, 4, 8, 16, 32])
 """c is one of these, as likely each."""
 
 
-@dataclass(frozen=True)
-class AnswerClasses:
-    """What was drawn.
-
-    Attributes:
-        assignment: [O] the classes of the likeliest draw.
-        expected: [O, T] P(answer 1) of each observer about each transition.
-        posterior: P(number of classes = k) by k.
-    """
-
-    assignment: NDArray[np.int64]
-    expected: NDArray[np.float64]
-    posterior: Mapping[int, float]
-
-
-def answer_classes(dataset: Dataset, concentration: float, chains: int, seed: int) -> AnswerClasses:
-    """Draws classes of the observers by their answers, whatever they were told.
+def answer_classes(dataset: Dataset, concentration: float, chains: int, seed: int) -> Clustering:
+    """Draws classes of the observers by their answers, whatever they were told: those of the
+    likeliest draw, what is expected over all draws, and how likely how many are.
 
     Args:
         dataset: labels of O observers on T transitions.
@@ -68,10 +52,10 @@ def answer_classes(dataset: Dataset, concentration: float, chains: int, seed: in
                 expected += state.expected
                 drawn.append(len(np.unique(before)))
                 best, chosen = max((score, before), (best, chosen), key=lambda one: one[0])
-    number, times = np.unique(drawn, return_counts=True)
-    share = times / len(drawn)
-    posterior = dict(zip(number.tolist(), share.tolist(), strict=True))
-    return AnswerClasses(chosen, expected / len(drawn), posterior)
+    expected /= len(drawn)
+    return Clustering(
+        chosen, "dirichlet", "posterior", posterior=shares_of(drawn), expected=expected
+    )
 
 
 class _Chain:

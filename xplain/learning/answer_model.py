@@ -87,19 +87,36 @@ class ErrorRates:
 
 
 @dataclass(frozen=True)
-class AnswerModel:
-    """How labels become answers, of T questions and O people.
+class SlipsAndGuesses:
+    """How labels of T questions become answers of people who gave none so far.
 
     Attributes:
         slip, guess: [T + 1] P(a = 0 | f = 1) and P(a = 1 | f = 0) of each question; the last are
             those of a question that nobody answered. slip + guess < 1.
         errors: of the next person.
-        person: [O + 1, E] posterior over ``errors.rates`` of each person; the last is the prior.
     """
 
     slip: NDArray[np.float64]
     guess: NDArray[np.float64]
     errors: ErrorRates
+
+    @property
+    def habits(self) -> Habits:
+        """Of the next person at a question that nobody answered, slips and guesses being in one
+        symmetric rate; the answers tell nothing of messages that do not land."""
+        mean = (self.slip[-1] + self.guess[-1]) / 2
+        whole, rates = np.ones(len(self.errors.rates)), self.errors.rates
+        return Habits(mean + rates * (1 - 2 * mean), whole, 0 * whole, self.errors.prior)
+
+
+@dataclass(frozen=True)
+class AnswerModel(SlipsAndGuesses):
+    """How labels become answers, of T questions and O people.
+
+    Attributes:
+        person: [O + 1, E] posterior over ``errors.rates`` of each person; the last is the prior.
+    """
+
     person: NDArray[np.float64]
 
     def log_given(
@@ -128,34 +145,16 @@ class AnswerModel:
         rate = self.person[person] @ self.errors.rates
         return float((slip + rate * (1 - 2 * slip)).mean())
 
-    @property
-    def habits(self) -> Habits:
-        """Of the next person."""
-        return _habits(self.slip, self.guess, self.errors)
-
-
-def _habits(slip: NDArray[np.float64], guess: NDArray[np.float64], errors: ErrorRates) -> Habits:
-    """How the next person errs at a question that nobody answered, slips and guesses being in one
-    symmetric rate; the answers tell nothing of messages that do not land."""
-    mean = (slip[-1] + guess[-1]) / 2
-    whole = np.ones(len(errors.rates))
-    return Habits(mean + errors.rates * (1 - 2 * mean), whole, 0 * whole, errors.prior)
-
 
 @dataclass(frozen=True)
-class QuestionErrors:
-    """How labels of transitions become answers of people who gave none so far.
+class QuestionErrors(SlipsAndGuesses):
+    """Of transitions, by their features.
 
     Attributes:
-        features: [T, F] of the transitions.
-        slip, guess: [T + 1] as of :class:`AnswerModel`.
-        errors: of the next person.
+        features: [T, F].
     """
 
     features: NDArray[np.float64]
-    slip: NDArray[np.float64]
-    guess: NDArray[np.float64]
-    errors: ErrorRates
 
     def __post_init__(self) -> None:
         """Raises InputError: slips and guesses that are none, or not of these transitions."""
@@ -165,11 +164,6 @@ class QuestionErrors:
                 raise InputError(key, row.shape, f"{count} probabilities inside (0, 1)")
         if not (self.slip + self.guess < 1).all():
             raise InputError("slip", float((self.slip + self.guess).max()), "slip + guess < 1")
-
-    @property
-    def habits(self) -> Habits:
-        """Of the next person."""
-        return _habits(self.slip, self.guess, self.errors)
 
     def rates_of(
         self, features: NDArray[np.float64]

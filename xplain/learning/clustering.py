@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError
 from xplain.learning.answer_model import AnswerModel
@@ -54,6 +54,13 @@ class Clustering:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "assignment", by_first_appearance(self.assignment))
+
+    @classmethod
+    def by_facts(cls, facts: NDArray[np.int64], rule: str, **about: Any) -> Clustering:
+        """Observers are of one type who hold the same facts [O] wrong, as a Dirichlet process says;
+        ``about`` are the other attributes."""
+        _, first = np.unique(facts, return_index=True)
+        return cls(facts, "dirichlet", rule, needs=facts[np.sort(first)], **about)
 
     @property
     def n_types(self) -> int:
@@ -138,6 +145,12 @@ class Single:
     ) -> Clustering:
         """All O observers in cluster 0."""
         return Clustering(np.zeros(len(dataset.observers), dtype=np.int64), "single", "one type")
+
+
+def shares_of(drawn: ArrayLike) -> dict[int, float]:
+    """P(number of types = k) by k, of numbers that were drawn."""
+    number, times = np.unique(drawn, return_counts=True)
+    return dict(zip(number.tolist(), (times / times.sum()).tolist(), strict=True))
 
 
 def by_first_appearance(assignment: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -76,7 +76,7 @@ class LearnedTypes:
             dict(sentences or {}),
             None
             if learned is None
-            else QuestionErrors(dataset.features, learned.slip, learned.guess, learned.errors),
+            else QuestionErrors(learned.slip, learned.guess, learned.errors, dataset.features),
         )
 
     @property
@@ -265,7 +265,7 @@ def _errors(arrays: Mapping[str, NDArray[Any]], features: int) -> QuestionErrors
     )
     if rows.ndim != 2 or rows.shape[1] != features:
         raise InputError("types", "errors/features", f"rows of {features} features")
-    return QuestionErrors(rows, slip, guess, rates)
+    return QuestionErrors(slip, guess, rates, rows)
 
 
 def _classifier(

@@ -7,7 +7,6 @@ share them.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from xplain.errors import Count, Positive, Range, TooLargeError, checks
 from xplain.learning.answer_classes import answer_classes
 from xplain.learning.answer_model import AnswerModel, CellAnswers, learned
-from xplain.learning.clustering import Clustering, KnowsFactSets, by_first_appearance
+from xplain.learning.clustering import Clustering, KnowsFactSets, shares_of
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.fact_model.gibbs import Chain, sample
 from xplain.learning.fact_model.model import (
@@ -87,16 +86,18 @@ class DirichletMixture:
             known = trainer.find_types(dataset, self.concentration)
             if known is not None:
                 return known
-        if not dataset.message_set.any():
+        if dataset.message_set.any():
+            found = self._sampled(dataset, seed)
+        else:
             found = answer_classes(dataset, self.concentration, self.chains, seed)
-            _log_types(len(np.unique(found.assignment)), found.posterior)
-            return Clustering(
-                found.assignment,
-                "dirichlet",
-                "posterior",
-                posterior=found.posterior,
-                expected=found.expected,
-            )
+        assert found.posterior is not None
+        share = 100 * found.posterior.get(found.n_types, 0.0)
+        types = "%d user types by the rule posterior: %.0f%% of the samples have as many"
+        log.info(types, found.n_types, share)
+        return found
+
+    def _sampled(self, dataset: Dataset, seed: int) -> Clustering:
+        """By fact sets, of labels for which somebody was told something."""
         from joblib import Parallel, delayed
 
         observers, n = len(dataset.observers), dataset.n_messages
@@ -122,18 +123,10 @@ class DirichletMixture:
             for chain in range(self.chains)
         )
         best = max(chains, key=lambda chain: chain.score).best
-        number, times = np.unique(
-            np.concatenate([chain.types for chain in chains]), return_counts=True
-        )
-        posterior = {int(k): float(c / times.sum()) for k, c in zip(number, times, strict=True)}
-        held = best.facts & facts_that_matter(prior, best)
-        types = len(np.unique(held))
-        _log_types(types, posterior)
-        _, first = np.unique(by_first_appearance(held), return_index=True)
-        return Clustering(
-            *(held, "dirichlet", "posterior"),
-            posterior=posterior,
-            needs=held[first],
+        return Clustering.by_facts(
+            best.facts & facts_that_matter(prior, best),
+            "posterior",
+            posterior=shares_of(np.concatenate([chain.types for chain in chains])),
             answers=_errors(dataset, prior, best),
         )
 
@@ -163,11 +156,3 @@ def _errors(dataset: Dataset, prior: Prior, state: ChainState) -> AnswerModel:
     ones = np.bincount(kind, label, 2) / np.bincount(kind, minlength=2).clip(1)
     one = ((ones - wrong) / (1 - 2 * wrong)).clip(0.02, 0.98)[(cells[1] > 0).astype(np.int64)]
     return learned(about, one, len(dataset.features), len(dataset.observers), wrong)
-
-
-def _log_types(types: int, posterior: Mapping[int, float]) -> None:
-    log.info(
-        "%d user types by the rule posterior: %.0f%% of the samples have as many",
-        types,
-        100 * posterior.get(types, 0.0),
-    )

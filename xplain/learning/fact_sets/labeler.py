@@ -28,7 +28,7 @@ from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import Evidence, cheap
 from xplain.learning.fact_sets.fact_set_classifier import FactSetClassifier
 from xplain.learning.fact_sets.known_transitions import Answers, KnownTransitions
-from xplain.learning.fact_sets.labels_alone import TwoWays, answers_of
+from xplain.learning.fact_sets.labels_alone import TwoWays, answers_of, by_observer
 from xplain.learning.fact_sets.likelihood import scaled
 from xplain.learning.fact_sets.partition import errors_of, partition
 from xplain.learning.labelers import (
@@ -181,16 +181,14 @@ class HypothesisTrainer(LabelerTrainer):
         same = np.unique(facts, return_inverse=True)[1]
         if TwoWays(self.known, place).evidence(dataset, same).beaten:
             return None
-        _, first = np.unique(facts, return_index=True)
-        needs = facts[np.sort(first)]
-        if surprise := int(np.bitwise_or.reduce(needs & known.unwritten)):
+        if surprise := int(np.bitwise_or.reduce(facts & known.unwritten)):
             names = ", ".join(names_of(surprise, dataset.messages))
             log.warning("some hold wrong what no hypothesis does; it is set right by: %s", names)
         if expected is not None:
             ones = np.bincount(dataset.transition, dataset.label, len(place))
             mean = (ones + 1) / (np.bincount(dataset.transition, minlength=len(place)) + 2)
             expected = np.where(place >= 0, expected[:, place], mean)
-        return Clustering(facts, "dirichlet", "hypotheses", needs=needs, expected=expected)
+        return Clustering.by_facts(facts, "hypotheses", expected=expected)
 
     def _known_answers(
         self, dataset: Dataset
@@ -204,9 +202,7 @@ class HypothesisTrainer(LabelerTrainer):
         place = known.find(dataset.features)
         if (place < 0).all():
             return None
-        every = answers_of(place, dataset)
-        rows = [np.flatnonzero(dataset.observer == o) for o in range(len(dataset.observers))]
-        observers = [every.take(own[every.transition[own] >= 0]) for own in rows]
+        observers = by_observer(place, dataset)
         for own in observers:
             known = known.with_sets(self.known.grown(own).supported(own))
         return place, known, observers

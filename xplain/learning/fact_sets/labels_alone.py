@@ -52,6 +52,13 @@ class TwoWays:
         return Evidence(logs[0], logs[1], of_type, doubt, unwritten)
 
 
+def by_observer(place: NDArray[np.int64], dataset: Dataset) -> list[Answers]:
+    """:func:`answers_of` each observer, those about transitions that the hypotheses know."""
+    every, known = answers_of(place, dataset), place[dataset.transition] >= 0
+    observers = range(len(dataset.observers))
+    return [every.take(np.flatnonzero(known & (dataset.observer == o))) for o in observers]
+
+
 def answers_of(place: NDArray[np.int64], dataset: Dataset) -> Answers:
     """The labels of a dataset, about transitions that the hypotheses have at ``place`` [T]."""
     label = dataset.label.astype(np.int64)

@@ -13,7 +13,7 @@ from xplain.explanation.message_sets import names_of
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.evidence import Evidence
 from xplain.learning.fact_sets.known_transitions import KnownTransitions
-from xplain.learning.fact_sets.labels_alone import TwoWays, answers_of
+from xplain.learning.fact_sets.labels_alone import TwoWays, by_observer
 from xplain.learning.fact_sets.partition import partition
 from xplain.people.collect.asking import FINISHED, STATED, CollectState
 from xplain.people.collect.plan import CollectPlan
@@ -98,10 +98,8 @@ def fact_sets(plan: CollectPlan, people: Sequence[CollectState]) -> tuple[NDArra
     """[N] the facts that each person's type holds wrong, and the share of wrong answers: the
     Dirichlet process over fact sets that ``discover`` runs with the same hypotheses."""
     ways, data = _asked(plan, people)
-    every = answers_of(ways.place, data)
-    observers = [every.take(np.flatnonzero(data.observer == o)) for o in range(len(people))]
-    facts, answers, _ = partition(ways.known, observers, CONCENTRATION)
-    return facts, answers.wrong(every.transition, data.observer)
+    found = partition(ways.known, by_observer(ways.place, data), CONCENTRATION)
+    return found.facts, found.answers.wrong(ways.place[data.transition], data.observer)
 
 
 def _asked(plan: CollectPlan, people: Sequence[CollectState]) -> tuple[TwoWays, Dataset]:
