@@ -5,7 +5,7 @@ Setting ── Clips, Beliefs ── CaseQuestions (one a trace)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from xplain.errors import InputError
 from xplain.explanation.asking import Limits, Pool, Questions, alike_first, nearest_first
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.explanation.message_sets import subsets
-from xplain.learning.known_types import TraceTables
+from xplain.learning.known_types import TablesOf
 from xplain.randomness import stream
 
 TOLD = 0.01
@@ -91,18 +91,17 @@ class Clips:
     labels: LabelTable
 
     @classmethod
-    def of(
-        cls, setting: Setting, tables: Callable[[NDArray[np.int64]], TraceTables], pool: Pool
-    ) -> Clips:
+    def of(cls, setting: Setting, tables: TablesOf, pool: Pool) -> Clips:
         """Asks the labelers about each transition once."""
         every = setting.reachable
         features = transition_features(setting.domain, every)
-        return cls(pool, setting, features, tables(every).learned, setting.true_labels(every))
+        return cls(
+            pool, setting, features, tables(features, every).learned, setting.true_labels(every)
+        )
 
-    def near(self, transitions: NDArray[np.int64]) -> CaseQuestions:
-        """Those to choose from while a trace [m, 3] is explained."""
+    def near(self, features: NDArray[np.float64], transitions: NDArray[np.int64]) -> CaseQuestions:
+        """Those to choose from while a trace [m, 3] with these features [m, F] is explained."""
         every, domain = self.setting.reachable, self.setting.domain
-        features = transition_features(domain, transitions)
         order = nearest_first(self.features, features)
         order = order[alike_first(self.learned.of_steps(order.tolist()), self.pool.clips)]
         chosen = every[order]

@@ -10,14 +10,13 @@ call as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import Domain, Scene, changes_of
+from xplain.domains.base import Domain, Scene, changes_of, transition_features
 from xplain.domains.users.setting import Setting
 from xplain.domains.users.types import TypeSource
 from xplain.errors import Count, Range, checks
@@ -30,7 +29,7 @@ from xplain.learning.clustering import Clusterer
 from xplain.learning.data.observers import Observed, Observers
 from xplain.learning.data.queries import Queries
 from xplain.learning.data.rollouts import sample_trace
-from xplain.learning.known_types import TraceTables, find_types
+from xplain.learning.known_types import TablesOf, find_types
 from xplain.learning.labelers import LabelerTrainer
 from xplain.randomness import MOST, stream
 
@@ -189,7 +188,7 @@ def draw_trace(setting: Setting, max_steps: int, seed: int, index: int) -> NDArr
 def build_case(
     setting: Setting,
     transitions: NDArray[np.int64],
-    tables: Callable[[NDArray[np.int64]], TraceTables],
+    tables: TablesOf,
     clips: Clips | None = None,
     beliefs: Beliefs | None = None,
     most: int = 0,
@@ -197,8 +196,10 @@ def build_case(
     """Lays out what every agent and every user thinks of a trace [m, 3], and at most so many
     questions: clips, beliefs, or both."""
     domain = setting.domain
+    features = transition_features(domain, transitions)
+    changes, labels = changes_of(domain, transitions), setting.true_labels(transitions)
     asked = [beliefs.of_trace(len(transitions))] if beliefs else []
-    asked += [clips.near(transitions)] if clips else []
+    asked += [clips.near(features, transitions)] if clips else []
     states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]
     cells = [domain.position(state) for state in states]
     return Case(
@@ -206,7 +207,7 @@ def build_case(
         phrases=tuple(domain.describe(transition) for transition in transitions),
         positions=tuple(cell for cell in cells if cell is not None),
         questions=merged(asked, most),
-        changes=changes_of(domain, transitions),
-        labels=setting.true_labels(transitions),
-        **tables(transitions)._asdict(),
+        changes=changes,
+        labels=labels,
+        **tables(features, transitions)._asdict(),
     )

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import transition_features
 from xplain.errors import TooLargeError, XplainError
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
@@ -49,6 +48,9 @@ def unless_too_large(make: Callable[[], LabelTable]) -> LabelTable | None:
         return None
 
 
+TablesOf = Callable[[NDArray[np.float64], NDArray[np.int64]], TraceTables]
+
+
 @dataclass(frozen=True)
 class KnownTypes:
     """What agents know of the users.
@@ -61,7 +63,7 @@ class KnownTypes:
         figures: of the learning stage, by name.
         curve: disagreements for k = 1 … (empty where there are none).
         rule: what decided the number of types.
-        tables: what follows for a trace [m, 3].
+        tables: what follows for a trace, by the features [m, F] of its transitions [m, 3].
         habits: how people err, as far as their answers tell.
         wrong: [N, n] P(a user of the type holds a fact wrong); None where that is unknown.
     """
@@ -72,7 +74,7 @@ class KnownTypes:
     figures: dict[str, float]
     curve: NDArray[np.float64]
     rule: str
-    tables: Callable[[NDArray[np.int64]], TraceTables]
+    tables: TablesOf
     habits: Habits | None = None
     wrong: NDArray[np.float64] | None = None
 
@@ -124,8 +126,6 @@ def find_types(
     """
     if isinstance(trainer, KnowsTypes):
         return trainer.types_of(observed)
-    assert observed.setting is not None
-    domain = observed.setting.domain
     trainer = trainer.given(observed)  # once: what it works out of its task is kept with it
     references = learn_references(observed, trainer, seed)
     perfect = references.perfect.by_observers if references.perfect else None
@@ -134,8 +134,7 @@ def find_types(
     oracle = references.oracle
     once = AskedOnce()
 
-    def tables(transitions: NDArray[np.int64]) -> TraceTables:
-        features = transition_features(domain, transitions)
+    def tables(features: NDArray[np.float64], transitions: NDArray[np.int64]) -> TraceTables:
         return TraceTables(
             learned=once.label_table(types.labelers, features, transitions),
             everyone=unless_too_large(

@@ -42,7 +42,7 @@ class TrueLabels(LabelerTrainer):
             raise InputError("labeler", "true", "needs simulated observers, whose type is known")
         shares = np.bincount(truth, minlength=len(setting.types)) / len(truth)
 
-        def tables(transitions: NDArray[np.int64]) -> TraceTables:
+        def tables(_: NDArray[np.float64], transitions: NDArray[np.int64]) -> TraceTables:
             labels = setting.true_labels(transitions)
             return TraceTables(labels, unless_too_large(lambda: labels.mixed(shares)), labels)
 

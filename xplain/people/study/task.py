@@ -133,7 +133,8 @@ class OfDomain:
         every = setting.reachable
         tables = self.table(learned, every), setting.true_labels(every)
         features = transition_features(domain, every)
-        near = Clips(pool, setting, features, *tables).near(trace)
+        shown = transition_features(domain, trace)
+        near = Clips(pool, setting, features, *tables).near(shown, trace)
         begin = near.transitions[:, 0].tolist()
         told = [of_states(domain, what, begin) for what in ("situation", "gone")]
         told.append(() if domain.scene else changes_of(domain, near.transitions))
