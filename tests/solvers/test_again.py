@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import combinations, product
@@ -197,7 +198,7 @@ def test_exact_values_are_those_by_enumeration_and_simulation_is_near(
     for seed in range(2):
         for problem in (needy(seed), problem_of(60 + seed, steps=3)):
             one = of_limits(problem, again, discounts)
-            for solver in (QMDP(), Lookahead()):
+            for solver in (QMDP(), Lookahead(), POMCP(simulations=500)):
                 policy = solver.plan(one)
                 worth, (value, cost) = evaluate(one, policy), worth_of(one, policy)
                 assert worth.value_is == "exact"
@@ -267,10 +268,74 @@ def test_a_high_price_and_a_limit_of_one_are_the_same_where_nobody_would_pay() -
         assert least <= free
 
 
+@pytest.mark.parametrize("again", AGAIN)
+@pytest.mark.parametrize(
+    ("seed", "steps", "questions"), [(0, 3, False), (1, 2, True), (2, 2, True)]
+)
+def test_a_long_search_finds_the_optimum(
+    seed: int, steps: int, questions: bool, again: Again
+) -> None:
+    """By brute force, and so does who acts on shorter ones."""
+    problem = of_limits(needy(seed, questions, steps), again, DISCOUNTS[seed])
+    optimum = literal_optimal_value(problem)
+    policy = POMCP(simulations=100_000, depth=None, exploration=2.0).plan(problem)
+    values = policy.values(0, 0, problem.start).values()
+    assert max(values) == pytest.approx(optimum, abs=0.015)
+    if not questions:
+        hasty = POMCP(simulations=10_000, depth=None, exploration=2.0).plan(problem)
+        assert optimum - 0.02 <= worth_of(problem, hasty)[0] <= optimum + 1e-9
+
+
+def in_the_middle(problem: Problem, seed: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """What was said so far, one message or the other as often as may be, and any belief."""
+    rng, n = np.random.default_rng(seed), problem.n_messages
+    for first in range(1 << n):
+        said = problem.again.after(0, first, n)
+        new = int(rng.integers(1 << n)) & problem.may_say(said)
+        yield problem.again.after(said, new, n), rng.dirichlet(np.ones(problem.start.size))
+
+
+@pytest.mark.parametrize("again", AGAIN)
+@pytest.mark.parametrize("seed", range(3))
+def test_in_the_middle_a_search_finds_what_certified_does(seed: int, again: Again) -> None:
+    """Of messages, *explain* and questions."""
+    problem = of_limits(needy(seed, True, 3), again, DISCOUNTS[seed])
+    policy = POMCP(simulations=100_000, depth=None, exploration=2.0).plan(problem)
+    certified = Certified(gap=1e-9).plan(problem)
+    for said, belief in in_the_middle(problem, seed):
+        exact = certified.values(1, said, belief)
+        found = policy.values(1, said, belief)
+        assert max(found.values()) == pytest.approx(max(exact.values()), abs=0.02)
+
+
+@pytest.mark.parametrize("again", AGAIN)
+@pytest.mark.parametrize("seed", range(3))
+def test_where_a_search_ends_a_history_is_worth_qmdp(seed: int, again: Again) -> None:
+    """With what was said by then; *explain* the mean of such histories, within five standard
+    errors."""
+    problem, count = of_limits(needy(seed, steps=3), again, DISCOUNTS[seed]), 20_000
+    policy, qmdp = POMCP(simulations=count, depth=1).plan(problem), Reminding(problem)
+    answers = problem.table.answered[:2].reshape(2, -1)
+    for said, belief in in_the_middle(problem, seed):
+        found, may_say = policy.values(1, said, belief), indices(problem.may_say(said))
+        assert found.keys() == {0, *(1 << j for j in may_say)}
+        for j in may_say:
+            _, after = qmdp._values(1, said, 1 << j, told(problem, belief, 1 << j))
+            worth = qmdp.delay * after.max() - problem.prices(said)[j]
+            assert found[1 << j] == pytest.approx(worth, abs=1e-9)
+        shares, later = [], []
+        for labels in product((0, 1), repeat=2):
+            answer = np.array(labels, np.uint8)
+            shares.append(belief @ np.where(answer[:, None], answers, 1 - answers).prod(axis=0))
+            later.append(max(qmdp.values(2, said, update(problem, belief, said, answer)).values()))
+        mean, square = np.dot(shares, later), np.dot(shares, np.square(later))
+        error = 5 * np.sqrt(max(square - mean**2, 0) / (count / 4)) + 1e-9
+        worth = problem.discount * mean - belief @ qmdp.explain_cost(1)
+        assert found[0] == pytest.approx(worth, abs=error)
+
+
 def test_who_cannot_plan_with_it_says_so_in_one_line() -> None:
     problem = needy(0)
-    with pytest.raises(InputError, match=r"again.*solver=pomcp; qmdp, lookahead and certified"):
-        POMCP().plan(replace(problem, again=Again(2.0)))
     with pytest.raises(InputError, match=r"again.most=40: at most 31 with 2 messages"):
         replace(problem, again=Again(most=40))
     many = Problem(np.random.default_rng(0).random((1, 2, 1 << 11)), np.full(11, 0.1), discount=1.0)

@@ -73,15 +73,15 @@ def test_a_user_moves_as_the_belief_says(seed: int) -> None:
     assert (np.abs(heard - expected) <= error).all()
 
 
-def needy(seed: int, questions: bool = False) -> Problem:
-    """Two types that need other messages to find two transitions explicable; one message in three
-    is missed, one fact in five lost."""
+def needy(seed: int, questions: bool = False, steps: int = 2) -> Problem:
+    """Two types that need other messages to find transitions explicable; one message in three is
+    missed, one fact in five lost."""
     rng = np.random.default_rng(seed)
-    needed = rng.integers(1, 4, size=(2, 3, 1))
+    needed = rng.integers(1, 4, size=(2, steps + 1, 1))
     p = np.where(needed & ~np.arange(4) == 0, 1.0, 0.1)
-    asked = Questions(LabelTable.dense(p[:, 2:]), Limits(0.02)) if questions else None
+    asked = Questions(LabelTable.dense(p[:, steps:]), Limits(0.02)) if questions else None
     cost = rng.uniform(0.3, 0.9, 2)
-    problem = Problem(p[:, :2], cost, discount=1.0, questions=asked)
+    problem = Problem(p[:, :steps], cost, discount=1.0, questions=asked)
     return problem.with_habits(habits_of(0.0, 0.7, 0.2))
 
 

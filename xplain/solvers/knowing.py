@@ -198,14 +198,25 @@ def given_after(model, given, new):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def exhausted(model, given):  # type: ignore[no-untyped-def]
+    """:meth:`xplain.explanation.again.Again.exhausted`."""
+    return given >> (model.most - 1) * len(model.price) if model.most > 0 else np.int64(0)
+
+
+@inlined
+def price_of(model, given, message):  # type: ignore[no-untyped-def]
+    """λ C_e of a message, where this was said at earlier steps."""
+    again = model.levels > 0 and given >> message & 1
+    return model.price[message] * (model.again if again else 1.0)
+
+
+@inlined
 def best_now(model, step, given, said, belief):  # type: ignore[no-untyped-def]
     """QMDP's action at a belief [S] (n is *explain*), its value, and what it loses against being
     told the state now: value, action, loss. Messages ``said`` at this step are not said again;
     ``given`` is what was said before it."""
     types, n = len(model.accept), len(model.price)
-    shown, full = given_after(model, given, said), said
-    if model.most > 0:
-        full |= given >> (model.most - 1) * n
+    shown, full = given_after(model, given, said), said | exhausted(model, given)
     sure, best, action, likeliest = 0.0, 0.0, n, 0.0
     for t in range(types):
         now = model.optimal[step, row(model.counts, given, t), row(model.part, said, t)]
@@ -231,7 +242,7 @@ def best_now(model, step, given, said, belief):  # type: ignore[no-untyped-def]
                 gain += belief[s] * (more[s] - now[s])
                 if bit >= 0 and s // jump % 2 == 0:
                     gain += belief[s] * model.accept[t] * (more[s + jump] - more[s])
-        price = model.price[j] * (model.again if model.levels > 0 and given >> j & 1 else 1.0)
+        price = price_of(model, given, j)
         value = model.message_discount * (sure + gain) - price
         if matters and value - margin * price > least + ROUNDING:
             best, action, least = value, j, value - margin * price

@@ -26,14 +26,16 @@ Run = Callable[[int, Tree, Roots], None]
 
 
 class SearchRoot(NamedTuple):
-    """Where a search starts: k; H, or where messages may be said again what was said at this step;
-    a belief; the bitmask of questions asked; and whether one may be asked now."""
+    """Where a search starts: k; H, or where messages may be said again those that may not be now; a
+    belief; the bitmask of questions asked; whether one may be asked now; and, as far as it matters,
+    what was said at earlier steps."""
 
     step: int
     given: int
     belief: NDArray[np.float64]
     asked: int = 0
     may_ask: bool = True
+    before: int = 0
 
 
 class Forest(NamedTuple):
@@ -78,13 +80,14 @@ class Forest(NamedTuple):
         to be decided, not from what was decided before."""
         belief = _exact(start.belief)
         digest = int.from_bytes(blake2b(belief.tobytes(), digest_size=8).digest(), "little")
-        heard = (str(start.asked),) if start.asked else ()
+        heard = (str(start.asked),) if start.asked or start.before else ()
+        said = (str(start.before),) if start.before else ()
         whole, rest = divmod(self.simulations, self.trees)
         stop = threading.Event()
 
         def grow(number: int) -> NDArray[Any]:
             budget = whole + (number < rest)
-            names = "pomcp", start.step, start.given, digest, number, *heard
+            names = "pomcp", start.step, start.given, digest, number, *heard, *said
             tree = Tree.rooted(
                 budget,
                 self.messages,
@@ -95,6 +98,7 @@ class Forest(NamedTuple):
                 derived_seed(self.seed, *names),
                 make_room(self.inquiry, start.asked, self.slots),
                 start.may_ask,
+                start.before,
             )
             roots, run = make_roots(1 << budget.bit_length()), runs()
             while budget > 0 and not stop.is_set():

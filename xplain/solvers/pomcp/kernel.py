@@ -56,6 +56,8 @@ def simulate(simulations, model, options, tree, log_root, inverse_root):  # type
             tree.path[0, length] = node
             tree.path[1, length] = edge
             tree.path[2, length] = action
+            if action < len(model.reduced.price):
+                tree.paid[length] = model.reduced.price[action]
             length += 1
             if action <= len(model.reduced.price):  # a question costs no depth
                 depth += 1 if action == len(model.reduced.price) else options.message_depth
@@ -184,7 +186,7 @@ def backward(model, options, tree, node, length, value):  # type: ignore[no-unty
         edge.visits += 1
         before = edge.value
         if is_message:
-            value = model.reduced.message_discount * value - model.reduced.price[tree.path[2, i]]
+            value = model.reduced.message_discount * value - tree.paid[i]
         elif tree.path[2, i] > n:
             value, later = value - model.reduced.inquiry.cost, 1.0
         else:

@@ -3,7 +3,8 @@ beliefs over what a user knows (:mod:`xplain.solvers.knowing`).
 
 As :mod:`xplain.solvers.pomcp.kernel`, but that saying a message changes the belief, that it may be
 said again at a later step, and that a history is worth QMDP's value where a simulation ends: a
-rollout with so many states takes longer than all the rest.
+rollout with so many states takes longer than all the rest. A step begins with the messages given
+that may not be said any more.
 """
 
 from __future__ import annotations
@@ -16,7 +17,18 @@ from numba import uint64
 from xplain.numba_kernels import inlined, lean_kernel
 from xplain.solvers.count_lattice import copy
 from xplain.solvers.inquiry import answer_probability, hear_answer
-from xplain.solvers.knowing import Knowing, best_now, draw_state, hear, say, shown, told
+from xplain.solvers.knowing import (
+    Knowing,
+    best_now,
+    draw_state,
+    exhausted,
+    given_after,
+    hear,
+    price_of,
+    say,
+    shown,
+    told,
+)
 from xplain.solvers.pomcp.kernel import backward, select
 from xplain.solvers.pomcp.tree import (
     END,
@@ -57,6 +69,9 @@ def simulate_knowing(simulations, model, options, tree, labels, log_root, invers
             tree.path[0, length] = node
             tree.path[1, length] = edge
             tree.path[2, length] = action
+            if action < n:
+                before = tree.before[tree.nodes[node].base]
+                tree.paid[length] = price_of(model.reduced, before, action)
             length += 1
             if action <= n:
                 depth += 1 if action == n else options.message_depth
@@ -66,7 +81,8 @@ def simulate_knowing(simulations, model, options, tree, labels, log_root, invers
             record = tree.nodes[node]
             if np.isnan(record.leaf):
                 step, said = np.int64(record.step), np.int64(record.given)
-                record.leaf, _, _ = best_now(model.reduced, step, 0, said, tree.beliefs[node])
+                before, belief = tree.before[record.base], tree.beliefs[node]
+                record.leaf, _, _ = best_now(model.reduced, step, before, said, belief)
             value = record.leaf
         backward(model, options, tree, node, length, value)
 
@@ -119,13 +135,15 @@ def _expand(knowing, tree, node, edge, action, state, labels):  # type: ignore[n
             record.step, record.given, record.base = step, said | 1 << action, base
             say(knowing, belief, action)
         else:
-            record.given, record.base = 0, child
+            before, record.base = tree.before[base], child
             if action == n:
                 record.step = step + 1
+                before = given_after(knowing, before, said)
                 hear(knowing, step, labels, belief)
             else:
                 record.step = step
                 hear_answer(knowing.inquiry, question, 0, answer, belief)
+            record.given, tree.before[child] = exhausted(knowing, before), before
             if len(tree.room.found) > 0:
                 tree.inquired[child, len(tree.room.found)] = 0
                 tree.inquired[child, len(tree.room.found) + 1] = question

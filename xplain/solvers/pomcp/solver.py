@@ -115,9 +115,6 @@ class POMCP:
 
     def _plan_knowing(self, problem: Problem, seed: int) -> Policy:
         """Where messages may be missed or forgotten."""
-        if problem.levels:
-            wanted = "1 and null with solver=pomcp; qmdp, lookahead and certified plan with others"
-            raise InputError("again.price, again.most", "set", wanted)
         trees = self.trees * tree_bytes(problem, -(-self.simulations // self.trees))
         size = 3 * table_bytes(problem) + known_bytes(problem) + trees
         check_memory("pomcp", size, self.memory_gib, "fewer messages or habits fit")
@@ -242,7 +239,7 @@ class Remembering:
         """The messages to give before the next *explain*, some of them perhaps again."""
         said = 0
         while True:
-            new = best_set(self._values(SearchRoot(step, said, belief, asked, not said)))
+            new = best_set(self._values(step, given, said, belief, asked))
             if not new:
                 return said
             said |= new
@@ -256,9 +253,14 @@ class Remembering:
         self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
     ) -> Mapping[int, float]:
         """As :meth:`Search.values`, before anything is said at this step."""
-        return self._values(SearchRoot(step, 0, belief, asked))
+        return self._values(step, given, 0, belief, asked)
 
-    def _values(self, start: SearchRoot) -> Mapping[int, float]:
+    def _values(
+        self, step: int, given: int, said: int, belief: NDArray[np.float64], asked: int
+    ) -> Mapping[int, float]:
+        before = given if self.problem.levels else 0
+        used = self.problem.again.exhausted(before, self.problem.n_messages)
+        start = SearchRoot(step, said | used, belief, asked, not said, before)
         return once(self._last, start, lambda: self.forest.values(start, self._run))
 
     def _run(self) -> Run:
@@ -275,7 +277,7 @@ def once(
 ) -> Mapping[int, float]:
     """The values of a start. What is searched for a question is searched for messages next, so the
     last values are kept."""
-    key = start.step, start.given, start.belief.tobytes(), start.asked, start.may_ask
+    key = *start[:2], start.belief.tobytes(), *start[3:]
     if key not in last:
         found = search()
         last.clear()

@@ -102,13 +102,16 @@ class Tree(NamedTuple):
         rollout_belief: [N] a rollout keeps its belief here.
         rows: [N] of a history, and
         gain: [n] what QMDP finds messages worth.
-        path: [3, (n + 1) m + 1 + Q] nodes, edges and actions of a simulation.
+        path: [3, (n + 1) m + 1 + Q] nodes, edges and actions of a simulation, and
+        paid: what its messages cost.
         used: [3] how many nodes and edges are taken (NODES, EDGES), and the table's MASK.
         counter: [1] of the random stream.
         inquired: [S + 1, B + 2] of nodes that a question may be asked at: its questions, how many
             these are, and the question that led there, −1 for none. [1, 2] without questions.
         asked: [Q] bool, before the root, and
         room: to look at questions in.
+        before: [S + 1] of nodes that begin a step, what was said at earlier ones, as far as it
+            matters (:mod:`xplain.explanation.again`).
     """
 
     nodes: NDArray[np.void]
@@ -122,11 +125,13 @@ class Tree(NamedTuple):
     rows: NDArray[np.int64]
     gain: NDArray[np.float64]
     path: NDArray[np.int64]
+    paid: NDArray[np.float64]
     used: NDArray[np.int64]
     counter: NDArray[np.uint64]
     inquired: NDArray[np.int32]
     asked: NDArray[np.bool_]
     room: Room
+    before: NDArray[np.int64]
 
     @classmethod
     def rooted(
@@ -140,15 +145,18 @@ class Tree(NamedTuple):
         seed: int,
         room: Room = NO_ROOM,
         may_ask: bool = True,
+        before: int = 0,
     ) -> Tree:
         """A tree of one node. Memory that no simulation reaches is never touched.
 
         Args:
             room: of the questions asked before; and whether one ``may_ask`` at the root, as none
                 may between a step's messages.
+            before: what was said at earlier steps, as far as it matters.
         """
         slots, questions = len(room.found), len(room.asked)
         size, actions = simulations + 1, n_messages + 1 + slots
+        length = (n_messages + 1) * n_steps + 1 + questions
         remembered = min(_table_size(simulations), REMEMBERED)
         tree = cls(
             _in_lines(size, _node_kind(n_messages + slots)),
@@ -161,13 +169,16 @@ class Tree(NamedTuple):
             np.empty(len(belief)),
             np.empty(len(belief), np.int64),
             np.zeros(n_messages),
-            np.empty((3, (n_messages + 1) * n_steps + 1 + questions), np.int64),
+            np.empty((3, length), np.int64),
+            np.empty(length),
             np.array([1, actions, FIRST_TABLE - 1]),
             np.array([seed], np.uint64),
             np.empty((size if slots else 1, slots + 2), np.int32),
             room.asked.copy(),
             room,
+            np.empty(size, np.int64),
         )
+        tree.before[0] = before
         tree.inquired[0, -2:] = 0 if may_ask else CLOSED, -1
         tree.nodes[0] = (0, np.nan, 0.0, 0.0, 0, 0, 0, step, given, 0, 0)
         tree.beliefs[0] = belief
@@ -320,7 +331,7 @@ def tree_bytes(problem: Problem, simulations: int) -> int:
     slots = slots_for(problem)
     node = (
         _node_kind(problem.n_messages + slots).itemsize
-        + 8 * problem.start.size
+        + 8 * (problem.start.size + 1)
         + EDGE.itemsize * (problem.n_messages + 1 + slots)
         + (4 * (slots + 2) if slots else 0)
     )
