@@ -287,12 +287,13 @@ def test_a_long_search_finds_the_optimum(
 
 
 def in_the_middle(problem: Problem, seed: int) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """What was said so far, one message or the other as often as may be, and any belief."""
+    """What was said so far, as often as may be, and a belief."""
     rng, n = np.random.default_rng(seed), problem.n_messages
+    belief = rng.dirichlet(np.ones(problem.start.size))
     for first in range(1 << n):
         said = problem.again.after(0, first, n)
         new = int(rng.integers(1 << n)) & problem.may_say(said)
-        yield problem.again.after(said, new, n), rng.dirichlet(np.ones(problem.start.size))
+        yield problem.again.after(said, new, n), belief
 
 
 @pytest.mark.parametrize("again", AGAIN)
@@ -308,30 +309,50 @@ def test_in_the_middle_a_search_finds_what_certified_does(seed: int, again: Agai
         assert max(found.values()) == pytest.approx(max(exact.values()), abs=0.02)
 
 
+def worth_acting(
+    policy: Reminding, step: int, given: int, said: int, belief: NDArray[np.float64]
+) -> float:
+    """Of what QMDP does."""
+    margin = PATIENCE * (1 - belief.max())
+    chosen = policy._values(step, given, said, belief, margin)[1].argmax()
+    return float(policy._values(step, given, said, belief)[1][chosen])
+
+
 @pytest.mark.parametrize("again", AGAIN)
 @pytest.mark.parametrize("seed", range(3))
 def test_where_a_search_ends_a_history_is_worth_qmdp(seed: int, again: Again) -> None:
     """With what was said by then; *explain* the mean of such histories, within five standard
     errors."""
     problem, count = of_limits(needy(seed, steps=3), again, DISCOUNTS[seed]), 20_000
-    policy, qmdp = POMCP(simulations=count, depth=1).plan(problem), Reminding(problem)
+    alike = POMCP(simulations=count, depth=1, exploration=1e4)  # tries all actions as often
+    policy, qmdp = alike.plan(problem), Reminding(problem)
     answers = problem.table.answered[:2].reshape(2, -1)
     for said, belief in in_the_middle(problem, seed):
         found, may_say = policy.values(1, said, belief), indices(problem.may_say(said))
         assert found.keys() == {0, *(1 << j for j in may_say)}
         for j in may_say:
-            _, after = qmdp._values(1, said, 1 << j, told(problem, belief, 1 << j))
-            worth = qmdp.delay * after.max() - problem.prices(said)[j]
+            after = worth_acting(qmdp, 1, said, 1 << j, told(problem, belief, 1 << j))
+            worth = qmdp.delay * after - problem.prices(said)[j]
             assert found[1 << j] == pytest.approx(worth, abs=1e-9)
         shares, later = [], []
         for labels in product((0, 1), repeat=2):
             answer = np.array(labels, np.uint8)
             shares.append(belief @ np.where(answer[:, None], answers, 1 - answers).prod(axis=0))
-            later.append(max(qmdp.values(2, said, update(problem, belief, said, answer)).values()))
+            after = update(problem, belief, said, answer)
+            later.append(worth_acting(qmdp, 2, said, 0, after))
         mean, square = np.dot(shares, later), np.dot(shares, np.square(later))
         error = 5 * np.sqrt(max(square - mean**2, 0) / (count / 4)) + 1e-9
         worth = problem.discount * mean - belief @ qmdp.explain_cost(1)
         assert found[0] == pytest.approx(worth, abs=error)
+
+
+def test_what_was_said_has_a_search_of_its_own() -> None:
+    """Where it makes no difference to what is found."""
+    problem = replace(needy(0), again=Again(most=9))
+    policy = POMCP(exploration=2.0).plan(problem)
+    one, other = (policy.values(0, said, problem.start) for said in (1, 2))
+    assert one != other
+    assert max(one.values()) == pytest.approx(max(other.values()), abs=0.05)
 
 
 def test_who_cannot_plan_with_it_says_so_in_one_line() -> None:
