@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
@@ -119,6 +118,8 @@ def stacked(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
     """The weight w in [LEAST, 1] that makes Σ log(w P₁ + (1 − w) P₂) + BEFORE log w largest, of
     answers with log P ``first`` and ``second`` [Q] (Yao et al. 2018, "Using stacking to average
     Bayesian predictive distributions")."""
+    from scipy.optimize import brentq
+
     ratio = np.exp(np.clip(second - first, -50, 50))
 
     def slope(w: float) -> float:
