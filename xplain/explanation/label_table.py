@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -173,9 +174,16 @@ class LabelTable:
 
     def subset(self, given: int) -> NDArray[np.int64]:
         """[N] where each type's entry for H is."""
-        bits = (given >> np.maximum(self.relevant, 0) & 1) * (self.relevant != NONE)
-        where: NDArray[np.int64] = (bits << np.arange(bits.shape[1])).sum(axis=-1)
+        messages, bits = self._bits
+        where: NDArray[np.int64] = ((given >> messages & 1) * bits).sum(axis=-1)
         return where
+
+    @cached_property
+    def _bits(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """[N, r] the relevant messages, and what each adds to an entry's number; 0 and 0 of pads:
+        an entry is looked up at every step of every explanation."""
+        bits = (self.relevant != NONE) << np.arange(self.relevant.shape[1])
+        return np.maximum(self.relevant, 0), bits
 
     def label_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
         """[N, count] P(label 1) of the first so many transitions, with message set H given."""

@@ -98,9 +98,10 @@ def explain(
     beliefs[0] = problem.type_belief(talk.belief)
     seconds = np.zeros(m)
     questions = []
+    seen = user if sees_knowledge and isinstance(user, Knower) else None  # dear: once
     for k in range(m):
-        if sees_knowledge and isinstance(user, Knower):
-            talk.belief = problem.sure(0, user.knows)
+        if seen is not None:
+            talk.belief = problem.sure(0, seen.knows)
         while (question := talk.ask()) != NO_QUESTION:
             seconds[k] += asked.seconds
             answer = respondent(user).answer(m + question, talk.given)

@@ -56,7 +56,9 @@ def start(
     words = named(overrides)
     try:
         if multirun is None:
-            multirun = hydra.get_mode("config", words) == RunMode.MULTIRUN
+            # It is composed for the answer; nothing else than these can make it a sweep.
+            asked = config_dir is not None or any("sweeps" in w or "hydra" in w for w in words)
+            multirun = asked and hydra.get_mode("config", words) == RunMode.MULTIRUN
         if multirun:
             folder: Path | None = hydra.multirun("config", job, words, logs)
             return folder
