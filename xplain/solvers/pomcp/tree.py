@@ -49,8 +49,9 @@ EDGE = np.dtype(
     align=True,
 )
 ENTRY = np.dtype([("node", np.int32), ("tag", np.uint32)])
-ROOT, END = 0, -1
-"""The node that a search begins at, and what comes after the last *explain*."""
+ROOT, END = np.int64(0), -1
+"""The node that a search begins at, and what comes after the last *explain*. A plain 0 would be a
+type of its own to numba, which compiled half of the search for it and then again for all others."""
 UNVISITED, UNOPENED = 0, 0
 """``edge.child`` and ``entry.node`` where there is no node (the root is no child), and
 ``node.edges`` until a simulation goes on from there (the first edges are unused)."""
