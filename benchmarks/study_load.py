@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 from tests.people.server_process import ServerProcess
 from xplain.experiment.config import composed
 from xplain.people.collect.bot import Habits as Answers
-from xplain.people.collect.bot import bot, collection_of
+from xplain.people.collect.bot import bot
 from xplain.people.collect.prepare import collect_plan
 from xplain.people.collect.site import CollectSite
 from xplain.people.server.site import Site
@@ -39,7 +39,6 @@ from xplain.people.server.store import Store
 from xplain.people.simulation.bots import Researcher
 from xplain.people.simulation.browser import Browser, Page, Visitor
 from xplain.people.study.bot import Habits, StudyBot
-from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite
 
@@ -143,14 +142,14 @@ def study() -> tuple[Site[Any], Callable[[int], Visitor]]:
     plan = study_plan(composed("study", small))
     habits = Habits(0, 0, 0, 0, mistake=0)
     rng = np.random.default_rng
-    return StudySite(study_of(plan)), lambda number: StudyBot(plan, habits, rng(number))
+    return StudySite.of(plan), lambda number: StudyBot(plan, habits, rng(number))
 
 
 def collect() -> tuple[Site[Any], Callable[[int], Visitor]]:
     """A collection about rescue with adaptive questions, and its people."""
     plan = collect_plan(composed("collect", ["rules.people=6"]))
     habits = Answers(error=0.05, mistake=0)
-    return CollectSite(collection_of(plan)), lambda number: bot(plan, habits, 0, number)
+    return CollectSite.of(plan), lambda number: bot(plan, habits, 0, number)
 
 
 def stolen() -> tuple[int, int]:

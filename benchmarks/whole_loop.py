@@ -30,8 +30,8 @@ from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble, source_of
 from xplain.people.study.bot import Habits, Measures, take_part
 from xplain.people.study.plan import StudyPlan
-from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import study_plan
+from xplain.people.study.site import StudySite
 from xplain.people.study.table2 import CONDITIONS
 from xplain.people.wording import fixed
 from xplain.questions.designs import Adaptive
@@ -77,7 +77,7 @@ def study(domain: str, types: Path, seed: int) -> StudyPlan:
 
 def took_part(plan: StudyPlan, people: int, habits: Habits, seed: int) -> list[dict[str, object]]:
     """A row a simulated participant who got to the end: condition and measures."""
-    at_work, rows = study_of(plan), []
+    at_work, rows = StudySite.of(plan).flow, []
     for condition in CONDITIONS:
         for number in range(people * len(plan.true_labels)):
             # The same people under both conditions.

@@ -135,17 +135,20 @@ def checks(prefix: str = "") -> Callable[[type[T]], type[T]]:
     numbers in [0, 1], ``Literal["a", "b"]`` one of two words; beside ``| None`` None is allowed
     too. Other annotations are not looked at, but their names have to be there at run time. The
     error's key is ``prefix.parameter``, or ``parameter`` without a prefix. It stands above
-    ``@dataclass``; a subclass with a constructor of its own needs it again.
+    ``@dataclass``, where fields of base classes are checked too; a subclass with a constructor of
+    its own needs it again.
     """
 
     def of(kind: type[T]) -> type[T]:
         made = kind.__init__
         takes = signature(made)
+        # Of a dataclass each class's own annotations, whose names are those of its module.
+        annotated = kind if "__dataclass_params__" in vars(kind) else made
 
         @wraps(made)
         def init(self: T, *values: object, **named: object) -> None:
             given = takes.bind(self, *values, **named).arguments
-            for name, hint in _hints(made).items():
+            for name, hint in _hints(annotated).items():
                 if name in given:
                     check(f"{prefix}.{name}".lstrip("."), given[name], hint)
             made(self, *values, **named)
@@ -157,8 +160,8 @@ def checks(prefix: str = "") -> Callable[[type[T]], type[T]]:
 
 
 @cache
-def _hints(function: Callable[..., None]) -> dict[str, Any]:
-    return get_type_hints(function, include_extras=True)
+def _hints(of: Any) -> dict[str, Any]:
+    return get_type_hints(of, include_extras=True)
 
 
 def check(key: str, value: object, hint: Any) -> None:

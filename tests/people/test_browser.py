@@ -39,7 +39,6 @@ from xplain.people.simulation.chromium import (
 )
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
-from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite
 
@@ -90,7 +89,9 @@ def rescue() -> Study:
         "{name: gender, label: Your gender, kind: choice, choices: [woman, man, another]},"
         "{name: comment, label: 'Was anything unclear?', kind: text}]"
     )
-    return study_of(study_plan(composed("study", ["seed=0", "observers.points=150", questions])))
+    return StudySite.of(
+        study_plan(composed("study", ["seed=0", "observers.points=150", questions]))
+    ).flow
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +99,9 @@ def asking() -> Study:
     """The rescue study with a condition that asks."""
     from xplain.experiment.config import composed
 
-    return study_of(study_plan(composed("study", ["seed=0", "observers.points=150", "ask=clips"])))
+    return StudySite.of(
+        study_plan(composed("study", ["seed=0", "observers.points=150", "ask=clips"]))
+    ).flow
 
 
 def serving(path: Path, study: Study) -> ServerProcess:

@@ -221,12 +221,12 @@ def test_cells_fill_up_alike_over_http(tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.slow
 def test_forty_bots_in_the_rescue_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from xplain.experiment.config import composed
-    from xplain.people.study.policies import study_of
     from xplain.people.study.prepare import study_plan
+    from xplain.people.study.site import StudySite
 
-    study = study_of(
+    study = StudySite.of(
         study_plan(composed("study", ["rules.per_cell=4", "rules.timeout_minutes=0.05"]))
-    )
+    ).flow
     path = tmp_path / "study.sqlite"
     stages = fill_every_place(study, path, Habits(leaving=0.02))
     assert stages["done"] == 40

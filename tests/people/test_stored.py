@@ -14,7 +14,7 @@ from tests.people.study.stand_in import street_plan
 from xplain.errors import InputError
 from xplain.people.analysis.stored import MOVED, plan_of, read_plan, reading, renamed
 from xplain.people.study.plan import StudyPlan
-from xplain.people.study.policies import study_of
+from xplain.people.study.site import StudySite
 
 STORED = [
     "xplain.data.observers.SimulatedObservers",
@@ -55,7 +55,7 @@ def test_a_plan_with_names_of_before_goes_on_and_keeps_its_hash() -> None:
     plan = street_plan(conditions=solvers | {"conformant": solvers["personalized"]})
     text = plan.text.replace(json.dumps(new), json.dumps(old))
     assert text != plan.text
-    study = study_of(StudyPlan.from_text(text))
+    study = StudySite.of(StudyPlan.from_text(text)).flow
     assert study.plan.text == text
     assert study.plan.probes == plan.probes
 

@@ -31,7 +31,6 @@ from xplain.people.simulation.browser import Visitor as Bot
 from xplain.people.simulation.browser import visit
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.plan import StudyPlan
-from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite
 from xplain.people.wording import fixed
@@ -91,7 +90,7 @@ def test_people_as_they_are_get_fewer_messages_by_the_types_that_were_found(
     def person(number: int) -> Bot:
         return StudyBot(plan, FAULTLESS, np.random.default_rng(number))
 
-    over_the_pages(path, StudySite(study_of(plan)), 16, person)
+    over_the_pages(path, StudySite.of(plan), 16, person)
     main(["study", "replay", str(path)])
     assert "all equal" in capsys.readouterr().out
     main(["study", "export", str(path), str(tmp_path / "out")])
@@ -109,7 +108,7 @@ def test_people_as_they_are_are_told_nothing_and_not_tested_on_it(
     types: Path, tmp_path: Path
 ) -> None:
     plan = planned(types, "briefing=none")
-    store = Store(tmp_path / "s.sqlite", StudySite(study_of(plan)))
+    store = Store(tmp_path / "s.sqlite", StudySite.of(plan))
     visitor = Visitor(create_app(store, GENEROUS).test_client())
     person = StudyBot(plan, FAULTLESS, np.random.default_rng(3))
     facts = {sentence for fact in plan.facts for sentence in (fact.message, fact.belief)}

@@ -146,11 +146,11 @@ def power(arguments: list[str]) -> None:
     import pandas as pd
 
     from xplain.people.study import power as curves
-    from xplain.people.study.policies import study_of
+    from xplain.people.study.policies import at_work
     from xplain.people.study.prepare import study_plan
     from xplain.people.study.table2 import COMPARED
 
-    study = study_of(study_plan(composed("study", given.overrides)))
+    study = at_work(study_plan(composed("study", given.overrides)))
     rows = pd.DataFrame(curves.write(study, given.out, given.people, given.studies, given.n))
     for name, own in rows.groupby("comparison", sort=False):
         between = " − ".join(COMPARED[str(name)])

@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any, ClassVar, Self
 
 from xplain.domains.base import Parameter, Scene
-from xplain.errors import InputError, number
+from xplain.errors import InputError, Positive
 from xplain.storage import decode, encode
 
 Told = tuple[tuple[str, ...], ...]
@@ -150,14 +150,8 @@ class Patience:
         first_minutes: the same after the consent; each answer adds as much, up to the other.
     """
 
-    timeout_minutes: float
-    first_minutes: float = 5.0
-
-    def __post_init__(self) -> None:
-        """Raises InputError: no time at all."""
-        for key in ("timeout_minutes", "first_minutes"):
-            if not number(f"rules.{key}", getattr(self, key)) > 0:
-                raise InputError(f"rules.{key}", getattr(self, key), "a number above 0")
+    timeout_minutes: Positive
+    first_minutes: Positive = 5.0
 
     def patience(self, answers: int) -> float:
         """Minutes of silence after so many answers, the consent among them."""

@@ -10,10 +10,11 @@ from omegaconf import OmegaConf
 from tests.people.study.stand_in import AHEAD, TYPES, Street
 from xplain.domains.users.types import Explicit
 from xplain.experiment.config import CONF
-from xplain.people.collect.bot import Habits, collection_of, probes
+from xplain.people.collect.bot import Habits, probes
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble, domain_source
+from xplain.people.collect.site import CollectSite
 from xplain.questions.designs import Adaptive, Battery
 
 FAULTLESS = Habits(error=0.0, mistake=0.0)
@@ -71,7 +72,7 @@ def at_work(plan: CollectPlan) -> Collection:
 
 def street_collection(*args: Any, **changes: Any) -> Collection:
     """The same, at work."""
-    return collection_of(street_plan(*args, **changes))
+    return CollectSite.of(street_plan(*args, **changes)).flow
 
 
 def telling() -> Collection:

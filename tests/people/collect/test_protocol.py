@@ -333,10 +333,10 @@ def test_rules_that_cannot_be_are_named(rules: dict[str, Any], key: str) -> None
 
 def test_changed_code_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     from xplain.errors import XplainError
-    from xplain.people.collect.bot import collection_of
+    from xplain.people.collect.site import CollectSite
 
     plan = COLLECTION.plan
-    collection_of(plan)
+    CollectSite.of(plan)
     monkeypatch.setattr(flow, "derived_seed", lambda *names: 7)
-    with pytest.raises(XplainError, match="asks differently"):
-        collection_of(plan)
+    with pytest.raises(XplainError, match="decides differently"):
+        CollectSite.of(plan)

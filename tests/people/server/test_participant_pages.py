@@ -20,7 +20,6 @@ from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Page, visit
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.plan import StudyPlan
-from xplain.people.study.policies import study_of
 from xplain.people.study.site import StudySite
 
 
@@ -47,7 +46,7 @@ def test_earlier_labels_stay_and_only_the_new_one_is_needed(
 def test_a_message_is_said_again_in_words_that_blame_nobody(tmp_path: Path) -> None:
     """Marked as said before, in its own place: a page never says a message twice."""
     belief = {"_target_": "xplain.explanation.belief.Independent", "accept": 0.8, "forget": 0.1}
-    store = Store(tmp_path / "s.sqlite", StudySite(study_of(street_plan(belief=belief))))
+    store = Store(tmp_path / "s.sqlite", StudySite.of(street_plan(belief=belief)))
     client = create_app(store, GENEROUS)
     habits, marked = replace(FAULTLESS, forgetting=0.5, losing=0.5), []
     for number, token in enumerate(store.invite(18, "bot")):
@@ -136,9 +135,9 @@ def test_the_platform_gets_its_code_back(store: Store, person: Callable[[], Stud
 
 
 def test_a_domain_without_a_map_gets_its_study(tmp_path: Path) -> None:
-    from xplain.people.study.policies import study_of
+    from xplain.people.study.site import StudySite
 
-    study = study_of(street_plan(map_shown=False, questions=[]))
+    study = StudySite.of(street_plan(map_shown=False, questions=[])).flow
     store = Store(tmp_path / "s.sqlite", StudySite(study))
     visitor = Visitor(create_app(store, GENEROUS).test_client())
     person = StudyBot(study.plan, FAULTLESS, np.random.default_rng(0))
@@ -154,7 +153,7 @@ def test_without_a_map_the_page_lists_what_each_step_changed(
     told = tuple((f"now past place {k}", f"no longer at <{k}>") for k in range(plan.n_steps))
     plan = StudyPlan.from_text(replace(plan, changes=told).text)
     assert plan.changes == told
-    opened = Store(tmp_path / "listed.sqlite", StudySite(study_of(plan)))
+    opened = Store(tmp_path / "listed.sqlite", StudySite.of(plan))
     (token,) = opened.invite(1, "person")
     visitor = Visitor(create_app(opened, GENEROUS).test_client())
     shown = [

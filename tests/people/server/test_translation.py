@@ -21,7 +21,6 @@ from xplain.people.collect.site import CollectSite
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Page
-from xplain.people.study.policies import study_of
 from xplain.people.study.site import StudySite
 
 PLACES = ("bridge", "market", "school", "tunnel")
@@ -86,7 +85,7 @@ def foreign_study(**changes: Any) -> StudySite:
     texts["rewards"] = translated(texts["rewards"])
     del texts["questions"]  # a study's are beside its texts
     plan = street_plan(wording=texts, before=QUESTIONS[1:2], questions=QUESTIONS, **changes)
-    return StudySite(study_of(plan))
+    return StudySite.of(plan)
 
 
 def foreign_collection(briefing: str) -> CollectSite:

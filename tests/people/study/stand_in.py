@@ -22,8 +22,8 @@ from xplain.people.plan import Ahead
 from xplain.people.study.bot import Habits
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import Clip, StudyPlan
-from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import conditions_of, drafted, stored
+from xplain.people.study.site import StudySite
 from xplain.people.study.task import MayAsk, OfDomain
 
 FAULTLESS = Habits(0, 0, 0, 0, mistake=0)
@@ -173,4 +173,4 @@ ASK = {"kinds": ["clips"], "cost": 0.1, "most": 10, "when": "anytime", "clips": 
 
 def street_study(**changes: Any) -> Study:
     """The same, at work."""
-    return study_of(street_plan(**changes))
+    return StudySite.of(street_plan(**changes)).flow

@@ -22,7 +22,6 @@ from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.plan import StudyPlan
-from xplain.people.study.policies import study_of
 from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite
 
@@ -114,7 +113,7 @@ def test_the_plan_is_what_the_table_says(lab: Path) -> None:
 
 
 def test_people_see_sentences_and_images_and_the_log_replays(lab: Path, tmp_path: Path) -> None:
-    site = StudySite(study_of(plan_of()))
+    site = StudySite.of(plan_of())
     store = Store(tmp_path / "s.sqlite", site)
     visitor = Visitor(create_app(store, GENEROUS).test_client())
     (token,) = store.invite(1, "person")
@@ -152,7 +151,7 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path
     assert questions is not None
     trace = [row - 1 for row in TRACE]
     assert questions.shows.tolist() == [[row == step for step in trace] for row in rows]
-    store = Store(tmp_path / "s.sqlite", StudySite(study_of(plan)))
+    store = Store(tmp_path / "s.sqlite", StudySite.of(plan))
     app, asked = create_app(store, GENEROUS), 0
     for number, token in enumerate(store.invite(9, "person")):
         visitor = Visitor(app.test_client())

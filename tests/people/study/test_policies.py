@@ -10,7 +10,7 @@ from tests.people.study.stand_in import street_plan, street_study
 from xplain.errors import XplainError
 from xplain.people.study.evaluation import StudyState
 from xplain.people.study.plan import StudyPlan
-from xplain.people.study.policies import study_of
+from xplain.people.study.site import StudySite
 from xplain.randomness import stream
 
 
@@ -19,7 +19,7 @@ def test_code_that_decides_differently_does_not_run_the_study() -> None:
     value = json.loads(plan.text)
     value["conditions"]["personalized"] = value["conditions"]["conformant"]
     with pytest.raises(XplainError, match="decides differently"):
-        study_of(StudyPlan.from_text(json.dumps(value)))
+        StudySite.of(StudyPlan.from_text(json.dumps(value)))
 
 
 def test_probes_of_stored_plans_are_answered_as_when_they_were_stored() -> None:

@@ -26,7 +26,7 @@ from xplain.people.study import known_types, prepare
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.content import needed
 from xplain.people.study.plan import StudyPlan
-from xplain.people.study.policies import difference, study_of
+from xplain.people.study.policies import difference
 from xplain.people.study.prepare import study_plan
 from xplain.people.study.site import StudySite
 from xplain.people.study.task import OfDomain
@@ -38,7 +38,7 @@ def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
     cfg = composed("study", ["seed=0", "trace.candidates=40"])
     plan = study_plan(cfg)
     assert study_plan(cfg).hash == plan.hash  # same configuration, same study
-    assert study_of(plan).belief == Persistent("learned")
+    assert StudySite.of(plan).study.belief == Persistent("learned")
     assert (len(plan.roles), plan.problem.trade_off) == (5, 1.0)
     assert set(plan.conditions) == {"personalized", "conformant"}
     rates = plan.problem.habits.error
@@ -68,7 +68,7 @@ def test_four_rooms_gets_a_study_whose_map_gives_nothing_away(tmp_path: Path) ->
     assert "four rooms" in plan.texts.introduction[0]
     for role in plan.roles:
         assert len(role.quiz) == 4
-    study = study_of(plan)
+    study = StudySite.of(plan).flow
     store = Store(tmp_path / "s.sqlite", StudySite(study))
     client = Visitor(create_app(store, GENEROUS).test_client())
     person = StudyBot(plan, FAULTLESS, np.random.default_rng(0))
@@ -128,8 +128,10 @@ def test_conditions_that_say_the_same_differ_by_nothing() -> None:
     assert difference(street_plan(conditions=same)) == 0
     # Conformant tells everybody all four facts, personalized each of three types its own two.
     given = [
-        explain(plan.problem, policy, SimulatedUser.of(labels), study_of(plan).belief).n_messages
-        for policy in study_of(plan).policies.values()
+        explain(
+            plan.problem, policy, SimulatedUser.of(labels), StudySite.of(plan).flow.belief
+        ).n_messages
+        for policy in StudySite.of(plan).flow.policies.values()
         for labels in plan.true_labels
     ]
     expected = np.abs(np.subtract(given[:3], given[3:])).mean()

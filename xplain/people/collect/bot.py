@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from xplain.errors import XplainError
+from xplain.errors import Probability, Range, checks
 from xplain.explanation.message_sets import indices
 from xplain.people.collect.asking import CollectState
 from xplain.people.collect.flow import Collection
@@ -27,6 +28,7 @@ PROBES = 4
 """Simulated people whose questions a changed code would have to repeat."""
 
 
+@checks("habits")
 @dataclass(frozen=True)
 class Habits(bots.BotHabits):
     """Assumptions about observers.
@@ -39,11 +41,11 @@ class Habits(bots.BotHabits):
         seconds: to read and judge a step; σ of its logarithm is 0.4.
     """
 
-    error: float = 0.05
-    lapse: float = 0.0
-    forgetting: float = 0.0
-    losing: float = 0.0
-    seconds: float = 6.0
+    error: Probability = 0.05
+    lapse: Probability = 0.0
+    forgetting: Probability = 0.0
+    losing: Probability = 0.0
+    seconds: Annotated[float, Range(0)] = 6.0
 
 
 class Observer(bots.Bot[CollectPlan, Habits]):
@@ -147,18 +149,3 @@ def probes(collection: Collection) -> tuple[str, ...]:
         clips = [(one.transitions, one.told) for one in state.answered]
         found.append(f"{clips} {[float(share).hex() for share in state.belief.values()]}")
     return tuple(found)
-
-
-def collection_of(plan: CollectPlan) -> Collection:
-    """A plan at work.
-
-    Raises:
-        XplainError: the installed code asks differently from the code that made the plan.
-    """
-    collection = Collection(plan)
-    if probes(collection) != plan.probes:
-        raise XplainError(
-            "database: this version of xplain asks differently from the one that started the "
-            "collection; go on and replay with that version, or start anew in another database"
-        )
-    return collection

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 from xplain.domains.users.hypotheses import Hypotheses
-from xplain.errors import InputError, whole_number
+from xplain.errors import InputError, Range, Whole, checks, whole_number
 from xplain.people.plan import Patience, StoredPlan, Told, Way
 from xplain.questions.designs import Adaptive
 
@@ -26,6 +27,7 @@ class Example:
     speaks_for: str
 
 
+@checks("rules")
 @dataclass(frozen=True, kw_only=True)
 class CollectRules(Patience):
     """Numbers of the protocol; how long somebody may be silent is in the base class.
@@ -39,20 +41,16 @@ class CollectRules(Patience):
             with nothing said, and once more when they are said again.
     """
 
-    people: int
+    people: Annotated[int, Range(2)]
     points: int
-    repeats: int
+    repeats: Whole
     attention: bool
-    listening: int = 0
+    listening: Whole = 0
 
     def __post_init__(self) -> None:
-        """Raises InputError: a number out of its range."""
-        super().__post_init__()
-        whole_number("rules.people", self.people, 2)
-        whole_number("points", self.points, 1)
-        whole_number("rules.listening", self.listening, 0)
-        most = self.points // 4
-        if whole_number("rules.repeats", self.repeats, 0) > most:
+        """Raises InputError: no points, or too many of them repeated."""
+        most = whole_number("points", self.points, 1) // 4
+        if self.repeats > most:
             raise InputError("rules.repeats", self.repeats, f"at most a quarter of points: {most}")
 
 

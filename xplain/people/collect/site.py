@@ -5,13 +5,14 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from markupsafe import Markup
 
 from xplain.errors import Refused
 from xplain.people.analysis.export import ParticipantRow
 from xplain.people.collect.asking import FINISHED, CollectState, schedule, shared
+from xplain.people.collect.bot import probes
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.labels import KnownSoFar, compared, found_types, why_left_out
 from xplain.people.collect.plan import CollectPlan
@@ -19,9 +20,6 @@ from xplain.people.collect.tables import export
 from xplain.people.server import map_svg, site
 from xplain.people.server.database import Do
 from xplain.randomness import stream
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
 
 
 class CollectSite(site.Site[Collection]):
@@ -32,13 +30,14 @@ class CollectSite(site.Site[Collection]):
     OVERVIEW = "collecting.html"
     STEP = "clip"
     export = staticmethod(export)
+    probes = staticmethod(probes)
 
     def __init__(self, flow: Collection) -> None:
         super().__init__(flow)
         self._found: dict[tuple[str, ...], KnownSoFar | None] = {}
 
     @classmethod
-    def new_plan(cls, cfg: DictConfig) -> CollectPlan:
+    def new_plan(cls, cfg: Any) -> CollectPlan:
         """See the base class, as for all that follows."""
         from xplain.people.collect.prepare import collect_plan
 
@@ -48,13 +47,6 @@ class CollectSite(site.Site[Collection]):
     def as_planned(cls, plan: CollectPlan) -> CollectSite:
         """With its questionnaires."""
         return cls(Collection(plan))
-
-    @classmethod
-    def of(cls, plan: CollectPlan) -> CollectSite:
-        """The same, where they ask as they did."""
-        from xplain.people.collect.bot import collection_of
-
-        return cls(collection_of(plan))
 
     def announcement(self) -> str:
         """What simulated people let one expect, in a line or two."""

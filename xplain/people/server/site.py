@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from markupsafe import Markup
 
-from xplain.errors import Refused
+from xplain.errors import Refused, XplainError
 from xplain.people.analysis.export import ParticipantRow
 from xplain.people.analysis.replay import Findings, replayed
 from xplain.people.flow import Flow, State
@@ -71,14 +71,26 @@ class Site(ABC, Generic[F]):
     def as_planned(cls, plan: Any) -> Self:
         """A plan at work, for a replay, which finds what the installed code does otherwise."""
 
-    @classmethod
+    @staticmethod
     @abstractmethod
+    def probes(flow: Any) -> Any:
+        """What simulated people meet, which a plan keeps, so that changed code is noticed."""
+
+    @classmethod
     def of(cls, plan: Any) -> Self:
         """A plan at work, for people to take part.
 
         Raises:
             XplainError: the installed code decides differently from the code that made the plan.
         """
+        made = cls.as_planned(plan)
+        if cls.probes(made.flow) != plan.probes:
+            raise XplainError(
+                "database: this version of xplain decides differently from the one that started "
+                f"{plan.OF} in it; go on and replay with that version, or start anew in another "
+                "database"
+            )
+        return made
 
     @abstractmethod
     def announcement(self) -> str:

@@ -15,7 +15,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -23,7 +23,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from werkzeug.datastructures import MultiDict
 
-from xplain.errors import InputError
+from xplain.errors import InputError, Probability
 from xplain.people.analysis.stored import Plan, opened, plan_of
 from xplain.people.flow import Fields, Flow, S
 from xplain.people.plan import LabQuestion
@@ -41,16 +41,8 @@ class BotHabits:
         leaving: probability of leaving at each page.
     """
 
-    mistake: float = 0.02
-    leaving: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Raises InputError: no probability, or no time."""
-        for one in fields(self):
-            value, time = getattr(self, one.name), one.name.endswith(("seconds", "spread"))
-            if not 0 <= value <= (np.inf if time else 1):
-                wanted = "a number ≥ 0" if time else "a probability"
-                raise InputError(f"habits.{one.name}", value, wanted)
+    mistake: Probability = 0.02
+    leaving: Probability = 0.0
 
 
 H = TypeVar("H", bound=BotHabits)

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
+from xplain.errors import Probability, Range, checks
 from xplain.explanation.message_sets import indices
 from xplain.people.flow import Fields
 from xplain.people.simulation import bots
@@ -20,6 +22,7 @@ from xplain.people.study.plan import StudyPlan
 from xplain.randomness import stream
 
 
+@checks("habits")
 @dataclass(frozen=True)
 class Habits(bots.BotHabits):
     """Assumptions about participants; the power curves show what each does.
@@ -36,15 +39,15 @@ class Habits(bots.BotHabits):
         spread: σ of the lognormal of each of these times, and of the person's pace.
     """
 
-    label_noise: float = 0.03
-    forgetting: float = 0.05
-    overload: float = 0.03
-    fading: float = 0.1
-    losing: float = 0.0
-    page_seconds: float = 4.0
-    message_seconds: float = 5.0
-    label_seconds: float = 4.0
-    spread: float = 0.35
+    label_noise: Probability = 0.03
+    forgetting: Probability = 0.05
+    overload: Probability = 0.03
+    fading: Probability = 0.1
+    losing: Probability = 0.0
+    page_seconds: Annotated[float, Range(0)] = 4.0
+    message_seconds: Annotated[float, Range(0)] = 5.0
+    label_seconds: Annotated[float, Range(0)] = 4.0
+    spread: Annotated[float, Range(0)] = 0.35
 
 
 class StudyBot(bots.Bot[StudyPlan, Habits]):

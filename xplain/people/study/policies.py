@@ -7,7 +7,6 @@ from itertools import combinations
 import numpy as np
 from hydra.utils import instantiate
 
-from xplain.errors import XplainError
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.interaction.episode import Episode, explain
 from xplain.interaction.explainees import SimulatedUser
@@ -20,21 +19,6 @@ from xplain.solvers.cached_policy import CachedPolicy
 
 PROBES = 16
 """Walks with random labels, a condition, that a changed code would have to repeat."""
-
-
-def study_of(plan: StudyPlan) -> Study:
-    """A plan with its policies at work.
-
-    Raises:
-        XplainError: the installed code decides differently from the code that made the plan.
-    """
-    study = at_work(plan)
-    if probes(study) != plan.probes:
-        raise XplainError(
-            "database: this version of xplain decides differently from the one that started the "
-            "study; go on and replay with that version, or start a new study in another database"
-        )
-    return study
 
 
 def at_work(plan: StudyPlan) -> Study:

@@ -6,7 +6,7 @@ import sqlite3
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -18,12 +18,9 @@ from xplain.people.server import map_svg, site
 from xplain.people.server.database import Do
 from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import ASKING, StudyPlan
+from xplain.people.study.policies import at_work, faultless, probes
 from xplain.people.study.tables import export
 from xplain.randomness import stream
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
 
 PREVIEW = "preview"
 """Stream of the slots of pilots who see what the researcher chose."""
@@ -80,9 +77,10 @@ class StudySite(site.Site[Study]):
     OVERVIEW = "researcher.html"
     BLIND = True
     export = staticmethod(export)
+    probes = staticmethod(probes)
 
     @classmethod
-    def new_plan(cls, cfg: DictConfig) -> StudyPlan:
+    def new_plan(cls, cfg: Any) -> StudyPlan:
         """See the base class, as for all that follows."""
         from xplain.people.study.prepare import study_plan
 
@@ -91,23 +89,12 @@ class StudySite(site.Site[Study]):
     @classmethod
     def as_planned(cls, plan: StudyPlan) -> StudySite:
         """With its policies."""
-        from xplain.people.study.policies import at_work
-
         return cls(at_work(plan))
-
-    @classmethod
-    def of(cls, plan: StudyPlan) -> StudySite:
-        """The same, where they decide as they did."""
-        from xplain.people.study.policies import study_of
-
-        return cls(study_of(plan))
 
     def announcement(self) -> str:
         """Where some are asked, what that is worth to people who never err."""
         if ASKING not in self.plan.conditions:
             return ""
-        from xplain.people.study.policies import faultless
-
         met = faultless(self.flow).items()
         costs = ", ".join(f"{np.mean([o.cost for o in every]):.2f} {name}" for name, every in met)
         asked = np.mean([one.n_questions for name, every in met if name == ASKING for one in every])
