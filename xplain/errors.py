@@ -143,7 +143,7 @@ def checks(prefix: str = "") -> Callable[[type[T]], type[T]]:
         made = kind.__init__
         takes = signature(made)
         # Of a dataclass each class's own annotations, whose names are those of its module.
-        annotated = kind if "__dataclass_params__" in vars(kind) else made
+        annotated: Any = kind if "__dataclass_params__" in vars(kind) else made
 
         @wraps(made)
         def init(self: T, *values: object, **named: object) -> None:

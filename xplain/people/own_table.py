@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from xplain.domains.base import Domain, Parameter
 from xplain.domains.users.hypotheses import Hypotheses
+from xplain.domains.users.types import TypeSource
 from xplain.errors import InputError
 from xplain.explanation.message_sets import names_of
-from xplain.people.plan import Fact, Picture
+from xplain.people.plan import Picture, Task, Told, Way
 from xplain.questions.own_transitions import read_transitions, with_features
 from xplain.randomness import stream
 
@@ -34,26 +36,28 @@ DRAWN_ROLES = 4
 """Kinds of simulated people where nobody wrote down which there may be."""
 
 
-@dataclass(frozen=True)
-class OwnTable:
-    """A task that a lab wrote down.
+@dataclass(frozen=True, kw_only=True)
+class Source(Task):
+    """A task that people can be asked about.
 
     Attributes:
-        name: of the table.
-        hypotheses: of T transitions, with texts and features.
-        facts: [n] sentences.
+        hypotheses: T transitions with phrases and features.
         roles: {name: bitmask of what it holds wrong}, of simulated people.
-        pictures: [T], None where a transition has no image; or none.
+        whole, situations, gone, paths: see :class:`xplain.people.collect.plan.CollectPlan`.
+        domain, users: of the task, where there is a model of it.
     """
 
-    name: str
     hypotheses: Hypotheses
-    facts: tuple[Fact, ...]
     roles: Mapping[str, int]
-    pictures: tuple[Picture | None, ...]
+    whole: Hypotheses | None = None
+    situations: Told = ()
+    gone: Told = ()
+    paths: Way = ()
+    domain: Domain | None = None
+    users: TypeSource | None = None
 
 
-def own_table(table: Path, facts: str | None, seed: int) -> OwnTable:
+def own_table(table: Path, facts: str | None, seed: int) -> Source:
     """One's own transitions, and the sentences of the facts.
 
     Raises:
@@ -63,7 +67,7 @@ def own_table(table: Path, facts: str | None, seed: int) -> OwnTable:
     known = with_features(own.hypotheses)
     shown = zip(own.images, own.alts, strict=True)
     pictures = tuple(_picture(table.parent, image, alt) for image, alt in shown)
-    return OwnTable(
+    return Source(
         name=table.stem,
         hypotheses=known,
         facts=read_facts(facts, known.messages),
@@ -72,7 +76,7 @@ def own_table(table: Path, facts: str | None, seed: int) -> OwnTable:
     )
 
 
-def read_facts(path: str | None, names: Sequence[str]) -> tuple[Fact, ...]:
+def read_facts(path: str | None, names: Sequence[str]) -> tuple[Parameter, ...]:
     """The sentences of facts, from a CSV table with the columns fact, message and belief.
 
     Raises:
@@ -93,7 +97,7 @@ def read_facts(path: str | None, names: Sequence[str]) -> tuple[Fact, ...]:
         message, belief = ((row.get(key) or "").strip() for key in ("message", "belief"))
         if not message or not belief:
             raise InputError("facts", name, f"a message and a belief in {path}")
-        found.append(Fact(name, message, belief))
+        found.append(Parameter(name, True, False, message, belief))
     return tuple(found)
 
 

@@ -81,6 +81,24 @@ class Ahead:
     way: Way
 
 
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What people are shown of a task; phrases not yet in a lab's words.
+
+    Attributes:
+        name: of the task.
+        facts: [n] of the domain, or of a lab's own: only their sentences tell.
+        scene, changes, pictures, ahead: see :class:`StoredPlan`.
+    """
+
+    name: str
+    facts: tuple[Parameter, ...]
+    scene: Scene | None = None
+    changes: Told = ()
+    pictures: tuple[Picture | None, ...] = ()
+    ahead: Ahead | None = None
+
+
 @dataclass(frozen=True)
 class LabQuestion:
     """One question of the lab's own to the participant.

@@ -6,7 +6,7 @@ import difflib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import yaml
 from omegaconf import DictConfig, OmegaConf
@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from xplain.domains.base import Domain, Parameter, Scene, cell_name
 from xplain.errors import InputError, one_of
 from xplain.experiment.config import CONF
-from xplain.people.plan import Fact, Texts, Told
+from xplain.people.plan import Task, Texts, Told, facts_of
 
 InWords = Callable[[str], str]
 NOT_OF_THE_PLAN = ("database", "host", "port", "threads", "server", "outputs")
@@ -81,13 +81,10 @@ def phrases_of(phrases: Mapping[str, str], on_a_map: bool) -> InWords:
     return in_words
 
 
-Known = TypeVar("Known", Parameter, Fact)
-
-
 def worded(
-    told: Sequence[Known], facts: Mapping[str, Mapping[str, str]], in_words: InWords
-) -> tuple[Known, ...]:
-    """Parameters or facts with the lab's own sentences.
+    told: Sequence[Parameter], facts: Mapping[str, Mapping[str, str]], in_words: InWords
+) -> tuple[Parameter, ...]:
+    """Parameters with the lab's own sentences.
 
     Raises:
         InputError: sentences for something that there is not.
@@ -132,7 +129,7 @@ def of_states(domain: Domain, method: str, states: Iterable[int]) -> Told:
 
 
 def parts(
-    kind: str, config: Mapping[str, Any], wording: Mapping[str, Any], scene: Scene | None
+    kind: str, config: Mapping[str, Any], wording: Mapping[str, Any], task: Task, does: str
 ) -> tuple[dict[str, Any], InWords]:
     """Fields of any plan, and what turns a domain's phrases into words.
 
@@ -140,16 +137,26 @@ def parts(
         kind: study or collect: whose texts name every word that is needed.
         config: of the plan.
         wording: its texts.
-        scene: the map, or None.
+        task: what is shown.
+        does: a sentence about the robot, with a place for the ``phrase``.
 
     Raises:
         InputError: a text is missing, or of something that there is not.
     """
+    scene, ahead = task.scene, task.ahead
     in_words = phrases_of(wording["phrases"], scene is not None)
+    if ahead:
+        said = (does.format(phrase=in_words(phrase)) for phrase in ahead.steps)
+        ahead = replace(ahead, steps=tuple(said))
     return {
         "seed": config["seed"],
         "config": config,
+        "domain": task.name,
+        "facts": facts_of(worded(task.facts, wording["facts"], in_words)),
         "texts": texts_of(kind, wording, in_words),
+        "changes": each(task.changes, in_words),
+        "pictures": task.pictures,
+        "ahead": ahead,
         "scene": scene and named(scene, wording["hide"], in_words),
         "icons": {in_words(name): path for name, path in wording["icons"].items()},
     }, in_words

@@ -18,8 +18,8 @@ from xplain.experiment.config import CONF
 from xplain.people.collect.bot import Habits
 from xplain.people.collect.expectation import crowd, expect, rand_index, truth_of
 from xplain.people.collect.plan import CollectRules
-from xplain.people.collect.prepare import assemble, domain_source, own_source
-from xplain.people.own_table import read_facts
+from xplain.people.collect.prepare import assemble, domain_source
+from xplain.people.own_table import own_table, read_facts
 from xplain.questions.designs import Adaptive, Battery
 
 TABLE = """text,image,alt,inexplicable_if,floor,place
@@ -44,7 +44,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_own_transitions_become_a_task(folder: Path) -> None:
-    source = own_source(folder / "own.csv", str(folder / "facts.csv"), 0)
+    source = own_table(folder / "own.csv", str(folder / "facts.csv"), 0)
     known = source.hypotheses
     assert known.feature_names == ("floor", "place=door", "place=hall")
     assert known.features is not None
@@ -62,7 +62,7 @@ def test_own_transitions_become_a_task(folder: Path) -> None:
 def test_without_features_the_text_is_one(folder: Path) -> None:
     (folder / "own.csv").write_text("text,inexplicable_if\nRuns,a\nWalks,b\n")
     (folder / "facts.csv").write_text("fact,message,belief\na,x,y\nb,x,y\n")
-    known = own_source(folder / "own.csv", str(folder / "facts.csv"), 0).hypotheses
+    known = own_table(folder / "own.csv", str(folder / "facts.csv"), 0).hypotheses
     assert known.feature_names == ("text=Runs", "text=Walks")
     assert known.features is not None
     assert known.features.tolist() == [[1, 0], [0, 1]]
@@ -84,7 +84,7 @@ def test_what_is_wrong_with_ones_own_table_is_named(
 ) -> None:
     (folder / file).write_text(content)
     with pytest.raises(InputError, match=said):
-        own_source(folder / "own.csv", str(folder / "facts.csv"), 0)
+        own_table(folder / "own.csv", str(folder / "facts.csv"), 0)
 
 
 def test_facts_need_sentences() -> None:
@@ -187,7 +187,7 @@ def test_a_task_is_either_a_domain_or_a_table(arguments: list[str]) -> None:
 def test_a_text_that_no_page_would_show_is_refused(
     folder: Path, changes: dict[str, Any], said: str
 ) -> None:
-    source = own_source(folder / "own.csv", str(folder / "facts.csv"), 0)
+    source = own_table(folder / "own.csv", str(folder / "facts.csv"), 0)
     config = {"seed": 0, "briefing": "none", "wording": wording(**changes), "points": 12}
     with pytest.raises(InputError, match=said):
         assemble(source, Adaptive(), CollectRules(points=12, **RULES), config)

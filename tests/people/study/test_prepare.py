@@ -38,7 +38,7 @@ def test_the_rescue_study_is_prepared_from_its_configuration() -> None:
     cfg = composed("study", ["seed=0", "trace.candidates=40"])
     plan = study_plan(cfg)
     assert study_plan(cfg).hash == plan.hash  # same configuration, same study
-    assert StudySite.of(plan).study.belief == Persistent("learned")
+    assert StudySite.of(plan).flow.belief == Persistent("learned")
     assert (len(plan.roles), plan.problem.trade_off) == (5, 1.0)
     assert set(plan.conditions) == {"personalized", "conformant"}
     rates = plan.problem.habits.error

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from hydra.utils import instantiate
+from omegaconf import DictConfig
 
-from xplain.domains.base import Domain, Scene, changes_of
+from xplain.domains.base import Domain, changes_of
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.types import TypeSource
 from xplain.errors import InputError, number
@@ -24,45 +26,12 @@ from xplain.people.collect.plan import (
     CollectRules,
     Example,
 )
-from xplain.people.own_table import no_map, own_table
-from xplain.people.plan import Ahead, Fact, LabQuestion, Picture, Told, Way, facts_of
-from xplain.people.wording import each, fixed, of_states, parts, worded
+from xplain.people.own_table import Source, no_map, own_table
+from xplain.people.plan import Fact, LabQuestion, Told
+from xplain.people.wording import each, fixed, of_states, parts
 from xplain.questions.battery import battery
 from xplain.questions.designs import Adaptive, Battery
 from xplain.randomness import derived_seed, run_seed, stream
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
-
-@dataclass(frozen=True)
-class Source:
-    """A task that people can be asked about.
-
-    Attributes:
-        name: of the task.
-        hypotheses: T transitions with phrases and features.
-        whole: see :class:`CollectPlan`.
-        facts: [n] sentences.
-        roles: {name: bitmask of what it holds wrong}, of simulated people.
-        situations, gone, paths, changes, scene, ahead, pictures: see :class:`CollectPlan`.
-        domain, users: of the task, where there is a model of it.
-    """
-
-    name: str
-    hypotheses: Hypotheses
-    facts: tuple[Fact, ...]
-    roles: Mapping[str, int]
-    situations: Told = ()
-    gone: Told = ()
-    paths: Way = ()
-    changes: Told = ()
-    scene: Scene | None = None
-    ahead: Ahead | None = None
-    pictures: tuple[Picture | None, ...] = field(default_factory=tuple)
-    whole: Hypotheses | None = None
-    domain: Domain | None = None
-    users: TypeSource | None = None
 
 
 def collect_plan(cfg: DictConfig) -> CollectPlan:
@@ -71,8 +40,6 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
     Raises:
         XplainError: the configuration cannot be used; the text says what to change.
     """
-    from hydra.utils import instantiate
-
     run_seed(cfg.seed)
     config = fixed(cfg)
     rules = CollectRules(points=config["points"], **config["rules"])  # refused before the work
@@ -97,21 +64,15 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
 
 def source_of(cfg: DictConfig) -> Source:
     """The task: a domain of conf/domain/, or a table of one's own transitions."""
-    from hydra.utils import instantiate
-
     if cfg.transitions is not None:
-        return own_source(Path(cfg.transitions), cfg.facts, cfg.seed)
+        return own_table(Path(cfg.transitions), cfg.facts, cfg.seed)
     if cfg.facts is not None:
         raise InputError("facts", cfg.facts, "only with transitions=TABLE; a domain has sentences")
     return domain_source(instantiate(cfg.domain), instantiate(cfg.users), cfg.seed)
 
 
 def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
-    """What a domain knows of itself.
-
-    Raises:
-        InputError: a parameter lacks a sentence.
-    """
+    """What a domain knows of itself."""
     whole = hypotheses_of(domain, None)
     known = whole.told_apart_by_features()
     types = users.types(domain, stream(seed, "users"))
@@ -125,7 +86,7 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
         name=domain.name,
         hypotheses=known,
         whole=whole,
-        facts=facts_of(domain.parameters),
+        facts=domain.parameters,
         roles={one.name: mask_of(one.inaccurate, names) for one in types},
         situations=of_states(domain, "situation", known.states[:, 0]),
         gone=of_states(domain, "gone", known.states[:, 0]),
@@ -149,11 +110,6 @@ def _changes(domain: Domain, known: Hypotheses) -> Told:
     return changes_of(domain, transitions)
 
 
-def own_source(table: Path, facts: str | None, seed: int) -> Source:
-    """One's own transitions; raises as :func:`xplain.people.own_table.own_table`."""
-    return Source(**vars(own_table(table, facts, seed)))
-
-
 def assemble(
     source: Source, design: Adaptive | Battery, rules: CollectRules, config: Mapping[str, Any]
 ) -> CollectPlan:
@@ -168,38 +124,30 @@ def assemble(
     if rules.listening > len(source.facts):
         most = f"at most one message a fact: {len(source.facts)}"
         raise InputError("rules.listening", rules.listening, most)
-    own, in_words = parts("collect", config, wording, source.scene)
+    subject = wording["words"]["robot"] if source.domain else ""
+    own, in_words = parts("collect", config, wording, source, f"{subject} {{phrase}}")
     known = replace(known, phrases=tuple(map(in_words, known.phrases)))
-    facts = worded(source.facts, wording["facts"], in_words)
     listed: tuple[tuple[int, int], ...] = ()
     if isinstance(design, Battery):
         seed = derived_seed(config["seed"], "queries")
         which, told = battery(known, design.redundancy, seed, rules.points)
         pairs = zip(which.tolist(), told.tolist(), strict=True)
         listed = tuple(pairs)[: rules.points]
-    subject = wording["words"]["robot"] if source.domain else ""
-    ahead = source.ahead
     return CollectPlan(
         **own,
-        domain=source.name,
         example=Example(**wording["example"]),
         rules=rules,
         asked=tuple(map(LabQuestion.of, wording["questions"])),
-        facts=facts,
-        roles=tuple(_role(name, held, facts) for name, held in source.roles.items()),
+        roles=tuple(_role(name, held, own["facts"]) for name, held in source.roles.items()),
         assigned=config["briefing"] == "assigned",
         hypotheses=known,
         whole=source.whole,
         subject=subject,
-        ahead=ahead
-        and replace(ahead, steps=tuple(f"{subject} {in_words(step)}" for step in ahead.steps)),
         questions=listed,
         design=design if isinstance(design, Adaptive) else Adaptive(),
         situations=each(source.situations, in_words),
         gone=each(source.gone, in_words),
         paths=source.paths,
-        changes=each(source.changes, in_words),
-        pictures=source.pictures,
         attention=wording["attention"],
         expectation={},
         probes=(),

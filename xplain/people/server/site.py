@@ -73,7 +73,7 @@ class Site(ABC, Generic[F]):
 
     @staticmethod
     @abstractmethod
-    def probes(flow: Any) -> Any:
+    def probes(flow: Any, /) -> Any:
         """What simulated people meet, which a plan keeps, so that changed code is noticed."""
 
     @classmethod

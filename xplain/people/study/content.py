@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xplain.domains.base import Parameter
 from xplain.domains.users.setting import UserType
 from xplain.explanation.message_sets import indices
-from xplain.people.plan import Fact, facts_of
+from xplain.people.plan import Fact
 from xplain.people.study.plan import Known, QuizQuestion, Statement, StudyRole
 
 NATURAL = "natural"
@@ -39,6 +39,7 @@ def needed(labels: NDArray[np.uint8]) -> int:
 
 
 def roles_of(
+    facts: Sequence[Fact],
     parameters: Sequence[Parameter],
     types: Sequence[UserType],
     labels: NDArray[np.uint8],
@@ -47,7 +48,8 @@ def roles_of(
     """What each type is told and asked.
 
     Args:
-        parameters: of the domain.
+        facts: of the plan.
+        parameters: [n] of the domain.
         types: N user types.
         labels: [N, m, 2^n] their true labels of the trace.
         wording: of the study. ``rewards``: for parameters that are the reward of an action, a
@@ -55,7 +57,6 @@ def roles_of(
             reward ≥ 0?), and for the others which of two sentences the participant was told.
             ``known``: what everybody is told. ``words``: of the questions.
     """
-    facts = facts_of(parameters)
     known = tuple(Known(**one) for one in wording["known"])
     roles = []
     for t, user_type in enumerate(types):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from hydra.utils import instantiate
 from numpy.typing import NDArray
+from omegaconf import DictConfig
 from scipy.optimize import linear_sum_assignment
 
 from xplain.domains.base import transition_feature_names, transition_features
@@ -22,9 +23,6 @@ from xplain.learning.labelers import Labeler
 from xplain.learning.saved_types import LearnedTypes
 from xplain.learning.user_types import label_table
 from xplain.randomness import stream
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
 
 LEAST_AGREEMENT = 0.8
 """Share of labels in which a learned type is the true one."""
@@ -66,8 +64,6 @@ def learned_types(cfg: DictConfig) -> tuple[Setting, Learned]:
     Raises:
         InputError: the file's types know other features or messages than the domain has.
     """
-    from hydra.utils import instantiate
-
     domain, users = instantiate(cfg.domain), instantiate(cfg.users)
     names = transition_feature_names(domain)
     if cfg.types is None:

@@ -6,10 +6,11 @@ import secrets
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from hydra.utils import instantiate
+from omegaconf import DictConfig
 
 from xplain.errors import InputError, one_of
 from xplain.experiment.explanations import Costs
@@ -17,7 +18,7 @@ from xplain.explanation.again import Again
 from xplain.explanation.asking import Limits, Pool, Questions
 from xplain.explanation.label_table import LabelTable
 from xplain.people.own_table import no_map, own_table
-from xplain.people.plan import LabQuestion, facts_of
+from xplain.people.plan import LabQuestion
 from xplain.people.study import content
 from xplain.people.study.known_types import Learned, fitting, learned_types, matched
 from xplain.people.study.plan import (
@@ -31,10 +32,7 @@ from xplain.people.study.plan import (
 )
 from xplain.people.study.policies import at_work, difference, probes
 from xplain.people.study.task import MayAsk, OfDomain, OfTable, ShownTask, StudyTask
-from xplain.people.wording import InWords, each, fixed, parts, worded
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
+from xplain.people.wording import InWords, each, fixed, parts
 
 LEAST_DIFFERENCE = 1.0
 """Messages by which the conditions differ, a participant, on average."""
@@ -157,21 +155,15 @@ def drafted(
     types, natural = seen.types, config["briefing"] == "none"
     table_of_ones_own = config.get("transitions") is not None
     wording = _worded(config["wording"], natural, table_of_ones_own, may_ask is not None)
-    own, in_words = parts("study", config, wording, seen.scene)
-    parameters = worded(seen.parameters, wording["facts"], in_words)
-    does = wording["words"]["robot_does"]
+    own, in_words = parts("study", config, wording, seen, wording["words"]["robot_does"])
     again = Again(**config.get("again", {}))
     costs = Costs(config["lambda"], again=again, **{key: config[key] for key in COSTS})
     # Roles and types have the same names; people as they are may be of any types that were found.
     names = tuple(one.name for one in types) if learned is None or not natural else learned.names
     shares = np.full(len(names), 1 / len(names)) if learned is None else learned.shares
-    facts, known = facts_of(parameters), tuple(Known(**one) for one in wording["known"])
+    facts, known = own["facts"], tuple(Known(**one) for one in wording["known"])
     habits = instantiate(config["belief"]).habits(learned and learned.habits)
-    roles = content.roles_of(parameters, types, seen.labels, wording)
-    ahead = seen.ahead
-    if ahead:
-        said = tuple(does.format(phrase=in_words(phrase)) for phrase in ahead.steps)
-        ahead = replace(ahead, steps=said)
+    roles = content.roles_of(facts, seen.facts, types, seen.labels, wording)
     problem = costs.problem(table, tuple(fact.name for fact in facts), names, shares)
     if may_ask:
         ask = config["ask"]
@@ -179,13 +171,11 @@ def drafted(
         problem = replace(problem, questions=Questions(may_ask.learned, limits, may_ask.shows))
     return StudyPlan(
         **own,
-        domain=seen.name,
         known=known,
         training=Training(**wording["training"]),
         rules=StudyRules(**config["rules"]),
         before=tuple(map(LabQuestion.of, config["before"])),
         asked=tuple(map(LabQuestion.of, config["questions"])),
-        facts=facts,
         roles=(content.natural_role(facts, known, seen.labels),) if natural else roles,
         kinds=tuple(role.wrong for role in roles) if natural else (),
         trace=tuple(map(in_words, seen.trace)),
@@ -197,10 +187,7 @@ def drafted(
         conditions=config["conditions"],
         belief=config["belief"],
         probes={},
-        changes=each(seen.changes, in_words),
         taken=each(seen.taken, in_words),
-        pictures=seen.pictures,
-        ahead=ahead,
     )
 
 

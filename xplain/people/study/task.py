@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import Domain, Parameter, Scene, changes_of, transition_features
+from xplain.domains.base import Domain, changes_of, transition_features
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError, whole_number
 from xplain.experiment.asking import Clips
@@ -21,8 +21,8 @@ from xplain.explanation.message_sets import indices
 from xplain.learning.data.rollouts import sample_trace
 from xplain.learning.user_types import label_table
 from xplain.people.ahead import ahead_of
-from xplain.people.own_table import OwnTable
-from xplain.people.plan import Ahead, Picture, Told, Way
+from xplain.people.own_table import Source
+from xplain.people.plan import Ahead, Task, Told, Way
 from xplain.people.study import content
 from xplain.people.study.known_types import Learned
 from xplain.people.study.plan import Clip
@@ -33,30 +33,22 @@ Rules = Mapping[str, Any]
 """The configuration's ``trace``."""
 
 
-@dataclass(frozen=True)
-class ShownTask:
-    """A task, and one trace of it, as participants meet them; phrases not yet in a lab's words.
+@dataclass(frozen=True, kw_only=True)
+class ShownTask(Task):
+    """A task, and one trace of it, as participants meet them.
 
     Attributes:
-        name: of the task.
-        parameters: n facts.
         types: M kinds of (simulated) people.
         labels: [M, m, 2^n] their true labels of the trace.
         trace: [m] what the robot does.
-        scene, path, changes, taken, pictures, ahead: see the plan.
+        path, taken: see the plan.
     """
 
-    name: str
-    parameters: tuple[Parameter, ...]
     types: tuple[UserType, ...]
     labels: NDArray[np.uint8]
     trace: tuple[str, ...]
-    scene: Scene | None = None
     path: Way | None = None
-    changes: Told = ()
     taken: Told = ()
-    pictures: tuple[Picture | None, ...] = ()
-    ahead: Ahead | None = None
 
 
 @dataclass(frozen=True)
@@ -116,7 +108,7 @@ class OfDomain:
         domain, states = self.setting.domain, [*trace[:, 0].tolist(), int(trace[-1, 2])]
         return ShownTask(
             name=domain.name,
-            parameters=domain.parameters,
+            facts=domain.parameters,
             types=self.setting.types,
             labels=self.setting.label_table(trace),
             trace=tuple(domain.describe(transition) for transition in trace),
@@ -154,7 +146,7 @@ class OfDomain:
 class OfTable:
     """Traces [m] of rows of a lab's own table, from 0; see :class:`OfDomain` for the methods."""
 
-    own: OwnTable
+    own: Source
 
     def traces(self, rules: Rules, max_steps: int, seed: int) -> list[NDArray[np.int64]]:
         """Those of ``rows``: lists of rows of the table, from 1."""
@@ -177,11 +169,10 @@ class OfTable:
     def seen(self, trace: NDArray[np.int64]) -> ShownTask:
         """With its images, without a map."""
         own, names = self.own, self.own.hypotheses.messages
-        facts = (Parameter(one.name, True, False, one.message, one.belief) for one in own.facts)
         pictures = tuple(own.pictures[row] for row in trace) if own.pictures else ()
         return ShownTask(
             name=own.name,
-            parameters=tuple(facts),
+            facts=own.facts,
             types=tuple(
                 UserType(name, {names[j]: False for j in indices(held)})
                 for name, held in own.roles.items()
