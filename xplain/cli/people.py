@@ -25,10 +25,7 @@ if TYPE_CHECKING:
 
 def site(name: str) -> type[Site[Any]]:
     """The flow's site, imported when it is needed."""
-    found: type[Site[Any]] = getattr(
-        import_module(f"xplain.people.{name}.site"), f"{name.capitalize()}Site"
-    )
-    return found
+    return getattr(import_module(f"xplain.people.{name}.site"), f"{name.capitalize()}Site")
 
 
 def serve(name: str, arguments: list[str]) -> None:

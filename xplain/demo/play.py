@@ -289,8 +289,7 @@ class SimulatedListener(User):
         """As a user of the type has them."""
         self._person.hear(mask_of(session.messages(), self._messages))
         given = mask_of(session.said, self._messages)
-        answers: list[int] = self._person.react(given, session.shown).answers.tolist()
-        return answers
+        return self._person.react(given, session.shown).answers.tolist()
 
     def reply(self, session: Session, question: Question) -> int:
         """As a user of the type has it."""

@@ -61,8 +61,7 @@ class State:
     @lru_cache(maxsize=1024)  # a page asks for its state several times
     def from_text(cls, text: str) -> Self:
         """The state that :attr:`text` was made from, equal to the last bit."""
-        state: Self = decode(cls, json.loads(text))
-        return state
+        return decode(cls, json.loads(text))
 
     def to(self, **changes: Any) -> Outcome[Self]:
         """After one more accepted event."""
@@ -199,8 +198,7 @@ class Flow(Generic[P, S]):
     @property
     def words(self) -> Mapping[str, str]:
         """Of the pages."""
-        words: Mapping[str, str] = self.plan.texts.words  # type: ignore[attr-defined]
-        return words
+        return self.plan.texts.words  # type: ignore[attr-defined]
 
     @property
     def stages(self) -> tuple[str, ...]:

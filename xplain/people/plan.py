@@ -261,5 +261,4 @@ class StoredPlan:
                 "began it"
             )
             raise InputError("database", "its plan", allowed)
-        plan: Self = decode(cls, value)
-        return plan
+        return decode(cls, value)

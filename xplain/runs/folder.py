@@ -120,8 +120,7 @@ class SweepFolder:
 
     def failure(self, job: Job) -> dict[str, str]:
         """Error and traceback of a failed job."""
-        content: dict[str, str] = json.loads((self.of(job) / FAILURE).read_text(encoding="utf-8"))
-        return content
+        return json.loads((self.of(job) / FAILURE).read_text(encoding="utf-8"))
 
     def clear(self, job: Job) -> None:
         """Forgets all that the job left."""

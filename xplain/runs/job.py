@@ -86,8 +86,7 @@ class Composed:
 
     def tracking(self) -> Tracking:
         """Where results go besides the disk."""
-        found: Tracking = instantiate(self.cfg.tracking)
-        return found
+        return instantiate(self.cfg.tracking)
 
 
 def run_job(cfg: DictConfig) -> float | None:

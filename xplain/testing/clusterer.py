@@ -89,8 +89,7 @@ class ClustererConformance(Conformance):
 
     def _cluster(self, component: Any, data: Dataset, truth: NDArray[np.int64]) -> Clustering:
         given = truth if self.needs_truth else None
-        clustering: Clustering = component.cluster(data, LabelerTrainer(), 3, given)
-        return clustering
+        return component.cluster(data, LabelerTrainer(), 3, given)
 
     @staticmethod
     def _data() -> tuple[Dataset, NDArray[np.int64]]:

@@ -26,8 +26,7 @@ class QueriesConformance(Conformance):
     @pytest.fixture(scope="class")
     def domain(self) -> Domain:
         """The domain of the questions; override it for designs of another domain."""
-        made: Domain = RESCUE.component
-        return made
+        return RESCUE.component
 
     @pytest.fixture(scope="class")
     def setting(self, domain: Domain) -> Setting:

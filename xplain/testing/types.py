@@ -21,8 +21,7 @@ class TypeSourceConformance(Conformance):
     @pytest.fixture
     def domain(self) -> Domain:
         """The domain of the types; override it for types of another domain."""
-        made: Domain = RESCUE.component
-        return made
+        return RESCUE.component
 
     def test_types_hold_parameters_of_the_domain_wrong(
         self, component: Any, domain: Domain

@@ -45,8 +45,7 @@ class ParticipantRow(Generic[S]):
 
     def first(self, kind: str) -> Row:
         """The payload of the first answer of a kind; empty where there is none."""
-        found: Row = next((event["payload"] for event in self.answers(kind)), {})
-        return found
+        return next((event["payload"] for event in self.answers(kind)), {})
 
 
 def everybody(connection: sqlite3.Connection) -> list[tuple[Row, tuple[Row, ...]]]:

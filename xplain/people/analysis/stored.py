@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
 
-from xplain.errors import InputError
+from xplain.errors import InputError, one_of
 from xplain.people.plan import StoredPlan
 
 Plan = TypeVar("Plan", bound=StoredPlan)
@@ -95,6 +95,25 @@ def plan_of(connection: sqlite3.Connection, kind: type[Plan]) -> Plan:
         return kind.from_text(row[0])
     except InputError as error:
         raise InputError("database", path, error.allowed) from None
+
+
+def rows_of(
+    path: Path, stream: str, kind: type[Plan], query: str
+) -> tuple[Plan, list[sqlite3.Row]]:
+    """The plan, and what a query finds of the people of a stream.
+
+    Args:
+        path: of a database that no server has open, or a snapshot.
+        stream: "person", "pilot" or "bot"; never mixed.
+        kind: class of the plan.
+        query: with one place, for the stream.
+
+    Raises:
+        InputError: it is no such flow's database, or there is no such stream.
+    """
+    one_of("stream", stream, STREAMS)
+    with reading(path) as connection:
+        return plan_of(connection, kind), connection.execute(query, (stream,)).fetchall()
 
 
 def read_plan(path: Path, kind: type[Plan]) -> Plan | None:

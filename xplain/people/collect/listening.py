@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.users.hypotheses import Hypotheses
-from xplain.errors import InputError, one_of
+from xplain.errors import InputError
 from xplain.explanation.habits import Habits
 from xplain.explanation.knowledge import forget, say
 from xplain.explanation.message_sets import indices, subsets
-from xplain.people.analysis.stored import STREAMS, plan_of, reading
+from xplain.people.analysis.stored import rows_of
 from xplain.people.collect.asking import ATTENTION, HEEDED, AskedClip, CollectState, prior
 from xplain.people.collect.labels import why_left_out
 from xplain.people.collect.plan import CollectPlan
@@ -89,11 +89,9 @@ def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
         InputError: it is no collection's database, there is no such stream, or nothing was told
             that holds from page to page.
     """
-    one_of("stream", stream, STREAMS)
-    with reading(database) as connection:
-        plan = plan_of(connection, CollectPlan)
-        query = "SELECT state FROM participant WHERE stream = ? AND NOT erased ORDER BY number"
-        states = [CollectState.from_text(text) for (text,) in connection.execute(query, (stream,))]
+    query = "SELECT state FROM participant WHERE stream = ? AND NOT erased ORDER BY number"
+    plan, rows = rows_of(database, stream, CollectPlan, query)
+    states = [CollectState.from_text(text) for (text,) in rows]
     if not plan.rules.listening:
         wanted = "1 or more at the start of the collection: nothing was asked again"
         raise InputError("rules.listening", 0, wanted)

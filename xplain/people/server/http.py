@@ -148,8 +148,7 @@ class Context:
 
 def context() -> Context:
     """The context of the running application."""
-    found: Context = current_app.extensions["study"]
-    return found
+    return current_app.extensions["study"]
 
 
 def owner() -> str | None:

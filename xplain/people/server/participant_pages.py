@@ -6,7 +6,6 @@ from __future__ import annotations
 import base64
 import re
 import secrets
-from collections.abc import Mapping
 from typing import Any, Literal
 
 from flask import (
@@ -138,16 +137,19 @@ def answer() -> AnyResponse:
     found, own, form = _current(), context(), request.form
     if not genuine(found.id):
         return error_page(403, "not_yours")
-    kind = form.get("kind", "")[:20]
+    kind, sequence = form.get("kind", "")[:20], form.get("sequence", -1, type=int)
+    ms = form.get("ms", -1.0, type=float)
     try:
+        if sequence < 0:
+            raise Refused("not_complete")
         if kind == "time_out":
             raise Refused("not_understood")
         own.store.submit(
             found.id,
-            sequence_of(form),
+            sequence,
             kind,
             own.site.flow.read(found.state, kind, form),
-            milliseconds(form.get("ms")),
+            ms if 0 <= ms < 1e10 else None,
         )
     except Full as error:
         code = own.server.codes.get("full", "")
@@ -211,24 +213,3 @@ class Report(BaseModel, strict=True):
     token: str
     tab: str = Field(pattern=r"^[a-z0-9]{8,32}$")
     items: list[PageEvent] = Field(max_length=MAX_ITEMS)
-
-
-def sequence_of(form: Mapping[str, str]) -> int:
-    """The page's sequence number.
-
-    Raises:
-        Refused: it is none.
-    """
-    text = form.get("sequence", "")
-    if not (0 < len(text) <= 6 and text.isascii() and text.isdigit()):
-        raise Refused("not_complete")
-    return int(text)
-
-
-def milliseconds(value: object) -> float | None:
-    """The page's clock reading: a number of a credible size, else None."""
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return None
-    return number if 0 <= number < 1e10 else None

@@ -18,7 +18,6 @@ from typing import Any
 
 from flask import (
     Blueprint,
-    Response,
     make_response,
     redirect,
     render_template,
@@ -224,6 +223,5 @@ def _hidden(person: Mapping[str, Any]) -> bool:
     return own.site.BLIND and own.server.blinded and person["stream"] == "person"
 
 
-def _back() -> Response:
-    response: Response = redirect(url_for("researcher.overview"), 303)  # type: ignore[assignment]
-    return response
+def _back() -> AnyResponse:
+    return redirect(url_for("researcher.overview"), 303)

@@ -165,8 +165,7 @@ class Site(ABC, Generic[F]):
     @property
     def pictures(self) -> Pictures:
         """Images that pages may show."""
-        of_plan: Pictures = self.plan.pictures
-        return of_plan
+        return self.plan.pictures
 
     @abstractmethod
     def glance(self, query: Query) -> dict[str, Any]:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from xplain.errors import InputError, one_of
+from xplain.errors import InputError
 from xplain.explanation.listening import Explained
-from xplain.people.analysis.stored import STREAMS, plan_of, reading
+from xplain.people.analysis.stored import rows_of
 from xplain.people.study.plan import StudyPlan
 
 STEPS = """
@@ -29,16 +29,13 @@ def listeners_in(database: Path, stream: str = "person") -> list[Explained]:
     Raises:
         InputError: it is no study's database, or there is no such stream.
     """
-    one_of("stream", stream, STREAMS)
-    with reading(database) as connection:
-        problem = plan_of(connection, StudyPlan).problem
-        rows = connection.execute(STEPS, (stream,)).fetchall()
+    plan, rows = rows_of(database, stream, StudyPlan, STEPS)
     people = [list(own) for _, own in groupby(rows, key=lambda row: row["participant"])]
     if not people:
         raise InputError("database", str(database), f"one with answers (stream {stream})")
     return [
         Explained(
-            problem,
+            plan.problem,
             [row["messages"] for row in own],
             [np.array(json.loads(row["labels"]), np.uint8) for row in own],
         )

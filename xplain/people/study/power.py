@@ -10,7 +10,7 @@ much each assumption matters.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice, product
 from pathlib import Path
 from typing import Any
@@ -44,24 +44,16 @@ MARKS = {
 }
 
 
-@dataclass(frozen=True)
-class SimulatedCrowd:
-    """Simulated participants.
+SimulatedCrowd = dict[str, NDArray[np.float64]]
+"""{condition: [N, participants, 3] the measures in the order of MEASURES} of simulated people."""
 
-    Attributes:
-        values: {condition: [N, participants, 3] the measures in the order of MEASURES}.
-    """
 
-    values: dict[str, NDArray[np.float64]]
-
-    def effect(self, conditions: tuple[str, str] = CONDITIONS) -> NDArray[np.float64]:
-        """[3] standardized difference, the first of two conditions − the second."""
-        a, b = (self.values[c].reshape(-1, len(MEASURES)) for c in conditions)
-        spread = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 2)
-        difference = a.mean(axis=0) - b.mean(axis=0)
-        found: NDArray[np.float64] = np.zeros(len(MEASURES))
-        np.divide(difference, spread, out=found, where=spread > 0)
-        return found
+def effect(pool: SimulatedCrowd, conditions: tuple[str, str] = CONDITIONS) -> NDArray[np.float64]:
+    """[3] standardized difference, the first of two conditions − the second."""
+    a, b = (pool[c].reshape(-1, len(MEASURES)) for c in conditions)
+    spread = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 2)
+    difference = a.mean(axis=0) - b.mean(axis=0)
+    return np.divide(difference, spread, out=np.zeros_like(spread), where=spread > 0)
 
 
 def compared(conditions: Iterable[str]) -> dict[str, tuple[str, str]]:
@@ -83,7 +75,7 @@ def simulate(study: Study, habits: Habits, a_cell: int, seed: int) -> SimulatedC
     Raises:
         InputError: hardly anybody gets to the end with these habits.
     """
-    values = {}
+    pool = {}
     for condition in study.plan.conditions:
         of_types = []
         for user_type in range(len(study.plan.roles)):
@@ -101,8 +93,8 @@ def simulate(study: Study, habits: Habits, a_cell: int, seed: int) -> SimulatedC
             if len(found) < a_cell:
                 raise InputError("habits", habits, "that let at least 1 in 20 get to the end")
             of_types.append([(one.seconds, one.inexplicable, one.score) for one in found])
-        values[condition] = np.array(of_types, dtype=float)
-    return SimulatedCrowd(values)
+        pool[condition] = np.array(of_types, dtype=float)
+    return pool
 
 
 def power(
@@ -117,7 +109,7 @@ def power(
     measure is significant between two of them: [2, 3], plain and after Holm's correction."""
     drawn = []
     for condition in conditions:
-        values = pool.values[condition]
+        values = pool[condition]
         # n participants over N types: the remainder goes to types drawn anew in each study.
         order = rng.permuted(np.tile(np.arange(len(values)), (studies, 1)), axis=1)
         types = order[:, np.arange(n) % len(values)]
@@ -132,7 +124,7 @@ def curves(
     """Power by comparison, n and measure: simulated, and for the paper's effects where it has
     any."""
     rows: list[dict[str, Any]] = []
-    for (name, pair), n in product(compared(pool.values).items(), sizes):
+    for (name, pair), n in product(compared(pool).items(), sizes):
         rng = stream(seed, "studies", n)
         plain, corrected = power(pool, n, studies, rng, conditions=pair)
         for index, measure in enumerate(MEASURES):
@@ -159,8 +151,8 @@ def sensitivity(
     rows: list[dict[str, Any]] = []
     for assumption, value in [(one, value) for one, own in SWEEPS.items() for value in own]:
         pool = simulate(study, replace(habits, **{assumption: value}), a_cell, seed)
-        for name, pair in compared(pool.values).items():
-            effect, rng = pool.effect(pair), stream(seed, "studies", n)
+        for name, pair in compared(pool).items():
+            gaps, rng = effect(pool, pair), stream(seed, "studies", n)
             _, corrected = power(pool, n, studies, rng, conditions=pair)
             rows += [
                 {
@@ -168,7 +160,7 @@ def sensitivity(
                     "assumption": assumption,
                     "value": value,
                     "measure": measure,
-                    "effect": effect[index],
+                    "effect": gaps[index],
                     "power_holm": corrected[index],
                 }
                 for index, measure in enumerate(MEASURES)

@@ -72,8 +72,7 @@ def student_p(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.floa
     error = np.sqrt(within * (1 / n + 1 / m))
     difference = np.abs(x.mean(axis=1) - y.mean(axis=1))
     t = np.divide(difference, error, out=np.zeros_like(error), where=error > 1e-12)
-    p: NDArray[np.float64] = 2 * special.stdtr(n + m - 2, -t)
-    return p
+    return 2 * special.stdtr(n + m - 2, -t)
 
 
 def hedges(t: float, n_a: int, n_b: int, level: float = 0.95) -> tuple[float, float, float]:
@@ -102,8 +101,7 @@ def holm(p: ArrayLike) -> NDArray[np.float64]:
     tests = (~np.isnan(values)).sum(axis=-1, keepdims=True)
     steps = ranked * (tests - np.arange(values.shape[-1]))
     adjusted = np.minimum(1.0, np.maximum.accumulate(steps, axis=-1))
-    found: NDArray[np.float64] = np.take_along_axis(adjusted, np.argsort(order, axis=-1), axis=-1)
-    return found
+    return np.take_along_axis(adjusted, np.argsort(order, axis=-1), axis=-1)
 
 
 def stratified_permutation(
@@ -132,8 +130,7 @@ def stratified_permutation(
 
     def difference(masks: NDArray[np.bool_]) -> NDArray[np.float64]:
         sums = masks @ values
-        result: NDArray[np.float64] = sums / len(x) - (total - sums) / len(y)
-        return result
+        return sums / len(x) - (total - sums) / len(y)
 
     observed = abs(difference(in_x[None])[0])
     # Equal differences count as extreme, whatever the order of summation made of them.

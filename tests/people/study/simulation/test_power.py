@@ -16,11 +16,11 @@ from xplain.people.study.bot import Habits
 from xplain.people.study.plan import ASKING, CONFORMANT, PERSONALIZED
 from xplain.people.study.power import (
     SWEEPS,
-    SimulatedCrowd,
     compared,
     curves,
     draw_curves,
     draw_sensitivity,
+    effect,
     power,
     simulate,
 )
@@ -33,7 +33,7 @@ from xplain.people.study.table2 import MEASURES
 def test_false_alarms_are_as_rare_as_promised() -> None:
     rng = np.random.default_rng(3)
     noise = rng.normal(size=(5, 300, len(MEASURES)))
-    pool = SimulatedCrowd({"conformant": noise, "personalized": noise})
+    pool = {"conformant": noise, "personalized": noise}
     plain, corrected = power(pool, 20, 4000, rng)
     assert (np.abs(plain - 0.05) < 0.015).all()
     assert corrected.max() < 0.03
@@ -42,7 +42,7 @@ def test_false_alarms_are_as_rare_as_promised() -> None:
 def test_simulated_power_agrees_with_theory() -> None:
     rng = np.random.default_rng(4)
     a, b = rng.normal(0.7, 1, (1, 40_000, 3)), rng.normal(0, 1, (1, 40_000, 3))
-    plain, corrected = power(SimulatedCrowd({"conformant": a, "personalized": b}), 20, 3000, rng)
+    plain, corrected = power({"conformant": a, "personalized": b}, 20, 3000, rng)
     assert plain == pytest.approx(t_power(0.7, 20), abs=0.035)
     assert (corrected <= plain).all()
 
@@ -51,7 +51,7 @@ def test_types_beyond_an_even_share_are_drawn_anew_in_each_study_and_condition()
     """Types answer 0 and 1 for certain; of three people two are of one type. In half of the studies
     that is another type in the other condition: t = 1/√2, p = 0.52 (4 degrees of freedom)."""
     values = np.array([0.0, 1.0])[:, None, None] * np.ones((2, 10, len(MEASURES)))
-    pool = SimulatedCrowd({"conformant": values, "personalized": values})
+    pool = {"conformant": values, "personalized": values}
     plain, _ = power(pool, 3, 4000, np.random.default_rng(6), alpha=0.6)
     # Within four standard deviations of a binomial.
     assert plain == pytest.approx(0.5, abs=4 * (0.25 / 4000) ** 0.5)
@@ -65,13 +65,11 @@ def test_what_people_forget_changes_what_the_study_would_find() -> None:
     fast = simulate(study, Habits(message_seconds=0, spread=0.1), 20, seed=0)
     inexplicable = list(MEASURES).index("inexplicable_transitions")
     for condition in ("conformant", "personalized"):
-        better, worse = (
-            p.values[condition][..., inexplicable].mean() for p in (perfect, overloaded)
-        )
+        better, worse = (p[condition][..., inexplicable].mean() for p in (perfect, overloaded))
         assert better < worse
-        assert fast.values[condition][..., 0].mean() < slow.values[condition][..., 0].mean()
+        assert fast[condition][..., 0].mean() < slow[condition][..., 0].mean()
     # Whoever needs long for a message gains most from getting fewer of them.
-    assert slow.effect()[0] > fast.effect()[0]
+    assert effect(slow)[0] > effect(fast)[0]
     with pytest.raises(InputError):
         simulate(study, Habits(mistake=1), 2, seed=0)
     with pytest.raises(InputError):
@@ -131,10 +129,10 @@ def test_a_condition_is_compared_with_the_one_that_the_analysis_compares_it_with
     quiz; the other two conditions are alike."""
     rng = np.random.default_rng(7)
     others = {c: rng.normal(0, 1, (1, 20_000, 3)) for c in (CONFORMANT, PERSONALIZED)}
-    pool = SimulatedCrowd({**others, ASKING: rng.normal([0, -0.5, 0.5], 1, (1, 20_000, 3))})
+    pool = {**others, ASKING: rng.normal([0, -0.5, 0.5], 1, (1, 20_000, 3))}
     rows = pd.DataFrame(curves(pool, (40,), 2000, 0)).set_index(["comparison", "measure"])
-    assert [*compared(pool.values)] == ["table2", "asking"]
-    assert pool.effect((PERSONALIZED, ASKING)) == pytest.approx([0, 0.5, -0.5], abs=0.04)
+    assert [*compared(pool)] == ["table2", "asking"]
+    assert effect(pool, (PERSONALIZED, ASKING)) == pytest.approx([0, 0.5, -0.5], abs=0.04)
     simulated = rows["simulated"].unstack("measure")[[*MEASURES]]
     t = t_power(0.5, 40)
     assert simulated.loc["asking"].tolist() == pytest.approx([0.05, t, t], abs=0.04)
