@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from xplain.cli.discover import discover
+from xplain.cli.discover import main as discover
 from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.interaction.statistics import clustered_mean

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from xplain import Hypotheses, LearnedTypes
-from xplain.cli.questions import questions
+from xplain.cli.questions import main as questions
 from xplain.errors import InputError
 from xplain.questions.committee import next_screen_of
 

@@ -13,7 +13,7 @@ import pytest
 
 from tests.people.study.stand_in import FAULTLESS
 from tests.people.visitors import GENEROUS, Visitor, pages
-from xplain.cli.discover import discover
+from xplain.cli.discover import main as discover
 from xplain.cli.main import main
 from xplain.errors import InputError
 from xplain.experiment.config import composed

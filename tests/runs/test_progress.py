@@ -5,16 +5,18 @@ from __future__ import annotations
 import json
 import logging
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from tests.runs.sweeps import planned, put
 from xplain.experiment.results import RESULTS
+from xplain.report import stages
 from xplain.runs import progress
 from xplain.runs.folder import FAILURE, STARTED, SweepFolder
 from xplain.runs.plan import Job
-from xplain.runs.progress import Watch, duration
+from xplain.runs.progress import duration, watched
 
 
 @pytest.fixture
@@ -27,16 +29,16 @@ def test_every_end_is_told_once_and_the_last_look_misses_none(
 ) -> None:
     caplog.set_level(logging.INFO)
     monkeypatch.setattr(progress, "POLL", 60)  # no look but the last
-    monkeypatch.setattr(progress, "SAY", 0)
+    monkeypatch.setattr(stages, "EVERY", 0)
     done, first, second, third = folder.jobs()
     heard: list[Job] = []
-    with Watch(folder, (first, second, third), heard.append, done=1):
+    with watched(folder, (first, second, third), heard.append, done=1):
         put(folder, first, RESULTS)
         put(folder, second, FAILURE, json.dumps({"error": "no memory", "traceback": ""}))
         put(folder, third, STARTED)
     assert heard == [first, second]
     assert f"failed: {second.label}: no memory" in caplog.messages
-    assert caplog.messages[-1].startswith("3 of 4 jobs done, 1 failed, about ")
+    assert caplog.messages[-1].startswith("sweep: 3 of 4 jobs done, 1 failed, about ")
     assert done not in heard
 
 
@@ -44,10 +46,12 @@ def test_a_terminal_sees_a_bar_and_standard_output_nothing(
     folder: SweepFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr(progress, "POLL", 0.01)
     jobs = folder.jobs()
-    with Watch(folder, jobs[2:], lambda job: None, done=2):
+    with watched(folder, jobs[2:], lambda job: None, done=2):
         put(folder, jobs[2], RESULTS)
         put(folder, jobs[3], RESULTS)
+        time.sleep(0.5)  # terminals are drawn on ten times a second
     seen = capsys.readouterr()
     assert "4 of 4 jobs done, 0 failed" in seen.err
     assert seen.out == ""

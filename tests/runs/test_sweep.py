@@ -275,16 +275,16 @@ def test_progress_counts_what_was_finished_before_and_what_was_copied(tmp_path, 
     there, lost = tmp_path / "there", tmp_path / "lost"
     todo = Todo((finished,), {copied: there, gone: lost}, (waiting,))
     monkeypatch.setattr(sweep, "copy_results", lambda source, *_: source == there)
-    watched = []
+    seen = []
 
     def watch(folder, jobs, listener, done):
-        watched.append((len(jobs), done))
+        seen.append((len(jobs), done))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sweep, "Watch", watch)
+    monkeypatch.setattr(sweep, "watched", watch)
     with pytest.raises(KeyboardInterrupt):
         carry_out(todo, plan, folder, Disk(), tmp_path, lambda jobs: None)
-    assert watched == [(2, 2)]
+    assert seen == [(2, 2)]
 
 
 def test_a_damaged_sweep_hides_no_other_and_its_command_mends_it(finished, tmp_path):

@@ -11,7 +11,8 @@ class Command:
 
     Attributes:
         module: has ``main(arguments)``, and a docstring that is the command's help; or
-            ``module:function``, which is called and has the docstring.
+            ``module:function``, which is called and has the docstring. What it returns is printed
+            as a line of JSON.
         meaning: in a line.
         config: name of its file in conf/, "" where it has none of its own.
     """

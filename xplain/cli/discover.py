@@ -54,7 +54,7 @@ from xplain.randomness import run_seed
 Row = dict[str, Any]
 
 
-def discover(arguments: list[str]) -> Row:
+def main(arguments: list[str]) -> Row:
     """Finds the types and writes the files; returns what the command prints. ``arguments``
     override conf/discover.yaml."""
 
@@ -236,8 +236,3 @@ def _show(row: Row, known: list[Row], folder: Path, tenths: Sequence[Tenth]) -> 
         console.print(f"nats a held-out label: {said}; {row['held_out']['verdict']}")
         off = max(abs(one.said - one.ones) for one in tenths)
         console.print(f"calibration: off by {off:.3f} at most in a tenth of them (calibration.png)")
-
-
-def main(arguments: list[str]) -> None:
-    """Finds the types, writes the files and prints the JSON line."""
-    print(json.dumps(discover(arguments)))

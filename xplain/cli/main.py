@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import atexit
 import gc
+import json
 import logging
 import sys
 from importlib import import_module
@@ -92,7 +93,9 @@ def _run(given: list[str]) -> None:
     with left_at_once():
         found = import_module(f"xplain.cli.{module}")
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
-    getattr(found, function or "main")(_with_own_choices(rest))
+    said = getattr(found, function or "main")(_with_own_choices(rest))
+    if said is not None:
+        print(json.dumps(said))
 
 
 def _told(module: str, function: str) -> str:

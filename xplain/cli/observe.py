@@ -8,7 +8,6 @@ The last line on standard output is one JSON object: ``output``, ``truth``, ``ob
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from xplain.learning.data.label_file import check_format, write_table
 from xplain.randomness import run_seed
 
 
-def observe(arguments: list[str]) -> dict[str, Any]:
+def main(arguments: list[str]) -> dict[str, Any]:
     """Writes the files; returns what the command prints. ``arguments`` override
     conf/observe.yaml."""
 
@@ -62,8 +61,3 @@ def observe(arguments: list[str]) -> dict[str, Any]:
         "labels": len(dataset),
         "types": len(set(setting.distinct[truth].tolist())),
     }
-
-
-def main(arguments: list[str]) -> None:
-    """Writes both tables and prints the JSON line."""
-    print(json.dumps(observe(arguments)))

@@ -10,15 +10,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from xplain.cli.parser import parsed
 from xplain.errors import InputError, XplainError, whole_number
 from xplain.experiment.config import composed
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
     from xplain.people.server.http import Server
     from xplain.people.server.site import Site
 

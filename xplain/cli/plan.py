@@ -21,7 +21,6 @@ The last line on standard output is one JSON object:
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import replace
 from typing import Any
@@ -48,8 +47,9 @@ from xplain.solvers.policy_evaluation import evaluate
 Row = dict[str, Any]
 
 
-def plan(arguments: list[str]) -> Row | list[Row]:
-    """What the command prints, by overrides of conf/plan.yaml."""
+def main(arguments: list[str]) -> Row | list[Row]:
+    """Plans; returns what the command prints, below a table where solvers are compared.
+    ``arguments`` override conf/plan.yaml."""
 
     if "solver=all" not in arguments:
         return _plan_one(composed("plan", arguments, with_hydra=True))
@@ -57,7 +57,9 @@ def plan(arguments: list[str]) -> Row | list[Row]:
     names = sorted(path.stem for path in (CONF / "solver").glob("*.yaml"))
     configs = [composed("plan", [*rest, f"solver={name}"], with_hydra=True) for name in names]
     known = _bounds(Problem.load(configs[0].problem), configs[0])
-    return [_plan_one(cfg, known, compared=True) for cfg in configs]
+    rows = [_plan_one(cfg, known, compared=True) for cfg in configs]
+    _compare(rows)
+    return rows
 
 
 def _plan_one(cfg: DictConfig, known: Bounds | None = None, compared: bool = False) -> Row:
@@ -162,11 +164,3 @@ def _compare(rows: list[Row]) -> None:
             f"{row['seconds']:.3f}",
         )
     Console().print(table)
-
-
-def main(arguments: list[str]) -> None:
-    """Plans and prints the JSON line, below a table where solvers are compared."""
-    found = plan(arguments)
-    if isinstance(found, list):
-        _compare(found)
-    print(json.dumps(found))

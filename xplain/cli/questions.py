@@ -15,12 +15,11 @@ the ``data`` of the next screen, and of ``xplain discover``. The JSON object the
 
 from __future__ import annotations
 
-import csv
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from rich.console import Console
@@ -42,7 +41,7 @@ from xplain.storage import written_whole
 Row = dict[str, Any]
 
 
-def questions(arguments: list[str]) -> Row:
+def main(arguments: list[str]) -> Row:
     """Writes the list; returns what the command prints. ``arguments`` override
     conf/questions.yaml."""
 
@@ -162,9 +161,7 @@ def _write(rows: list[Row], output: Path) -> None:
 
     output.parent.mkdir(parents=True, exist_ok=True)
     with written_whole(output) as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+        pd.DataFrame(rows).to_csv(file, index=False, lineterminator="\n")
 
 
 def _show(rows: list[Row]) -> None:
@@ -173,8 +170,3 @@ def _show(rows: list[Row]) -> None:
     for row in rows:
         table.add_row(str(row["question"]), row["text"], row["told"] or "nothing")
     Console().print(table)
-
-
-def main(arguments: list[str]) -> None:
-    """Writes and prints the list, and prints the JSON line."""
-    print(json.dumps(questions(arguments)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import hydra
 from hydra._internal.utils import get_args_parser
@@ -37,12 +36,8 @@ def main(arguments: list[str]) -> None:
         _show([*overrides, *(word for word in words if word not in overrides)])
         return
     folder = start(overrides, known.multirun or None, known.config_dir)
-    if folder is not None and _any_failed(folder):
+    if folder is not None and any((folder / "jobs").glob("*/failure.json")):
         raise SystemExit(1)
-
-
-def _any_failed(folder: Path) -> bool:
-    return any((folder / "jobs").glob("*/failure.json"))
 
 
 def _show(words: list[str]) -> None:

@@ -14,7 +14,7 @@ from hydra.utils import instantiate
 from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.experiment.results import RESULTS
-from xplain.report.summary import SWEEP
+from xplain.report.summary import SWEEP, load_sweep
 from xplain.runs.folder import SweepFolder
 from xplain.runs.mlflow import MLflow
 from xplain.runs.reuse import runs_and_sweeps
@@ -42,7 +42,7 @@ def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
                 continue
             sweep = SweepFolder(one)
             try:
-                sweep.load()
+                load_sweep(one)
             except InputError as error:  # the others can be sent all the same
                 log.warning("left out: %s", error)
                 continue

@@ -21,6 +21,7 @@ from xplain.report.combinations import (
 )
 from xplain.report.layout import shown_keys, table_layout
 from xplain.report.measure import NEGATIVE, TITLES, is_choice
+from xplain.report.story import counted
 from xplain.report.summary import Summary, Value
 from xplain.report.table import BEST, TIE, Cell, Table, number
 
@@ -146,12 +147,7 @@ def _common(summary: Summary) -> str:
         if key not in keys and len(values) == 1:
             parts.append(value_label(key, values[0]))
     traces = summary.episodes.groupby("seed")["trace"].nunique().max()
-    return ", ".join([*parts, count(int(traces), "trace"), count(summary.seeds, "seed")])
-
-
-def count(number: int, what: str) -> str:
-    """``1 seed``, ``3 seeds``."""
-    return f"{number} {what}{'' if number == 1 else 's'}"
+    return ", ".join([*parts, counted(int(traces), "trace"), counted(summary.seeds, "seed")])
 
 
 def _caption(summary: Summary, cells: Sequence[Cell], marked: bool) -> str:

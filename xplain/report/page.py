@@ -20,6 +20,7 @@ from xplain.report.combinations import grouped, heading, value_label, value_titl
 from xplain.report.layout import plot_layout, shown_keys, table_layout
 from xplain.report.measure import TITLES
 from xplain.report.paper import title
+from xplain.report.story import counted
 from xplain.report.summary import Summary
 from xplain.report.sweep_plots import AXES, by_step, has_roots, middle
 from xplain.storage import encode
@@ -114,7 +115,7 @@ def _size(summary: Summary) -> str:
     episodes = len(summary.episodes)
     return (
         f"{len(summary.results)} of {len(summary.jobs)} jobs, {episodes:,} episodes, "
-        f"{comparison.count(summary.seeds, 'seed')}"
+        f"{counted(summary.seeds, 'seed')}"
     )
 
 

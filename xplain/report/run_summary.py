@@ -6,11 +6,12 @@ import sys
 from collections.abc import Mapping
 
 from rich.console import Console
-from rich.table import Table
 
 from xplain.experiment.results import Figure, Results
 from xplain.report.measure import NEGATIVE
 from xplain.report.paper import table1
+from xplain.report.story import counted
+from xplain.report.table import Cell, Table
 
 TITLES = {
     "cost": "cost",
@@ -39,24 +40,18 @@ def print_summary(results: Results) -> None:
     published = table1().get((results.choices["domain"], results.trade_off), {})
     if _users(results) != "exact" or _asks(results):  # the paper's users are; it asks nothing
         published = {}
-    table = Table(box=None, pad_edge=False)
-    table.add_column("measure")
-    table.add_column("mean", justify="right")
-    table.add_column("95 % interval", justify="right")
-    if published:
-        table.add_column("paper", justify="right")
+    heads = ("measure", "mean", "95 % interval", "paper")[: 4 if published else 3]
     paper = {
         "oracle_cost": published.get("oracle"),
         "regret": None if results.solver == "oracle" else published.get(results.solver),
     }
-    for name, title in TITLES.items():
-        if name not in results.metrics:
-            continue
-        figure = results.metrics[name]
-        row = [title, f"{figure.mean:.3f}", _interval(figure)]
-        value = paper.get(name)
-        table.add_row(*row, *(["" if value is None else f"{value:.2f}"] if published else []))
-    console.print(table)
+    rows = []
+    for name in (name for name in TITLES if name in results.metrics):
+        figure, value = results.metrics[name], paper.get(name)
+        said = "" if value is None else f"{value:.2f}"
+        words = (TITLES[name], f"{figure.mean:.3f}", _interval(figure), said)
+        rows.append(tuple(map(Cell, words[: len(heads)])))
+    console.print(Table(heads, tuple(rows), 1).shown())
     if "regret" in results.metrics and results.metrics["regret"].mean < 0:
         console.print(NEGATIVE)
 
@@ -85,7 +80,8 @@ def _headline(results: Results) -> str:
         results.domain,
         results.solver,
         f"λ = {results.trade_off:g}",
-        f"{_count(results.config['traces'], 'trace')} × {_count(len(results.types.true), 'type')}",
+        f"{counted(results.config['traces'], 'trace')} × "
+        f"{counted(len(results.types.true), 'type')}",
         "" if _users(results) == "exact" else f"explainee={_users(results)}",
         _asks(results),
         f"seed {results.seed}",
@@ -116,7 +112,7 @@ def _bounds(bounds: Mapping[str, float]) -> list[str]:
     """Certificates, and the policy's cost under the learned model, each said to be what it is."""
     if not bounds:
         return []
-    traces = _count(bounds["traces"], "trace")
+    traces = counted(int(bounds["traces"]), "trace")
     lines = [
         f"certificates, {traces}, discounted returns under the learned model:",
         f"  optimum between {bounds['optimal_lower']:.4f} and {bounds['optimal_upper']:.4f}; "
@@ -138,10 +134,6 @@ def _how_known(bounds: Mapping[str, float]) -> str:
     half = bounds["policy_value_high"] - bounds["policy_value"]
     beyond = bounds["policy_value"] > bounds["optimal_upper"]
     return f"± {half:.4f}" + (BY_CHANCE if beyond else "")
-
-
-def _count(number: float, what: str) -> str:
-    return f"{number:.0f} {what}{'' if number == 1 else 's'}"
 
 
 def _range(bounds: Mapping[str, float], name: str) -> str:

@@ -24,6 +24,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
 from hydra.core.config_store import ConfigStore
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
@@ -31,14 +32,14 @@ from yaml import YAMLError
 
 from xplain.errors import InputError, XplainError, one_of
 from xplain.experiment.config import one_line
+from xplain.experiment.results import Results, load_results
+from xplain.report.comparison import answer, main_table
+from xplain.report.measure import TITLES
+from xplain.report.summary import Summary
 from xplain.runs.start import start
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
-
-    from xplain.experiment.results import Results
-    from xplain.report.summary import Summary
 
 PYTHON = {"trade_off": "lambda"}
 """Keys that Python cannot have as names."""
@@ -57,14 +58,10 @@ class Run:
     @cached_property
     def results(self) -> Results:
         """All figures, and the configuration (:class:`xplain.experiment.results.Results`)."""
-        from xplain.experiment.results import load_results
-
         return load_results(self.folder)
 
     def frame(self) -> pd.DataFrame:
         """A row an episode, of the solver and of its references; costs are undiscounted."""
-        import pandas as pd
-
         return pd.DataFrame([vars(episode) for episode in self.results.episodes])
 
     def plot(self) -> list[Axes]:
@@ -76,8 +73,6 @@ class Run:
         return traces.draw_trace(self.results.scene, own, story.which(own, len(found))).axes
 
     def _repr_html_(self) -> str:
-        import pandas as pd
-
         figures = {name: vars(figure) for name, figure in self.results.metrics.items()}
         shown = pd.DataFrame(figures).T.round(3).to_html(na_rep="", border=0)
         return f"<p>{self.results.name}</p>{shown}"
@@ -98,15 +93,11 @@ class Sweep:
     @cached_property
     def summary(self) -> Summary:
         """What its jobs say (:class:`xplain.report.summary.Summary`)."""
-        from xplain.report.summary import Summary
-
         return Summary(self.folder, self.measure)
 
     @property
     def answer(self) -> str:
         """Who costs least, by how much, and whether that is decided; "" where nothing competes."""
-        from xplain.report.comparison import answer
-
         return answer(self.summary)
 
     @property
@@ -125,8 +116,6 @@ class Sweep:
         """
         if one_of("rows", rows, ("jobs", "episodes")) == "episodes":
             return self.summary.episodes.copy()
-        import pandas as pd
-
         return pd.DataFrame(
             {
                 **self.summary.values_of(job, results),
@@ -146,7 +135,6 @@ class Sweep:
         Raises:
             InputError: nothing was swept, or no episode has the measure.
         """
-        from xplain.report.measure import TITLES
         from xplain.report.sweep_plots import against_main_key
 
         name = one_of("measure", measure or self.summary.measure.name, TITLES)
@@ -156,10 +144,6 @@ class Sweep:
         return figure.axes
 
     def _repr_html_(self) -> str:
-        import pandas as pd
-
-        from xplain.report.comparison import main_table
-
         table = main_table(self.summary)
         rows = [[table.text(cell) for cell in row] for row in table.body]
         shown = pd.DataFrame(rows, columns=[*table.heads]).to_html(index=False, border=0)

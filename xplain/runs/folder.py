@@ -65,24 +65,16 @@ class SweepFolder:
         """Writes down what the sweep is (once, or anew where it is damaged: the first command stays
         the one on record)."""
         try:
-            self.load()
+            load_sweep(self.path)
         except (OSError, InputError):
             content = {"name": plan.name, **about, "jobs": [asdict(job) for job in plan.jobs]}
             write_text(self.path / SWEEP, json.dumps(content, indent=1) + "\n")
 
-    def load(self) -> dict[str, Any]:
-        """What :meth:`save` wrote.
-
-        Raises:
-            OSError: this is no sweep's folder.
-            InputError: the file is damaged.
-        """
-        return load_sweep(self.path)
-
     def jobs(self) -> tuple[Job, ...]:
         """The jobs in the order in which the sweep runs them."""
         return tuple(
-            Job(**{**job, "overrides": tuple(job["overrides"])}) for job in self.load()["jobs"]
+            Job(**{**job, "overrides": tuple(job["overrides"])})
+            for job in load_sweep(self.path)["jobs"]
         )
 
     def of(self, job: Job) -> Path:

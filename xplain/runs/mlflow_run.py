@@ -128,11 +128,12 @@ def fill(
     from mlflow.entities import Metric, Param, RunTag
 
     end = ended(results)
-    metrics = [Metric(name, round(value, 4), end, step) for name, value in scalars(results).items()]
-    for index, value in enumerate(results.steps.get("belief_in_true_type", ())):
-        metrics.append(Metric("belief_in_true_type", value, end, index))
-    for k, value in enumerate(results.elbow.disagreements, start=1):
-        metrics.append(Metric("disagreements", value, end, k))
+    belief, disagreements = "belief_in_true_type", results.elbow.disagreements
+    metrics = [
+        *(Metric(name, round(own, 4), end, step) for name, own in scalars(results).items()),
+        *(Metric(belief, own, end, k) for k, own in enumerate(results.steps.get(belief, ()))),
+        *(Metric("disagreements", own, end, k) for k, own in enumerate(disagreements, start=1)),
+    ]
     params = [Param(key, value) for key, value in parameters(results, swept or {}).items()]
     tags = {
         "xplain.code": results.code,

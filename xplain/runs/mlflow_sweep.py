@@ -12,7 +12,7 @@ from xplain.experiment.fingerprint import git_state
 from xplain.experiment.results import Results, load_results
 from xplain.report.combinations import heading
 from xplain.report.comparison import answer, main_table
-from xplain.report.summary import Summary
+from xplain.report.summary import Summary, load_sweep
 from xplain.runs.folder import FAILURE, STARTED, SweepFolder
 from xplain.runs.mlflow_run import (
     MOST_PARAMETERS,
@@ -54,7 +54,7 @@ class SweepRuns:
         from mlflow.entities import Param, RunTag
 
         self._store, self._folder = store, folder
-        self._jobs, about = folder.jobs(), folder.load()
+        self._jobs, about = folder.jobs(), load_sweep(folder.path)
         self._main = main_key(self._jobs)
         self._numbers = {job.name: i for i, job in enumerate(self._jobs, 1)}
         self._view = folder.identity.rpartition("-")[2]
@@ -168,5 +168,5 @@ class SweepRuns:
         return (
             f"{answer(summary)}\n\n{len(self._jobs)} jobs over {swept}: "
             f"{', '.join(links)}; the report is among the artifacts (`report/index.html`). "
-            f"`{self._folder.load()['command']}`\n\n{main_table(summary).markdown()}"
+            f"`{summary.about['command']}`\n\n{main_table(summary).markdown()}"
         )

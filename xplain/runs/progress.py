@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import logging
-import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
-
+from xplain.report.stages import stages
 from xplain.runs.folder import SweepFolder
 from xplain.runs.plan import Job
 
@@ -18,70 +16,54 @@ log = logging.getLogger(__name__)
 
 POLL = 1.0
 """Seconds between looks."""
-SAY = 15.0
-"""Seconds between lines where there is no terminal."""
 
 
-class Watch:
-    """A thread that looks at the jobs' folders until it is told to stop.
+@contextmanager
+def watched(
+    folder: SweepFolder, jobs: Sequence[Job], ended: Callable[[Job], None], done: int
+) -> Iterator[None]:
+    """A thread looks at the jobs' folders for the time of the context, and once more at its end.
 
     Args:
         folder: of the sweep.
         jobs: those to watch.
-        ended: hears of every job that is finished or failed, in the thread of the watch.
+        ended: hears of every job that is finished or failed, in one thread at a time.
         done: how many other jobs of the sweep are finished already.
     """
+    waiting, failed, every = list(jobs), 0, done + len(jobs)
+    progress, started, stop = stages(), time.monotonic(), threading.Event()
 
-    def __init__(
-        self, folder: SweepFolder, jobs: Sequence[Job], ended: Callable[[Job], None], done: int
-    ) -> None:
-        self._folder, self._ended, self._done = folder, ended, done
-        self._waiting, self._all, self._failed = list(jobs), len(jobs), 0
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._watch, daemon=True)
-        self._started = self._said = time.monotonic()
-        self._bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            console=Console(stderr=True),
-            disable=not sys.stderr.isatty(),
-        )
-        self._task = self._bar.add_task("", total=done + len(jobs))
-
-    def __enter__(self) -> Watch:
-        self._bar.start()
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._look()
-        self._bar.stop()
-
-    def _watch(self) -> None:
-        while not self._stop.wait(POLL):
-            self._look()
-
-    def _look(self) -> None:
-        states = [(job, self._folder.state(job)) for job in self._waiting]
-        ended = [job for job, state in states if state in ("finished", "failed")]
-        self._waiting = [job for job in self._waiting if job not in ended]
+    def look() -> None:
+        nonlocal waiting, failed
+        states = [(job, folder.state(job)) for job in waiting]
+        over = [job for job, state in states if state in ("finished", "failed")]
+        waiting = [job for job in waiting if job not in over]
         for job, state in states:
             if state == "failed":
-                self._failed += 1
-                log.info("failed: %s: %s", job.label, self._folder.failure(job)["error"])
-        now, count = time.monotonic(), self._all - len(self._waiting)
-        words = f"{self._done + count} of {self._done + self._all} jobs done, {self._failed} failed"
-        if count and self._waiting:
-            left = (now - self._started) / count * len(self._waiting)
+                failed += 1
+                log.info("failed: %s: %s", job.label, folder.failure(job)["error"])
+        count = len(jobs) - len(waiting)
+        words = f"{done + count} of {every} jobs done, {failed} failed"
+        if count and waiting:
+            left = (time.monotonic() - started) / count * len(waiting)
             words += f", about {duration(left)} left"
-        self._bar.update(self._task, completed=self._done + count, description=words)
-        if self._bar.disable and now - self._said >= SAY:
-            self._said = now
-            log.info(words)
-        for job in ended:  # last: it may take long
-            self._ended(job)
+        progress.note(words)
+        for job in over:  # last: it may take long
+            ended(job)
+
+    def watch() -> None:
+        while not stop.wait(POLL):
+            look()
+
+    thread = threading.Thread(target=watch, daemon=True)
+    with progress.stage("sweep"):
+        thread.start()
+        try:
+            yield
+        finally:
+            stop.set()
+            thread.join()
+            look()
 
 
 def duration(seconds: float) -> str:

@@ -26,7 +26,7 @@ from xplain.runs.forecast import print_dry_run
 from xplain.runs.launch import interruptible, launch
 from xplain.runs.mlflow import Tracking
 from xplain.runs.plan import Job, Plan, in_launch_order, make_plan
-from xplain.runs.progress import Watch, duration
+from xplain.runs.progress import duration, watched
 from xplain.runs.reuse import copy_results, finished_elsewhere
 from xplain.runs.todo import Todo, decide
 
@@ -130,7 +130,7 @@ def carry_out(
     try:
         with (
             interruptible() as interrupted,
-            Watch(folder, run, ended, len(todo.finished) + len(copied)),
+            watched(folder, run, ended, len(todo.finished) + len(copied)),
         ):
             _launch_all(run, folder, launch, interrupted)
     except BaseException as error:

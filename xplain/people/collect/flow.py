@@ -13,7 +13,6 @@ from typing import Any, ClassVar
 
 from xplain.explanation.message_sets import indices
 from xplain.people import flow as core
-from xplain.people import stages
 from xplain.people.collect import asking
 from xplain.people.collect.asking import (
     ATTENTION,
@@ -25,7 +24,7 @@ from xplain.people.collect.asking import (
 )
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.flow import Answer, Decision, Fields, Flow, Form, Stage
-from xplain.people.stages import Consent, LookingAhead, QuestionStage, choices, small
+from xplain.people.stages import Consent, LookingAhead, Practice, QuestionStage, choices, small
 from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import derived_seed, stream
 
@@ -42,7 +41,7 @@ class TaskStage(Stage["Collection", CollectState]):
         return flow.briefing(state)
 
 
-class CollectPractice(stages.Practice["Collection", CollectState]):
+class CollectPractice(Practice["Collection", CollectState]):
     """An action that makes no sense under one sentence, and sense under another."""
 
     def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:

@@ -15,15 +15,14 @@ import numpy as np
 
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.label_file import write_table
-from xplain.people.analysis import export as exported
-from xplain.people.analysis.export import Row, events_of, seconds, write
+from xplain.people.analysis.export import ParticipantRow, Row, events_of, seconds, write
 from xplain.people.analysis.stored import STREAMS
 from xplain.people.collect.asking import STATED, CollectState
 from xplain.people.collect.codebook import CODEBOOK
 from xplain.people.collect.labels import dataset_of, why_left_out
 from xplain.people.collect.plan import CollectPlan
 
-Participant = exported.ParticipantRow[CollectState]
+Participant = ParticipantRow[CollectState]
 
 
 def export(database: Path, folder: Path) -> str:

@@ -15,9 +15,16 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from xplain.errors import Refused
-from xplain.people import stages
 from xplain.people.flow import Fields, Form, Stage
-from xplain.people.stages import LookingAhead, QuestionStage, choice, choices, small
+from xplain.people.stages import (
+    Consent,
+    LookingAhead,
+    Practice,
+    QuestionStage,
+    choice,
+    choices,
+    small,
+)
 from xplain.people.study.evaluation import ENDS, Asking, Evaluation, Explaining, Outcome, StudyState
 from xplain.people.study.plan import StudyPlan
 
@@ -25,7 +32,7 @@ __all__ = ["ENDS", "Study", "StudyState"]
 _WIDTH = re.compile(r"[1-9][0-9]{1,4}\Z")
 
 
-class StudyConsent(stages.Consent["Study", StudyState]):
+class StudyConsent(Consent["Study", StudyState]):
     """With the width of the window."""
 
     def read(self, flow: Study, state: StudyState, form: Form) -> dict[str, Any]:
@@ -58,7 +65,7 @@ class Briefing(Stage["Study", StudyState]):
         return flow.after(state, wrong=False)
 
 
-class TrainingStage(stages.Practice["Study", StudyState]):
+class TrainingStage(Practice["Study", StudyState]):
     """An added action, unexpected without its message."""
 
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:

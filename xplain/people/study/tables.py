@@ -12,13 +12,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from xplain.explanation.message_sets import names_of
-from xplain.people.analysis import export as exported
-from xplain.people.analysis.export import Row, events_of, seconds, write
+from xplain.people.analysis.export import ParticipantRow, Row, events_of, seconds, write
 from xplain.people.study.codebook import CODEBOOK
 from xplain.people.study.flow import StudyState
 from xplain.people.study.plan import StudyPlan
 
-Participant = exported.ParticipantRow[StudyState]
+Participant = ParticipantRow[StudyState]
 EVALUATING = ("evaluation", "asking")
 """Stages whose pages are the evaluation."""
 
