@@ -96,12 +96,13 @@ def rescue() -> Study:
 
 @pytest.fixture(scope="module")
 def asking() -> Study:
-    """The rescue study with a condition that asks."""
+    """The rescue study with a condition that asks, as the paper's belief has it: also after
+    messages."""
     from xplain.experiment.config import composed
 
-    return StudySite.of(
-        study_plan(composed("study", ["seed=0", "observers.points=150", "ask=clips"]))
-    ).flow
+    paper = ["belief=independent", "belief.error=0"]
+    made = composed("study", ["seed=0", "observers.points=150", "ask=clips", *paper])
+    return StudySite.of(study_plan(made)).flow
 
 
 def serving(path: Path, study: Study) -> ServerProcess:
