@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -98,6 +99,23 @@ def test_a_bad_file_is_one_line(key: str, old: str, new: str, text: str, tmp_pat
     with pytest.raises(XplainError, match=text) as caught:
         PDDL(**edited(tmp_path, key, old, new))
     assert "\n" not in str(caught.value)
+
+
+def test_an_argument_of_another_type_is_refused_but_not_one_of_a_wider_or_narrower(
+    tmp_path: Path,
+) -> None:
+    """(holding ?x) takes a block: a hand is none; a thing may be one, a cube is one."""
+    types = "(:types cube - block block hand - thing)"
+    for kind, fits in (("hand", False), ("thing", True), ("cube", True)):
+        pick = f"(?x - block ?y - {kind})\n"
+        own = edited(tmp_path, "file", "(?x - block)\n", pick)
+        path = Path(own["file"])
+        text = re.sub(r"\(:types[^)]*\)", types, path.read_text(encoding="utf-8"))
+        path.write_text(text, encoding="utf-8")
+        fact = {"x": {"change": {"action": "pick-up", "add_precondition": "(holding ?y)"}}}
+        with pytest.raises(XplainError) as caught:
+            PDDL(**own | {"facts": fact})
+        assert ("y is a hand, holding takes a block" in str(caught.value)) == (not fits), kind
 
 
 def change(**fields: Any) -> dict[str, Any]:

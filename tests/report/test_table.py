@@ -111,3 +111,13 @@ def test_numbers_have_two_decimals_and_no_negative_zero() -> None:
         assert abs(float(text) - value) <= 0.005 + 1e-12
         assert text != "-0.00"
     assert number(UNKNOWN) == ""
+
+
+def test_latex_has_a_rule_between_groups_of_rows_and_no_other() -> None:
+    """A row whose first cell is filled begins a group, where there is more than one to the left."""
+    table = a_table(True)
+    grouped = [row[0].words != "" for row in table.body]
+    rules = [line for line in table.latex().splitlines() if line.endswith("rule")]
+    assert rules.count(r"\midrule") == 1 + sum(grouped[1:])
+    single = Table(table.heads[1:], tuple(row[1:] for row in table.rows), 1, "", "", True)
+    assert single.latex().count(r"\midrule") == 1

@@ -622,3 +622,20 @@ def test_previews_hold_places_of_their_own_in_the_cell_that_was_chosen(
     slots = "SELECT holder, user_type, condition FROM slot WHERE stream = ? ORDER BY position"
     found = [tuple(row.values()) for row in store.query(slots, ("preview",))]
     assert found == [(who, *cells[cell]) for who, cell in zip(shown, chosen, strict=True)]
+
+
+def test_who_comes_back_finds_the_place_of_somebody_who_is_silent_now(
+    store: Store, time: Time, study: Study
+) -> None:
+    """Nobody looked for the silent meanwhile: the return itself does."""
+    places = len(study.plan.cells) * study.plan.rules.per_cell
+    away, *others = (store.enter_invited(t) for t in store.invite(places + 1, "person"))
+    consent(store, away)
+    time.now += 31 * 60
+    assert store.time_out_stale() == 1
+    for who in others:
+        consent(store, who)
+    with pytest.raises(Full):
+        store.submit(away, 2, "return", {})
+    time.now += 31 * 60
+    assert store.submit(away, 2, "return", {}).stage == "briefing"

@@ -178,3 +178,13 @@ def test_a_group_without_spread_is_compared_without_a_warning() -> None:
     found = compare([6, 6, 6], [2, 3, 4], ["a"] * 3, ["a"] * 3, 0)
     assert found["student_t"] == pytest.approx(3 * np.sqrt(3))
     assert found["student_df"] == 4
+
+
+def test_groups_without_any_spread_have_no_t() -> None:
+    """Nor any warning; one group with spread is enough."""
+    same = ["a"] * 3
+    for other in (2.0, 5.0):
+        found = compare([2.0] * 3, [other] * 3, same, same, 0)
+        assert np.isnan([found[key] for key in ("student_t", "welch_p", "hedges_g")]).all()
+    assert np.isfinite(compare([1.0, 2.0, 3.0], [2.0] * 3, same, same, 0)["welch_p"])
+    assert np.isfinite(compare([2.0] * 3, [1.0, 2.0, 3.0], same, same, 0)["welch_p"])

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from tests.people.study.stand_in import CONFIG, FAULTLESS, street_study
-from xplain.errors import Refused
+from xplain.errors import InputError, Refused
 from xplain.explanation.again import Again
 from xplain.explanation.belief import Independent, Persistent
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import Exact, Heedless, SimulatedUser
+from xplain.people.plan import LabQuestion
 from xplain.people.study.bot import take_part
 from xplain.people.study.flow import Study, StudyState
 from xplain.solvers.qmdp import QMDP
@@ -248,6 +249,14 @@ def agreed(study: Study, **more: object) -> StudyState:
     slot = {"user_type": 0, "condition": "conformant", "orders": ORDERS}
     payload = {"agree": 1, "text": study.plan.texts.consent_hash, **slot, **more}
     return study.advance(StudyState(), "consent", payload).state
+
+
+def test_a_scale_has_two_to_eleven_points() -> None:
+    for high in (1, 10):
+        assert len(LabQuestion.of(RATING | {"low": 0, "high": high}).options) == high + 1
+    for high in (0, 11):
+        with pytest.raises(InputError, match=r"questions.robots.high"):
+            LabQuestion.of(RATING | {"low": 0, "high": high})
 
 
 def test_a_missed_attention_check_ends_the_part_before_it_begins() -> None:
