@@ -28,7 +28,7 @@ from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.pomcp.rollout import MAX_OF_MEAN, leaf_value
 from xplain.solvers.pomcp.search_model import model_of as search_model
 from xplain.solvers.pomcp.solver import POMCP
-from xplain.solvers.pomcp.tree import Tree
+from xplain.solvers.pomcp.tree import SearchRoot, Tree
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
 from xplain.solvers.rows import rows_at
@@ -124,7 +124,7 @@ def test_a_leaf_is_worth_what_qmdp_says(both: Both) -> None:
     for shown in range(1 << n):
         belief, k = rng.dirichlet(np.ones(both[0].n_types)), int(rng.integers(both[0].n_steps))
         known = plain_qmdp_value(both[1], k, shown, belief)
-        tree = Tree.rooted(1, n, both[0].n_steps, k, shown, belief, 0)
+        tree = Tree.rooted(1, n, both[0].n_steps, SearchRoot(k, shown, belief), 0)
         assert leaf(model, tree, k, shown, belief) == pytest.approx(known, abs=1e-9)
 
 

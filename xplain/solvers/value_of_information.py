@@ -29,7 +29,7 @@ from xplain.solvers.knowing import SPREAD, Knowing, gains, make_knowing
 from xplain.solvers.memory import check_memory
 from xplain.solvers.pomcp.rollout import roll_qmdp
 from xplain.solvers.pomcp.search_model import SearchModel, model_bytes, model_of
-from xplain.solvers.pomcp.tree import Tree
+from xplain.solvers.pomcp.tree import SearchRoot, Tree
 from xplain.solvers.reminding import Reminding
 from xplain.solvers.restriction import restricted
 
@@ -81,7 +81,7 @@ class Simulated:
     def _tree(self) -> Tree:
         """Room for simulations."""
         steps, types = self.model.reduced.n_steps, self.model.reduced.n_types
-        return Tree.rooted(1, len(self.kept), steps, 0, 0, np.zeros(types), 0)
+        return Tree.rooted(1, len(self.kept), steps, SearchRoot(0, 0, np.zeros(types)), 0)
 
     @cached_property
     def _rolls(self) -> int:

@@ -32,7 +32,7 @@ from xplain.solvers.pomcp.kernel import simulate
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
 from xplain.solvers.pomcp.search_model import model_bytes, model_of
 from xplain.solvers.pomcp.solver import POMCP, Search
-from xplain.solvers.pomcp.tree import FIRST_TABLE, Tree, tree_bytes
+from xplain.solvers.pomcp.tree import FIRST_TABLE, SearchRoot, Tree, tree_bytes
 from xplain.testing.problems import random_problem
 
 
@@ -89,7 +89,9 @@ def test_is_the_plain_search(
         middle = (number + turn) % 2 == 1
         step, given = (2, 4 if problem.n_messages > 1 else 0) if middle else (0, 0)
         search = search_of(solver, problem)
-        tree = Tree.rooted(700, problem.n_messages, problem.n_steps, step, given, problem.prior, 99)
+        tree = Tree.rooted(
+            700, problem.n_messages, problem.n_steps, SearchRoot(step, given, problem.prior), 99
+        )
         simulate(700, search.model, search.options, tree, *make_roots(702))
         expected = PlainPOMCP(solver, problem, 99, step, given, problem.prior).run()
         for action, edge in enumerate(tree.root_edges()):
@@ -162,7 +164,7 @@ def test_steps_do_not_count_messages() -> None:
     opened = {}
     for unit in ("actions", "steps"):
         search = search_of(POMCP(depth=1, depth_unit=unit, rollout="silent"), problem)
-        tree = Tree.rooted(2000, 2, 2, 0, 0, problem.prior, 1)
+        tree = Tree.rooted(2000, 2, 2, SearchRoot(0, 0, problem.prior), 1)
         simulate(2000, search.model, search.options, tree, *make_roots(2002))
         nodes = tree.nodes[: tree.used[0]]
         opened[unit] = {int(node["given"]) for node in nodes if node["edges"]}
@@ -190,7 +192,7 @@ def test_labels_are_drawn_with_their_probabilities() -> None:
     other = np.random.default_rng(3).uniform(0.1, 0.9, count)
     problem = Problem(np.stack([p, other])[:, :, None], np.empty(0))
     model = model_of(problem)
-    first, tree = (Tree.rooted(draws, 0, count, 0, 0, problem.prior, 1) for _ in "12")
+    first, tree = (Tree.rooted(draws, 0, count, SearchRoot(0, 0, problem.prior), 1) for _ in "12")
     _draw_many(1, model, first, problem.prior)  # codes the observations
     model.weight[0] = 1 << np.arange(count, dtype=np.uint64)
     for t in range(2):
@@ -227,7 +229,7 @@ def test_exchangeable_labels_share_a_history() -> None:
     p[0, :6], p[1, :6] = 0.6, 0.4
     problem = Problem(p, np.empty(0))
     search = search_of(POMCP(), problem)
-    tree = Tree.rooted(5000, 0, 8, 6, 0, problem.prior, 1)
+    tree = Tree.rooted(5000, 0, 8, SearchRoot(6, 0, problem.prior), 1)
     options = search.options._replace(depth=1)
     simulate(5000, search.model, options, tree, *make_roots(5002))
     assert tree.used[0] == 1 + 7
@@ -336,7 +338,7 @@ def test_more_message_sets_than_are_kept_coded_are_searched_alike(
 @pytest.mark.parametrize("messages", [1, 30, 31, 61])
 def test_a_nodes_masks_hold_every_action(messages: int) -> None:
     """*explain* has a bit of its own beside the messages'."""
-    tree = Tree.rooted(1, messages, 1, 0, 0, np.ones(1), 0)
+    tree = Tree.rooted(1, messages, 1, SearchRoot(0, 0, np.ones(1)), 0)
     tree.nodes["untried"][0] = (1 << (messages + 1)) - 1
     assert int(tree.nodes["untried"][0]).bit_count() == messages + 1
     assert np.iinfo(tree.nodes.dtype["given"]).max >= (1 << messages) - 1
@@ -422,11 +424,12 @@ def test_defaults_are_the_configurations() -> None:
 def test_trees_take_no_more_than_told() -> None:
     """What the refusal counts is what is allocated."""
     problem = soft_problem(15)
-    tree = Tree.rooted(1000, 3, 4, 0, 0, problem.prior, 0)
+    tree = Tree.rooted(1000, 3, 4, SearchRoot(0, 0, problem.prior), 0)
     model = model_of(problem)
     own = [a for a in tree if isinstance(a, np.ndarray)]
     assert sum(a.nbytes for a in own) == pytest.approx(tree_bytes(problem, 1000), rel=0.01)
-    small = Tree.rooted(1, problem.n_messages, problem.n_steps, 0, 0, problem.prior, 0)
+    start = SearchRoot(0, 0, problem.prior)
+    small = Tree.rooted(1, problem.n_messages, problem.n_steps, start, 0)
     counted = (small.nodes, small.edges, small.beliefs, small.table, small.seen, small.likelihoods)
     assert sum(a.nbytes for a in counted) <= tree_bytes(problem, 1)  # the most that it takes
     held = sum(a.nbytes for a in model if isinstance(a, np.ndarray))
@@ -436,7 +439,7 @@ def test_trees_take_no_more_than_told() -> None:
 def test_a_table_grows_with_the_tree_and_holds_every_child() -> None:
     problem = soft_problem(3, steps=6, n=5)
     search = search_of(POMCP(simulations=1, depth=None, depth_unit="steps"), problem)
-    tree = Tree.rooted(20_000, 5, 6, 0, 0, problem.prior, 0)
+    tree = Tree.rooted(20_000, 5, 6, SearchRoot(0, 0, problem.prior), 0)
     simulate(20_000, search.model, search.options, tree, *make_roots(1 << 15))
     nodes, _, mask = tree.used.tolist()
     assert nodes > FIRST_TABLE  # else nothing would have grown

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xplain.explanation.belief import rounded
 from xplain.randomness import derived_seed
 from xplain.solvers.inquiry import Inquiry, look, make_room
-from xplain.solvers.pomcp.tree import Tree
+from xplain.solvers.pomcp.tree import SearchRoot, Tree
 
 CHUNK = 50_000
 """Simulations between two looks at Ctrl-C."""
@@ -23,19 +23,6 @@ CHUNK = 50_000
 Roots = tuple[NDArray[np.float64], NDArray[np.float64]]
 Run = Callable[[int, Tree, Roots], None]
 """Runs so many simulations in a tree."""
-
-
-class SearchRoot(NamedTuple):
-    """Where a search starts: k; H, or where messages may be said again those that may not be now; a
-    belief; the bitmask of questions asked; whether one may be asked now; and, as far as it matters,
-    what was said at earlier steps."""
-
-    step: int
-    given: int
-    belief: NDArray[np.float64]
-    asked: int = 0
-    may_ask: bool = True
-    before: int = 0
 
 
 class Forest(NamedTuple):
@@ -78,8 +65,8 @@ class Forest(NamedTuple):
         """Value and visits of each action at the root, merged over the trees: [n + 1 + B] each,
         messages, *explain*, then the most telling questions. The random stream comes from what is
         to be decided, not from what was decided before."""
-        belief = _exact(start.belief)
-        digest = int.from_bytes(blake2b(belief.tobytes(), digest_size=8).digest(), "little")
+        start = start._replace(belief=_exact(start.belief))
+        digest = int.from_bytes(blake2b(start.belief.tobytes(), digest_size=8).digest(), "little")
         heard = (str(start.asked),) if start.asked or start.before else ()
         said = (str(start.before),) if start.before else ()
         whole, rest = divmod(self.simulations, self.trees)
@@ -92,13 +79,9 @@ class Forest(NamedTuple):
                 budget,
                 self.messages,
                 self.steps,
-                start.step,
-                start.given,
-                belief,
+                start,
                 derived_seed(self.seed, *names),
                 make_room(self.inquiry, start.asked, self.slots),
-                start.may_ask,
-                start.before,
             )
             roots, run = make_roots(1 << budget.bit_length()), runs()
             while budget > 0 and not stop.is_set():

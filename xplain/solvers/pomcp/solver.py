@@ -41,7 +41,7 @@ from xplain.solvers.inquiry import Inquiry
 from xplain.solvers.knowing import make_knowing
 from xplain.solvers.memory import check_memory
 from xplain.solvers.model import best_set, one_by_one, table_bytes
-from xplain.solvers.pomcp.forest import Forest, Run, SearchRoot
+from xplain.solvers.pomcp.forest import Forest, Run
 from xplain.solvers.pomcp.kernel import simulate
 from xplain.solvers.pomcp.knowing import KnowingSearch, simulate_knowing
 from xplain.solvers.pomcp.search_model import (
@@ -50,7 +50,7 @@ from xplain.solvers.pomcp.search_model import (
     model_of,
     with_own_room,
 )
-from xplain.solvers.pomcp.tree import Options, slots_for, tree_bytes
+from xplain.solvers.pomcp.tree import Options, SearchRoot, slots_for, tree_bytes
 from xplain.solvers.reminding import Reminding, known_bytes
 from xplain.solvers.restriction import Restricted, RestrictedAsking, restricted
 from xplain.solvers.rows import rows_at

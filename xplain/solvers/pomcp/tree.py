@@ -1,8 +1,7 @@
 """The search tree of :mod:`xplain.solvers.pomcp.kernel`: flat arrays, made before the search.
 
 A node is a history that ends in a belief: k transitions shown, messages H given, exact belief b.
-Children are found in one open-addressing table, by (node, labels) after *explain* and by (node
-where the step began, H) after a message: orders of the same messages lead to one node.
+:mod:`xplain.solvers.pomcp.growth` adds nodes and edges.
 """
 
 from __future__ import annotations
@@ -10,16 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import uint64
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import inlined
-from xplain.solvers.bits import count_bits
-from xplain.solvers.count_lattice import copy
-from xplain.solvers.inquiry import NO_ROOM, Room, open_questions
-from xplain.solvers.random_words import GOLDEN, splitmix64
-from xplain.solvers.rows import find_rows
+from xplain.solvers.inquiry import NO_ROOM, Room
 
 NODE = np.dtype(
     [
@@ -86,6 +79,19 @@ class Options(NamedTuple):
     backup: int
 
 
+class SearchRoot(NamedTuple):
+    """Where a search starts: k; H, or where messages may be said again those that may not be now; a
+    belief; the bitmask of questions asked; whether one may be asked now, as none may between a
+    step's messages; and, as far as it matters, what was said at earlier steps."""
+
+    step: int
+    given: int
+    belief: NDArray[np.float64]
+    asked: int = 0
+    may_ask: bool = True
+    before: int = 0
+
+
 class Tree(NamedTuple):
     """Room for a search of S simulations: each adds at most one node.
 
@@ -140,21 +146,13 @@ class Tree(NamedTuple):
         simulations: int,
         n_messages: int,
         n_steps: int,
-        step: int,
-        given: int,
-        belief: NDArray[np.float64],
+        start: SearchRoot,
         seed: int,
         room: Room = NO_ROOM,
-        may_ask: bool = True,
-        before: int = 0,
     ) -> Tree:
-        """A tree of one node. Memory that no simulation reaches is never touched.
-
-        Args:
-            room: of the questions asked before; and whether one ``may_ask`` at the root, as none
-                may between a step's messages.
-            before: what was said at earlier steps, as far as it matters.
-        """
+        """A tree of one node. Memory that no simulation reaches is never touched. ``room`` knows
+        the questions asked before."""
+        types = len(start.belief)
         slots, questions = len(room.found), len(room.asked)
         size, actions = simulations + 1, n_messages + 1 + slots
         length = (n_messages + 1) * n_steps + 1 + questions
@@ -162,13 +160,13 @@ class Tree(NamedTuple):
         tree = cls(
             _in_lines(size, _node_kind(n_messages + slots)),
             np.empty((size + 1) * actions, EDGE),
-            np.empty((size, len(belief))),
+            np.empty((size, types)),
             np.zeros(_table_size(simulations), ENTRY),
             np.zeros(remembered, np.uint64),
-            np.empty((remembered, len(belief))),
+            np.empty((remembered, types)),
             np.empty(n_steps, np.bool_),
-            np.empty(len(belief)),
-            np.empty(len(belief), np.int64),
+            np.empty(types),
+            np.empty(types, np.int64),
             np.zeros(n_messages),
             np.empty((3, length), np.int64),
             np.empty(length),
@@ -179,10 +177,10 @@ class Tree(NamedTuple):
             room,
             np.empty(size, np.int64),
         )
-        tree.before[0] = before
-        tree.inquired[0, -2:] = 0 if may_ask else CLOSED, -1
-        tree.nodes[0] = (0, np.nan, 0.0, 0.0, 0, 0, 0, step, given, 0, 0)
-        tree.beliefs[0] = belief
+        tree.before[0] = start.before
+        tree.inquired[0, -2:] = 0 if start.may_ask else CLOSED, -1
+        tree.nodes[0] = (0, np.nan, 0.0, 0.0, 0, 0, 0, start.step, start.given, 0, 0)
+        tree.beliefs[0] = start.belief
         return tree
 
     def root_edges(self) -> NDArray[np.void]:
@@ -194,116 +192,6 @@ class Tree(NamedTuple):
         available = [a for a in range(within) if not int(root["given"]) >> a & 1]
         edges[available] = self.edges[root["edges"] : root["edges"] + len(available)]
         return edges
-
-
-@inlined
-def find(tree, parent, code):  # type: ignore[no-untyped-def]
-    """Where the table holds this child, or has room for it; and the tag it bears there, without
-    which every other child on the way would have to be looked at."""
-    mask = tree.used[MASK]
-    h = splitmix64(code + uint64(parent) * GOLDEN)
-    slot, tag = np.int64(h & uint64(mask)), np.uint32(h >> uint64(32))
-    while True:
-        node = tree.table[slot].node
-        if node == UNVISITED:
-            return slot, tag
-        if tree.table[slot].tag == tag:
-            record = tree.nodes[node]
-            if record.parent == parent and record.code == code:
-                return slot, tag
-        slot = (slot + 1) & mask
-
-
-@inlined
-def grow_table(tree):  # type: ignore[no-untyped-def]
-    """Where the table is half full, spreads the children over twice as much of it: a table no
-    larger than need be stays in the processor's cache."""
-    if 2 * tree.used[NODES] > tree.used[MASK]:
-        tree.used[MASK] = 2 * tree.used[MASK] + 1
-        for slot in range(tree.used[MASK] + 1):
-            tree.table[slot].node = UNVISITED
-        for node in range(1, tree.used[NODES]):
-            record = tree.nodes[node]
-            slot, tag = find(tree, np.int64(record.parent), record.code)
-            tree.table[slot].node = node
-            tree.table[slot].tag = tag
-
-
-@inlined
-def add(tree, slot, tag, parent, code):  # type: ignore[no-untyped-def]
-    """A node without edges; its step, given, base and belief are left to set."""
-    node = tree.used[NODES]
-    tree.used[NODES] += 1
-    tree.table[slot].node = node
-    tree.table[slot].tag = tag
-    record = tree.nodes[node]
-    record.parent = parent
-    record.code = code
-    record.edges = UNOPENED
-    record.visits = 0
-    record.value = 0.0
-    record.leaf = np.nan
-    return node
-
-
-@inlined
-def open_(model, tree, node):  # type: ignore[no-untyped-def]
-    """Gives a node its edges, and the expected reward of *explain*."""
-    make_edges(len(model.reduced.price), model.reduced.inquiry, tree, node)
-    record = tree.nodes[node]
-    record.reward = 0.0
-    find_rows(model.reduced.rows.part, np.int64(record.given), tree.rows)
-    for t in range(tree.beliefs.shape[1]):
-        cost = model.explain_cost[tree.rows[t], record.step, t]
-        record.reward -= tree.beliefs[record.base, t] * cost
-
-
-@inlined
-def make_edges(messages, inquiry, tree, node):  # type: ignore[no-untyped-def]
-    """Edges for each message not yet given, for *explain*, and for each of the most telling
-    questions where a step begins."""
-    record, actions = tree.nodes[node], messages + 1
-    record.edges = tree.used[EDGES]
-    if len(tree.room.found) > 0 and record.base == node:
-        actions += _inquire(inquiry, tree, node)
-    record.untried = ((1 << actions) - 1) & ~record.given
-    actions = count_bits(np.int64(record.untried))
-    tree.used[EDGES] += actions
-    for a in range(actions):
-        edge = tree.edges[record.edges + a]
-        edge.value = -np.inf
-        edge.visits = 0
-        edge.child = UNVISITED
-
-
-@inlined
-def questions_at(tree, node):  # type: ignore[no-untyped-def]
-    """How many questions an open node has edges for."""
-    slots = len(tree.room.found)
-    if slots == 0 or tree.nodes[node].base != node:
-        return 0
-    return max(np.int64(tree.inquired[node, slots]), 0)
-
-
-@inlined
-def _inquire(inquiry, tree, node):  # type: ignore[no-untyped-def]
-    """Looks up the questions to try at a node where a step begins. Returns how many."""
-    slots, known = len(tree.room.found), tree.inquired[node]
-    if known[slots] == CLOSED:
-        return 0
-    copy(tree.asked, tree.room.asked)
-    before = node
-    while before != ROOT:
-        if tree.inquired[before, slots + 1] >= 0:
-            tree.room.asked[tree.inquired[before, slots + 1]] = True
-        before = np.int64(tree.nodes[tree.nodes[before].parent].base)
-    record = tree.nodes[node]
-    given, step = np.int64(record.given), np.int64(record.step)
-    count = open_questions(inquiry, step, given, tree.beliefs[node], tree.room)
-    known[slots] = count
-    for i in range(count):
-        known[i] = tree.room.found[i]
-    return count
 
 
 def _node_kind(choices: int) -> np.dtype[np.void]:
