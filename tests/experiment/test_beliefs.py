@@ -9,7 +9,7 @@ from hydra.utils import instantiate
 
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError
-from xplain.experiment.asking import Beliefs, CaseQuestions, merged
+from xplain.experiment.asking import CaseQuestions, belief_questions, merged
 from xplain.experiment.config import composed
 from xplain.experiment.explanations import evaluate
 from xplain.experiment.from_config import components_of, costs_of
@@ -45,7 +45,7 @@ def setting() -> Setting:
 
 
 def test_a_fact_is_right_unless_it_is_held_wrong_and_was_not_told(setting: Setting) -> None:
-    beliefs = Beliefs.of(setting, setting.wrong, 0)
+    beliefs = belief_questions(setting, setting.wrong, 0)
     names = setting.message_names
     assert [names[j] for j in beliefs.facts] == list(names)
     for given in range(1 << len(names)):
@@ -58,7 +58,7 @@ def test_a_fact_is_right_unless_it_is_held_wrong_and_was_not_told(setting: Setti
 def test_what_types_know_is_what_is_left_until_they_are_told(setting: Setting) -> None:
     rng = np.random.default_rng(0)
     wrong = np.where(rng.random((3, 6)) < 0.3, 0.004, rng.random((3, 6)))
-    learned = Beliefs.of(setting, wrong, 0).learned
+    learned = belief_questions(setting, wrong, 0).learned
     for given in range(1 << 6):
         told = np.array([given >> j & 1 for j in range(6)], bool)
         wanted = np.where(told & (wrong >= 0.01), 1, 1 - wrong)
@@ -68,8 +68,8 @@ def test_what_types_know_is_what_is_left_until_they_are_told(setting: Setting) -
 def test_the_order_of_sentences_is_drawn_and_says_nothing_of_the_right_one(
     setting: Setting,
 ) -> None:
-    drawn = [Beliefs.of(setting, setting.wrong, seed) for seed in range(200)]
-    again = Beliefs.of(setting, setting.wrong, 7)
+    drawn = [belief_questions(setting, setting.wrong, seed) for seed in range(200)]
+    again = belief_questions(setting, setting.wrong, 7)
     assert (again.texts, again.right.tolist()) == (drawn[7].texts, drawn[7].right.tolist())
     shares = np.mean([one.right for one in drawn], axis=0)
     assert (abs(shares - 0.5) < 4 * 0.5 / np.sqrt(200)).all()

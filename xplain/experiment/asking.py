@@ -1,6 +1,6 @@
 """What may be asked while a trace is explained: clips of the task, and beliefs about its facts.
 
-Setting ── Clips, Beliefs ── CaseQuestions (one a trace)
+Setting ── Clips, beliefs ── CaseQuestions (one a trace)
 """
 
 from __future__ import annotations
@@ -116,62 +116,41 @@ class Clips:
         )
 
 
-@dataclass(frozen=True)
-class Beliefs:
-    """Which of the two sentences of a fact somebody thinks is true; 1 is the right one.
+def belief_questions(
+    setting: Setting, wrong: NDArray[np.float64] | None, seed: int
+) -> CaseQuestions:
+    """Which of the two sentences of a fact somebody thinks is true, of all facts that have two; 1
+    is the right one. They are about no trace: ``shows`` is [Q, 0].
 
-    Attributes:
-        facts: [J] those that have two sentences.
-        learned, labels: as :class:`CaseQuestions` has them, of all J.
-        texts, right: as :class:`~xplain.explanation.asking.Questions` has them.
+    Args:
+        setting: of the true types.
+        wrong: [N, n] P(a user of a learned type holds a fact wrong).
+        seed: of the run; it decides which sentence is shown first.
+
+    Raises:
+        InputError: nothing is known of what types hold wrong, or no fact has two sentences.
     """
-
-    facts: NDArray[np.int64]
-    learned: LabelTable
-    labels: LabelTable
-    texts: tuple[str, ...]
-    right: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, setting: Setting, wrong: NDArray[np.float64] | None, seed: int) -> Beliefs:
-        """Of a setting's facts.
-
-        Args:
-            setting: of the true types.
-            wrong: [N, n] P(a user of a learned type holds a fact wrong).
-            seed: of the run; it decides which sentence is shown first.
-
-        Raises:
-            InputError: nothing is known of what types hold wrong, or no fact has two sentences.
-        """
-        if wrong is None:
-            wanted = "clips; or types with fact sets, as labeler=true and labeler=hypotheses give"
-            raise InputError("ask", "beliefs", wanted)
-        parameters = setting.domain.parameters
-        facts = [j for j, one in enumerate(parameters) if one.message and one.belief]
-        if not facts:
-            raise InputError("ask", "beliefs", "clips: no fact of the domain has two sentences")
-        right = stream(seed, "ask", "order of sentences").integers(0, 2, len(facts))
-        texts = []
-        for j, first in zip(facts, right.tolist(), strict=True):
-            pair = (parameters[j].message, parameters[j].belief)
-            texts.append("\n".join(pair[::-1] if first else pair))
-        return cls(
-            np.array(facts),
-            _right(wrong, facts),
-            _right(setting.wrong, facts),
-            tuple(texts),
-            right,
-        )
-
-    def of_trace(self, steps: int) -> CaseQuestions:
-        """Those to choose from while a trace of so many steps is explained."""
-        count = len(self.facts)
-        none = np.full((count, 3), -1)
-        shows = np.zeros((count, steps), np.bool_)
-        return CaseQuestions(
-            none, self.facts, self.learned, self.labels, shows, self.texts, self.right
-        )
+    if wrong is None:
+        wanted = "clips; or types with fact sets, as labeler=true and labeler=hypotheses give"
+        raise InputError("ask", "beliefs", wanted)
+    parameters = setting.domain.parameters
+    facts = [j for j, one in enumerate(parameters) if one.message and one.belief]
+    if not facts:
+        raise InputError("ask", "beliefs", "clips: no fact of the domain has two sentences")
+    right = stream(seed, "ask", "order of sentences").integers(0, 2, len(facts))
+    texts = []
+    for j, first in zip(facts, right.tolist(), strict=True):
+        pair = (parameters[j].message, parameters[j].belief)
+        texts.append("\n".join(pair[::-1] if first else pair))
+    return CaseQuestions(
+        transitions=np.full((len(facts), 3), -1),
+        facts=np.array(facts),
+        learned=_right(wrong, facts),
+        labels=_right(setting.wrong, facts),
+        shows=np.zeros((len(facts), 0), np.bool_),
+        texts=tuple(texts),
+        right=right,
+    )
 
 
 def _right(wrong: NDArray[np.float64], facts: Sequence[int]) -> LabelTable:

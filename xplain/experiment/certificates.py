@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from xplain.errors import InputError, TooLargeError, whole_number
+from xplain.errors import Count, Positive, Range, TooLargeError, Whole, checks
 from xplain.experiment.explanations import Costs, problem_for, problem_of_types, trace_seed
 from xplain.experiment.pipeline import Prepared
 from xplain.experiment.progress import SILENT, Progress
@@ -22,6 +23,7 @@ from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.policy_evaluation import evaluate
 
 
+@checks("certify")
 @dataclass(frozen=True)
 class Certify:
     """How much work the certificates may be; ``certify`` in conf/config.yaml gives the numbers.
@@ -34,18 +36,11 @@ class Certify:
         episodes: and from so many simulated episodes otherwise.
     """
 
-    traces: int
-    gap: float
-    nodes: int
-    beliefs: int
-    episodes: int
-
-    def __post_init__(self) -> None:
-        """Raises InputError for a number out of its range."""
-        for key, least in (("traces", 0), ("nodes", 1), ("beliefs", 0), ("episodes", 2)):
-            whole_number(f"certify.{key}", getattr(self, key), least)
-        if not self.gap > 0:
-            raise InputError("certify.gap", self.gap, "a number > 0")
+    traces: Whole
+    gap: Positive
+    nodes: Count
+    beliefs: Whole
+    episodes: Annotated[int, Range(2)]
 
     def certificates(
         self,

@@ -49,12 +49,13 @@ def configuration(cfg: DictConfig) -> dict[str, Any]:
 
 def fingerprint(config: Mapping[str, Any]) -> str:
     """The digest of a resolved configuration and of all that it makes run: 32 hex digits."""
+    named = {text: _file(text) for _, text in _texts(config)}
     content = {
         "config": config,
         "code": code_version(),
         "libraries": library_versions(),
         "components": component_code(config),
-        "files": {name: _digest(path.read_bytes()) for name, path in _files(config).items()},
+        "files": {text: _digest(path.read_bytes()) for text, path in named.items() if path},
     }
     return _digest(json.dumps(content, sort_keys=True).encode())
 
@@ -62,12 +63,7 @@ def fingerprint(config: Mapping[str, Any]) -> str:
 @cache
 def code_version() -> str:
     """A digest of the package's own sources: results of other code are other results."""
-    digest = hashlib.sha256()
-    root = Path(__file__).parents[1]
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+    return _digest_of(_sources(Path(__file__).parents[1]))[:16]
 
 
 @cache
@@ -110,7 +106,8 @@ def component_code(config: Any) -> dict[str, str]:
     or module (a checkout, a script beside the experiment) by its sources.
     """
     found: dict[str, str] = {}
-    pending = sorted({target.partition(".")[0] for target in _targets(config)})
+    targets = (text for key, text in _texts(config) if key == "_target_")
+    pending = sorted({target.partition(".")[0] for target in targets})
     while pending:
         name = pending.pop()
         if name in found or name in _KNOWN or name in sys.stdlib_module_names:
@@ -120,32 +117,29 @@ def component_code(config: Any) -> dict[str, str]:
     return found
 
 
-def _targets(node: Any) -> Iterator[str]:
-    if isinstance(node, dict):
-        for key, value in node.items():
-            if key == "_target_" and isinstance(value, str):
-                yield value
-            else:
-                yield from _targets(value)
+def _texts(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """(key, text) of every text of a configuration; those in lists have none."""
+    if isinstance(node, str):
+        yield key, node
+    elif isinstance(node, dict):
+        for name, value in node.items():
+            yield from _texts(value, name)
     elif isinstance(node, list):
         for value in node:
-            yield from _targets(value)
+            yield from _texts(value)
 
 
-def _files(node: Any) -> dict[str, Path]:
-    """The files that texts of the configuration name, by these texts: paths, and
+def _file(text: str) -> Path | None:
+    """The file that a text of the configuration names, if it does: a path, or
     ``pkg://package/path`` inside an installed package."""
-    if isinstance(node, dict | list):
-        items = node.values() if isinstance(node, dict) else node
-        return {name: path for item in items for name, path in _files(item).items()}
-    if not isinstance(node, str) or "\n" in node or not 0 < len(node) < 1000:
-        return {}
-    path = Path(node)
-    if node.startswith("pkg://"):
-        package, _, inside = node.removeprefix("pkg://").partition("/")
+    if "\n" in text or not 0 < len(text) < 1000:
+        return None
+    path = Path(text)
+    if text.startswith("pkg://"):
+        package, _, inside = text.removeprefix("pkg://").partition("/")
         found = importlib.util.find_spec(package) if package.isidentifier() else None
         path = Path(found.origin).parent / inside if found and found.origin else path
-    return {node: path} if path.is_file() else {}
+    return path if path.is_file() else None
 
 
 @cache
@@ -162,19 +156,24 @@ def _package(name: str) -> tuple[str, tuple[str, ...]]:
         spec = None
     if spec is None:
         return "missing", ()  # instantiating it will say so
+    origin = Path(spec.origin or "")
     if spec.submodule_search_locations:
-        roots = [Path(folder) for folder in spec.submodule_search_locations]
-        sources = sorted((path, root) for root in roots for path in root.rglob("*.py"))
+        roots = map(Path, spec.submodule_search_locations)
+        sources = [source for root in roots for source in _sources(root)]
     else:
-        origin = Path(spec.origin or "")
-        sources = [(origin, origin.parent)] if origin.is_file() else []
-    digest = hashlib.sha256()
-    imported: set[str] = set()
-    for path, root in sources:
-        text = path.read_bytes()
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + text)
-        imported |= _imports(text)
-    return digest.hexdigest()[:32], tuple(sorted(imported))
+        sources = [(origin.name, origin.read_bytes())] if origin.is_file() else []
+    imported = set[str]().union(*(_imports(text) for _, text in sources))
+    return _digest_of(sources), tuple(sorted(imported))
+
+
+def _sources(root: Path) -> list[tuple[str, bytes]]:
+    """(path below the folder, content) of its Python files."""
+    files = sorted(root.rglob("*.py"))
+    return [(path.relative_to(root).as_posix(), path.read_bytes()) for path in files]
+
+
+def _digest_of(sources: list[tuple[str, bytes]]) -> str:
+    return _digest(b"\0".join(name.encode() + b"\0" + text for name, text in sources))
 
 
 def _imports(source: bytes) -> set[str]:

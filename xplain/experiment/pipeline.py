@@ -10,7 +10,7 @@ call as well.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -20,7 +20,7 @@ from xplain.domains.base import Domain, Scene, changes_of, transition_features
 from xplain.domains.users.setting import Setting
 from xplain.domains.users.types import TypeSource
 from xplain.errors import Count, Range, checks
-from xplain.experiment.asking import Beliefs, CaseQuestions, Clips, merged
+from xplain.experiment.asking import CaseQuestions, Clips, belief_questions, merged
 from xplain.experiment.progress import SILENT, Progress
 from xplain.explanation.asking import Pool
 from xplain.explanation.habits import Habits
@@ -136,7 +136,9 @@ def prepare(components: Components, progress: Progress = SILENT) -> Prepared:
     traces = progress.track(range(components.traces), "labelling traces", components.traces)
     pool = components.ask
     clips = Clips.of(setting, known.tables, pool) if pool and "clips" in pool.kinds else None
-    beliefs = Beliefs.of(setting, known.wrong, seed) if pool and "beliefs" in pool.kinds else None
+    beliefs = None
+    if pool and "beliefs" in pool.kinds:
+        beliefs = belief_questions(setting, known.wrong, seed)
     return Prepared(
         domain=domain.name,
         messages=setting.message_names,
@@ -190,7 +192,7 @@ def build_case(
     transitions: NDArray[np.int64],
     tables: TablesOf,
     clips: Clips | None = None,
-    beliefs: Beliefs | None = None,
+    beliefs: CaseQuestions | None = None,
     most: int = 0,
 ) -> Case:
     """Lays out what every agent and every user thinks of a trace [m, 3], and at most so many
@@ -198,8 +200,12 @@ def build_case(
     domain = setting.domain
     features = transition_features(domain, transitions)
     changes, labels = changes_of(domain, transitions), setting.true_labels(transitions)
-    asked = [beliefs.of_trace(len(transitions))] if beliefs else []
-    asked += [clips.near(features, transitions)] if clips else []
+    asked = []
+    if beliefs is not None:  # they show no step
+        shows = np.zeros((len(beliefs.facts), len(transitions)), np.bool_)
+        asked.append(replace(beliefs, shows=shows))
+    if clips is not None:
+        asked.append(clips.near(features, transitions))
     states = [*transitions[:, 0].tolist(), int(transitions[-1, 2])]
     cells = [domain.position(state) for state in states]
     return Case(

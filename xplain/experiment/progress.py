@@ -4,40 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 
 
-class Progress(Protocol):
-    """Whoever wants to know what is done and how far it is. None of it changes a result."""
+class Progress:
+    """Hears what is done and how far it is, and tells nobody; subclasses do. None of it changes a
+    result."""
 
     def track(self, items: Iterable[T], what: str, count: int) -> Iterator[T]:
         """Yields the items: ``what`` is done to each of ``count``."""
-        ...
+        with self.stage(what, count):
+            for done, item in enumerate(items, start=1):
+                yield item
+                self.note(f"{done} of {count}", done)
 
-    def stage(self, what: str) -> AbstractContextManager[None]:
-        """For the time of the context, ``what`` is done; how far it is, nobody knows."""
-        ...
-
-    def note(self, text: str) -> None:
-        """What there is to say of the innermost stage by now."""
-        ...
-
-
-class NoProgress:
-    """Tells nobody."""
-
-    def track(self, items: Iterable[T], what: str, count: int) -> Iterator[T]:
-        """The items."""
-        return iter(items)
-
-    def stage(self, what: str) -> AbstractContextManager[None]:
-        """Nothing."""
+    def stage(self, what: str, count: int | None = None) -> AbstractContextManager[Any]:
+        """For the time of the context, ``what`` is done, to so many items where that is known."""
         return nullcontext()
 
-    def note(self, text: str) -> None:
-        """Nothing."""
+    def note(self, text: str, done: int | None = None) -> None:
+        """What there is to say of the innermost stage by now, and how many items are done."""
 
 
-SILENT: Progress = NoProgress()
+SILENT = Progress()

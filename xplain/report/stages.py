@@ -11,16 +11,16 @@ import logging
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from xplain.experiment.progress import Progress
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
 log = logging.getLogger("xplain")
-
-T = TypeVar("T")
 
 EVERY = 10.0
 """Seconds before and between lines of a stage where there is no terminal."""
@@ -31,22 +31,15 @@ def stages() -> TerminalStages | Lines:
     return TerminalStages() if sys.stderr.isatty() else Lines()
 
 
-class Lines:
+class Lines(Progress):
     """Lines in the log for what takes long: an error that comes soon is the only line then."""
 
     def __init__(self) -> None:
         self._open: list[str] = []
         self._said = self._compiling_since = 0.0
 
-    def track(self, items: Iterable[T], what: str, count: int) -> Iterator[T]:
-        """See :class:`xplain.experiment.progress.Progress`."""
-        with self.stage(what):
-            for done, item in enumerate(items, start=1):
-                yield item
-                self.note(f"{done} of {count}")
-
     @contextmanager
-    def stage(self, what: str) -> Iterator[None]:
+    def stage(self, what: str, count: int | None = None) -> Iterator[None]:
         """See :class:`xplain.experiment.progress.Progress`."""
         timer = threading.Timer(EVERY, log.info, ("%s …", what))
         timer.daemon = True
@@ -60,7 +53,7 @@ class Lines:
             self._open.pop()
             timer.cancel()
 
-    def note(self, text: str) -> None:
+    def note(self, text: str, done: int | None = None) -> None:
         """See :class:`xplain.experiment.progress.Progress`."""
         if self._open and time.monotonic() - self._said > EVERY:
             self._said = time.monotonic()
@@ -74,19 +67,19 @@ class Lines:
             self.note(f"compiling (once; later runs load) {text}, {seconds:.0f} s since the first")
 
 
-class TerminalStages:
+class TerminalStages(Progress):
     """A moving line for each stage that is open, gone when it ends."""
 
     def __init__(self) -> None:
+        from rich import progress
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-        self._bars = Progress(
-            SpinnerColumn("line"),
-            TextColumn("{task.description}"),
-            TimeElapsedColumn(),
-            BarColumn(bar_width=20),
-            TextColumn("{task.fields[note]}"),
+        self._bars = progress.Progress(
+            progress.SpinnerColumn("line"),
+            progress.TextColumn("{task.description}"),
+            progress.TimeElapsedColumn(),
+            progress.BarColumn(bar_width=20),
+            progress.TextColumn("{task.fields[note]}"),
             console=Console(stderr=True, highlight=False),
             transient=True,
         )
@@ -94,21 +87,25 @@ class TerminalStages:
         self._compiling: TaskID | None = None
         self._streams: list[tuple[logging.StreamHandler[Any], Any]] = []
 
-    def track(self, items: Iterable[T], what: str, count: int) -> Iterator[T]:
+    @contextmanager
+    def stage(self, what: str, count: int | None = None) -> Iterator[None]:
         """See :class:`xplain.experiment.progress.Progress`."""
-        with self._task(what, count) as task:
-            for done, item in enumerate(items, start=1):
-                yield item
-                self._bars.update(task, completed=done, note=f"{done} of {count}")
+        if not self._open:
+            self._start()
+        task = self._bars.add_task(what, total=count, note="")
+        self._open.append(task)
+        try:
+            yield
+        finally:
+            self._open.remove(task)
+            self._bars.remove_task(task)
+            if not self._open:
+                self._stop()
 
-    def stage(self, what: str) -> AbstractContextManager[Any]:
-        """See :class:`xplain.experiment.progress.Progress`."""
-        return self._task(what, None)
-
-    def note(self, text: str) -> None:
+    def note(self, text: str, done: int | None = None) -> None:
         """See :class:`xplain.experiment.progress.Progress`."""
         if self._open:
-            self._bars.update(self._open[-1], note=text)
+            self._bars.update(self._open[-1], completed=done, note=text)
 
     def compiling(self, text: str) -> None:
         """A kernel is compiled; an empty text where it is done."""
@@ -117,20 +114,6 @@ class TerminalStages:
         elif self._open and text:
             what = "compiling (once)"
             self._compiling = self._bars.add_task(what, total=None, note=text)
-
-    @contextmanager
-    def _task(self, what: str, count: int | None) -> Iterator[TaskID]:
-        if not self._open:
-            self._start()
-        task = self._bars.add_task(what, total=count, note="")
-        self._open.append(task)
-        try:
-            yield task
-        finally:
-            self._open.remove(task)
-            self._bars.remove_task(task)
-            if not self._open:
-                self._stop()
 
     def _start(self) -> None:
         """Whoever logs meanwhile writes above the moving lines."""
