@@ -9,7 +9,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from xplain.runs import forecast
-from xplain.runs.forecast import Experience, expected_seconds, print_dry_run
+from xplain.runs.forecast import expected_seconds, experience, print_dry_run
 from xplain.runs.plan import Plan
 from xplain.runs.todo import Todo
 
@@ -20,11 +20,11 @@ def config(domain: str, solver: str, traces: int) -> dict[str, Any]:
 
 def test_the_jobs_most_alike_are_the_judge() -> None:
     known = [
-        Experience.of(config("rescue", "qmdp", 10), 20.0),
-        Experience.of(config("rescue", "qmdp", 20), 20.0),
-        Experience.of(config("rescue", "qmdp", 1), 9.0),
-        Experience.of(config("rooms", "qmdp", 1), 30.0),
-        Experience.of(config("rooms", "pomcp", 1), 40.0),
+        experience(config("rescue", "qmdp", 10), 20.0),
+        experience(config("rescue", "qmdp", 20), 20.0),
+        experience(config("rescue", "qmdp", 1), 9.0),
+        experience(config("rooms", "qmdp", 1), 30.0),
+        experience(config("rooms", "pomcp", 1), 40.0),
     ]
     assert expected_seconds(known, config("rescue", "qmdp", 3)) == 3 * 2.0  # of 2, 1 and 9
     assert expected_seconds(known, config("warehouse", "qmdp", 2)) == 2 * 5.5  # and 30
@@ -53,7 +53,7 @@ def test_the_launcher_says_how_many_work_at_a_time(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(
-        forecast, "experiences", lambda _: [Experience.of(config("rescue", "qmdp", 2), 1.0)]
+        forecast, "experiences", lambda _: [experience(config("rescue", "qmdp", 2), 1.0)]
     )
     monkeypatch.setattr("os.cpu_count", lambda: 3)
     jobs = [SimpleNamespace(fingerprint=str(i), label=f"seed={i}") for i in range(4)]

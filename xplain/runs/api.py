@@ -20,8 +20,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
+from pydoc import locate
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -268,13 +268,8 @@ def _node(key: str, value: Any) -> Any:
     if isinstance(value, Sequence):
         return [_node(key, own) for own in value]
     kind = type(value)
-    try:
-        found: Any = import_module(kind.__module__)
-        for part in kind.__qualname__.split("."):
-            found = getattr(found, part)
-    except (ImportError, AttributeError):
-        found = None
-    if not is_dataclass(value) or found is not kind or kind.__module__ == "__main__":
+    path = f"{kind.__module__}.{kind.__qualname__}"
+    if not is_dataclass(value) or locate(path) is not kind or kind.__module__ == "__main__":
         allowed = (
             "a name, or an object of a dataclass in a module: its sources are part of a result"
         )
@@ -282,4 +277,4 @@ def _node(key: str, value: Any) -> Any:
     own = {
         field.name: _node(key, getattr(value, field.name)) for field in fields(value) if field.init
     }
-    return {"_target_": f"{kind.__module__}.{kind.__qualname__}", **own}
+    return {"_target_": path, **own}

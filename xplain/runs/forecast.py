@@ -7,7 +7,6 @@ import os
 import statistics
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,24 +20,15 @@ from xplain.runs.progress import duration
 from xplain.runs.reuse import finished_below, finished_elsewhere
 from xplain.runs.todo import Todo
 
+Experience = tuple[str, str, float]
+"""How long a finished job took: the class of its domain, its solver with all its settings (ten
+times the simulations are another solver), seconds a trace."""
 
-@dataclass(frozen=True)
-class Experience:
-    """How long a finished job took: seconds a trace, with this class of domain, and with this
-    solver and all its settings: ten times the simulations are another solver."""
 
-    domain: str
-    solver: str
-    seconds: float
-
-    @classmethod
-    def of(cls, config: Mapping[str, Any], seconds: float) -> Experience:
-        """Of a job with this resolved configuration, which took so long."""
-        return cls(
-            domain=str(config["domain"]["_target_"]),
-            solver=json.dumps(config["solver"], sort_keys=True),
-            seconds=seconds / int(config["traces"]),
-        )
+def experience(config: Mapping[str, Any], seconds: float) -> Experience:
+    """Of a job with this resolved configuration, which took so long."""
+    solver = json.dumps(config["solver"], sort_keys=True)
+    return str(config["domain"]["_target_"]), solver, seconds / int(config["traces"])
 
 
 def experiences(outputs: Path) -> list[Experience]:
@@ -47,17 +37,16 @@ def experiences(outputs: Path) -> list[Experience]:
     for _, folder in finished_below(outputs):
         with suppress(OSError, ValueError):
             results = load_results(folder)
-            found.append(Experience.of(results.config, sum(results.seconds.values())))
+            found.append(experience(results.config, sum(results.seconds.values())))
     return found
 
 
 def expected_seconds(known: Sequence[Experience], config: Mapping[str, Any]) -> float | None:
     """Median of the jobs most like this one, a trace, times its traces; None where none had its
     solver."""
-    own = Experience.of(config, 0.0)
-    alike = [
-        one.seconds for one in known if (one.domain, one.solver) == (own.domain, own.solver)
-    ] or [one.seconds for one in known if one.solver == own.solver]
+    domain, solver, _ = experience(config, 0.0)
+    same = [(other, seconds) for other, of, seconds in known if of == solver]
+    alike = [seconds for other, seconds in same if other == domain] or [own for _, own in same]
     return int(config["traces"]) * statistics.median(alike) if alike else None
 
 

@@ -9,8 +9,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from omegaconf import DictConfig, OmegaConf
 from xplain import __version__
 from xplain.experiment.cache import source_fingerprint
 from xplain.experiment.config import GROUPS, one_line, require_usable
-from xplain.experiment.experiment import Experiment
 from xplain.experiment.fingerprint import code_version, configuration, fingerprint, git_state
 from xplain.experiment.from_config import experiment_of
 from xplain.experiment.pipeline import Prepared
@@ -49,82 +47,47 @@ from xplain.storage import write_text
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class Composed:
-    """A job's configuration, which nobody else looks into.
-
-    Attributes:
-        cfg: as Hydra composed it.
-    """
-
-    cfg: DictConfig
-
-    @cached_property
-    def config(self) -> dict[str, Any]:
-        """All that decides a number, resolved."""
-        return configuration(self.cfg)
-
-    @cached_property
-    def choices(self) -> dict[str, str]:
-        """The components by group."""
-        chosen = HydraConfig.get().runtime.choices
-        return {group: str(chosen[group]) for group in GROUPS}
-
-    @property
-    def outputs(self) -> Path:
-        """The outputs folder."""
-        return Path(self.cfg.outputs).absolute()
-
-    @property
-    def text(self) -> str:
-        """All keys, resolved, as YAML."""
-        return OmegaConf.to_yaml(self.cfg, resolve=True)
-
-    def experiment(self) -> Experiment:
-        """What it describes; see :func:`xplain.experiment.from_config.experiment_of`."""
-        return experiment_of(self.cfg)
-
-    def tracking(self) -> Tracking:
-        """Where results go besides the disk."""
-        return instantiate(self.cfg.tracking)
-
-
 def run_job(cfg: DictConfig) -> float | None:
     """Runs the experiment that ``cfg`` describes; returns the mean regret (for sweepers).
 
     A job of a sweep never raises: the others go on, and what went wrong is in its folder. Where
     the configuration or the data of a single run cannot be used, its folder is removed.
     """
-    folder, composed = Path(HydraConfig.get().runtime.output_dir), Composed(cfg)
+    folder = Path(HydraConfig.get().runtime.output_dir)
     job = job_of(folder)
     if job is not None:
-        return _run_in_sweep(composed, *job)
+        return _run_in_sweep(cfg, *job)
     try:
         require_usable(cfg)
         if cfg.dry_run:
-            print_dry_job(composed.config, composed.outputs)
+            print_dry_job(configuration(cfg), _outputs(cfg))
             shutil.rmtree(folder, ignore_errors=True)
             return None
-        return _run_alone(composed, folder)
+        return _run_alone(cfg, folder)
     except Exception as error:  # whatever it is: it is raised again
         if HydraConfig.get().mode == RunMode.RUN and one_line(error) is not None:
             shutil.rmtree(folder, ignore_errors=True)
         raise
 
 
-def _run_alone(composed: Composed, folder: Path) -> float | None:
+def _outputs(cfg: DictConfig) -> Path:
+    return Path(cfg.outputs).absolute()
+
+
+def _run_alone(cfg: DictConfig, folder: Path) -> float | None:
     progress = stages()
     tell_when_compiling(progress.compiling)
-    tracking = composed.tracking()
-    results, prepared = run_experiment(composed, folder, progress, print_summary)
+    tracking: Tracking = instantiate(cfg.tracking)
+    config = configuration(cfg)
+    results, prepared = run_experiment(cfg, config, folder, progress, print_summary)
     print_certificates(results.bounds)
-    stamp = fingerprint(composed.config)
+    stamp = fingerprint(config)
     results = replace(results, id=result_id(results, folder), stamp=stamp)
     with progress.stage("drawing one explanation"):
         drawn = _draw(folder, prepared)
     save_results(folder, results)
     with progress.stage("sending the run to MLflow"):
-        lines = tracking.log(folder, composed.outputs)
+        lines = tracking.log(folder, _outputs(cfg))
     log.info("folder: %s", os.path.relpath(folder))
     log.info("  trace.png is one explanation: %s", drawn)
     log.info("  results.json has all figures")
@@ -133,17 +96,18 @@ def _run_alone(composed: Composed, folder: Path) -> float | None:
     return results.regret
 
 
-def _run_in_sweep(composed: Composed, sweep: SweepFolder, job: Job) -> float | None:
+def _run_in_sweep(cfg: DictConfig, sweep: SweepFolder, job: Job) -> float | None:
     folder = sweep.of(job)
     end_with_parent()
     mark_started(folder)
     try:
-        if fingerprint(composed.config) != job.fingerprint:
+        config = configuration(cfg)
+        if fingerprint(config) != job.fingerprint:
             raise RuntimeError(
                 "this worker runs other code, libraries or data than the process that started "
                 "the sweep; install the same versions on every machine"
             )
-        results, _ = run_experiment(composed, folder, SILENT)
+        results, _ = run_experiment(cfg, config, folder, SILENT)
     except Exception as error:  # any failure of a job is a result of the sweep
         if is_ours(folder):
             log.exception("failed")
@@ -155,7 +119,8 @@ def _run_in_sweep(composed: Composed, sweep: SweepFolder, job: Job) -> float | N
 
 
 def run_experiment(
-    composed: Composed,
+    cfg: DictConfig,
+    config: dict[str, Any],
     folder: Path,
     progress: Progress,
     tell: Callable[[Results], None] | None = None,
@@ -163,17 +128,19 @@ def run_experiment(
     """The experiment itself: writes its episodes into the folder, returns the results.
 
     Args:
-        composed: the job.
+        cfg: as Hydra composed it.
+        config: all of it that decides a number, resolved.
         folder: of the run.
         progress: hears how far it is.
         tell: hears the results before the certificates, which take as long again, are sought.
     """
-    config, choices, started, clock = composed.config, composed.choices, time.time(), StageTimes()
-    experiment = composed.experiment()
-    prepared = experiment.prepared(composed.outputs / "cache", source_fingerprint(config), progress)
+    started, clock, experiment = time.time(), StageTimes(), experiment_of(cfg)
+    prepared = experiment.prepared(_outputs(cfg) / "cache", source_fingerprint(config), progress)
     clock.lap("prepare")
     prepared, records = experiment.explained(prepared, progress)
     clock.lap("explain")
+    chosen = HydraConfig.get().runtime.choices
+    choices = {group: str(chosen[group]) for group in GROUPS}
     domain = domain_name(choices, config)
     provenance = Provenance(
         name=f"{domain} {choices['solver']} λ={config['lambda']:g} seed={config['seed']}",
@@ -186,7 +153,7 @@ def run_experiment(
         config=config,
     )
     write_text(folder / EPISODES, episode_lines(prepared, records))
-    write_text(folder / "config.yaml", composed.text)
+    write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
     results = results_of(prepared, records, {}, provenance)
     if tell is not None:
         tell(results)
