@@ -35,7 +35,7 @@ def episodes(
         {
             "domain": "rooms",
             "setting": setting,
-            "method": method,
+            "solver": method,
             "lambda": trade_off,
             "seed": seed,
             "trace": trace,
@@ -162,8 +162,8 @@ def test_claims_about_methods_that_were_not_run_are_left_out() -> None:
 
 def test_episodes_without_a_partner_are_left_out_of_pairs() -> None:
     frame = episodes(lambda method, *_: 2.0 * (method == "qhr"))
-    gone = frame[(frame["method"] != "qhr") | (frame["seed"] != 3)]
-    both = paired(gone, ["method"], ["qhr"], ["qmdp"])
+    gone = frame[(frame["solver"] != "qhr") | (frame["seed"] != 3)]
+    both = paired(gone, ["solver"], ["qhr"], ["qmdp"])
     assert 3 not in set(both["seed"])
     assert both["difference"].to_numpy() == pytest.approx(2.0)
 

@@ -32,7 +32,7 @@ def sweep_with_true_labels(folder):
 
 def test_parts_add_up_and_are_those_put_in(tmp_path):
     found = list(parts(sweep_with_true_labels(tmp_path)))
-    whose = [(method, trade_off) for _, method, trade_off, _ in found]
+    whose = [(values["solver"], values["lambda"]) for values, _ in found]
     assert set(whose) == set(product(("qmdp", "qhr"), (1.0, 2.0)))
     for *_, estimates in found:
         floor, type_unknown, learned, cost, oracle = estimates.values()

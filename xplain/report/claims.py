@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -63,56 +63,51 @@ class Claim:
 
 
 def claims(episodes: pd.DataFrame, found: pd.DataFrame | None = None) -> list[Claim]:
-    """Tests every claim that a sweep's methods allow, domain by domain.
+    """Tests every claim that a sweep's solvers allow, domain by domain.
 
     Args:
-        episodes: a row an episode, with domain, setting, method, lambda, seed, trace, type, cost
+        episodes: a row an episode, with domain, setting, solver, lambda, seed, trace, type, cost
             and oracle (:attr:`xplain.report.summary.Summary.episodes`).
         found: a row a data set that types were sought in, with domain, seed and
             adjusted_rand_index (:func:`xplain.report.learning.data_sets`).
     """
-    tested = []
-    for domain in dict.fromkeys(episodes["domain"]):
-        own = episodes[episodes["domain"] == domain]
-        tested += [
-            *(Claim(domain, *claim) for claim in _orders(own)),
-            *(Claim(domain, *claim) for claim in _linear(own)),
-        ]
+    tested: list[Claim] = []
+    groups: Any = episodes.groupby("domain", sort=False)
+    for domain, own in groups:
+        tested += [*_orders(domain, own), *_linear(domain, own)]
         if found is not None and len(found):
-            tested += (Claim(domain, *c) for c in _types(found[found["domain"] == domain]))
+            tested += _types(domain, found[found["domain"] == domain])
     return tested
 
 
-_Parts = tuple[str, str, Estimate, Range]
-
-
-def _orders(episodes: pd.DataFrame) -> Iterator[_Parts]:
-    """The claims about pairs of methods, at each λ."""
+def _orders(domain: str, episodes: pd.DataFrame) -> Iterator[Claim]:
+    """The claims about pairs of solvers, at each λ."""
     for trade_off, own in episodes.groupby("lambda"):
         at = f"λ = {trade_off:g}"
-        both = paired(own, ["method"], ["pomcp_paper"], ["qmdp"])
+        both = paired(own, ["solver"], ["pomcp_paper"], ["qmdp"])
         if len(both):
             margin = ALIKE * float(both["cost_other"].mean())
             estimate = clustered_mean(both["difference"], both["seed"])
             text = f"QMDP and POMCP cost about the same, {at}"
-            yield text, "POMCP − QMDP", estimate, (-margin, margin)
+            yield Claim(domain, text, "POMCP − QMDP", estimate, (-margin, margin))
         for less, more in ORDER:
-            both = paired(own, ["method"], [more], [less])
+            both = paired(own, ["solver"], [more], [less])
             if len(both):
                 estimate = clustered_mean(both["difference"], both["seed"])
                 names = [_NAMES[name] for name in (less, more)]
                 text = f"{names[0]} costs less than {names[1]}, {at}"
-                yield text, f"{names[1]} − {names[0]}", estimate, (0.0, math.inf)
+                figure = f"{names[1]} − {names[0]}"
+                yield Claim(domain, text, figure, estimate, (0.0, math.inf))
 
 
 _NAMES = {"qmdp": "QMDP", "pomcp_paper": "POMCP", "qhr": "QHR", "baseline": "the baseline"}
 
 
-def _linear(episodes: pd.DataFrame) -> Iterator[_Parts]:
+def _linear(domain: str, episodes: pd.DataFrame) -> Iterator[Claim]:
     """The oracle's cost is linear in λ. Its optimum is a lower envelope of lines in λ, one for each
     plan: where other plans become better it bends down, below the line through its values at the
     two smallest λ."""
-    one = episodes[episodes["method"] == episodes["method"].iloc[0]]
+    one = episodes[episodes["solver"] == episodes["solver"].iloc[0]]
     costs = one[np.isfinite(one["oracle"])].pivot_table("oracle", "seed", "lambda").dropna()
     if len(costs.columns) < 3 or not len(costs):
         return
@@ -121,22 +116,18 @@ def _linear(episodes: pd.DataFrame) -> Iterator[_Parts]:
     line = costs[first] + slope * (last - first)
     below = (line - costs[last]) / costs[last].mean()
     figure = f"share of the oracle's cost at λ = {last:g} by which it is below the line"
-    yield (
-        "the oracle's cost is linear in λ",
-        figure,
-        clustered_mean(below, below.index),
-        (-ALIKE, ALIKE),
-    )
+    estimate = clustered_mean(below, below.index)
+    yield Claim(domain, "the oracle's cost is linear in λ", figure, estimate, (-ALIKE, ALIKE))
 
 
-def _types(data_sets: pd.DataFrame) -> Iterator[_Parts]:
+def _types(domain: str, data_sets: pd.DataFrame) -> Iterator[Claim]:
     """The types are found, in most data sets. Those of one seed share their people."""
     data_sets = data_sets.dropna(subset=["adjusted_rand_index"])
     if len(data_sets):
         exact = data_sets["adjusted_rand_index"] == 1.0
         figure = f"share of {len(exact)} data sets whose types are found exactly"
         share = clustered_share(exact, data_sets["seed"])
-        yield "the types are found", figure, share, (0.5, math.inf)
+        yield Claim(domain, "the types are found", figure, share, (0.5, math.inf))
 
 
 def table(tested: Iterable[Claim]) -> Table:

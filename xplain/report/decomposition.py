@@ -8,11 +8,10 @@ The differences, on the same traces and users, add up to the cost.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from xplain.interaction.statistics import Estimate, clustered_mean
-from xplain.report.paper import title
-from xplain.report.summary import Summary
+from xplain.report.combinations import grouped, value_title
+from xplain.report.summary import Summary, Value
 from xplain.report.table import Cell, Table
 
 PARTS = {
@@ -25,29 +24,28 @@ PARTS = {
 """(column of the episodes, less this one)."""
 
 
-def parts(summary: Summary) -> Iterator[tuple[str, str, float, dict[str, Estimate]]]:
-    """(domain, method, λ, PARTS with intervals), in the order of domains, methods and λ; methods
-    that no job ran with true labels are left out."""
-    frame = summary.episodes.dropna(subset=["oracle", "clairvoyant", "true labels"])
-    groups: Any = frame.groupby(["domain", "method", "lambda"], sort=False)
-    domains, methods = summary.domains.index, summary.methods.index
-    order = sorted(groups, key=lambda one: (domains(one[0][0]), methods(one[0][1]), one[0][2]))
-    for (domain, method, trade_off), own in order:
-        estimates = {
-            name: clustered_mean(own[one] - own[less] if less else own[one], summary.clusters(own))
-            for name, (one, less) in PARTS.items()
-        }
-        yield domain, method, trade_off, estimates
+def parts(summary: Summary) -> Iterator[tuple[dict[str, Value], dict[str, Estimate]]]:
+    """(values of domain, solver and λ; PARTS with intervals), in their order; solvers that no job
+    ran with true labels are left out."""
+    for values, frame in grouped(summary, ("domain", "solver", "lambda")):
+        own = frame.dropna(subset=["oracle", "clairvoyant", "true labels"])
+        if len(own):
+            clusters = summary.clusters(own)
+            estimates = {
+                name: clustered_mean(own[one] - own[less] if less else own[one], clusters)
+                for name, (one, less) in PARTS.items()
+            }
+            yield values, estimates
 
 
 def table(summary: Summary) -> Table:
-    """The parts of each method's cost."""
+    """The parts of each solver's cost."""
     rows = tuple(
         (
-            *map(Cell, (title(domain), title(method), f"{trade_off:g}")),
+            *(Cell(value_title(key, value)) for key, value in values.items()),
             *(Cell(estimate=estimate) for estimate in estimates.values()),
         )
-        for domain, method, trade_off, estimates in parts(summary)
+        for values, estimates in parts(summary)
     )
     caption = (
         "What costs are made of: the clairvoyant's cost; what not knowing the user's type adds "

@@ -74,9 +74,7 @@ def page(summary: Summary, pictures: Pictures) -> str:
         size=_size(summary),
         is_table1=is_table1,
         table=comparison.main_table(summary),
-        claims=claims.table(claims.claims(summary.episodes, learning.data_sets(summary))),
-        parts=decomposition.table(summary),
-        ranges=paper_table.ranges(summary),
+        **(_beside_table1(summary) if is_table1 else {}),
         figures=pictures,
         learning=learning.table(summary),
         messages=[
@@ -95,6 +93,16 @@ def page(summary: Summary, pictures: Pictures) -> str:
         episodes=packed(list(_episodes(summary))),
         player=packed(player),
     )
+
+
+def _beside_table1(summary: Summary) -> dict[str, Any]:
+    """What the page shows besides where it has the paper's layout."""
+    tested = claims.claims(summary.episodes, learning.data_sets(summary))
+    return {
+        "claims": claims.table(tested),
+        "parts": decomposition.table(summary),
+        "ranges": paper_table.ranges(summary),
+    }
 
 
 def _messages(summary: Summary, domain: str) -> Mapping[str, str]:

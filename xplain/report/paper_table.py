@@ -16,11 +16,11 @@ from xplain.report.summary import Summary
 from xplain.report.table import Cell, Table, number
 
 REFERENCES = ("oracle", "clairvoyant")
-"""Whose costs stand before the methods' regrets."""
+"""Whose costs stand before the solvers' regrets."""
 
 
 def numbers(summary: Summary, by_setting: bool = False, measure: str = "regret") -> pd.DataFrame:
-    """A row a number of the table: the references' costs, then the regret of each method.
+    """A row a number of the table: the references' costs, then the regret of each solver.
 
     Columns: domain, setting, lambda, column, mean, low, high, paper, difference (to the paper;
     both NaN where it has no value), episodes.
@@ -34,11 +34,11 @@ def numbers(summary: Summary, by_setting: bool = False, measure: str = "regret")
     rows = []
     for domain, setting, trade_off, frame in _cells(summary.episodes, by_setting):
         paper = published.get((domain, trade_off), {})
-        for column in (*REFERENCES, *summary.methods):
+        for column in (*REFERENCES, *map(str, summary.values("solver"))):
             if column in REFERENCES:
                 known = summary.reference(frame, column)
             else:
-                known = frame[frame["method"] == column].dropna(subset=[measure])
+                known = frame[frame["solver"] == column].dropna(subset=[measure])
             if len(known):
                 found = summary.mean(known, column if column in REFERENCES else measure)
                 value = paper.get(column, math.nan)
@@ -89,7 +89,7 @@ def table(summary: Summary, by_setting: bool = False, measure: str = "regret") -
 
 def _columns(summary: Summary) -> list[str]:
     known = [name for name in REFERENCES if summary.episodes[name].notna().any()]
-    return [*known, *summary.methods]
+    return [*known, *map(str, summary.values("solver"))]
 
 
 def _caption(summary: Summary, measure: str) -> str:

@@ -21,7 +21,7 @@ from xplain.experiment.results import RESULTS, Results, load_results
 from xplain.interaction.metrics import possible
 from xplain.interaction.statistics import Estimate, clustered_mean
 from xplain.report.measure import Measure, measure_of
-from xplain.report.settings import method_of, setting_of
+from xplain.report.settings import is_setting, setting_of
 
 ORDER = (
     "qmdp",
@@ -102,7 +102,8 @@ class Summary:
     def report(self) -> str | None:
         """``table1`` where the sweep's file asks for it, and nothing was swept beside what that
         table has rows and columns for."""
-        others = set(self.keys) - {"domain", "solver", "lambda", *self.pool}
+        settings = filter(is_setting, self.pool)
+        others = set(self.keys) - {"domain", "solver", "lambda", *settings}
         return None if others else self.about.get("report")
 
     @property
@@ -174,7 +175,6 @@ class Summary:
                         **swept,
                         "domain": results.domain,
                         "setting": setting_of(job["values"]),
-                        "method": method_of(job["values"], results.solver),
                         "lambda": results.trade_off,
                         "seed": results.seed,
                         "trace": episode.trace,
@@ -206,12 +206,6 @@ class Summary:
         return measure_of(self.episodes, self.keys, self._asked)
 
     @cached_property
-    def methods(self) -> list[str]:
-        """Names of the methods that were run, those of the paper's columns first."""
-        names = set(self.episodes["method"]) if len(self.episodes) else set()
-        return sorted(names, key=lambda name: (rank(name), name))
-
-    @cached_property
     def domains(self) -> list[str]:
         """Names of the domains, in the order of the sweep."""
         return list(dict.fromkeys(self.episodes["domain"])) if len(self.episodes) else []
@@ -239,10 +233,11 @@ class Summary:
 
     def reference(self, frame: pd.DataFrame, name: str) -> pd.DataFrame:
         """The episodes of a frame by which to know what the oracle or the clairvoyant costs: it is
-        the same in every job of a setting, so one method's will do."""
+        the same in every job of a setting, so those of one solver will do."""
         known = frame.dropna(subset=[name])
-        first = min(set(known["method"]), key=self.methods.index, default="")
-        return known[known["method"] == first]
+        solvers = self.values("solver")
+        first = min(set(known["solver"]), key=solvers.index, default="")
+        return known[known["solver"] == first]
 
     def complete(self, values: Mapping[str, Value]) -> bool:
         """Whether all jobs of these values (of the finished ones, and as planned) are there."""
@@ -291,7 +286,6 @@ def is_number(text: str) -> bool:
         return False
 
 
-def rank(method: str) -> int:
-    """Place of a method's column: the paper's first, others after them."""
-    name = method.partition(" ")[0]
-    return ORDER.index(name) if name in ORDER else len(ORDER)
+def rank(solver: str) -> int:
+    """Place of a solver's column: the paper's first, others after them."""
+    return ORDER.index(solver) if solver in ORDER else len(ORDER)
