@@ -60,6 +60,11 @@ class Refused(Exception):
     """An answer of a participant that is not accepted; the text is for them."""
 
 
+def first_line(error: BaseException) -> str:
+    """Of its text; the name of its class where it has none."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
 @contextmanager
 def left_at_once() -> Iterator[None]:
     """While modules are imported, Ctrl-C ends the process with one line: an exception in the middle

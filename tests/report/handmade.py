@@ -109,7 +109,12 @@ def results(name: str, values: Values, episodes: tuple[EpisodeFigures, ...]) -> 
         git={},
         started=0.0,
         seconds={},
-        choices={"domain": values.get("domain", "rescue"), "solver": values.get("solver", "qmdp")},
+        choices={
+            "domain": values.get("domain", "rescue"),
+            "solver": values.get("solver", "qmdp"),
+            "explainee": "exact",
+            "ask": "never",
+        },
         config={"lambda": float(values.get("lambda", 1)), "seed": int(values.get("seed", 0))},
         metrics={},
         bounds={},

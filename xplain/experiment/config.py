@@ -26,7 +26,7 @@ from omegaconf import (
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 from yaml import MarkedYAMLError, YAMLError
 
-from xplain.errors import InputError, XplainError, one_of
+from xplain.errors import InputError, XplainError, first_line, one_of
 
 _INSIDE = Path(__file__).parents[1] / "conf"
 CONF = _INSIDE if _INSIDE.is_dir() else _INSIDE.parents[1] / "conf"
@@ -100,9 +100,8 @@ def composed(name: str, overrides: Sequence[str], with_hydra: bool = False) -> D
                 raise InputError("argument", override, f"key=value; keys: {', '.join(known)}")
             group, at, package = key.lstrip("+~").partition("@")  # such as study/texts@wording
             if (package if at else group).split(".")[0].split("/")[0] not in (*known, "hydra"):
-                near = difflib.get_close_matches(key, known, 1)
-                hint = f"did you mean {near[0]}? " if near else ""
-                raise InputError(key, override, f"no such key; {hint}keys: {', '.join(known)}")
+                hint = _did_you_mean(key, known)
+                raise InputError(key, override, f"no such key;{hint} keys: {', '.join(known)}")
         return compose(name, named(overrides), return_hydra_config=with_hydra)
 
 
@@ -169,7 +168,7 @@ def one_line(error: BaseException) -> str | None:
             return _composition(cause)
         if isinstance(cause, OmegaConfBaseException):
             key = getattr(cause, "full_key", None) or "config"
-            return f"{key}: {_first_line(cause)}"
+            return f"{key}: {first_line(cause)}"
         if isinstance(cause, MarkedYAMLError) and (mark := cause.problem_mark) is not None:
             return f"{mark.name}: line {mark.line + 1}: {cause.problem}"
         if isinstance(cause, OSError) and cause.strerror is not None:
@@ -190,16 +189,12 @@ def _causes(error: BaseException) -> list[BaseException]:
     return sorted(chain, key=lambda item: not isinstance(item, XplainError))
 
 
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
-
-
 def _unknown_choice(error: MissingConfigException) -> str:
     missing = str(error.missing_cfg_file or "?")
     group, _, choice = missing.rpartition("/")
     options = list(error.options or ())
     if not group:
-        return _first_line(error)
+        return first_line(error)
     hint = _did_you_mean(choice, options)
     return f"{group}={choice}: unknown choice;{hint} allowed: {', '.join(options)}"
 
@@ -218,7 +213,7 @@ def _composition(error: ConfigCompositionException) -> str:
             return _unknown_inside(missing, cause.parent_node)
         return unknown_key(missing)
     if isinstance(cause, OmegaConfBaseException):
-        return f"{getattr(cause, 'full_key', None) or 'config'}: {_first_line(cause)}"
+        return f"{getattr(cause, 'full_key', None) or 'config'}: {first_line(cause)}"
     if "@domain." in str(error):
         return NO_PACKAGE
     return " ".join(str(error).split())

@@ -38,7 +38,9 @@ def print_summary(results: Results) -> None:
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 100)
     console.print(_headline(results))
     published = table1().get((results.choices["domain"], results.trade_off), {})
-    if _users(results) != "exact" or _asks(results):  # the paper's users are; it asks nothing
+    if results.choices["explainee"] != "exact" or _asks(
+        results
+    ):  # the paper's users are; it asks nothing
         published = {}
     heads = ("measure", "mean", "95 % interval", "paper")[: 4 if published else 3]
     paper = {
@@ -63,26 +65,22 @@ def print_certificates(bounds: Mapping[str, float]) -> None:
         console.print(line)
 
 
-def _users(results: Results) -> str:
-    """The simulated users; runs before there was a choice had the paper's."""
-    return results.choices.get("explainee", "exact")
-
-
 def _asks(results: Results) -> str:
-    """What is asked; empty for nothing, as in runs before anything could be."""
-    choice = results.choices.get("ask", "never")
+    """What is asked; empty for nothing."""
+    choice = results.choices["ask"]
     return "" if choice == "never" else f"ask={choice}, κ = {results.config['ask']['cost']:g}"
 
 
 def _headline(results: Results) -> str:
     """Two lines: what was run, and what was learned."""
+    users = results.choices["explainee"]
     what = [
         results.domain,
         results.solver,
         f"λ = {results.trade_off:g}",
         f"{counted(results.config['traces'], 'trace')} × "
         f"{counted(len(results.types.true), 'type')}",
-        "" if _users(results) == "exact" else f"explainee={_users(results)}",
+        "" if users == "exact" else f"explainee={users}",
         _asks(results),
         f"seed {results.seed}",
     ]

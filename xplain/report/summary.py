@@ -39,6 +39,8 @@ ORDER = (
 Value = float | str
 """Of a swept key: a number where all its values are; "" where a setting lacks the key."""
 
+_OWN = {"lambda": "trade_off", "solver": "solver", "domain": "domain"}
+"""Keys whose values a job's results say."""
 
 SWEEP = "sweep.json"
 
@@ -140,12 +142,8 @@ class Summary:
         return {key: self._value(key, job, results) for key in keys}
 
     def _value(self, key: str, job: dict[str, Any], results: Results) -> Value:
-        if key == "lambda":
-            return results.trade_off
-        if key == "solver":
-            return results.solver
-        if key == "domain":
-            return results.domain
+        if key in _OWN:
+            return getattr(results, _OWN[key])
         text = job["values"].get(key, "")
         return float(text) if text and key in self._numbers else text
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from xplain.domains.base import Scene
-from xplain.report.plots import COLOURS, save
+from xplain.report.plots import COLOURS
 from xplain.report.story import Story, counted, stories, typical, which
 
 ITEM_COLOURS = (*COLOURS[:6], "#F0E442", "#777777")
@@ -52,13 +52,12 @@ def draw_trace(scene: Scene | None, story: Story, caption: str) -> Figure:
     return figure
 
 
-def save_typical(folder: Path, scene: Scene | None, path: Path) -> str:
-    """Draws the typical episode of a run's folder into a file; returns which it is."""
+def draw_typical(folder: Path, scene: Scene | None) -> tuple[Figure, str]:
+    """The typical episode of a run's folder, and which it is."""
     found = list(stories(folder, "solver"))
     story = typical(found)
     caption = which(story, len(found))
-    save(draw_trace(scene, story, caption), path)
-    return caption
+    return draw_trace(scene, story, caption), caption
 
 
 def draw_map(axes: Axes, scene: Scene, positions: tuple[tuple[int, int], ...]) -> None:

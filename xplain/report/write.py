@@ -86,12 +86,13 @@ def draw(summary: Summary, report: Path) -> Pictures:
 
 def _trace_pictures(summary: Summary, report: Path) -> Iterator[tuple[str, Path, str]]:
     """(domain, picture, caption): one typical explanation a domain."""
-    from xplain.report import traces
+    from xplain.report import plots, traces
 
     for domain in summary.domains:
         job, results = _example(summary, domain)
         path = report / f"trace_{domain}.png"
-        drawn = traces.save_typical(summary.folder_of(job), results.scene, path)
+        figure, drawn = traces.draw_typical(summary.folder_of(job), results.scene)
+        plots.save(figure, path)
         which = f"{title(results.solver)}, λ = {results.trade_off:g} (job “{job['label']}”)"
         yield domain, path, f"{title(domain)}, {which}: {drawn}."
 

@@ -66,11 +66,10 @@ class Run:
 
     def plot(self) -> list[Axes]:
         """Draws the episode of median cost; returns the axes, whose ``figure`` is the drawing."""
-        from xplain.report import story, traces
+        from xplain.report.traces import draw_typical
 
-        found = list(story.stories(self.folder, "solver"))
-        own = story.typical(found)
-        return traces.draw_trace(self.results.scene, own, story.which(own, len(found))).axes
+        figure, _ = draw_typical(self.folder, self.results.scene)
+        return figure.axes
 
     def _repr_html_(self) -> str:
         figures = {name: vars(figure) for name, figure in self.results.metrics.items()}

@@ -14,7 +14,7 @@ import shutil
 import socket
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -52,14 +52,12 @@ class SweepFolder:
         self.path.mkdir(parents=True, exist_ok=True)
         lock = FileLock(self.path / "sweep.lock")
         try:
-            lock.acquire(timeout=1)
+            held = lock.acquire(timeout=1)
         except Timeout:
             logging.getLogger(__name__).info(waiting)
-            lock.acquire()
-        try:
+            held = lock.acquire()
+        with held:
             yield
-        finally:
-            lock.release()
 
     def save(self, plan: Plan, about: dict[str, Any]) -> None:
         """Writes down what the sweep is (once, or anew where it is damaged: the first command stays
@@ -94,13 +92,10 @@ class SweepFolder:
         """The state, after reading the results: with those of another fingerprint, or unreadable
         ones, the job is as good as not begun."""
         state = self.state(job)
-        if state == "finished":
-            try:
-                usable = load_results(self.of(job)).stamp == job.fingerprint
-            except ValueError:
-                usable = False
-            return "finished" if usable else "waiting"
-        return state
+        with suppress(ValueError):
+            if state != "finished" or load_results(self.of(job)).stamp == job.fingerprint:
+                return state
+        return "waiting"
 
     def worker(self, job: Job) -> str:
         """Host and number of the process that ran the job."""

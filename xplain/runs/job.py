@@ -39,7 +39,7 @@ from xplain.report.run_summary import print_certificates, print_summary
 from xplain.report.stages import stages
 from xplain.runs.folder import SweepFolder, is_ours, job_of, mark_failed, mark_started
 from xplain.runs.forecast import print_dry_job
-from xplain.runs.mlflow import Tracking
+from xplain.runs.mlflow import Disk
 from xplain.runs.plan import Job
 from xplain.runs.worker import end_with_parent
 from xplain.storage import write_text
@@ -77,7 +77,7 @@ def _outputs(cfg: DictConfig) -> Path:
 def _run_alone(cfg: DictConfig, folder: Path) -> float | None:
     progress = stages()
     tell_when_compiling(progress.compiling)
-    tracking: Tracking = instantiate(cfg.tracking)
+    tracking: Disk = instantiate(cfg.tracking)
     config = configuration(cfg)
     results, prepared = run_experiment(cfg, config, folder, progress, print_summary)
     print_certificates(results.bounds)
@@ -186,7 +186,8 @@ def _draw(folder: Path, prepared: Prepared) -> str:
     """Draws the run's pictures; returns which episode is drawn."""
     from xplain.report import plots, traces
 
-    drawn = traces.save_typical(folder, prepared.scene, folder / "trace.png")
+    figure, drawn = traces.draw_typical(folder, prepared.scene)
+    plots.save(figure, folder / "trace.png")
     if len(prepared.curve):
         figure = plots.disagreements(
             prepared.curve.tolist(), len(prepared.learned_types), prepared.rule

@@ -17,8 +17,8 @@ import urllib.request
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
+from xplain.errors import first_line
 from xplain.report.summary import SWEEP
 from xplain.runs.folder import SweepFolder
 from xplain.runs.mlflow_run import RunStore, send_run
@@ -29,8 +29,9 @@ from xplain.runs.plan import Job
 log = logging.getLogger(__name__)
 
 
-class Tracking(Protocol):
-    """Hears of results that are on disk. It never raises: they are safe there."""
+class Disk:
+    """Hears of results that are on disk, and leaves them there; subclasses send them elsewhere. It
+    never raises: they are safe."""
 
     def log(self, folder: Path, outputs: Path) -> list[str]:
         """A run or a sweep ended.
@@ -42,28 +43,15 @@ class Tracking(Protocol):
         Returns:
             Lines for the terminal: where to look.
         """
-        ...
-
-    def follow(self, folder: Path, outputs: Path) -> Callable[[Job], None]:
-        """What hears of each job that ends while a sweep runs; called from one thread."""
-        ...
-
-
-@dataclass(frozen=True)
-class Disk:
-    """Tracks nothing: results stay on disk."""
-
-    def log(self, folder: Path, outputs: Path) -> list[str]:
-        """Nothing is sent."""
         return []
 
     def follow(self, folder: Path, outputs: Path) -> Callable[[Job], None]:
-        """Nothing is sent."""
+        """What hears of each job that ends while a sweep runs; called from one thread."""
         return lambda job: None
 
 
 @dataclass(frozen=True)
-class MLflow:
+class MLflow(Disk):
     """Logs each run as one MLflow run, each sweep as a parent with a child a job.
 
     Attributes:
@@ -121,11 +109,10 @@ class MLflow:
         try:
             return self.send(folder, outputs)
         except Exception as error:  # MLflow raises what SQLAlchemy, requests, the OS do
-            reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
             log.warning(
                 "MLflow did not take this (%s). The results are safe in %s; send them later "
                 "with: python -m xplain sync %s",
-                reason[:200],
+                first_line(error)[:200],
                 folder,
                 folder,
             )

@@ -16,6 +16,7 @@ from hydra.types import HydraContext, TaskFunction
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from xplain.errors import first_line
 from xplain.experiment.cache import source_fingerprint
 from xplain.experiment.fingerprint import code_version, fingerprint, git_state
 from xplain.experiment.from_config import check
@@ -24,7 +25,7 @@ from xplain.runs.compose import Composer
 from xplain.runs.folder import SweepFolder, mark_failed
 from xplain.runs.forecast import print_dry_run
 from xplain.runs.launch import interruptible, launch
-from xplain.runs.mlflow import Tracking
+from xplain.runs.mlflow import Disk
 from xplain.runs.plan import Job, Plan, in_launch_order, make_plan
 from xplain.runs.progress import duration, watched
 from xplain.runs.reuse import copy_results, finished_elsewhere
@@ -104,7 +105,7 @@ def carry_out(
     todo: Todo,
     plan: Plan,
     folder: SweepFolder,
-    tracking: Tracking,
+    tracking: Disk,
     outputs: Path,
     launch: Callable[[list[Job]], None],
 ) -> None:
@@ -247,6 +248,4 @@ _IMPORTED = time.time()
 
 
 def _short(error: BaseException | None) -> str:
-    if error is None:
-        return "no word from it"
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
+    return "no word from it" if error is None else first_line(error)[:160]
