@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 from xplain.runs import forecast
 from xplain.runs.forecast import expected_seconds, experience, print_dry_run
 from xplain.runs.plan import Plan
-from xplain.runs.todo import Todo
+from xplain.runs.reuse import Todo
 
 
 def config(domain: str, solver: str, traces: int) -> dict[str, Any]:

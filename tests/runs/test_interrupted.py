@@ -15,8 +15,8 @@ from tests.runs import sweeps
 from xplain.experiment.results import RESULTS
 from xplain.runs.folder import FAILURE
 from xplain.runs.mlflow import Disk
+from xplain.runs.reuse import Todo, decide
 from xplain.runs.sweep import carry_out
-from xplain.runs.todo import Todo, decide
 
 
 def test_a_job_that_raises_lets_the_others_go_on(folder):

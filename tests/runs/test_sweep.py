@@ -16,8 +16,8 @@ from tests.runs import sweeps
 from xplain.experiment.config import CONF
 from xplain.runs import hydra_plugins, sweep
 from xplain.runs.mlflow import Disk
+from xplain.runs.reuse import Todo
 from xplain.runs.sweep import carry_out
-from xplain.runs.todo import Todo
 
 
 def results(folder):

@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 
 from xplain.runs.folder import State
-from xplain.runs.todo import Todo, decide
+from xplain.runs.reuse import Todo, decide
 
 STATES: tuple[State, ...] = get_args(State)
 ELSEWHERE = Path("elsewhere")

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from xplain.report.measure import setting_of
 from xplain.report.paper import title
-from xplain.report.settings import setting_of
 from xplain.report.summary import Summary
 from xplain.report.table import Cell, Table
 

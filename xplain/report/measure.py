@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from xplain.errors import InputError
+from xplain.experiment.cache import SOURCE
 
 PROBLEM = (
     "domain",
@@ -58,6 +59,13 @@ _WHAT = {
 }
 
 
+_SOURCE = {*SOURCE, "points"} - {"seed"}
+"""What decides data, types and traces."""
+
+_WORDS = {"users.count": "{} types", "users.index": "completion {}"}
+"""What people call settings."""
+
+
 @dataclass(frozen=True)
 class Measure:
     """What a sweep's jobs are compared by.
@@ -93,6 +101,21 @@ def is_choice(key: str) -> bool:
     """Whether the values of a key compete: with a solver one may do better, with a λ one may
     not."""
     return key not in CONDITIONS and key.partition(".")[0] not in CONDITIONS
+
+
+def is_setting(key: str) -> bool:
+    """Whether the values of a swept key tell settings of one domain apart."""
+    return key != "domain" and key.partition(".")[0] in _SOURCE
+
+
+def setting_of(values: dict[str, str]) -> str:
+    """``3 types``, ``noise=0.1``; empty where settings are domains alone."""
+    words = []
+    for key, value in values.items():
+        if is_setting(key):
+            group, _, last = key.rpartition(".")
+            words.append(_WORDS.get(key, f"{last}=" + "{}").format(value) if group else value)
+    return " ".join(words)
 
 
 def measure_of(episodes: pd.DataFrame, keys: Sequence[str], asked: str | None = None) -> Measure:

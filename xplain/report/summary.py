@@ -20,8 +20,7 @@ from xplain.errors import InputError
 from xplain.experiment.results import RESULTS, Results, load_results
 from xplain.interaction.metrics import possible
 from xplain.interaction.statistics import Estimate, clustered_mean
-from xplain.report.measure import Measure, measure_of
-from xplain.report.settings import is_setting, setting_of
+from xplain.report.measure import Measure, is_setting, measure_of, setting_of
 
 ORDER = (
     "qmdp",

@@ -17,8 +17,7 @@ from xplain.experiment.from_config import check
 from xplain.experiment.results import load_results
 from xplain.runs.plan import Plan
 from xplain.runs.progress import duration
-from xplain.runs.reuse import finished_below, finished_elsewhere
-from xplain.runs.todo import Todo
+from xplain.runs.reuse import Todo, finished_below, finished_elsewhere
 
 Experience = tuple[str, str, float]
 """How long a finished job took: the class of its domain, its solver with all its settings (ten

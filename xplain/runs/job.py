@@ -39,9 +39,9 @@ from xplain.report.run_summary import print_certificates, print_summary
 from xplain.report.stages import stages
 from xplain.runs.folder import SweepFolder, is_ours, job_of, mark_failed, mark_started
 from xplain.runs.forecast import print_dry_job
+from xplain.runs.launch import end_with_parent
 from xplain.runs.mlflow import Disk
 from xplain.runs.plan import Job
-from xplain.runs.worker import end_with_parent
 from xplain.storage import write_text
 
 log = logging.getLogger(__name__)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from functools import cache
 
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, JobStatus
@@ -105,3 +108,22 @@ def _not_for_workers() -> Iterator[None]:
             signal.pthread_kill(waiting.ident or 0, signal.SIGINT)
         waiting.join()
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@cache
+def end_with_parent() -> None:
+    """Watches the process that started this worker of joblib, once a worker, and ends with it.
+
+    Without it the worker of a sweep killed with -9 works on, beside the rerun's workers, and
+    idles for minutes. Workers of clusters have keepers of their own.
+    """
+    if not multiprocessing.current_process().name.startswith("LokyProcess"):
+        return
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -76,14 +76,39 @@ class MLflow(Disk):
         return f"mlflow ui --backend-store-uri {uri}"
 
     def store(self, outputs: Path) -> RunStore:
-        """The server or database; pages of an SQLite file are shown on this machine.
+        """The server or database with its experiment, which is made where it is missing; pages of
+        an SQLite file are shown on this machine.
 
         Raises:
             OSError, sqlite3.Error, MlflowException: it cannot be reached.
         """
         uri = self.tracking_uri(outputs)
         pages = uri.rstrip("/") if uri.startswith("http") else "http://127.0.0.1:5000"
-        return opened(uri, self.experiment, outputs, f"{pages}/#")
+        refuse_unusable(uri)
+        # A person waits for this; the defaults would retry for minutes.
+        os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
+        os.environ.setdefault("MLFLOW_HTTP_REQUEST_TIMEOUT", "20")
+        from filelock import FileLock
+        from mlflow import MlflowClient
+        from mlflow.exceptions import MlflowException
+
+        # After the import, which configures these loggers.
+        logging.getLogger("mlflow").setLevel(logging.CRITICAL)
+        logging.getLogger("alembic").setLevel(logging.ERROR)
+        outputs.mkdir(parents=True, exist_ok=True)
+        location = None if uri.startswith("http") else (outputs.resolve() / "artifacts").as_uri()
+        # Two processes that create the database at once break it for good.
+        with FileLock(outputs / "mlflow.lock"):
+            _create_whole(uri)
+            client = MlflowClient(tracking_uri=uri)
+            if client.get_experiment_by_name(self.experiment) is None:
+                # Another machine may be faster; the lock covers this one only.
+                with contextlib.suppress(MlflowException):
+                    client.create_experiment(self.experiment, location)
+            found = client.get_experiment_by_name(self.experiment)
+        if found is None:
+            raise OSError(f"the experiment {self.experiment} can be neither found nor made")
+        return RunStore(client, found.experiment_id, f"{pages}/#")
 
     def send(self, folder: Path, outputs: Path) -> list[str]:
         """Brings MLflow to the state of a run's or sweep's folder; sent twice, it changes nothing.
@@ -135,39 +160,6 @@ class MLflow(Disk):
                 works = False
 
         return ended
-
-
-def opened(uri: str, experiment: str, outputs: Path, pages: str) -> RunStore:
-    """The store, with its experiment, made when missing.
-
-    Raises:
-        OSError, sqlite3.Error, MlflowException: it cannot be reached.
-    """
-    refuse_unusable(uri)
-    # A person waits for this; the defaults would retry for minutes.
-    os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
-    os.environ.setdefault("MLFLOW_HTTP_REQUEST_TIMEOUT", "20")
-    from filelock import FileLock
-    from mlflow import MlflowClient
-    from mlflow.exceptions import MlflowException
-
-    # After the import, which configures these loggers.
-    logging.getLogger("mlflow").setLevel(logging.CRITICAL)
-    logging.getLogger("alembic").setLevel(logging.ERROR)
-    outputs.mkdir(parents=True, exist_ok=True)
-    location = None if uri.startswith("http") else (outputs.resolve() / "artifacts").as_uri()
-    # Two processes that create the database at once break it for good.
-    with FileLock(outputs / "mlflow.lock"):
-        _create_whole(uri)
-        client = MlflowClient(tracking_uri=uri)
-        if client.get_experiment_by_name(experiment) is None:
-            # Another machine may be faster; the lock covers this one only.
-            with contextlib.suppress(MlflowException):
-                client.create_experiment(experiment, location)
-        found = client.get_experiment_by_name(experiment)
-    if found is None:
-        raise OSError(f"the experiment {experiment} can be neither found nor made")
-    return RunStore(client, found.experiment_id, pages)
 
 
 def _create_whole(uri: str) -> None:

@@ -1,21 +1,66 @@
-"""Results that are there already, wherever below the outputs folder: nothing runs twice."""
+"""What a sweep still has to do: results that are there already, wherever below the outputs folder,
+are not made twice."""
 
 from __future__ import annotations
 
 import json
 import os
 import shutil
-from collections.abc import Collection, Iterator
-from dataclasses import replace
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from xplain.experiment.results import RESULTS, load_results, save_results
 from xplain.report.summary import SWEEP
-from xplain.runs.folder import FAILURE, STARTED, SweepFolder
-from xplain.runs.plan import Job
+from xplain.runs.folder import FAILURE, STARTED, State, SweepFolder
+from xplain.runs.plan import Job, Plan
 
 _NO_RESULTS = {"artifacts", "cache", "report"}
 """Folders below the outputs that hold copies or none: MLflow's files, prepared work, reports."""
+
+
+@dataclass(frozen=True)
+class Todo:
+    """What one start of a sweep does; jobs go by their fingerprints.
+
+    Attributes:
+        finished: done already.
+        copied: where the same results are already, outside of this sweep.
+        run: all others that were asked for, in the sweep's order.
+    """
+
+    finished: tuple[str, ...]
+    copied: Mapping[str, Path]
+    run: tuple[str, ...]
+
+
+def decide(states: Mapping[str, State], resume: str, elsewhere: Mapping[str, Path]) -> Todo:
+    """What is to be done; no file is touched here.
+
+    Args:
+        states: of all jobs, in the sweep's order.
+        resume: ``missing`` (all that is not finished), ``failed`` (only jobs that failed) or
+            ``none`` (all of them anew, copying none).
+        elsewhere: folders of finished results that may be copied.
+    """
+    if resume == "none":
+        return Todo((), {}, tuple(states))
+    finished = tuple(key for key, state in states.items() if state == "finished")
+    wanted = [
+        key
+        for key, state in states.items()
+        if (state == "failed" if resume == "failed" else state != "finished")
+    ]
+    copied = {key: elsewhere[key] for key in wanted if key in elsewhere}
+    return Todo(finished, copied, tuple(key for key in wanted if key not in copied))
+
+
+def todo_of(plan: Plan, folder: SweepFolder, outputs: Path, resume: str) -> Todo:
+    """What is to be done by the files below the outputs; ``resume`` as of :func:`decide`."""
+    states = {job.fingerprint: folder.checked_state(job) for job in plan.jobs}
+    missing = [key for key, state in states.items() if state != "finished"]
+    elsewhere = {} if resume == "none" else finished_elsewhere(outputs, missing, folder.path)
+    return decide(states, resume, elsewhere)
 
 
 def runs_and_sweeps(outputs: Path) -> Iterator[Path]:

@@ -28,8 +28,7 @@ from xplain.runs.launch import interruptible, launch
 from xplain.runs.mlflow import Disk
 from xplain.runs.plan import Job, Plan, in_launch_order, make_plan
 from xplain.runs.progress import duration, watched
-from xplain.runs.reuse import copy_results, finished_elsewhere
-from xplain.runs.todo import Todo, decide
+from xplain.runs.reuse import Todo, copy_results, todo_of
 
 log = logging.getLogger(__name__)
 
@@ -73,13 +72,13 @@ def run_sweep(
     missing = [job for job in plan.jobs if folder.state(job) != "finished"]
     check([configurations[job.fingerprint] for job in missing])
     if config.dry_run:
-        todo = _todo(plan, folder, outputs, config.resume)
+        todo = todo_of(plan, folder, outputs, config.resume)
         print_dry_run(plan, todo, outputs, config, configurations)
         return None
     with folder.alone(f"{plan.identity}: another process runs this sweep; waiting for it"):
         made = {"command": _command(config), "code": code_version(), "git": git_state()}
         folder.save(plan, {"started": began, **made, **shown})
-        todo = _todo(plan, folder, outputs, config.resume)
+        todo = todo_of(plan, folder, outputs, config.resume)
         start = partial(launch, context, task, config, folder)
         carry_out(todo, plan, folder, instantiate(config.tracking), outputs, start)
     return folder.path
@@ -91,14 +90,6 @@ def _command(config: DictConfig) -> str:
     words = [word for word in given if not word.startswith("hydra.mode=")]
     prepared = any(word.startswith("sweeps=") for word in words)
     return shlex.join(["python", "-m", "xplain", *([] if prepared else ["-m"]), *words])
-
-
-def _todo(plan: Plan, folder: SweepFolder, outputs: Path, resume: str) -> Todo:
-    """From the files below the outputs."""
-    states = {job.fingerprint: folder.checked_state(job) for job in plan.jobs}
-    missing = [key for key, state in states.items() if state != "finished"]
-    elsewhere = {} if resume == "none" else finished_elsewhere(outputs, missing, folder.path)
-    return decide(states, resume, elsewhere)
 
 
 def carry_out(
