@@ -108,13 +108,11 @@ def elbows(summary: Summary) -> Figure | None:
     return figure
 
 
-def figure_of_panels(
-    count: int, height: float = 3.4, width: float = 4.2
-) -> tuple[Figure, list[Axes]]:
+def figure_of_panels(count: int) -> tuple[Figure, list[Axes]]:
     """A figure of small plots, at most four beside each other, with room for a legend."""
     columns = min(count, 4)
     rows = -(-count // columns)
-    figure = Figure(figsize=(width * columns + 1.4, height * rows), layout="constrained")
+    figure = Figure(figsize=(4.2 * columns + 1.4, 3.4 * rows), layout="constrained")
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
     for left in axes[count:]:
         left.set_visible(False)

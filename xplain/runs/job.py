@@ -134,11 +134,13 @@ def run_experiment(
         progress: hears how far it is.
         tell: hears the results before the certificates, which take as long again, are sought.
     """
-    started, clock, experiment = time.time(), StageTimes(), experiment_of(cfg)
+    started, begun = time.time(), time.perf_counter()
+    experiment = experiment_of(cfg)
     prepared = experiment.prepared(_outputs(cfg) / "cache", source_fingerprint(config), progress)
-    clock.lap("prepare")
+    halfway = time.perf_counter()
     prepared, records = experiment.explained(prepared, progress)
-    clock.lap("explain")
+    explained = time.perf_counter()
+    seconds = {"prepare": halfway - begun, "explain": explained - halfway}
     chosen = HydraConfig.get().runtime.choices
     choices = {group: str(chosen[group]) for group in GROUPS}
     domain = domain_name(choices, config)
@@ -148,7 +150,7 @@ def run_experiment(
         code=code_version(),
         git=git_state(),
         started=started,
-        seconds=dict(clock.laps),
+        seconds=seconds,
         choices=choices,
         config=config,
     )
@@ -158,22 +160,8 @@ def run_experiment(
     if tell is not None:
         tell(results)
     bounds = experiment.certificates(prepared, progress)
-    clock.lap("bounds")
-    return replace(results, bounds=bounds, seconds=dict(clock.laps)), prepared
-
-
-class StageTimes:
-    """Seconds spent by stage."""
-
-    def __init__(self) -> None:
-        self.laps: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def lap(self, stage: str) -> None:
-        """The time since the last call went into this stage."""
-        now = time.perf_counter()
-        self.laps[stage] = now - self._last
-        self._last = now
+    seconds = seconds | {"bounds": time.perf_counter() - explained}
+    return replace(results, bounds=bounds, seconds=seconds), prepared
 
 
 def result_id(results: Provenance, folder: Path) -> str:

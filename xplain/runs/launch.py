@@ -12,7 +12,7 @@ from contextlib import contextmanager, nullcontext
 from functools import cache
 
 from hydra.core.plugins import Plugins
-from hydra.core.utils import JobReturn, JobStatus
+from hydra.core.utils import JobStatus
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, open_dict
@@ -47,16 +47,12 @@ def launch(
     ]
     returns = launcher.launch(overrides, initial_job_idx=0)
     for job, returned in zip(jobs, returns, strict=True):
-        _note_failure(folder, job, returned)
-
-
-def _note_failure(folder: SweepFolder, job: Job, returned: JobReturn) -> None:
-    """A job that failed outside of its own code (a worker that cannot import the package)."""
-    if returned.status == JobStatus.FAILED and folder.state(job) != "failed":
-        try:
-            returned.return_value  # noqa: B018  (raises what the job raised)
-        except Exception as error:  # noqa: BLE001  (whatever it raised is its result)
-            mark_failed(folder.of(job), error)
+        # It failed outside of its own code: a worker that cannot import the package.
+        if returned.status == JobStatus.FAILED and folder.state(job) != "failed":
+            try:
+                returned.return_value  # noqa: B018  (raises what the job raised)
+            except Exception as error:  # noqa: BLE001  (whatever it raised is its result)
+                mark_failed(folder.of(job), error)
 
 
 @contextmanager
