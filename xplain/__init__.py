@@ -9,19 +9,6 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = [
-    "Explainer",
-    "GivenTypes",
-    "Hypotheses",
-    "LearnedTypes",
-    "Questionnaire",
-    "Run",
-    "Sweep",
-    "__version__",
-    "load",
-    "run",
-    "sweep",
-]
 __version__ = "0.1.0"
 
 _WHERE = {
@@ -32,6 +19,7 @@ _WHERE = {
     "Questionnaire": "xplain.questions.questionnaire",
     **dict.fromkeys(("Run", "Sweep", "load", "run", "sweep"), "xplain.runs.api"),
 }
+__all__ = sorted(["__version__", *_WHERE])
 
 
 def __getattr__(name: str) -> Any:
@@ -45,4 +33,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return __all__

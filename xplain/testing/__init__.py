@@ -19,18 +19,6 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = [
-    "Chosen",
-    "ClustererConformance",
-    "DomainConformance",
-    "ExplaineeConformance",
-    "LabelerConformance",
-    "PartitionConformance",
-    "QueriesConformance",
-    "SolverConformance",
-    "TypeSourceConformance",
-]
-
 _WHERE = {
     "Chosen": "chosen",
     "ClustererConformance": "clusterer",
@@ -42,6 +30,7 @@ _WHERE = {
     "SolverConformance": "solver",
     "TypeSourceConformance": "types",
 }
+__all__ = sorted(_WHERE)
 
 
 def __getattr__(name: str) -> Any:
@@ -55,4 +44,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return __all__
