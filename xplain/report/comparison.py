@@ -140,12 +140,9 @@ def _table(
 
 def _common(summary: Summary) -> str:
     """What was not swept, as far as a reader wants to know it."""
-    keys = shown_keys(summary)
-    parts = []
-    for key in ("domain", "solver", "lambda"):
-        values = summary.values(key)
-        if key not in keys and len(values) == 1:
-            parts.append(value_label(key, values[0]))
+    fixed = [key for key in ("domain", "solver", "lambda") if key not in shown_keys(summary)]
+    values = {key: summary.values(key) for key in fixed}
+    parts = [value_label(key, own[0]) for key, own in values.items() if len(own) == 1]
     traces = summary.episodes.groupby("seed")["trace"].nunique().max()
     return ", ".join([*parts, counted(int(traces), "trace"), counted(summary.seeds, "seed")])
 

@@ -74,10 +74,11 @@ class Summary:
         self.folder, self._asked = folder, measure
         self.about = load_sweep(folder)
         self.jobs: list[dict[str, Any]] = self.about["jobs"]
-        self.results: list[tuple[dict[str, Any], Results]] = []
-        for job in self.jobs:
-            if (self.folder_of(job) / RESULTS).exists():
-                self.results.append((job, load_results(self.folder_of(job))))
+        self.results: list[tuple[dict[str, Any], Results]] = [
+            (job, load_results(self.folder_of(job)))
+            for job in self.jobs
+            if (self.folder_of(job) / RESULTS).exists()
+        ]
 
     def folder_of(self, job: Mapping[str, Any]) -> Path:
         """Path of a job's own folder."""
@@ -86,13 +87,14 @@ class Summary:
     @property
     def failures(self) -> list[tuple[str, str]]:
         """(job, error) of the failed jobs."""
-        found = []
-        for job in self.jobs:
-            folder = self.folder_of(job)
-            if (folder / "failure.json").exists() and not (folder / RESULTS).exists():
-                content = json.loads((folder / "failure.json").read_text("utf-8"))
-                found.append((job["label"], content["error"]))
-        return found
+        finished = {job["name"] for job, _ in self.results}
+        left = [job for job in self.jobs if job["name"] not in finished]
+        paths = [(job["label"], self.folder_of(job) / "failure.json") for job in left]
+        return [
+            (label, json.loads(path.read_text("utf-8"))["error"])
+            for label, path in paths
+            if path.exists()
+        ]
 
     @property
     def missing(self) -> int:
