@@ -37,11 +37,9 @@ def print_summary(results: Results) -> None:
     """The run's figures as a table on standard output, the paper's beside them."""
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 100)
     console.print(_headline(results))
-    published = table1().get((results.choices["domain"], results.trade_off), {})
-    if results.choices["explainee"] != "exact" or _asks(
-        results
-    ):  # the paper's users are; it asks nothing
-        published = {}
+    as_paper = results.choices["explainee"] == "exact" and not _asks(results)
+    setting = results.choices["domain"], results.trade_off
+    published = table1().get(setting, {}) if as_paper else {}
     heads = ("measure", "mean", "95 % interval", "paper")[: 4 if published else 3]
     paper = {
         "oracle_cost": published.get("oracle"),
