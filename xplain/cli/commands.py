@@ -15,11 +15,14 @@ class Command:
             as a line of JSON.
         meaning: in a line.
         config: name of its file in conf/, "" where it has none of its own.
+        of: study or collect, for a command that both have: what is called takes it first, and it
+            stands for NAME in the help. "" for all others.
     """
 
     module: str
     meaning: str
     config: str = ""
+    of: str = ""
 
 
 COMMANDS = {
@@ -31,19 +34,19 @@ COMMANDS = {
     "report": Command("report", "tables, plots and a page of a sweep, anew"),
     "sync": Command("sync", "send results on disk to MLflow"),
     "demo": Command("demo", "play one explanation, with a simulated user or you"),
-    "collect": Command("collect:serve", "collect labels from people", "collect"),
-    "collect bots": Command("collect:bots", "let simulated people give labels"),
-    "collect export": Command("collect:export", "the labels as tables"),
-    "collect erase": Command("collect:erase", "forget a participant"),
-    "collect replay": Command("collect:replay", "compute it again from its log"),
-    "collect habits": Command("collect:habits", "how people listened and answered"),
-    "study": Command("study:serve", "serve the user study", "study"),
-    "study bots": Command("study:bots", "let simulated participants take part"),
-    "study export": Command("study:export", "its data as tables"),
-    "study replay": Command("study:replay", "compute it again from its log"),
-    "study erase": Command("study:erase", "forget a participant"),
+    "collect": Command("people:serve", "collect labels from people", "collect", "collect"),
+    "collect bots": Command("people:bots", "let simulated people give labels", of="collect"),
+    "collect export": Command("people:export", "the labels as tables", of="collect"),
+    "collect erase": Command("people:erase", "forget a participant", of="collect"),
+    "collect replay": Command("people:replay", "compute it again from its log", of="collect"),
+    "collect habits": Command("people:habits", "how people listened and answered", of="collect"),
+    "study": Command("people:serve", "serve the user study", "study", "study"),
+    "study bots": Command("people:bots", "let simulated participants take part", of="study"),
+    "study export": Command("people:export", "its data as tables", of="study"),
+    "study replay": Command("people:replay", "compute it again from its log", of="study"),
+    "study erase": Command("people:erase", "forget a participant", of="study"),
     "study preregister": Command("study:preregister", "a document of the plan, to register"),
     "study analyse": Command("study:analyse", "the paper's Table 2 of its data"),
-    "study habits": Command("study:habits", "how its participants listened and answered"),
+    "study habits": Command("people:habits", "how participants listened and answered", of="study"),
     "study power": Command("study:power", "how many participants it needs"),
 }

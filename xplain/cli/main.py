@@ -84,7 +84,7 @@ def _run(given: list[str]) -> None:
     command = COMMANDS[name]
     module, _, function = command.module.partition(":")
     if any(word in ("--help", "-h") for word in rest):
-        print(_told(module, function), end="\n\n")
+        print(_told(module, function).replace("NAME", command.of), end="\n\n")
         if below := _commands(name):
             print("\n".join(below) + "\n")
         if command.config:
@@ -93,7 +93,8 @@ def _run(given: list[str]) -> None:
     with left_at_once():
         found = import_module(f"xplain.cli.{module}")
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
-    said = getattr(found, function or "main")(_with_own_choices(rest))
+    called, words = getattr(found, function or "main"), _with_own_choices(rest)
+    said = called(command.of, words) if command.of else called(words)
     if said is not None:
         print(json.dumps(said))
 

@@ -1,4 +1,5 @@
-"""What the commands of the study and of a collection share; ``name`` is study or collect."""
+"""The commands that the study and a collection share; ``name`` is study or collect, and stands for
+NAME in the docstrings, which are the commands' help."""
 
 from __future__ import annotations
 
@@ -27,10 +28,12 @@ def site(name: str) -> type[Site[Any]]:
 
 
 def serve(name: str, arguments: list[str]) -> None:
-    """Serves what overrides of the flow's configuration describe, until it is stopped.
+    """Serves the user study, or pages on which people give labels, until it is stopped:
+    ``xplain NAME port=8080``; of one's own robot with ``transitions=TABLE.csv facts=FACTS.csv``.
 
-    Raises:
-        XplainError: the configuration or the database cannot be used.
+    The first start fixes it in its database; later starts go on with it. A collection says before
+    that what to expect, from simulated people. One worker process with threads: it alone has the
+    database open. How a lab does it: docs/study.md, docs/collect.md.
     """
     cfg = configured(name, arguments)
     # Before the work of a plan: a key that cannot be is refused at once.
@@ -159,10 +162,17 @@ def run_server(site: Site[Any], name: str, server: Server, path: Path, cfg: Dict
 
 
 def bots(name: str, arguments: list[str]) -> None:
-    """Lets bots take part, prints how far each came, and saves the export.
+    """Lets simulated people take part in what a server runs, over HTTP or in a real browser. They
+    are marked as bots in the data for ever, take nobody's place, and are never mixed with people.
 
-    Raises:
-        XplainError: a number out of its range, no browser to drive, or the server went away.
+        xplain NAME bots --key KEY [--url http://127.0.0.1:8080] [--count 40] [--at-once 8]
+            [--pace 0] [--leaving 0] [--chromium] [--seed 0] [--save FILE]
+
+    ``--key``: the researcher's key, which the server prints; ``--pace``: 1 is real time;
+    ``--leaving``: chance to leave, a page; ``--save``: where the export (ZIP) goes afterwards.
+    Every habit is a flag: of ``xplain.people.study.bot.Habits`` such as ``--label-noise 0.1``, of
+    ``xplain.people.collect.bot.Habits`` such as ``--error 0.05`` (share of wrong answers) and
+    ``--lapse 0`` (share of pages clicked through).
     """
     from requests import RequestException
 
@@ -192,14 +202,29 @@ def bots(name: str, arguments: list[str]) -> None:
 
 
 def export(name: str, arguments: list[str]) -> None:
-    """Writes the tables and their codebook into the folder, and prints the head of the log."""
+    """The data as tables, and their codebook, from a database that no server has open (or from a
+    snapshot): CSV and Parquet; of a collection also the labels that ``xplain discover`` reads.
+
+        xplain NAME export DATABASE FOLDER
+    """
     given = parsed(f"xplain {name} export", arguments, "database", "folder")
     head = site(name).export(given.database, given.folder)
     print(f"tables and codebook in {given.folder}\nhead of the log: {head}")
 
 
 def erase(name: str, arguments: list[str]) -> None:
-    """Erases what one participant did or said, for ever."""
+    """Erases everything that one participant did or said, by the reference they were given.
+
+        xplain NAME erase DATABASE REFERENCE
+
+    The database is one that no server has open; a running server's page can do the same. The
+    erasure is written to the log, which can still be checked. Exports and backups made before keep
+    the data.
+
+    What was learned from their answers to a collection before, about which questions tell most of
+    others, stays in the log without answers or reference: the questions of those who came after
+    followed from it.
+    """
     given = parsed(f"xplain {name} erase", arguments, "database", "reference")
     if not given.database.is_file():
         raise InputError("database", str(given.database), site(name).PLAN.OF + "'s database")
@@ -214,7 +239,14 @@ def erase(name: str, arguments: list[str]) -> None:
 
 
 def replay(name: str, arguments: list[str]) -> None:
-    """Compares, says what was compared and what differs; exit code 1 where anything does."""
+    """Recomputes everything that followed from the answers (beliefs and messages of a study,
+    questions and posteriors of a collection) from the log, and compares.
+
+        xplain NAME replay DATABASE [--head DIGEST]
+
+    ``--head`` is the head of the log that an earlier export printed: everything up to it must be as
+    it was then. The database is one that no server has open. Exit code 1 where anything differs.
+    """
     given = parsed(f"xplain {name} replay", arguments, "database", head="")
     from xplain.people.analysis.log import head_of
     from xplain.people.analysis.stored import plan_of, reading
@@ -241,7 +273,16 @@ def replay(name: str, arguments: list[str]) -> None:
 
 
 def habits(name: str, arguments: list[str]) -> None:
-    """Prints how the people of a stream listened and answered, as keys of a belief."""
+    """How people listened and answered, learned from the log: how often they err, take a message in
+    and forget, as keys for a study or an experiment.
+
+        xplain NAME habits DATABASE [--stream person]
+
+    The database is one that no server has open (or a snapshot); ``--stream`` is person, pilot or
+    bot. Of a study, messages that are said again tell most: with belief.accept and belief.forget. A
+    collection has to be begun with ``rules.listening``; a step after which something may be
+    forgotten is a page of it.
+    """
     given = parsed(f"xplain {name} habits", arguments, "database", stream="person")
     from xplain.explanation.listening import learned_habits
 

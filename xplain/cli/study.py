@@ -1,69 +1,12 @@
-"""The commands of the user study; each docstring is the command's help."""
+"""The commands of the user study alone; each docstring is the command's help."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from xplain.cli import people
 from xplain.cli.parser import parsed
 from xplain.errors import InputError, whole_number
 from xplain.experiment.config import composed
-
-
-def serve(arguments: list[str]) -> None:
-    """Serves the user study: ``xplain study port=8080 rules.per_cell=10``.
-
-    The first start fixes the study in its database; later starts go on with it. One worker process
-    with threads: it alone has the database open. How a lab runs a study: docs/study.md.
-    """
-    people.serve("study", arguments)
-
-
-def bots(arguments: list[str]) -> None:
-    """Lets simulated participants take part in a running study, over HTTP or in a real browser.
-    They are marked as bots in the data for ever, and take nobody's place.
-
-        xplain study bots --key KEY [--url http://127.0.0.1:8080] [--count 40] [--at-once 8]
-            [--pace 0] [--leaving 0] [--chromium] [--seed 0] [--save FILE]
-
-    ``--key``: the researcher's key, which the server prints; ``--pace``: 1 is real time;
-    ``--leaving``: chance to leave, a page; ``--save``: where the export (ZIP) goes afterwards.
-    Other habits (``xplain.people.study.bot.Habits``) are flags too, such as
-    ``--label-noise 0.1``.
-    """
-    people.bots("study", arguments)
-
-
-def export(arguments: list[str]) -> None:
-    """CSV and Parquet tables, and their codebook, from a study's database that no server has open
-    (or from a snapshot).
-
-        xplain study export DATABASE FOLDER
-    """
-    people.export("study", arguments)
-
-
-def replay(arguments: list[str]) -> None:
-    """Recomputes every belief and message of a study from its log, and compares.
-
-        xplain study replay DATABASE [--head DIGEST]
-
-    ``--head`` is the head of the log that an earlier export printed: everything up to it must be as
-    it was then. The database is one that no server has open. Exit code 1 where anything differs.
-    """
-    people.replay("study", arguments)
-
-
-def erase(arguments: list[str]) -> None:
-    """Erases everything that one participant did or said, by the reference they were given.
-
-        xplain study erase DATABASE REFERENCE
-
-    The database is one that no server has open; a running server's page can do the same. The
-    erasure is written to the log, which can still be checked. Exports and backups made before keep
-    the data.
-    """
-    people.erase("study", arguments)
 
 
 def preregister(arguments: list[str]) -> None:
@@ -88,18 +31,6 @@ def preregister(arguments: list[str]) -> None:
         return
     given.out.write_text(text, encoding="utf-8")
     print(f"preregistration in {given.out}")
-
-
-def habits(arguments: list[str]) -> None:
-    """How participants listened and answered, learned from the log of a study: how often they err,
-    take a message in and forget, as keys for the next study or an experiment.
-
-        xplain study habits DATABASE [--stream person]
-
-    The database is one that no server has open (or a snapshot); ``--stream`` is person, pilot or
-    bot. Messages that are said again tell most: with belief.accept and belief.forget.
-    """
-    people.habits("study", arguments)
 
 
 def analyse(arguments: list[str]) -> None:
