@@ -133,11 +133,14 @@ class Stage(Generic[F, S]):
 
     Attributes:
         WITHIN: the stage that this one comes in the middle of; "" for one in the order of them all.
+        FIELDS: {key of the payload: name of its field}, where they differ; of a list the name of
+            each of its fields, "#" for the number.
         name: of the stage, its template and its title.
         kind: of the event that it waits for.
     """
 
     WITHIN: ClassVar[str] = ""
+    FIELDS: ClassVar[Mapping[str, str]] = {}
 
     name: str
     kind: str
@@ -161,7 +164,11 @@ class Stage(Generic[F, S]):
 
     def fields(self, payload: Mapping[str, Any]) -> Fields:
         """What was filled in where this payload was read."""
-        return []
+        return [
+            (self.FIELDS.get(key, "").replace("#", str(number)) or key, str(one))
+            for key, value in payload.items()
+            for number, one in enumerate(value if isinstance(value, list) else [value])
+        ]
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
         """The state after the page's event.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from xplain.errors import Refused
-from xplain.people.flow import F, Fields, Form, Outcome, S, Stage
+from xplain.people.flow import F, Form, Outcome, S, Stage
 from xplain.people.plan import LabQuestion
 
 
@@ -17,10 +17,6 @@ class Consent(Stage[F, S]):
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
         """Whether they agree, and the hash of the text that they read."""
         return {"agree": small(form.get("agree")), "text": form.get("text", "")[:64]}
-
-    def fields(self, payload: Mapping[str, Any]) -> Fields:
-        """The choice and the text."""
-        return [(name, str(payload[name])) for name in ("agree", "text")]
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
         """To the flow, or to a polite end."""
@@ -45,10 +41,6 @@ class OneLabel(Stage[F, S]):
     def read(self, flow: F, state: S, form: Form) -> dict[str, Any]:
         """The label."""
         return {"label": small(form.get("label"))}
-
-    def fields(self, payload: Mapping[str, Any]) -> Fields:
-        """The label."""
-        return [("label", str(payload["label"]))]
 
     def label(self, flow: F, payload: Mapping[str, Any]) -> int:
         """What was chosen.
@@ -113,10 +105,6 @@ class QuestionStage(Stage[F, S]):
         """The answers by name."""
         asked = getattr(flow.plan, self.of)
         return {one.name: form.get(one.name, "").translate(NO_TEXT).strip() for one in asked}
-
-    def fields(self, payload: Mapping[str, Any]) -> Fields:
-        """The answers."""
-        return [*payload.items()]
 
     def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
         """Each answer has to be one that its question allows."""

@@ -23,7 +23,7 @@ from xplain.people.collect.asking import (
     CollectState,
 )
 from xplain.people.collect.plan import CollectPlan
-from xplain.people.flow import Answer, Decision, Fields, Flow, Form, Stage
+from xplain.people.flow import Answer, Decision, Flow, Form, Stage
 from xplain.people.stages import Consent, LookingAhead, Practice, QuestionStage, choices, small
 from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import derived_seed, stream
@@ -58,6 +58,7 @@ class ClipStage(Stage["Collection", CollectState]):
         LASTING: whether messages hold on the pages that follow, too.
     """
 
+    FIELDS: ClassVar = {"labels": "label_#"}
     LASTING: ClassVar = False
 
     def enter(self, flow: Collection, state: CollectState) -> Outcome:
@@ -78,10 +79,6 @@ class ClipStage(Stage["Collection", CollectState]):
         """A label a step."""
         steps = range(state.clip.size if state.clip else 0)
         return {"labels": [small(form.get(f"label_{i}")) for i in steps]}
-
-    def fields(self, payload: Mapping[str, Any]) -> Fields:
-        """A label a step."""
-        return [(f"label_{i}", str(label)) for i, label in enumerate(payload["labels"])]
 
     def advance(self, flow: Collection, state: CollectState, payload: Mapping[str, Any]) -> Outcome:
         """To the next clip, or on from the last one."""
@@ -126,6 +123,8 @@ class Listening(ClipStage):
 class BeliefStage(Stage["Collection", CollectState]):
     """What they say they thought of each fact."""
 
+    FIELDS: ClassVar = {"stated": "fact_#"}
+
     def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
         """The facts in the participant's order."""
         shown = statements(flow.plan, state.person)
@@ -136,10 +135,6 @@ class BeliefStage(Stage["Collection", CollectState]):
         """An index into STATED a fact."""
         facts = range(len(flow.plan.facts))
         return {"stated": [small(form.get(f"fact_{j}")) for j in facts]}
-
-    def fields(self, payload: Mapping[str, Any]) -> Fields:
-        """An index a fact."""
-        return [(f"fact_{j}", str(value)) for j, value in enumerate(payload["stated"])]
 
     def advance(self, flow: Collection, state: CollectState, payload: Mapping[str, Any]) -> Outcome:
         """All of them are needed."""

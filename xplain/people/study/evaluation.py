@@ -18,7 +18,7 @@ from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.message_sets import indices
 from xplain.interaction.interaction import Interaction
 from xplain.people import flow as core
-from xplain.people.flow import Answer, Decision, Fields, Flow, Form, Stage
+from xplain.people.flow import Answer, Decision, Flow, Form, Stage
 from xplain.people.stages import OneLabel, choices, small
 from xplain.people.study.plan import StudyPlan, StudyRole
 from xplain.solvers.base import Policy
@@ -201,6 +201,8 @@ class Explaining(Flow[StudyPlan, StudyState]):
 class Evaluation(Stage["Explaining", StudyState]):
     """The robot's steps, one after the other, with the policy's messages."""
 
+    FIELDS: ClassVar = {"labels": "label_#"}
+
     def enter(self, flow: Explaining, state: StudyState) -> Outcome:
         """The first step."""
         belief = tuple(flow.plan.problem_of(state.condition or "").start.tolist())
@@ -223,10 +225,6 @@ class Evaluation(Stage["Explaining", StudyState]):
         sent = [small(form.get(f"label_{i}")) for i in range(state.step + 1)]
         pairs = zip(sent, kept, strict=True)
         return {"labels": [old if label is None else label for label, old in pairs]}
-
-    def fields(self, payload: Mapping[str, Any]) -> Fields:
-        """All labels."""
-        return [(f"label_{i}", str(label)) for i, label in enumerate(payload["labels"])]
 
     def advance(self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]) -> Outcome:
         """To the next step, or on from the last one."""

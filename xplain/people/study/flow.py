@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from xplain.errors import Refused
-from xplain.people.flow import Fields, Form, Stage
+from xplain.people.flow import Form, Stage
 from xplain.people.stages import (
     Consent,
     LookingAhead,
@@ -41,10 +41,6 @@ class StudyConsent(Consent["Study", StudyState]):
         return super().read(flow, state, form) | {
             "width": int(width) if _WIDTH.match(width) else None
         }
-
-    def fields(self, payload: Mapping[str, Any]) -> Fields:
-        """With the width."""
-        return [*super().fields(payload), ("width", str(payload["width"] or ""))]
 
 
 class Briefing(Stage["Study", StudyState]):
@@ -79,6 +75,8 @@ class TrainingStage(Practice["Study", StudyState]):
 class Eligibility(Stage["Study", StudyState]):
     """Whether they know what they were told."""
 
+    FIELDS: ClassVar = {"answers": "q#"}
+
     def wanted(self, plan: StudyPlan) -> bool:
         """Nobody who is not briefed can be checked."""
         return not plan.kinds
@@ -96,10 +94,6 @@ class Eligibility(Stage["Study", StudyState]):
         count = len(flow.role(state).eligibility)
         return {"answers": [small(form.get(f"q{i}")) for i in range(count)]}
 
-    def fields(self, payload: Mapping[str, Any]) -> Fields:
-        """The answers."""
-        return [(f"q{i}", str(answer)) for i, answer in enumerate(payload["answers"])]
-
     def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> Outcome:
         """On with all of them right; else back to the briefing, or to the end."""
         questions = flow.role(state).eligibility
@@ -116,6 +110,8 @@ class Eligibility(Stage["Study", StudyState]):
 class Quiz(Stage["Study", StudyState]):
     """Which statements are true of the robot; no way back to the briefing."""
 
+    FIELDS: ClassVar = {"chosen": "true"}
+
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """The statements in the participant's order."""
         statements = flow.role(state).quiz
@@ -125,10 +121,6 @@ class Quiz(Stage["Study", StudyState]):
     def read(self, flow: Study, state: StudyState, form: Form) -> dict[str, Any]:
         """Those that are ticked."""
         return {"chosen": [small(text) for text in form.getlist("true")[:100]]}
-
-    def fields(self, payload: Mapping[str, Any]) -> Fields:
-        """Those that are ticked."""
-        return [("true", str(one)) for one in payload["chosen"]]
 
     def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> Outcome:
         """A point for each statement judged rightly."""
