@@ -14,8 +14,9 @@ from flask.testing import FlaskClient
 from tests.people.visitors import GENEROUS, Visitor, consent, field
 from xplain.errors import Refused
 from xplain.people.server.app import create_app
+from xplain.people.server.database import Unknown
 from xplain.people.server.security import Keys
-from xplain.people.server.store import Store, Unknown
+from xplain.people.server.store import Store
 from xplain.people.simulation.browser import visit
 from xplain.people.study.bot import StudyBot
 

@@ -22,11 +22,11 @@ from tests.people.visitors import GENEROUS, Visitor, consent, field, pages
 from xplain.errors import InputError, Refused, XplainError
 from xplain.people.analysis.stored import read_plan
 from xplain.people.server.app import create_app
-from xplain.people.server.database import Clock, Database
+from xplain.people.server.database import MAX_TAB_EVENTS, Clock, Database, Unknown
 from xplain.people.server.http import Context, Server
 from xplain.people.server.security import Keys
 from xplain.people.server.site import Full
-from xplain.people.server.store import MAX_TAB_EVENTS, Store, Unknown
+from xplain.people.server.store import Store
 from xplain.people.simulation.browser import visit
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study, StudyState

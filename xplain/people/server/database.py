@@ -1,4 +1,5 @@
-"""The database file: opened by one process, through one locked connection.
+"""The database file, and the log of events in it: opened by one process, through one locked
+connection.
 
 What is acknowledged is on the disk (WAL, ``synchronous=FULL``).
 """
@@ -7,13 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import json
 import os
 import re
 import secrets
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -22,11 +24,13 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from xplain.errors import InputError, XplainError
+from xplain.errors import InputError, Refused, XplainError
 from xplain.people.analysis import log as event_log
 
 Do = Callable[..., sqlite3.Cursor]
 """Executes a statement within a transaction."""
+MAX_TAB_EVENTS = 5000
+"""Events of a participant's pages that are kept; a study page makes a few dozen."""
 
 
 def boot_id() -> str:
@@ -46,16 +50,20 @@ class Clock:
     boot: str = field(default_factory=boot_id)
 
 
+class Unknown(Exception):
+    """No such participant, invitation or key."""
+
+
 class Database:
     """The open file. Safe to use from several threads."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, clock: Clock | None = None) -> None:
         """Opens or creates it.
 
         Raises:
             XplainError: another process has it open, or it is broken.
         """
-        self.path = path
+        self.path, self.clock = path, clock or Clock()
         path.parent.mkdir(parents=True, exist_ok=True)
         # A server that was just killed may take a moment to let go.
         self._file_lock = FileLock(f"{path}.lock", thread_local=False)
@@ -165,6 +173,65 @@ class Database:
         with self._lock:
             self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             self._connection.execute("VACUUM")
+
+    # The log of events -------------------------------------------------------------------------
+
+    def log(self, who: str) -> list[dict[str, Any]]:
+        """A participant's events in order, payloads decoded."""
+        sql = "SELECT * FROM event WHERE participant = ? ORDER BY sequence"
+        return [row | {"payload": json.loads(row["payload"])} for row in self.query(sql, (who,))]
+
+    def shown(self, who: str, sequence: int, stage: str) -> None:
+        """Notes that a page was rendered for the first time."""
+        # Most repeats are reloads; they need no transaction.
+        known = self.query(
+            "SELECT 1 FROM event WHERE participant = ? AND source = 'shown' "
+            "AND source_sequence = ?",
+            (who, sequence),
+        )
+        if not known:
+            with self.transaction() as do:
+                self.record(do, who, "shown", sequence, "shown", {"stage": stage})
+
+    def from_tab(
+        self, who: str, tab: str, items: Sequence[tuple[int, str, float, dict[str, Any]]]
+    ) -> None:
+        """Keeps a page's own events (number, kind, ms, payload); repeats are dropped.
+
+        Raises:
+            Unknown, Refused: too many.
+        """
+        with self.transaction() as do:
+            row = do(
+                "SELECT count(*) AS c, (SELECT id FROM participant WHERE id = ?) AS id FROM event "
+                "WHERE participant = ? AND source LIKE 'tab:%'",
+                (who, who),
+            ).fetchone()
+            if row["id"] is None:
+                raise Unknown
+            if row["c"] + len(items) > MAX_TAB_EVENTS:
+                raise Refused("too_much")
+            for number, kind, browser, payload in items:
+                self.record(do, who, f"tab:{tab}", number, kind, payload, browser)
+
+    def record(
+        self,
+        do: Do,
+        who: str,
+        source: str,
+        source_sequence: int | None,
+        kind: str,
+        payload: Mapping[str, Any],
+        browser: float | None = None,
+    ) -> None:
+        """Appends an event unless its source sent it before; ``None`` numbers it here."""
+        (sequence,) = do(
+            "SELECT coalesce(max(sequence) + 1, 0) FROM event WHERE participant = ?", (who,)
+        ).fetchone()
+        number = sequence if source_sequence is None else source_sequence
+        now = self.clock.wall(), self.clock.monotonic(), self.clock.boot
+        text = json.dumps(payload, sort_keys=True)
+        append(do, (who, sequence, source, number, kind, *now, browser, text))
 
     def reference(self, who: str) -> str:
         """What a participant is given to have their data erased: nobody can make it from the id,

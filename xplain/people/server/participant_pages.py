@@ -22,6 +22,7 @@ from pydantic import BaseModel, Field, ValidationError
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import Refused
+from xplain.people.server.database import Unknown
 from xplain.people.server.http import (
     PARTICIPANT,
     context,
@@ -31,7 +32,7 @@ from xplain.people.server.http import (
     set_cookie,
 )
 from xplain.people.server.site import Full
-from xplain.people.server.store import Participant, Unknown
+from xplain.people.server.store import Participant
 
 pages = Blueprint("participant", __name__)
 VISITOR = "visitor"

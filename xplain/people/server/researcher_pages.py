@@ -29,6 +29,7 @@ from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError, Refused
 from xplain.people.analysis.stored import STREAMS
+from xplain.people.server.database import Unknown
 from xplain.people.server.http import (
     PARTICIPANT,
     RESEARCHER,
@@ -41,7 +42,6 @@ from xplain.people.server.http import (
 from xplain.people.server.participant_pages import rendered
 from xplain.people.server.playback import filled_in, played
 from xplain.people.server.security import SESSION
-from xplain.people.server.store import Unknown
 from xplain.people.stages import small
 
 pages = Blueprint("researcher", __name__, url_prefix="/researcher")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 from xplain.errors import InputError, Refused, one_of
 from xplain.people.analysis.stored import STREAMS
 from xplain.people.flow import State
-from xplain.people.server.database import Clock, Database, Do, append
+from xplain.people.server.database import Clock, Database, Do, Unknown
 from xplain.people.server.site import Site
 
 LETTERS = "BCDFGHJKLMNPQRSTVWXZ"
@@ -29,12 +29,6 @@ OTHER_PLAN = (
     "belongs to another study plan, or was begun by an earlier version: go on with that one, or "
     "take another database (export and replay read this one)"
 )
-MAX_TAB_EVENTS = 5000
-"""Events of a participant's pages that are kept; a study page makes a few dozen."""
-
-
-class Unknown(Exception):
-    """No such participant, invitation or key."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +51,8 @@ class Store(Database):
         Raises:
             XplainError: another process has it open, it belongs to another plan, or it is broken.
         """
-        super().__init__(path)
-        self.site, self.clock = site, clock or Clock()
-        plan = site.plan
+        super().__init__(path, clock)
+        self.site, plan = site, site.plan
         try:
             with self.transaction() as do:
                 row = do("SELECT value FROM meta WHERE key = 'plan'").fetchone()
@@ -165,11 +158,11 @@ class Store(Database):
             ),
         )
         about = {"entry": entry, "stream": stream_name, "code": code, "kept": ids}
-        self._record(do, who, "server", None, "enter", about)
+        self.record(do, who, "server", None, "enter", about)
         return who
 
     def _resume(self, do: Do, who: str) -> str:
-        self._record(do, who, "server", None, "resume", {})
+        self.record(do, who, "server", None, "resume", {})
         return who
 
     @property
@@ -195,11 +188,6 @@ class Store(Database):
             state, kept = self.site.state(row["state"]), json.loads(row["kept"])
             return Participant(who, row["stream"], state, row["code"], kept)
         raise Unknown
-
-    def log(self, who: str) -> list[dict[str, Any]]:
-        """A participant's events in order, payloads decoded."""
-        sql = "SELECT * FROM event WHERE participant = ? ORDER BY sequence"
-        return [row | {"payload": json.loads(row["payload"])} for row in self.query(sql, (who,))]
 
     def submit(
         self,
@@ -256,7 +244,7 @@ class Store(Database):
     ) -> State:
         outcome = self.site.flow.advance(state, kind, payload)
         after: State = outcome.state
-        self._record(do, who, "protocol", state.accepted, kind, payload, browser)
+        self.record(do, who, "protocol", state.accepted, kind, payload, browser)
         for row, sql in ((outcome.answer, ANSWERED), (outcome.decision, DECIDED)):
             if row:
                 do(sql, {"participant": who, "k": row.step, **row.columns})
@@ -267,58 +255,6 @@ class Store(Database):
         if after.over and not state.over:
             self.site.settle(do, who, after.stage)
         return after
-
-    def shown(self, who: str, sequence: int, stage: str) -> None:
-        """Notes that a page was rendered for the first time."""
-        # Most repeats are reloads; they need no transaction.
-        known = self.query(
-            "SELECT 1 FROM event WHERE participant = ? AND source = 'shown' "
-            "AND source_sequence = ?",
-            (who, sequence),
-        )
-        if not known:
-            with self.transaction() as do:
-                self._record(do, who, "shown", sequence, "shown", {"stage": stage})
-
-    def from_tab(
-        self, who: str, tab: str, items: Sequence[tuple[int, str, float, dict[str, Any]]]
-    ) -> None:
-        """Keeps a page's own events (number, kind, ms, payload); repeats are dropped.
-
-        Raises:
-            Unknown, Refused: too many.
-        """
-        with self.transaction() as do:
-            row = do(
-                "SELECT count(*) AS c, (SELECT id FROM participant WHERE id = ?) AS id FROM event "
-                "WHERE participant = ? AND source LIKE 'tab:%'",
-                (who, who),
-            ).fetchone()
-            if row["id"] is None:
-                raise Unknown
-            if row["c"] + len(items) > MAX_TAB_EVENTS:
-                raise Refused("too_much")
-            for number, kind, browser, payload in items:
-                self._record(do, who, f"tab:{tab}", number, kind, payload, browser)
-
-    def _record(
-        self,
-        do: Do,
-        who: str,
-        source: str,
-        source_sequence: int | None,
-        kind: str,
-        payload: Mapping[str, Any],
-        browser: float | None = None,
-    ) -> None:
-        """Appends an event unless its source sent it before; ``None`` numbers it here."""
-        (sequence,) = do(
-            "SELECT coalesce(max(sequence) + 1, 0) FROM event WHERE participant = ?", (who,)
-        ).fetchone()
-        number = sequence if source_sequence is None else source_sequence
-        now = self.clock.wall(), self.clock.monotonic(), self.clock.boot
-        text = json.dumps(payload, sort_keys=True)
-        append(do, (who, sequence, source, number, kind, *now, browser, text))
 
     def time_out_stale(self) -> int:
         """Gives the places of everybody silent for too long to others; returns how many. They may
