@@ -23,10 +23,7 @@ def posterior(probability: Mapping[int, float], found: int) -> Figure:
     numbers = np.arange(1, max(*probability, found) + 2)
     heights = [probability.get(int(k), 0.0) for k in numbers]
     bars = axes.bar(numbers, heights, color=COLOURS[5], edgecolor="black")
-    taken = bars[found - 1]
-    taken.set_facecolor(COLOURS[0])
-    taken.set_hatch("//")
-    taken.set_edgecolor("white")
+    bars[found - 1].set(facecolor=COLOURS[0], hatch="//", edgecolor="white")
     axes.set(
         xlabel="number of user types",
         ylabel="posterior probability",

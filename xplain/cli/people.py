@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import closing
 from dataclasses import fields
 from functools import partial
 from importlib import import_module
@@ -99,7 +100,8 @@ def running(name: str, cfg: DictConfig, path: Path, kind: type[Site[Any]]) -> An
     plan = read_plan(path, kind.PLAN)
     if plan is None:
         print(f"{name}: preparing {kind.PLAN.OF} …", file=sys.stderr)
-        return kind.new_plan(cfg)
+        prepare = import_module(f"xplain.people.{name}.prepare")
+        return getattr(prepare, f"{name}_plan")(cfg)
     now = fixed(cfg)
     if now["seed"] is None:
         del now["seed"]  # drawn once, at the first start
@@ -230,11 +232,8 @@ def erase(name: str, arguments: list[str]) -> None:
         raise InputError("database", str(given.database), site(name).PLAN.OF + "'s database")
     from xplain.people.server.database import Database
 
-    database = Database(given.database)
-    try:
+    with closing(Database(given.database)) as database:
         database.erase(given.reference)
-    finally:
-        database.close()
     print(f"erased {given.reference}; delete exports and backups that were made before, too")
 
 

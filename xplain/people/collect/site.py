@@ -37,15 +37,8 @@ class CollectSite(site.Site[Collection]):
         self._found: dict[tuple[str, ...], KnownSoFar | None] = {}
 
     @classmethod
-    def new_plan(cls, cfg: Any) -> CollectPlan:
-        """See the base class, as for all that follows."""
-        from xplain.people.collect.prepare import collect_plan
-
-        return collect_plan(cfg)
-
-    @classmethod
     def as_planned(cls, plan: CollectPlan) -> CollectSite:
-        """With its questionnaires."""
+        """With its questionnaires; see the base class, as for all that follows."""
         return cls(Collection(plan))
 
     def announcement(self) -> str:

@@ -139,11 +139,8 @@ class Context:
     def back(self, found: Participant, code: str) -> str:
         """Where a participant may go at the end; "" for nowhere."""
         person = found.kept.get(self.server.id_names[0], "")
-        filled = {"{code}": code, "{id}": quote(person, safe="")}
-        address = self.server.completion_url
-        for name, value in filled.items():
-            address = address.replace(name, value)
-        return address
+        address = self.server.completion_url.replace("{code}", code)
+        return address.replace("{id}", quote(person, safe=""))
 
 
 def context() -> Context:

@@ -54,8 +54,8 @@ def picture(plan: Any, path: Path | None, steps: int, gone: Sequence[str] = ()) 
     return Markup(_DRAWN.map(plan.scene, items, made, been, aside, _badges(been[1:]), words))
 
 
-def legend(plan: Any, way: bool) -> list[tuple[str, Markup]]:
-    """(name, small SVG) of everything on the map, and of the robot's way."""
+def legend(plan: Any, way: bool = False) -> list[tuple[str, Markup]]:
+    """(name, small SVG) of everything on the map, and, where pages show one, of the robot's way."""
     if plan.scene is None:
         return []
     words = plan.texts.words

@@ -55,16 +55,7 @@ class Site(ABC, Generic[F]):
         self.flow = flow
         self.plan = flow.plan
 
-    # Made from a configuration, and from a stored plan -------------------------------------------
-
-    @classmethod
-    @abstractmethod
-    def new_plan(cls, cfg: Any) -> Any:
-        """The plan that a configuration describes.
-
-        Raises:
-            XplainError: the configuration cannot be used; the text says what to change.
-        """
+    # Made from a stored plan ---------------------------------------------------------------------
 
     @classmethod
     @abstractmethod
@@ -147,16 +138,11 @@ class Site(ABC, Generic[F]):
         return {
             "map": lru_cache(4096)(self.picture),
             "ahead": lambda steps: map_svg.picture(self.plan, self.plan.ahead.way, steps),
-            "legend": map_svg.legend(self.plan, self.way_in_legend),
+            "legend": map_svg.legend(self.plan),
             "changes": self.plan.changes,
             "pictures": self.plan.pictures,
             "titles": {stage: words[stage] for stage in self.flow.stages[:-1]},
         }
-
-    @property
-    def way_in_legend(self) -> bool:
-        """Whether pages show more than one step."""
-        return False
 
     @abstractmethod
     def picture(self, what: Any) -> Markup:

@@ -80,15 +80,8 @@ class StudySite(site.Site[Study]):
     probes = staticmethod(probes)
 
     @classmethod
-    def new_plan(cls, cfg: Any) -> StudyPlan:
-        """See the base class, as for all that follows."""
-        from xplain.people.study.prepare import study_plan
-
-        return study_plan(cfg)
-
-    @classmethod
     def as_planned(cls, plan: StudyPlan) -> StudySite:
-        """With its policies."""
+        """With its policies; see the base class, as for all that follows."""
         return cls(at_work(plan))
 
     def announcement(self) -> str:
@@ -177,11 +170,6 @@ class StudySite(site.Site[Study]):
 
     # Pages ---------------------------------------------------------------------------------------
 
-    @property
-    def way_in_legend(self) -> bool:
-        """Where there is a map."""
-        return self.plan.path is not None
-
     def picture(self, what: int | tuple[str, int]) -> Markup:
         """The map after a number of steps, or with one clip."""
         plan = self.plan
@@ -192,11 +180,12 @@ class StudySite(site.Site[Study]):
         return map_svg.picture(plan, plan.path, what, gone)
 
     def drawing(self) -> dict[str, Any]:
-        """Who is not briefed reads of the task."""
+        """Who is not briefed reads of the task; on a map a trace is shown."""
         drawn, words = super().drawing(), self.plan.texts.words
+        legend = map_svg.legend(self.plan, self.plan.path is not None)
         title = words["briefing_natural" if self.plan.kinds else "briefing"]
         own = {"briefing": title, "asking": words["asking"]}
-        return drawn | {"titles": drawn["titles"] | own}
+        return drawn | {"titles": drawn["titles"] | own, "legend": legend}
 
     @cached_property
     def pictures(self) -> Pictures:

@@ -214,9 +214,7 @@ def pages(events: Sequence[Row]) -> list[Row]:
     """
     answered = {e["source_sequence"]: e for e in events if e["source"] == "protocol"}
     rows, step = [], 0
-    for event in events:
-        if event["kind"] != "shown":
-            continue
+    for event in (one for one in events if one["kind"] == "shown"):
         answer, stage = answered.get(event["source_sequence"]), event["payload"]["stage"]
         rows.append(
             {
