@@ -74,15 +74,13 @@ def power(arguments: list[str]) -> None:
     given = parsed("xplain study power", arguments, "overrides", out=out, **numbers)
     for key in numbers:
         whole_number(f"--{key}", getattr(given, key), 2)
-    import pandas as pd
-
     from xplain.people.study import power as curves
     from xplain.people.study.policies import at_work
     from xplain.people.study.prepare import study_plan
     from xplain.people.study.table2 import COMPARED
 
     study = at_work(study_plan(composed("study", given.overrides)))
-    rows = pd.DataFrame(curves.write(study, given.out, given.people, given.studies, given.n))
+    rows = curves.write(study, given.out, given.people, given.studies, given.n)
     for name, own in rows.groupby("comparison", sort=False):
         between = " − ".join(COMPARED[str(name)])
         for key, whose in (

@@ -37,10 +37,10 @@ SWEEPS: dict[str, tuple[float, ...]] = {
     "spread": (0.1, 0.35, 0.7),
 }
 """Assumptions that are varied one at a time, the others at their defaults."""
-MARKS = {
-    "interaction_time_s": ("#0072B2", "o", "-"),
-    "inexplicable_transitions": ("#D55E00", "s", "--"),
-    "quiz_score": ("#00795A", "^", "-."),
+MARKS: dict[str, dict[str, Any]] = {
+    "interaction_time_s": {"color": "#0072B2", "marker": "o", "linestyle": "-"},
+    "inexplicable_transitions": {"color": "#D55E00", "marker": "s", "linestyle": "--"},
+    "quiz_score": {"color": "#00795A", "marker": "^", "linestyle": "-."},
 }
 
 
@@ -118,73 +118,64 @@ def power(
     return np.stack([(p < alpha).mean(axis=0), (holm(p) < alpha).mean(axis=0)])
 
 
-def curves(
-    pool: SimulatedCrowd, sizes: Sequence[int], studies: int, seed: int
-) -> list[dict[str, Any]]:
+def curves(pool: SimulatedCrowd, sizes: Sequence[int], studies: int, seed: int) -> pd.DataFrame:
     """Power by comparison, n and measure: simulated, and for the paper's effects where it has
     any."""
-    rows: list[dict[str, Any]] = []
+    tables, effects = [], [abs(paper_effect(measure)) for measure in MEASURES]
     for (name, pair), n in product(compared(pool).items(), sizes):
         rng = stream(seed, "studies", n)
         plain, corrected = power(pool, n, studies, rng, conditions=pair)
-        for index, measure in enumerate(MEASURES):
-            row = {
-                "comparison": name,
-                "n_per_condition": n,
-                "measure": measure,
-                "simulated": plain[index],
-                "simulated_holm": corrected[index],
-            }
-            if pair == CONDITIONS:
-                d = abs(paper_effect(measure))
-                row["paper_effect"] = t_power(d, n)
-                # The hardest step of Holm's procedure, if the other two are no help.
-                row["paper_effect_holm"] = t_power(d, n, 0.05 / len(MEASURES))
-            rows.append(row)
-    return rows
+        own = {
+            "comparison": name,
+            "n_per_condition": n,
+            "measure": [*MEASURES],
+            "simulated": plain,
+            "simulated_holm": corrected,
+        }
+        if pair == CONDITIONS:
+            own["paper_effect"] = [t_power(d, n) for d in effects]
+            # The hardest step of Holm's procedure, if the other two are no help.
+            own["paper_effect_holm"] = [t_power(d, n, 0.05 / len(MEASURES)) for d in effects]
+        tables.append(pd.DataFrame(own))
+    return pd.concat(tables)
 
 
 def sensitivity(
     study: Study, habits: Habits, a_cell: int, n: int, studies: int, seed: int
-) -> list[dict[str, Any]]:
+) -> pd.DataFrame:
     """Effect and power (Holm, n a condition) when one assumption is varied."""
-    rows: list[dict[str, Any]] = []
+    tables = []
     for assumption, value in [(one, value) for one, own in SWEEPS.items() for value in own]:
         pool = simulate(study, replace(habits, **{assumption: value}), a_cell, seed)
         for name, pair in compared(pool).items():
-            gaps, rng = effect(pool, pair), stream(seed, "studies", n)
-            _, corrected = power(pool, n, studies, rng, conditions=pair)
-            rows += [
-                {
-                    "comparison": name,
-                    "assumption": assumption,
-                    "value": value,
-                    "measure": measure,
-                    "effect": gaps[index],
-                    "power_holm": corrected[index],
-                }
-                for index, measure in enumerate(MEASURES)
-            ]
-    return rows
+            _, corrected = power(pool, n, studies, stream(seed, "studies", n), conditions=pair)
+            own = {
+                "comparison": name,
+                "assumption": assumption,
+                "value": value,
+                "measure": [*MEASURES],
+                "effect": effect(pool, pair),
+                "power_holm": corrected,
+            }
+            tables.append(pd.DataFrame(own))
+    return pd.concat(tables)
 
 
-def draw_curves(rows: list[dict[str, Any]], path: Path) -> None:
+def draw_curves(rows: pd.DataFrame, path: Path) -> None:
     """Power against n of one comparison: simulated, and the paper's effects where it has any."""
     figure, axes = figure_of(10.5, 3.8, 1, len(MEASURES), sharey=True)
     for axis, (measure, title) in zip(axes, MEASURES.items(), strict=True):
-        own = [row for row in rows if row["measure"] == measure]
-        sizes = [row["n_per_condition"] for row in own]
+        own = rows[rows["measure"] == measure].dropna(axis="columns")
         for key, colour, style, label in (
             ("simulated", "#0072B2", "o-", "simulated"),
             ("simulated_holm", "#0072B2", "o--", "simulated, Holm"),
             ("paper_effect", "#D55E00", "s-", "paper's effect"),
             ("paper_effect_holm", "#D55E00", "s--", "paper's effect, α/3"),
         ):
-            if key not in own[0]:
-                continue
-            inside = "white" if "holm" in key else colour
-            powers = [row[key] for row in own]
-            axis.plot(sizes, powers, style, color=colour, mfc=inside, label=label, ms=5)
+            if key in own:
+                inside = "white" if "holm" in key else colour
+                look = {"color": colour, "mfc": inside, "label": label, "ms": 5}
+                axis.plot(own["n_per_condition"], own[key], style, **look)
         axis.axhline(0.8, color="#888888", linewidth=1, linestyle=":")
         axis.axvline(20, color="#888888", linewidth=1, linestyle=":")
         axis.set_title(title, fontsize=10)
@@ -194,16 +185,14 @@ def draw_curves(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def draw_sensitivity(
-    rows: list[dict[str, Any]], path: Path, conditions: tuple[str, str] = CONDITIONS
+    rows: pd.DataFrame, path: Path, conditions: tuple[str, str] = CONDITIONS
 ) -> None:
     """The effect of each measure against each assumption, of one comparison."""
     figure, axes = figure_of(10.5, 6, 2, 3, sharey=True)
     for axis, assumption in zip(axes.flat, SWEEPS, strict=True):
         for measure, title in MEASURES.items():
-            own = [r for r in rows if (r["assumption"], r["measure"]) == (assumption, measure)]
-            values, effects = [r["value"] for r in own], [r["effect"] for r in own]
-            colour, mark, style = MARKS[measure]
-            axis.plot(values, effects, color=colour, marker=mark, linestyle=style, label=title)
+            own = rows[(rows["assumption"] == assumption) & (rows["measure"] == measure)]
+            axis.plot(own["value"], own["effect"], **MARKS[measure], label=title)
         axis.axhline(0, color="#888888", linewidth=1, linestyle=":")
         unit = " (s)" if assumption.endswith("seconds") else ""
         axis.set_xlabel(assumption.replace("_", " ") + unit)
@@ -212,7 +201,7 @@ def draw_sensitivity(
     saved(figure, path, columns=3)
 
 
-def write(study: Study, folder: Path, people: int, studies: int, n: int) -> list[dict[str, Any]]:
+def write(study: Study, folder: Path, people: int, studies: int, n: int) -> pd.DataFrame:
     """Power curves and what they hang on, as tables and plots; the rows of the curves.
 
     Args:
@@ -226,10 +215,10 @@ def write(study: Study, folder: Path, people: int, studies: int, n: int) -> list
     rows = curves(simulate(study, habits, people, seed), SIZES, studies, seed)
     swept = sensitivity(study, habits, max(2, people // 2), n, studies, seed)
     folder.mkdir(parents=True, exist_ok=True)
-    pd.DataFrame(rows).to_csv(folder / "power.csv", index=False)
-    pd.DataFrame(swept).to_csv(folder / "sensitivity.csv", index=False)
+    rows.to_csv(folder / "power.csv", index=False)
+    swept.to_csv(folder / "sensitivity.csv", index=False)
     for name, pair in pairs.items():
-        own, varied = ([row for row in all_ if row["comparison"] == name] for all_ in (rows, swept))
+        own, varied = (table[table["comparison"] == name] for table in (rows, swept))
         suffix = "" if pair == CONDITIONS else f"_{name}"
         draw_curves(own, folder / f"power{suffix}.png")
         draw_sensitivity(varied, folder / f"sensitivity{suffix}.png", pair)

@@ -93,7 +93,7 @@ def test_pictures_show_every_figure_at_its_place(tmp_path: Path, drawn: list[Fig
         for value in values
         for measure in MEASURES
     ]
-    draw_sensitivity(rows, tmp_path / "sensitivity.png")
+    draw_sensitivity(pd.DataFrame(rows), tmp_path / "sensitivity.png")
     for axis, (assumption, values) in zip(drawn[0].axes, SWEEPS.items(), strict=True):
         assert axis.get_xlabel().startswith(assumption.replace("_", " "))
         *lines, nothing = axis.lines
@@ -115,7 +115,7 @@ def test_curves_show_every_figure_under_the_name_of_its_measure(
         for n in (10, 20, 40)
         for measure in MEASURES
     ]
-    draw_curves(rows, tmp_path / "power.png")
+    draw_curves(pd.DataFrame(rows), tmp_path / "power.png")
     for axis, (measure, title) in zip(drawn[0].axes, MEASURES.items(), strict=True):
         assert axis.get_title() == title
         own = [row for row in rows if row["measure"] == measure]
@@ -130,7 +130,7 @@ def test_a_condition_is_compared_with_the_one_that_the_analysis_compares_it_with
     rng = np.random.default_rng(7)
     others = {c: rng.normal(0, 1, (1, 20_000, 3)) for c in (CONFORMANT, PERSONALIZED)}
     pool = {**others, ASKING: rng.normal([0, -0.5, 0.5], 1, (1, 20_000, 3))}
-    rows = pd.DataFrame(curves(pool, (40,), 2000, 0)).set_index(["comparison", "measure"])
+    rows = curves(pool, (40,), 2000, 0).set_index(["comparison", "measure"])
     assert [*compared(pool)] == ["table2", "asking"]
     assert effect(pool, (PERSONALIZED, ASKING)) == pytest.approx([0, 0.5, -0.5], abs=0.04)
     simulated = rows["simulated"].unstack("measure")[[*MEASURES]]
