@@ -226,9 +226,9 @@ def _explainer(
     """
     alone = solver.knows == "everyone"
     table = case.everyone if alone else case.learned
-    may_ask = case.questions is not None and not alone
-    if may_ask and case.questions is not None:
-        table = joined([case.learned, case.questions.learned])
+    asked = None if alone else case.questions
+    if asked is not None:
+        table = joined([case.learned, asked.learned])
     if table is None:
         raise InputError("solver", "baseline", "a solver that plans for types: solver=qmdp")
     types = GivenTypes(
@@ -248,7 +248,7 @@ def _explainer(
         costs.discount_per,
         update,
         seed,
-        costs.asking if may_ask else None,
+        None if asked is None else costs.asking,
         costs.again,
     )
 

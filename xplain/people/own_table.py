@@ -82,8 +82,10 @@ def read_facts(path: str | None, names: Sequence[str]) -> tuple[Parameter, ...]:
     Raises:
         InputError: no such table, or a fact without a sentence in it.
     """
-    wanted = "a .csv file with the columns fact, message, belief: the robot's value, and what "
-    wanted += f"somebody who holds it wrong would say, of {', '.join(names)}"
+    wanted = (
+        "a .csv file with the columns fact, message, belief: the robot's value, and what "
+        f"somebody who holds it wrong would say, of {', '.join(names)}"
+    )
     if path is None:
         raise InputError("facts", None, wanted)
     try:

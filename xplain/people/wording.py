@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from xplain.domains.base import Domain, Parameter, Scene, cell_name
 from xplain.errors import InputError, one_of
 from xplain.experiment.config import CONF
-from xplain.people.plan import Task, Texts, Told, facts_of
+from xplain.people.plan import Task, Texts, Told, Way, facts_of
 
 InWords = Callable[[str], str]
 NOT_OF_THE_PLAN = ("database", "host", "port", "threads", "server", "outputs")
@@ -126,6 +126,13 @@ def of_states(domain: Domain, method: str, states: Iterable[int]) -> Told:
     """What a domain's optional method says of states; none where it has no such method."""
     told = getattr(domain, method, None)
     return () if told is None else tuple(tuple(told(int(state))) for state in states)
+
+
+def way_of(domain: Domain, moves: Iterable[Sequence[int]]) -> Way | None:
+    """Of each move from a state to another the cells; None where there is no map of them."""
+    cells = [(domain.position(before), domain.position(after)) for before, after in moves]
+    way = tuple((a, b) for a, b in cells if a is not None and b is not None)
+    return way if domain.scene and len(way) == len(cells) else None
 
 
 def parts(

@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 from xplain.domains.base import Domain, changes_of
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.types import TypeSource
-from xplain.errors import InputError, number
+from xplain.errors import InputError, Range, number, one_of
 from xplain.explanation.message_sets import mask_of
 from xplain.people.ahead import ahead_of
 from xplain.people.collect.bot import probes
@@ -28,7 +28,7 @@ from xplain.people.collect.plan import (
 )
 from xplain.people.own_table import Source, no_map, own_table
 from xplain.people.plan import Fact, LabQuestion, Told
-from xplain.people.wording import each, fixed, of_states, parts
+from xplain.people.wording import each, fixed, of_states, parts, way_of
 from xplain.questions.battery import battery
 from xplain.questions.designs import Adaptive, Battery
 from xplain.randomness import derived_seed, run_seed, stream
@@ -43,16 +43,13 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
     run_seed(cfg.seed)
     config = fixed(cfg)
     rules = CollectRules(points=config["points"], **config["rules"])  # refused before the work
-    error = number("expected_error", config["expected_error"])
-    if not 0 <= error < 0.5:
-        raise InputError("expected_error", error, "a share in [0, 0.5)")
+    error = number("expected_error", config["expected_error"], Range(0, 0.5, "[)"))
     design = instantiate(cfg.queries)
     if not isinstance(design, Adaptive | Battery):
         raise InputError("queries", config["queries"]["_target_"], "battery or adaptive")
     if isinstance(design, Adaptive) and design.in_turn:
         raise InputError("queries.in_turn", True, "false: people are asked as they come")
-    if config["briefing"] not in ("none", "assigned"):
-        raise InputError("briefing", config["briefing"], "none or assigned")
+    one_of("briefing", config["briefing"], ("none", "assigned"))
     source = source_of(cfg)
     if config["briefing"] == "assigned" and source.domain is None:
         raise InputError(
@@ -79,9 +76,7 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
     names = known.messages
     assert known.states is not None, "hypotheses of a domain know states"
     assert whole.states is not None, "the same"
-    cells = [tuple(domain.position(int(state)) for state in pair) for pair in known.states]
-    paths = tuple((a, b) for a, b in cells if a is not None and b is not None)
-    drawn = domain.scene is not None and len(paths) == len(cells)
+    paths = way_of(domain, known.states.tolist())
     return Source(
         name=domain.name,
         hypotheses=known,
@@ -90,9 +85,9 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
         roles={one.name: mask_of(one.inaccurate, names) for one in types},
         situations=of_states(domain, "situation", known.states[:, 0]),
         gone=of_states(domain, "gone", known.states[:, 0]),
-        paths=paths if drawn else (),
-        changes=() if drawn else _changes(domain, known),
-        scene=domain.scene if drawn else None,
+        paths=paths or (),
+        changes=() if paths else _changes(domain, known),
+        scene=domain.scene if paths else None,
         ahead=ahead_of(domain, whole.states, whole.labels, lambda t: whole.phrases[t]),
         domain=domain,
         users=users,

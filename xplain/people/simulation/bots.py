@@ -94,9 +94,8 @@ class Bot(Generic[P, H]):
     def fill(self, page: Page) -> tuple[Fields, float]:
         """The fields that they fill in on a page, and how long it took them, in seconds."""
         self.rng = self.streams(page.stage)
-        answer: Callable[[Page], tuple[Fields, float] | Fields | None]
         answer = getattr(self, f"at_{page.stage}", lambda page: None)
-        filled = answer(page) or []
+        filled: tuple[Fields, float] | Fields = answer(page) or []
         return filled if isinstance(filled, tuple) else (filled, 0.0)
 
     def at_consent(self, page: Page) -> Fields:

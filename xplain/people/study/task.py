@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.base import Domain, changes_of, transition_features
+from xplain.domains.base import changes_of, transition_features
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import InputError, whole_number
 from xplain.experiment.asking import Clips
@@ -26,7 +26,7 @@ from xplain.people.plan import Ahead, Task, Told, Way
 from xplain.people.study import content
 from xplain.people.study.known_types import Learned
 from xplain.people.study.plan import Clip
-from xplain.people.wording import of_states
+from xplain.people.wording import of_states, way_of
 from xplain.randomness import stream
 
 Rules = Mapping[str, Any]
@@ -113,7 +113,7 @@ class OfDomain:
             labels=self.setting.label_table(trace),
             trace=tuple(domain.describe(transition) for transition in trace),
             scene=domain.scene,
-            path=_path(domain, states),
+            path=way_of(domain, pairwise(states)),
             changes=() if domain.scene else changes_of(domain, trace),
             taken=of_states(domain, "gone", states),
             ahead=self._ahead,
@@ -131,7 +131,7 @@ class OfDomain:
         told = [of_states(domain, what, begin) for what in ("situation", "gone")]
         told.append(() if domain.scene else changes_of(domain, near.transitions))
         situations, gone, changes = (one or ((),) * len(begin) for one in told)
-        ways = [_path(domain, [step[0], step[2]]) or () for step in near.transitions.tolist()]
+        ways = [way_of(domain, [step]) or () for step in near.transitions[:, [0, 2]].tolist()]
         clips = tuple(map(Clip, near.texts, ways, situations, gone, changes))
         return MayAsk(clips, near.learned, near.labels, near.shows)
 
@@ -237,9 +237,3 @@ def ranked(
 
     distinct = {one.tobytes(): one for one in long}
     return sorted(distinct.values(), key=worth, reverse=True)
-
-
-def _path(domain: Domain, states: Sequence[int]) -> Way | None:
-    """The robot's way; None where there is no map."""
-    cells = [cell for state in states if (cell := domain.position(state)) is not None]
-    return tuple(pairwise(cells)) if domain.scene and len(cells) == len(states) else None
