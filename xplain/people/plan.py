@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any, ClassVar, Self
 
 from xplain.domains.base import Parameter, Scene
-from xplain.errors import InputError, Positive
+from xplain.errors import InputError, Positive, one_of, sentence
 from xplain.storage import decode, encode
 
 Told = tuple[tuple[str, ...], ...]
@@ -44,13 +44,9 @@ def facts_of(parameters: Sequence[Parameter]) -> tuple[Fact, ...]:
     Raises:
         InputError: a parameter lacks the sentence of those who hold it wrong.
     """
+    wanted = "a sentence that a user who holds it wrong would say; the pages need it"
     for parameter in parameters:
-        if not parameter.belief.strip():
-            raise InputError(
-                f"domain.values.{parameter.name}.belief",
-                parameter.belief,
-                "a sentence that a user who holds it wrong would say; the pages need it",
-            )
+        sentence(f"domain.values.{parameter.name}.belief", parameter.belief, wanted)
     return tuple(Fact(p.name, p.message, p.belief) for p in parameters)
 
 
@@ -129,8 +125,7 @@ class LabQuestion:
     def __post_init__(self) -> None:
         """Raises InputError: an unknown kind, or what the kind needs is not there."""
         key = f"questions.{self.name}"
-        if self.kind not in ("number", "choice", "text", "scale"):
-            raise InputError(f"{key}.kind", self.kind, "number, choice, text or scale")
+        one_of(f"{key}.kind", self.kind, ("number", "choice", "text", "scale"))
         if self.kind == "choice" and not self.choices:
             raise InputError(f"{key}.choices", [], "at least one choice")
         if self.kind == "scale" and not 1 <= self.high - self.low <= 10:

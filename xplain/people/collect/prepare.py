@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 from hydra.utils import instantiate
+from numpy.typing import NDArray
 from omegaconf import DictConfig
 
 from xplain.domains.base import Domain, changes_of
-from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
+from xplain.domains.users.hypotheses import hypotheses_of
 from xplain.domains.users.types import TypeSource
 from xplain.errors import InputError, Range, number, one_of
 from xplain.explanation.message_sets import mask_of
@@ -86,7 +87,7 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
         situations=of_states(domain, "situation", known.states[:, 0]),
         gone=of_states(domain, "gone", known.states[:, 0]),
         paths=paths or (),
-        changes=() if paths else _changes(domain, known),
+        changes=() if paths else _changes(domain, known.states, known.phrases),
         scene=domain.scene if paths else None,
         ahead=ahead_of(domain, whole.states, whole.labels, lambda t: whole.phrases[t]),
         domain=domain,
@@ -94,15 +95,13 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
     )
 
 
-def _changes(domain: Domain, known: Hypotheses) -> Told:
+def _changes(domain: Domain, states: NDArray[np.int64], phrases: Sequence[str]) -> Told:
     """What each transition changes; the phrases of such domains name the action first."""
-    assert known.states is not None, "hypotheses of a domain know states"
     actions = [
         next((a for a, name in enumerate(domain.actions) if phrase.startswith(name)), 0)
-        for phrase in known.phrases
+        for phrase in phrases
     ]
-    transitions = np.column_stack([known.states[:, 0], actions, known.states[:, 1]])
-    return changes_of(domain, transitions)
+    return changes_of(domain, np.column_stack([states[:, 0], actions, states[:, 1]]))
 
 
 def assemble(
