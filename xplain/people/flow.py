@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
@@ -68,48 +68,37 @@ class State:
         return Outcome(replace(self, accepted=self.accepted + 1, **changes))
 
 
-@dataclass(frozen=True)
-class Decision:
-    """What was chosen at a step, and why: a row of the step table.
+Rows = Mapping[int, Mapping[str, str | int | None]]
+"""Of the step table by step: columns by name."""
+Belief = Sequence[float] | Mapping[str, float]
 
-    Attributes:
+
+def decided(
+    step: int, belief: Belief, given: int, messages: int, values: Mapping[str, Any]
+) -> Rows:
+    """What was chosen at a step, and why: its row, which the answer will complete.
+
+    Args:
         step: k.
         belief: before the step.
         given, messages: bitmasks of the messages on the page before, and of the new ones.
         values: behind the choice.
     """
-
-    step: int
-    belief: Sequence[float] | Mapping[str, float]
-    given: int
-    messages: int
-    values: Mapping[str, Any]
-
-    @property
-    def columns(self) -> dict[str, str | int | None]:
-        """Of the step table, by name; what the answer will fill in is None."""
-        return {
-            "belief_before": json.dumps(self.belief),
-            "given": self.given,
-            "messages": self.messages,
-            "action_values": json.dumps(self.values),
+    return {
+        step: {
+            "belief_before": json.dumps(belief),
+            "given": given,
+            "messages": messages,
+            "action_values": json.dumps(values),
             "labels": None,
             "belief_after": None,
         }
+    }
 
 
-@dataclass(frozen=True)
-class Answer:
-    """The labels of a step and the belief after them."""
-
-    step: int
-    labels: tuple[int, ...]
-    belief: Sequence[float] | Mapping[str, float]
-
-    @property
-    def columns(self) -> dict[str, str]:
-        """Of the step table, by name: those that the decision leaves None."""
-        return {"labels": json.dumps(self.labels), "belief_after": json.dumps(self.belief)}
+def answered(step: int, labels: tuple[int, ...], belief: Belief) -> Rows:
+    """The labels of a step and the belief after them: what its row still lacks."""
+    return {step: {"labels": json.dumps(labels), "belief_after": json.dumps(belief)}}
 
 
 S_co = TypeVar("S_co", bound=State, covariant=True)
@@ -120,11 +109,15 @@ P = TypeVar("P")
 
 @dataclass(frozen=True)
 class Outcome(Generic[S_co]):
-    """A new state; the step that it opens (decision) and the one that it completes (answer)."""
+    """A new state; rows of the steps that it completes (:func:`answered`) and opens
+    (:func:`decided`), in this order."""
 
     state: S_co
-    decision: Decision | None = None
-    answer: Answer | None = None
+    rows: Rows = field(default_factory=dict)
+
+    def with_rows(self, rows: Rows) -> Self:
+        """The same, with these rows before its own."""
+        return replace(self, rows={**rows, **self.rows})
 
 
 @dataclass(frozen=True)

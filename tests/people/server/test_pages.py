@@ -41,7 +41,7 @@ def test_the_way_from_entrance_to_code(store: Store, app: Flask) -> None:
     stages = [page.stage for _, page in seen]
     assert stages == [*BEFORE[kind], *STEPS[kind], *AFTER[kind]]
     last = seen[-1][0]
-    assert store.participant(store.enter_invited(token)).code in last
+    assert store.participant(store.enter_invited(token)).row["code"] in last
     for paragraph in store.site.plan.texts.debriefing:
         assert paragraph.split("'")[0] in last  # debriefed
     assert store.site.replay(store._connection).differences == []

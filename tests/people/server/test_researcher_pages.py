@@ -46,7 +46,7 @@ def test_the_researchers_page_needs_its_key(store: Store, client: FlaskClient) -
     # A reload shows them again and makes no others.
     assert re.findall(r"\?invitation=([\w-]+)", client.get(made.headers["Location"]).text) == tokens
     assert store.query("SELECT count(*) AS n FROM invitation") == [{"n": 3}]
-    assert store.participant(store.enter_invited(tokens[0])).stream == "pilot"
+    assert store.participant(store.enter_invited(tokens[0])).row["stream"] == "pilot"
     archive = client.post("/researcher/export", data={"token": token})
     assert archive.data[:2] == b"PK"
     # Each login has a cookie of its own, and the end of a session ends it.
@@ -165,7 +165,7 @@ def test_any_type_and_condition_can_be_looked_at(store: Store, app: Flask) -> No
         who = store.query("SELECT id FROM participant ORDER BY number DESC LIMIT 1")[0]["id"]
         state = consent(store, who)
         assert (state.user_type, state.condition) == (user_type, condition)
-        assert store.participant(who).stream == "pilot"
+        assert store.participant(who).row["stream"] == "pilot"
         bad = client.post("/researcher/preview", data={"token": token, "cell": "99"})
         assert bad.status_code == 400
     assert store.query("SELECT * FROM slot WHERE stream = 'person'") == people

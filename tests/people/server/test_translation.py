@@ -119,7 +119,7 @@ def left_over(html: str) -> set[str]:
 def test_nothing_of_english_is_left_in_another_language(foreign: Store) -> None:
     visitor = Visitor(create_app(foreign, GENEROUS).test_client())
     person, (token,) = bot_of(foreign.site, 0), foreign.invite(1, "bot")
-    code = {foreign.participant(foreign.enter_invited(token)).code}
+    code = {foreign.participant(foreign.enter_invited(token)).row["code"]}
     for path in ("/", "/nowhere", "/study"):
         assert left_over(visitor.get(path)[1]) == set()
     stages, html = set(), enter(visitor, token)

@@ -32,7 +32,7 @@ class ParticipantRow(Generic[S]):
 
     row: Row
     state: S
-    events: tuple[Row, ...]
+    events: tuple[Row, ...] = ()
 
     @property
     def id(self) -> str:

@@ -107,10 +107,8 @@ def _advanced(flow: Flow[Any, S], events: Sequence[Row]) -> tuple[S, Steps]:
     state: S = flow.STATE()
     steps: Steps = {}
     for outcome in outcomes(flow, events):
-        if answer := outcome.answer:
-            steps[answer.step] |= answer.columns
-        if decision := outcome.decision:
-            steps[decision.step] = dict(decision.columns)
+        for k, row in outcome.rows.items():
+            steps.setdefault(k, {}).update(row)
         state = outcome.state
     return state, steps
 

@@ -23,7 +23,7 @@ from xplain.people.collect.asking import (
     CollectState,
 )
 from xplain.people.collect.plan import CollectPlan
-from xplain.people.flow import Answer, Decision, Flow, Form, Stage
+from xplain.people.flow import Flow, Form, Stage, answered, decided
 from xplain.people.stages import Consent, LookingAhead, Practice, QuestionStage, choices, small
 from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import derived_seed, stream
@@ -63,7 +63,7 @@ class ClipStage(Stage["Collection", CollectState]):
 
     def enter(self, flow: Collection, state: CollectState) -> Outcome:
         """The first clip."""
-        return self._next(flow, replace(state, wrong=False), None)
+        return self._next(flow, replace(state, wrong=False))
 
     def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
         """Nothing of the hypotheses, the posterior, or what a clip is for."""
@@ -85,20 +85,18 @@ class ClipStage(Stage["Collection", CollectState]):
         clip = state.clip
         assert clip is not None, "a clip is on the page"
         chosen = choices(payload.get("labels"), [2] * clip.size, flow.words["choose_each"])
-        answered = (*state.answered, replace(clip, labels=chosen))
-        return self._next(flow, replace(state, answered=answered, clip=None), chosen)
+        state = replace(state, answered=(*state.answered, replace(clip, labels=chosen)), clip=None)
+        outcome = self._next(flow, state)
+        step = len(state.answered) - 1
+        return outcome.with_rows(answered(step, chosen, outcome.state.belief))
 
-    def _next(
-        self, flow: Collection, state: CollectState, labels: tuple[int, ...] | None
-    ) -> Outcome:
-        """The next clip, or the end of the clips; ``labels`` were given to the last one."""
+    def _next(self, flow: Collection, state: CollectState) -> Outcome:
+        """The next clip, or the end of the clips."""
         step, known = len(state.answered), flow.questionnaire(state)
-        belief = asking.belief(known)
-        answer = None if labels is None else Answer(step - 1, labels, belief)
-        state = replace(state, belief=belief)
+        state = replace(state, belief=asking.belief(known))
         tasks = asking.schedule(flow.plan, state.person)
         if step == len(tasks) or (tasks[step].purpose in HEEDED) != self.LASTING:
-            return replace(flow.after(state), answer=answer)
+            return flow.after(state)
         clip = asking.clip(flow.plan, state, tasks, known)
         question = clip.purpose == QUESTION
         why = {
@@ -106,8 +104,8 @@ class ClipStage(Stage["Collection", CollectState]):
             "transitions": clip.transitions,
             "bits": known.information((list(clip.transitions), clip.told)) if question else 0.0,
         }
-        decision = Decision(step, belief, clip.told, 0, why)
-        return replace(state.to(stage=self.name, clip=clip), decision=decision, answer=answer)
+        row = decided(step, state.belief, clip.told, 0, why)
+        return state.to(stage=self.name, clip=clip).with_rows(row)
 
 
 class Listening(ClipStage):

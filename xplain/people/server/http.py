@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from flask import Response, current_app, make_response, render_template, request
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError, one_of
+from xplain.people.analysis.export import ParticipantRow
 from xplain.people.server.security import SESSION, Keys, RateLimit
-from xplain.people.server.store import LETTERS, Participant, Store
+from xplain.people.server.store import LETTERS, Store
 
 ENDINGS = ("declined", "screened_out", "ineligible", "withdrawn", "timed_out", "full")
 """What a code of its own can be set for, beside the end that all who finish come to."""
@@ -126,19 +129,19 @@ class Context:
         """The words of a key; what is no key is said as it is."""
         return self.words.get(key, key)
 
-    def code(self, found: Participant) -> str:
+    def code(self, found: ParticipantRow[Any]) -> str:
         """What a participant shows to be paid: one for each way in which a part can end, so that
         nobody who did not finish has the code of those who did."""
-        stage = found.state.stage
+        stage, own = found.state.stage, found.row["code"]
         configured = self.server.codes.get(stage, "")
         if stage == "done":
-            return configured or self.server.completion_code or found.code
-        digest = hashlib.sha256(f"{found.code} {stage}".encode()).digest()
+            return configured or self.server.completion_code or own
+        digest = hashlib.sha256(f"{own} {stage}".encode()).digest()
         return configured or "".join(LETTERS[byte % len(LETTERS)] for byte in digest[:8])
 
-    def back(self, found: Participant, code: str) -> str:
+    def back(self, found: ParticipantRow[Any], code: str) -> str:
         """Where a participant may go at the end; "" for nowhere."""
-        person = found.kept.get(self.server.id_names[0], "")
+        person = json.loads(found.row["kept"]).get(self.server.id_names[0], "")
         address = self.server.completion_url.replace("{code}", code)
         return address.replace("{id}", quote(person, safe=""))
 

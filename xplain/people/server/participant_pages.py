@@ -22,6 +22,7 @@ from pydantic import BaseModel, Field, ValidationError
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import Refused
+from xplain.people.analysis.export import ParticipantRow
 from xplain.people.server.database import Unknown
 from xplain.people.server.http import (
     PARTICIPANT,
@@ -32,7 +33,6 @@ from xplain.people.server.http import (
     set_cookie,
 )
 from xplain.people.server.site import Full
-from xplain.people.server.store import Participant
 
 pages = Blueprint("participant", __name__)
 VISITOR = "visitor"
@@ -91,7 +91,7 @@ def enter() -> AnyResponse:
 # The pages of the study ------------------------------------------------------------------------
 
 
-def _current() -> Participant:
+def _current() -> ParticipantRow[Any]:
     """Whose cookie came along; others get a page that says that they are not known."""
     try:
         return context().store.participant(owner() or "")
@@ -105,7 +105,7 @@ def show() -> AnyResponse:
     return _page(_current())
 
 
-def _page(found: Participant, problem: str = "", status: int = 200) -> Response:
+def _page(found: ParticipantRow[Any], problem: str = "", status: int = 200) -> Response:
     own = context()
     own.store.shown(found.id, found.state.accepted, found.state.stage)
     reference = "-".join(re.findall(".{4}", own.store.reference(found.id)))
@@ -114,7 +114,7 @@ def _page(found: Participant, problem: str = "", status: int = 200) -> Response:
     return make_response(rendered(found, token=token, problem=said, reference=reference), status)
 
 
-def rendered(found: Participant, **more: Any) -> str:
+def rendered(found: ParticipantRow[Any], **more: Any) -> str:
     """The page of a participant's state, with what else it shows. Without a form's token nothing
     can be done on it."""
     own = context()
@@ -127,7 +127,7 @@ def rendered(found: Participant, **more: Any) -> str:
         back=own.back(found, code),
         stages=flow.stages,
         within=flow.part(found.state.stage),
-        stream=found.stream,
+        stream=found.row["stream"],
         **more,
     )
 

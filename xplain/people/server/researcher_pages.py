@@ -201,7 +201,7 @@ def playback(who: str, number: int) -> AnyResponse:
         return make_response(render_template("login.html"))
     try:
         found = own.store.participant(who)
-        if _hidden({"stream": found.stream}):
+        if _hidden(found.row):
             return error_page(403, "Sessions tell types and conditions: server.blinded=false")
         seen = played(own.site.flow, own.store.log(who))
     except Unknown:

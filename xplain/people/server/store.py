@@ -9,11 +9,11 @@ from __future__ import annotations
 import json
 import secrets
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from xplain.errors import InputError, Refused, one_of
+from xplain.people.analysis.export import ParticipantRow
 from xplain.people.analysis.stored import STREAMS
 from xplain.people.flow import State
 from xplain.people.server.database import Clock, Database, Do, Unknown
@@ -29,17 +29,6 @@ OTHER_PLAN = (
     "belongs to another study plan, or was begun by an earlier version: go on with that one, or "
     "take another database (export and replay read this one)"
 )
-
-
-@dataclass(frozen=True)
-class Participant:
-    """A participant as the pages need it."""
-
-    id: str
-    stream: str
-    state: State
-    code: str
-    kept: Mapping[str, str]
 
 
 class Store(Database):
@@ -178,15 +167,14 @@ class Store(Database):
 
     # The participant's way ---------------------------------------------------------------------
 
-    def participant(self, who: str) -> Participant:
-        """The participant with this id, with their present state.
+    def participant(self, who: str) -> ParticipantRow[Any]:
+        """The participant with this id, with their present state, without their events.
 
         Raises:
             Unknown: there is none.
         """
         for row in self.query("SELECT * FROM participant WHERE id = ? AND NOT erased", (who,)):
-            state, kept = self.site.state(row["state"]), json.loads(row["kept"])
-            return Participant(who, row["stream"], state, row["code"], kept)
+            return ParticipantRow(row, self.site.state(row["state"]))
         raise Unknown
 
     def submit(
@@ -245,9 +233,9 @@ class Store(Database):
         outcome = self.site.flow.advance(state, kind, payload)
         after: State = outcome.state
         self.record(do, who, "protocol", state.accepted, kind, payload, browser)
-        for row, sql in ((outcome.answer, ANSWERED), (outcome.decision, DECIDED)):
-            if row:
-                do(sql, {"participant": who, "k": row.step, **row.columns})
+        for k, row in outcome.rows.items():
+            sql = DECIDED if "given" in row else ANSWERED
+            do(sql, {"participant": who, "k": k, **row})
         do(
             "UPDATE participant SET state = ?, over = ? WHERE id = ?",
             (after.text, after.over, who),

@@ -18,7 +18,7 @@ from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.message_sets import indices
 from xplain.interaction.interaction import Interaction
 from xplain.people import flow as core
-from xplain.people.flow import Answer, Decision, Flow, Form, Stage
+from xplain.people.flow import Flow, Form, Stage, answered, decided
 from xplain.people.stages import OneLabel, choices, small
 from xplain.people.study.plan import StudyPlan, StudyRole
 from xplain.solvers.base import Policy
@@ -151,7 +151,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
         )
         return talk
 
-    def next_step(self, state: StudyState, answer: Answer | None = None) -> Outcome:
+    def next_step(self, state: StudyState) -> Outcome:
         """A question, if the policy asks one before the state's step; else the step with the
         policy's messages."""
         talk, belief = self.talk(state), self.of_types(state.belief)
@@ -161,7 +161,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
             best = max(said.values(), default=0.0)
             worth = float(values[~question]) - best if ~question in values else None
             one = AskedQuestion(state.step, question, len(state.heard), worth, belief)
-            return replace(state.to(stage="asking", asked=(*state.asked, one)), answer=answer)
+            return state.to(stage="asking", asked=(*state.asked, one))
         new = talk.say()
         shown = {str(int(mask)): value for mask, value in said.items()}
         outcome = state.to(
@@ -171,8 +171,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
             heard=(*state.heard, *indices(new)),
             belief=tuple(talk.belief.tolist()),
         )
-        decision = Decision(state.step, belief, state.given, new, shown)
-        return replace(outcome, decision=decision, answer=answer)
+        return outcome.with_rows(decided(state.step, belief, state.given, new, shown))
 
     def of_types(self, belief: Sequence[float]) -> tuple[float, ...]:
         """What is logged: over user types, whatever habits and knowledge go with them."""
@@ -233,11 +232,11 @@ class Evaluation(Stage["Explaining", StudyState]):
         talk = flow.talk(state)
         talk.hear(np.array(chosen, dtype=np.uint8))
         belief = tuple(talk.belief.tolist())
-        answer = Answer(state.step, chosen, flow.of_types(belief))
+        rows = answered(state.step, chosen, flow.of_types(belief))
         state = replace(state, labels=chosen, belief=belief, previous=state.given, new=0)
         if state.step + 1 == flow.plan.n_steps:
-            return replace(flow.after(state), answer=answer)
-        return flow.next_step(replace(state, step=state.step + 1), answer)
+            return flow.after(state).with_rows(rows)
+        return flow.next_step(replace(state, step=state.step + 1)).with_rows(rows)
 
 
 class Asking(OneLabel["Explaining", StudyState]):
