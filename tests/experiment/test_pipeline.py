@@ -59,13 +59,11 @@ class Rates:
     holdout: float = 0.25
     seeds: list[int] = field(default_factory=list)
 
-    def fit(self, dataset: Dataset, seed: int) -> Rate:
+    def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> Rate:
         self.seeds.append(seed)
         # Where a test asks for it, the labelers of small clusters are left untested.
         untested = self.n_test == 0 and len(set(dataset.observer.tolist())) == 1
         return Rate(float(dataset.label.mean()), 0 if untested else 1)
-
-    fit_untested = fit
 
     def given(self, observed: Observed) -> Rates:
         return self

@@ -166,7 +166,7 @@ def test_an_untested_labeler_predicts_as_the_tested_one(
     fresh, _ = made(rng, [[0, 1]], size=400)
     trainer = LabelerTrainer(LogisticRegression(), holdout=0.4, refit=refit)
     asked = fresh.features[fresh.transition], fresh.message_set
-    tested, untested = trainer.fit(dataset, 3), trainer.fit_untested(dataset, 3)
+    tested, untested = trainer.fit(dataset, 3), trainer.fit(dataset, 3, measured=False)
     shares = [
         own.classifier.predict_proba(inputs(*asked, dataset.n_messages))
         for own in (tested, untested)

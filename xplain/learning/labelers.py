@@ -204,27 +204,16 @@ class LabelerTrainer:
         labels."""
         return self
 
-    def fit(self, dataset: Dataset, seed: int) -> Labeler:
+    def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> Labeler:
         """Fits one labeler to all labels of a dataset. The same labels, in whatever order, and the
         same seed give the same labeler.
 
-        A single distinct point cannot be split: nothing is tested, the confidence is ½.
+        A single distinct point cannot be split: nothing is tested, the confidence is ½. So it is
+        where it is not to be ``measured``: predictions are the same, for half of the work.
 
         Raises:
             InputError: no labels.
         """
-        return self._fit(dataset, seed, measured=True)
-
-    def fit_untested(self, dataset: Dataset, seed: int) -> Labeler:
-        """The labeler of :meth:`fit`, whose predictions are the same, but its confidence is not
-        measured (½): that would be half of the work.
-
-        Raises:
-            InputError: no labels.
-        """
-        return self._fit(dataset, seed, measured=False)
-
-    def _fit(self, dataset: Dataset, seed: int, measured: bool) -> Labeler:
         if len(dataset) == 0:
             raise InputError("data", 0, "a labeler needs at least one label")
         seed = derived_seed(seed, "labelers")
@@ -258,12 +247,7 @@ class LabelerTrainer:
         who look at more of an answer than its row."""
         return self.fitted(x, dataset.label, seed)
 
-    def fitted(
-        self,
-        x: NDArray[np.float32],
-        y: NDArray[np.uint8],
-        seed: int,
-    ) -> Any:
+    def fitted(self, x: NDArray[np.float32], y: NDArray[np.uint8], seed: int) -> Any:
         """A fitted clone of the classifier; a constant one where all labels are equal."""
         from sklearn.base import clone
         from sklearn.tree import DecisionTreeClassifier

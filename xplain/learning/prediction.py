@@ -217,7 +217,8 @@ def fresh_accuracy(dataset: Dataset, trainer: LabelerTrainer, seed: int) -> floa
     right = np.zeros(len(dataset), dtype=bool)
     for number in range(count):
         test = dataset.take(np.flatnonzero(fold == number))
-        labeler = trainer.fit_untested(dataset.take(np.flatnonzero(fold != number)), seed)
+        train = dataset.take(np.flatnonzero(fold != number))
+        labeler = trainer.fit(train, seed, measured=False)
         said = labeler.predict(test.features[test.transition], test.message_set)
         right[fold == number] = said == test.label
     return float(by_question(right, query_index(dataset)).mean())

@@ -58,10 +58,10 @@ class TrueLabels(LabelerTrainer):
             wrong=setting.wrong,
         )
 
-    def _fit(self, *_: Any, **__: Any) -> NoReturn:
+    def fit(self, *_: Any, **__: Any) -> NoReturn:
         """Raises InputError: whoever fits labelers learns from data alone, without a setting."""
         raise InputError("labeler", "true", "a labeler that learns; true labels are simulated")
 
     def fitted(self, *_: Any, **__: Any) -> NoReturn:
         """Raises InputError, as :meth:`fit` does."""
-        self._fit()
+        self.fit()

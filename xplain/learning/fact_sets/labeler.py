@@ -128,10 +128,12 @@ class HypothesisTrainer(LabelerTrainer):
             raise InputError("hypotheses.features", None, "needed to match labels with hypotheses")
         return KnownTransitions.of(hypotheses)
 
-    def _fit(self, dataset: Dataset, seed: int, measured: bool) -> Labeler:
+    def fit(self, dataset: Dataset, seed: int, measured: bool = True) -> Labeler:
+        """As :meth:`LabelerTrainer.fit`; without hypotheses, where the labels are of another
+        task."""
         if not _same_task(self.known.hypotheses, dataset.feature_names, dataset.messages):
-            return self._alone._fit(dataset, seed, measured)
-        made = super()._fit(dataset, seed, measured)
+            return self._alone.fit(dataset, seed, measured)
+        made = super().fit(dataset, seed, measured)
         return HypothesisLabeler(**{one.name: getattr(made, one.name) for one in fields(made)})
 
     def fitted_to(self, dataset: Dataset, x: NDArray[np.float32], seed: int) -> Any:
