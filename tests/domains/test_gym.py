@@ -66,12 +66,12 @@ def test_the_robots_model_is_what_the_environment_does(name: str) -> None:
 def test_each_parameter_held_wrong_alone_matters(name: str) -> None:
     parameters = [p.name for p in domain(name).parameters]
     models = [held(name), *(held(name, p) for p in parameters)]
-    optimal = mdp.optimal_actions(models)
+    solved = mdp.MDP.solve(models, [name, *parameters])
     rng = stream(0, "test", "traces")
     transitions = np.concatenate(
-        [sample_trace(models[0], optimal[0], domain(name).starts, rng, 10) for _ in range(300)]
+        [sample_trace(models[0], solved[0], domain(name).starts, rng, 10) for _ in range(300)]
     )
-    inexplicable = 1 - mdp.labels(models, optimal, transitions).mean(axis=1)
+    inexplicable = 1 - solved.labels(transitions).mean(axis=1)
     assert inexplicable[0] == 0
     assert (inexplicable[1:] >= 0.02).all(), dict(zip(parameters, inexplicable[1:], strict=True))
 

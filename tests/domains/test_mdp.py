@@ -105,7 +105,7 @@ def test_labels_follow_the_definition(model: MDP, seed: int) -> None:
     rng = np.random.default_rng(seed)
     transitions = rng.integers(0, [model.n_states, model.n_actions, model.n_states], (30, 3))
     optimal = rng.random((1, model.n_states, model.n_actions)) < 0.5
-    got = mdp.labels([model], optimal, transitions)[0]
+    got = mdp.MDPSolution((model,), optimal).labels(transitions)[0]
     for (s, a, after), label in zip(transitions, got, strict=True):
         happens = any(
             model.successor[s, a, k] == after and model.probability[s, a, k] > 0

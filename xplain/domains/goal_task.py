@@ -139,10 +139,6 @@ class GoalTask:
         result[result] = self.gap(edge[result]) <= TIE
         return result
 
-    def possible(self, transitions: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether each transition (s, a, s') of [T, 3] has the believed result: [T]."""
-        return self._edges(transitions) >= 0
-
     def _edges(self, transitions: NDArray[np.int64]) -> NDArray[np.int64]:
         """The edge of each transition as the user sees it; −1 if there is none."""
         s, a, after = transitions.T

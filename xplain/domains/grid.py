@@ -120,17 +120,14 @@ class Grid:
         cells = np.concatenate([intended, self.neighbour[:, SIDEWAYS]], axis=2)
         return cells, np.broadcast_to([1 - slip, slip / 2, slip / 2], cells.shape).copy()
 
-    def connected(self, cell: int) -> NDArray[np.bool_]:
-        """[C] the cells that can be reached from this one (and from which it can be reached)."""
-        return reached(np.array([cell]), len(self.cells), self.neighbour.__getitem__)
-
     def require_path(self, what: str, cell: int, goal_name: str, goal: int) -> None:
         """Checks that a cell has a path to the goal.
 
         Raises:
             InputError: it has none.
         """
-        if not self.connected(goal)[cell]:
+        # Each move has a move back: what can be reached from the goal has a path to it.
+        if not reached(np.array([goal]), len(self.cells), self.neighbour.__getitem__)[cell]:
             raise InputError(
                 "domain.map", self.position(cell), f"no path from the {what} to the {goal_name}"
             )

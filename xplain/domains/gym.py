@@ -8,7 +8,7 @@ wrong is a list of changes of its rewards or transitions.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,31 +17,11 @@ from numpy.typing import NDArray
 from xplain.domains.base import Item, Scene
 from xplain.domains.grid import Cell, parameters_of
 from xplain.domains.mdp import MDP, reached
-from xplain.errors import (
-    Discount,
-    InputError,
-    XplainError,
-    checks,
-    listed,
-    mapping,
-    number,
-    one_of,
-)
+from xplain.errors import Discount, InputError, XplainError, checks, listed, mapping, number, one_of
 
 EFFECTS = ("add", "like", "to", "arguments")
 CHANGES = ("when", "actions", "next", *EFFECTS)
 """Fields of a change; exactly one of them is in EFFECTS."""
-
-
-@dataclass(frozen=True)
-class TabularModel:
-    """An environment's model: [S, A, K] successor, probability and reward, [S] terminal."""
-
-    successor: NDArray[np.int64]
-    probability: NDArray[np.float64]
-    reward: NDArray[np.float64]
-    terminal: NDArray[np.bool_]
-    starts: NDArray[np.int64]
 
 
 class Features:
@@ -143,7 +123,7 @@ class Gymnasium:
         """Makes the environment, reads its model and tries every change."""
         self.name, self._id, self._arguments = name, id, dict(arguments or {})
         self.discount = discount
-        self._own = read_model(id, self._arguments)
+        self._own, self.starts = read_model(id, self._arguments, discount)
         n_states, n_actions, _ = self._own.successor.shape
         self.actions = tuple(actions)
         if len(self.actions) != n_actions or len(set(self.actions)) < n_actions:
@@ -151,7 +131,6 @@ class Gymnasium:
         self._features = Features(states, n_states)
         self.feature_names = self._features.names
         self.state_features = self._features.codes.astype(np.float64)
-        self.starts = self._own.starts
         if starts is not None:
             here = self._features.where("domain.starts", starts) & ~self._own.terminal
             self.starts = np.flatnonzero(here)
@@ -183,16 +162,17 @@ class Gymnasium:
             for parameter in self.parameters
             for change in _changes(f"domain.parameters.{parameter.name}", values[parameter.name])
         ]
-        tables = self._own
+        start = self._own
         arguments = [change["arguments"] for _, change in changes if "arguments" in change]
         if arguments:
-            tables = read_model(
-                self._id, self._arguments | {k: v for a in arguments for k, v in a.items()}
-            )
-            if tables.successor.shape[:2] != self._own.successor.shape[:2]:
+            changed = self._arguments.copy()
+            for one in arguments:
+                changed |= one
+            start, _ = read_model(self._id, changed, self.discount)
+            if start.successor.shape[:2] != self._own.successor.shape[:2]:
                 raise InputError("domain.parameters", arguments, "arguments that keep the states")
-        successor, probability = tables.successor.copy(), tables.probability.copy()
-        reward = tables.reward.copy()
+        successor, probability = start.successor.copy(), start.probability.copy()
+        reward = start.reward.copy()
         for key, change in changes:
             at = np.zeros(successor.shape[:2], dtype=bool)
             at[:, self._numbers(key, change.get("actions", self.actions))] = True
@@ -206,10 +186,10 @@ class Gymnasium:
             elif "like" in change:
                 (other,) = self._numbers(key, [change["like"]])
                 s = np.nonzero(at)[0]
-                successor[at] = tables.successor[s, other]
-                probability[at] = tables.probability[s, other]
-                reward[at] = tables.reward[s, other]
-        return MDP(successor, probability, reward, self.discount, tables.terminal)
+                successor[at] = start.successor[s, other]
+                probability[at] = start.probability[s, other]
+                reward[at] = start.reward[s, other]
+        return replace(start, successor=successor, probability=probability, reward=reward)
 
     def _numbers(self, key: str, names: Any) -> list[int]:
         """The numbers of actions."""
@@ -253,9 +233,11 @@ def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
     return list(value)
 
 
-def read_model(id: str, arguments: Mapping[str, Any]) -> TabularModel:
+def read_model(
+    id: str, arguments: Mapping[str, Any], discount: float
+) -> tuple[MDP, NDArray[np.int64]]:
     """The model that an environment shows as ``env.unwrapped.P[s][a]``, a list of (probability,
-    next state, reward, terminated).
+    next state, reward, terminated), and the states where episodes start.
 
     Raises:
         XplainError: gymnasium is not installed.
@@ -297,7 +279,7 @@ def read_model(id: str, arguments: Mapping[str, Any]) -> TabularModel:
     goes_on = met[:, None, None] & possible & ~ended
     if (goes_on & terminal[successor]).any():
         raise InputError("domain.id", id, "an environment whose end depends on the state alone")
-    return TabularModel(successor, probability, reward, terminal, starts)
+    return MDP(successor, probability, reward, discount, terminal), starts
 
 
 def _values(feature: str, given: int | Sequence[str]) -> list[Any]:

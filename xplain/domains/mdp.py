@@ -178,8 +178,10 @@ class MDPSolution:
         return np.asarray(self.optimal[index])
 
     def labels(self, transitions: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """[B, T] explicable or not (:func:`labels`)."""
-        return labels(self.models, self.optimal, transitions)
+        """[B, T] explicable (1) or not (0): an optimal action, and an outcome that can happen."""
+        s, a, _ = transitions.T
+        possible = np.array([model.possible(transitions) for model in self.models])
+        return np.asarray(self.optimal[:, s, a] & possible, dtype=np.uint8)
 
 
 def q_values(models: Sequence[MDP]) -> NDArray[np.float64]:
@@ -270,24 +272,6 @@ def optimal_actions(models: Sequence[MDP], names: Sequence[str] = ()) -> NDArray
         )
     terminal = np.array([model.terminal for model in models])
     return np.asarray((gap <= TIE) & ~terminal[:, :, None])
-
-
-def labels(
-    models: Sequence[MDP], optimal: NDArray[np.bool_], transitions: NDArray[np.int64]
-) -> NDArray[np.uint8]:
-    """Explicable (1) or not (0), by model: an optimal action, and an outcome that can happen.
-
-    Args:
-        models: B of them.
-        optimal: [B, S, A] of :func:`optimal_actions`.
-        transitions: [T, 3] of (s, a, s').
-
-    Returns:
-        [B, T].
-    """
-    s, a, _ = transitions.T
-    possible = np.array([model.possible(transitions) for model in models])
-    return np.asarray(optimal[:, s, a] & possible, dtype=np.uint8)
 
 
 def _scale(model: MDP) -> float:

@@ -24,7 +24,6 @@ from xplain.errors import Discount, Positive, Range, Slip, Whole, checks
 
 BLOCK = 3
 """Cells from one crossing to the next."""
-KINDS = ("wet", "lane", "charger")
 PATTERN = ("wet", "lane", "wet", "lane", "charger")
 """How often each kind occurs: charging spots matter from far away, the others nearby."""
 SYMBOLS = {"wet": "≈", "right": "←", "down": "↑", "charger": "+"}

@@ -34,7 +34,7 @@ def test_the_label_table_is_what_each_corrected_model_says() -> None:
             for j, p in enumerate(domain.parameters)
         }
         model = domain.model(values)
-        expected = mdp.labels([model], mdp.optimal_actions([model]), transitions)[0]
+        expected = mdp.MDP.solve([model], ["theirs"]).labels(transitions)[0]
         assert np.array_equal(table[t, :, given], expected)
         one_by_one = setting.labels(t, transitions, np.full(len(transitions), given))
         assert np.array_equal(one_by_one, expected)

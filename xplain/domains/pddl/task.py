@@ -48,11 +48,6 @@ class Effect:
         one = " ".join(map(str, self.condition))
         return f"(when {one if len(self.condition) == 1 else f'(and {one})'} {self.literal})"
 
-    def substituted(self, binding: Mapping[str, str]) -> Effect:
-        """The effect with its parameters replaced."""
-        condition = sorted(literal.substituted(binding) for literal in self.condition)
-        return Effect(self.literal.substituted(binding), tuple(condition))
-
 
 @dataclass(frozen=True)
 class Action:
