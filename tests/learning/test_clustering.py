@@ -128,7 +128,7 @@ def test_curve_holds_the_disagreements_up_to_as_many_clusters_as_observers(
     found = Elbow(KMeans()).cluster(dataset, LabelerTrainer(), 0, None)
     assert found.curve is not None
     # Two types that need a message each: together they disagree, apart never again.
-    assert found.curve.tolist() == [disagreements(dataset, np.zeros_like(truth)), *[0] * 5]
+    assert found.curve.tolist() == [*disagreements(dataset, [np.zeros_like(truth)]), *[0] * 5]
     assert found.curve[0] > 0
     assert found.vectors is not None
     assert found.vectors.tolist() == np.array([0b01, 0b10])[truth].tolist()

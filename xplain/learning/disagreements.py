@@ -7,7 +7,6 @@ Two labels disagree when they are of one cluster, transition and message set, an
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,45 +15,21 @@ from xplain.learning.data.dataset import Dataset, query_index
 from xplain.numba_kernels import lean_kernel
 
 
-@dataclass(frozen=True)
-class LabelCells:
-    """The labels of a dataset, sorted by cell; made once, used for every clustering.
-
-    Attributes:
-        start: [C + 1] int64 first label of each cell.
-        observer: [P] int64.
-        label: [P] uint8.
-    """
-
-    start: NDArray[np.int64]
-    observer: NDArray[np.int64]
-    label: NDArray[np.uint8]
-
-    @classmethod
-    def of(cls, dataset: Dataset) -> LabelCells:
-        """Sorts by cell. Cells whose labels all agree never count and are left out."""
-        cell = query_index(dataset)
-        ones = np.bincount(cell, weights=dataset.label)
-        split = (ones > 0) & (ones < np.bincount(cell))
-        rows = np.flatnonzero(split[cell])
-        rows = rows[np.argsort(cell[rows], kind="stable")]
-        size = np.bincount(cell)[split]
-        start = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
-        return cls(start, dataset.observer[rows], dataset.label[rows])
-
-    def disagreements(self, assignment: NDArray[np.int64]) -> int:
-        """Of one clustering [O], in time linear in the labels."""
-        zeros = np.zeros((2, int(assignment.max()) + 1), dtype=np.int64)
-        return int(_count(self.start, assignment[self.observer], self.label, zeros))
-
-    def curve(self, assignments: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]:
-        """Of several clusterings, one after the other."""
-        return np.array([self.disagreements(one) for one in assignments], dtype=np.int64)
-
-
-def disagreements(dataset: Dataset, assignment: NDArray[np.int64]) -> int:
-    """Disagreements of one clustering: ``assignment`` [O] is the cluster of each observer."""
-    return LabelCells.of(dataset).disagreements(assignment)
+def disagreements(dataset: Dataset, assignments: Iterable[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Of each of K clusterings [O], in time linear in the labels: [K]."""
+    cell = query_index(dataset)
+    ones, size = np.bincount(cell, weights=dataset.label), np.bincount(cell)
+    # Cells whose labels all agree never count and are left out.
+    split = (ones > 0) & (ones < size)
+    rows = np.flatnonzero(split[cell])
+    rows = rows[np.argsort(cell[rows], kind="stable")]
+    start = np.concatenate([[0], np.cumsum(size[split])]).astype(np.int64)
+    observer, label = dataset.observer[rows], dataset.label[rows]
+    found = []
+    for assignment in assignments:
+        counts = np.zeros((2, int(assignment.max()) + 1), dtype=np.int64)
+        found.append(_count(start, assignment[observer], label, counts))
+    return np.array(found, dtype=np.int64)
 
 
 @lean_kernel

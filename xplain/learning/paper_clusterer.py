@@ -17,7 +17,7 @@ from xplain.errors import Count, Range, checks
 from xplain.explanation.message_sets import bits_of
 from xplain.learning.clustering import Clustering
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.disagreements import LabelCells
+from xplain.learning.disagreements import disagreements
 from xplain.learning.elbow import elbow
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.message_vectors import minimal_message_sets
@@ -70,7 +70,7 @@ class Elbow:
             for k in range(1, distinct + 1)
         ]
         # More groups than distinct vectors cannot be told apart: the last partition stays.
-        curve = LabelCells.of(dataset).curve(found)
+        curve = disagreements(dataset, found)
         curve = np.concatenate([curve, np.full(longest - distinct, curve[-1])])
         k, rule = elbow(curve, self.few)
         name = type(self.partition).__name__.lower()

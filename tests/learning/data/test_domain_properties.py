@@ -116,9 +116,8 @@ def test_any_number_of_traces_is_counted(starts: list[int]) -> None:
         np.zeros(2, dtype=bool),
     )
     domain = SimpleNamespace(starts=np.array(starts))
-    setting: Any = SimpleNamespace(
-        models=[model], optimal=np.ones((1, 2, 4), dtype=bool), domain=domain
-    )
+    reachable = np.array([(state, action, 1) for state in (0, 1) for action in range(4)])
+    setting: Any = SimpleNamespace(models=[model], reachable=reachable, domain=domain)
     assert count_traces(setting, 40) == len(set(starts)) * 4**40
 
 

@@ -58,18 +58,13 @@ def on_policy_traces(
 
 def count_traces(setting: Setting, max_length: int = MAX_LENGTH) -> int:
     """Number of different traces of the robot, counted step by step from their ends."""
-    model, optimal = setting.models[0], setting.optimal[0]
-    possible = optimal[:, :, None] & (model.probability > 0)
-    # Slots that lead to the same state make the same transition.
-    for slot in range(1, possible.shape[2]):
-        same = (model.successor[:, :, :slot] == model.successor[:, :, [slot]]) & possible[
-            :, :, :slot
-        ]
-        possible[:, :, slot] &= ~same.any(axis=2)
-    ways = np.ones(model.n_states, dtype=object)  # whole numbers of any size
+    before, _, after = setting.reachable.T  # each transition once
+    terminal = setting.models[0].terminal
+    ways = np.ones(len(terminal), dtype=object)  # whole numbers of any size
     for _ in range(max_length):
-        onward = np.where(possible, ways[model.successor], 0).sum(axis=(1, 2))
-        ways = np.where(model.terminal, 1, onward)
+        onward = np.zeros_like(ways)
+        np.add.at(onward, before, ways[after])
+        ways = np.where(terminal, 1, onward)
     return int(ways[np.unique(setting.domain.starts)].sum())
 
 
