@@ -18,7 +18,8 @@ from xplain.learning.data.queries import Independent
 from xplain.learning.fact_model.gibbs import init
 from xplain.learning.fact_model.model import CELL, NOISE, SUBSET, Prior, SortedLabels
 from xplain.learning.labelers import LabelerTrainer
-from xplain.questions.committee import Candidates, next_screen, p_explicable
+from xplain.questions.candidates import Candidates
+from xplain.questions.committee import next_screen, p_explicable
 from xplain.questions.designs import Adaptive
 from xplain.testing import Chosen, QueriesConformance
 

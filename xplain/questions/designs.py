@@ -20,7 +20,8 @@ from xplain.learning.fact_sets.growth import grown
 from xplain.learning.fact_sets.known_transitions import KnownTransitions
 from xplain.learning.fact_sets.labels_alone import TwoWays
 from xplain.questions.battery import battery
-from xplain.questions.committee import Candidates, Committee, visits_of
+from xplain.questions.candidates import Candidates, visits_of
+from xplain.questions.committee import Committee
 from xplain.questions.contest import Contest
 from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
 from xplain.randomness import derived_seed, stream
