@@ -17,7 +17,8 @@ from xplain.cli.people import configured
 from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of
 from xplain.learning.labelers import Labeler
-from xplain.learning.saved_types import LearnedTypes, SavedTable
+from xplain.learning.saved_classifiers import SavedTable
+from xplain.learning.saved_types import LearnedTypes
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.study.bot import StudyBot
