@@ -42,7 +42,8 @@ from xplain.errors import InputError, TooLargeError, one_of
 from xplain.experiment.config import composed
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.label_file import align, read_questions, read_table
+from xplain.learning.data.encoding import align
+from xplain.learning.data.label_file import read_questions, read_table
 from xplain.learning.data.observers import Observed
 from xplain.learning.known_types import learn
 from xplain.learning.message_vectors import minimal_message_set

@@ -30,9 +30,11 @@ from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.explanation.message_sets import names_of
-from xplain.learning.data.label_file import align, columns_of, read_table
+from xplain.learning.data.encoding import align, columns_of
+from xplain.learning.data.label_file import read_table
 from xplain.questions.battery import battery
-from xplain.questions.committee import Candidates, next_screen_of
+from xplain.questions.candidates import Candidates
+from xplain.questions.committee import next_screen_of
 from xplain.questions.designs import WITHOUT, Adaptive, Battery
 from xplain.questions.own_transitions import read_transitions
 from xplain.randomness import run_seed, stream

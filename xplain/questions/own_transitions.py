@@ -14,6 +14,7 @@ from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.setting import MAX_MODELS
 from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of
+from xplain.learning.data.encoding import one_hot
 
 TEXT, IMAGE, ALT, WHEN = "text", "image", "alt", "inexplicable_if"
 
@@ -71,21 +72,14 @@ class OwnTransitions:
         """Features [T, F] and their names; where the table has none, the text is one."""
         if self.features is not None:
             return self.features, self.feature_names
-        return text_features(self.texts)
-
-
-def text_features(texts: tuple[str, ...]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """One feature a text: [T, different texts], and their names."""
-    different = sorted(set(texts))
-    place = np.array([different.index(one) for one in texts])
-    return np.eye(len(different))[place], tuple(f"{TEXT}={one}" for one in different)
+        return one_hot(TEXT, self.texts)
 
 
 def with_features(known: Hypotheses) -> Hypotheses:
     """Hypotheses whose transitions have features; where they have none, the text is one."""
     if known.features is not None:
         return known
-    features, names = text_features(known.phrases)
+    features, names = one_hot(TEXT, known.phrases)
     return replace(known, features=features, feature_names=names)
 
 
@@ -142,12 +136,11 @@ def _features(
         try:
             number = np.array([float(value) for value in values])
         except ValueError:
-            distinct = sorted(set(values))
-            parts += [np.array([value == one for value in values], float) for one in distinct]
-            names += [f"{column}={one}" for one in distinct]
+            own, named = one_hot(column, values)
         else:
             if not np.isfinite(number).all():
                 raise InputError("transitions", column, "finite numbers")
-            parts.append(number)
-            names.append(column)
-    return (np.stack(parts, axis=1) if parts else None), tuple(names)
+            own, named = number[:, None], (column,)
+        parts.append(own)
+        names += named
+    return (np.hstack(parts) if parts else None), tuple(names)

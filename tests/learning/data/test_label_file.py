@@ -8,7 +8,8 @@ import pytest
 
 from tests.learning.conftest import made
 from xplain.errors import InputError
-from xplain.learning.data.label_file import align, columns_of, read_table, write_table
+from xplain.learning.data.encoding import align, columns_of
+from xplain.learning.data.label_file import read_table, write_table
 
 ROWS = {
     "observer": ["a", "a", "a", "b", "b", "b"],

@@ -16,17 +16,16 @@ from __future__ import annotations
 import logging
 import zlib
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, one_of
+from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of, names_of
 from xplain.learning.data.dataset import Dataset, query_index
-from xplain.learning.data.encoding import encoded
+from xplain.learning.data.encoding import columns_of, encoded
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,19 +61,15 @@ def read_table(
             and its row (1 is the first row of data).
     """
     table = _load(Path(path), features, ignore)
-    observer, observers = _factorized(_complete(table["observer"]).astype(str).str.strip())
-    message_set, known = _message_sets(table["messages"], messages)
+    told = _told(table, messages)
     described, names = _features(table.drop(columns=list(COLUMNS)))
     distinct, transition = _distinct(described)
     dataset = Dataset(
         features=distinct,
         feature_names=names,
-        messages=known,
-        observers=observers,
-        observer=observer,
         transition=transition,
-        message_set=message_set,
         label=_labels(table["label"]),
+        **told,
     )
     if not under_way:
         _check(dataset)
@@ -101,8 +96,7 @@ def read_questions(
         InputError: the rows do not fit ``like``.
     """
     table = _load(Path(path), features, ignore, key="predict")
-    observer, observers = _factorized(_complete(table["observer"]).astype(str).str.strip())
-    message_set, _ = _message_sets(table["messages"], like.messages)
+    told = _told(table, like.messages)
     described = table.drop(columns=list(COLUMNS)).reset_index(drop=True)
     group = described.groupby(list(described.columns), sort=False, dropna=False)
     first = described.drop_duplicates()  # in the order of the groups
@@ -113,16 +107,12 @@ def read_questions(
         distinct = np.array([encoded(row, like.feature_names) for row in rows])
     except InputError as error:
         raise InputError("predict", error.value, error.allowed) from None
-    transition = np.asarray(group.ngroup(), dtype=np.int64)
     return Dataset(
         features=distinct,
         feature_names=like.feature_names,
-        messages=like.messages,
-        observers=observers,
-        observer=observer,
-        transition=transition,
-        message_set=message_set,
+        transition=np.asarray(group.ngroup(), dtype=np.int64),
         label=np.zeros(len(table), dtype=np.uint8),
+        **told,
     )
 
 
@@ -145,29 +135,6 @@ def write_table(dataset: Dataset, path: str | Path) -> None:
         table.to_parquet(path, index=False)
     else:
         table.to_csv(path, index=False)
-
-
-def align(dataset: Dataset, names: tuple[str, ...]) -> Dataset:
-    """The same labels with exactly these features, in this order.
-
-    A value of a text column that does not occur in the data (``action=left`` if ``action`` has
-    only other values) is a feature that is always 0.
-
-    Raises:
-        InputError: another feature is missing, or one is not among ``names``.
-    """
-    have = {name: j for j, name in enumerate(dataset.feature_names)}
-    for name in dataset.feature_names:
-        one_of("data", name, names, "feature")
-    text = {name.split("=")[0] for name in have if "=" in name}
-    columns = []
-    for name in names:
-        if name not in have and name.split("=")[0] not in text:
-            raise InputError("data", name, "this feature of the domain is missing in the table")
-        columns.append(
-            dataset.features[:, have[name]] if name in have else np.zeros(len(dataset.features))
-        )
-    return replace(dataset, features=np.stack(columns, axis=1), feature_names=names)
 
 
 def check_format(path: Path, key: str) -> str:
@@ -259,6 +226,18 @@ def _factorized(column: pd.Series[Any]) -> tuple[NDArray[np.int64], tuple[str, .
     return code.astype(np.int64), tuple(str(name) for name in names)
 
 
+def _told(table: pd.DataFrame, messages: Sequence[str] | None) -> dict[str, Any]:
+    """Who was asked, and what they were told before: these attributes of a dataset."""
+    observer, observers = _factorized(_complete(table["observer"]).astype(str).str.strip())
+    message_set, known = _message_sets(table["messages"], messages)
+    return {
+        "observer": observer,
+        "observers": observers,
+        "message_set": message_set,
+        "messages": known,
+    }
+
+
 def _message_sets(
     column: pd.Series[Any], messages: Sequence[str] | None
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
@@ -269,13 +248,9 @@ def _message_sets(
     if len(known) > MAX_MASK:
         raise InputError("data", len(known), f"at most {MAX_MASK} different messages")
     for at, names in enumerate(given):
-        unknown = [name for name in names if name not in known]
-        if unknown:
-            raise InputError(
-                "data",
-                unknown[0],
-                f"unknown message in row {_row(code == at)}; known: {', '.join(known)}",
-            )
+        if unknown := [name for name in names if name not in known]:
+            allowed = f"unknown message in row {_row(code == at)}; known: {', '.join(known)}"
+            raise InputError("data", unknown[0], allowed)
     masks = np.array([mask_of(names, known, "data") for names in given], dtype=np.int64)
     return masks[code], known
 
@@ -286,11 +261,8 @@ def _labels(column: pd.Series[Any]) -> NDArray[np.uint8]:
     numbers = pd.to_numeric(_complete(column).astype(object), errors="coerce")
     bad = ~numbers.isin([0, 1])
     if bad.any():
-        raise InputError(
-            "data",
-            column.astype(object)[bad].iloc[0],
-            f"label in row {_row(bad)}: a label is 0 or 1",
-        )
+        first = column.astype(object)[bad].iloc[0]
+        raise InputError("data", first, f"label in row {_row(bad)}: a label is 0 or 1")
     return np.asarray(numbers, dtype=np.uint8)
 
 
@@ -350,18 +322,3 @@ def _check(dataset: Dataset) -> None:
     torn = int(((ones > 0) & (ones < np.bincount(where))).sum())
     if torn:
         log.warning("%d questions were answered both ways by one observer: both labels count", torn)
-
-
-def columns_of(dataset: Dataset) -> dict[str, NDArray[Any]]:
-    """Columns [T] of the transitions; one-hot features become text again."""
-    groups: dict[str, list[int]] = {}
-    for j, name in enumerate(dataset.feature_names):
-        groups.setdefault(name.split("=")[0] if "=" in name else name, []).append(j)
-    columns: dict[str, NDArray[Any]] = {}
-    for name, members in groups.items():
-        if "=" in dataset.feature_names[members[0]]:
-            values = np.array([dataset.feature_names[j].split("=", 1)[1] for j in members])
-            columns[name] = values[dataset.features[:, members].argmax(axis=1)]
-        else:
-            columns[name] = dataset.features[:, members[0]]
-    return columns

@@ -17,7 +17,8 @@ from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting
 from xplain.errors import InputError, Range, checks
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.label_file import align, read_table
+from xplain.learning.data.encoding import align
+from xplain.learning.data.label_file import read_table
 from xplain.learning.data.queries import Queries
 from xplain.randomness import stream
 

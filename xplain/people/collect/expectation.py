@@ -20,7 +20,7 @@ from xplain.experiment.pipeline import Components, prepare
 from xplain.explanation.belief import Persistent
 from xplain.interaction.explainees import Exact
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.label_file import align
+from xplain.learning.data.encoding import align
 from xplain.learning.data.observers import Observed
 from xplain.learning.data.queries import Queries
 from xplain.learning.fact_model.dirichlet import DirichletMixture
