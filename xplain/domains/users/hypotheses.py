@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import comb
 from pathlib import Path
@@ -43,6 +43,10 @@ EACH = 8
 """Facts up to which each is also on the other side alone."""
 FEW = 0.1
 """Prior probability that a fact is held wrong, where facts are too many to list all sets."""
+TEXTS = ("messages", "feature_names", "phrases")
+ARRAYS = ("labels", "facts", "messages", "prior", "variants", "features", "states",
+          "variant_weight", "feature_names", "phrases")  # fmt: skip
+"""In a file; all but the first four are left out where there are none."""
 
 
 @dataclass(frozen=True)
@@ -114,11 +118,11 @@ class Hypotheses:
         weight = prior_over(prior, len(table), "hypotheses.prior")
         order = np.argsort(masks)
         if len(about.get("variants", ())):
-            about["variants"] = np.stack([table_of_labels(one) for one in about["variants"]])
-            if about["variants"].shape[1:] != table.shape:
-                shape = about["variants"].shape
-                raise InputError("hypotheses.variants", shape, f"tables like labels, {table.shape}")
-            about["variants"] = about["variants"][:, order]
+            variants = np.stack([table_of_labels(one) for one in about["variants"]])
+            if variants.shape[1:] != table.shape:
+                allowed = f"tables like labels, {table.shape}"
+                raise InputError("hypotheses.variants", variants.shape, allowed)
+            about["variants"] = variants[:, order]
         made = cls(table[order], masks[order], names, weight[order], **about)
         made._check()
         return made
@@ -200,33 +204,19 @@ class Hypotheses:
             raise InputError("hypotheses", str(path), f"an .npz file ({reason})") from None
         if "labels" not in arrays:
             raise InputError("hypotheses", str(path), "an .npz file with the array labels")
-        known = [one.name for one in fields(cls) if one.name != "further"]
-        if unknown := arrays.keys() - set(known):
-            raise InputError("hypotheses", min(unknown), f"arrays {', '.join(known)}")
-        text = ("messages", "feature_names", "phrases")
-        about = {
-            key: tuple(str(item) for item in array.ravel().tolist()) if key in text else array
-            for key, array in arrays.items()
-            if key != "labels"
-        }
-        return cls.of(arrays["labels"], **about)
+        if unknown := arrays.keys() - set(ARRAYS):
+            raise InputError("hypotheses", min(unknown), f"arrays {', '.join(ARRAYS)}")
+        texts = {key: tuple(map(str, arrays[key].ravel())) for key in TEXTS if key in arrays}
+        return cls.of(**arrays | texts)
 
     def save(self, path: str | Path) -> None:
         """Writes the file that :meth:`load` reads, whole or not at all."""
+        given = {key: getattr(self, key) for key in ARRAYS}
         arrays: dict[str, Any] = {
-            "labels": self.labels,
-            "facts": self.facts,
-            "messages": np.array(self.messages, dtype=np.str_),
-            "prior": self.prior,
+            key: np.array(value, dtype=np.str_) if key in TEXTS else value
+            for key, value in given.items()
+            if value is not None and len(value)
         }
-        if len(self.variants):
-            arrays["variants"] = self.variants
-        for key in ("features", "states", "variant_weight"):
-            if getattr(self, key) is not None:
-                arrays[key] = getattr(self, key)
-        for key in ("feature_names", "phrases"):
-            if getattr(self, key):
-                arrays[key] = np.array(getattr(self, key), dtype=np.str_)
         with written_whole(Path(path), "wb") as file:
             np.savez_compressed(file, **arrays)
 
@@ -301,8 +291,7 @@ class Hypotheses:
         tells fewer candidates apart."""
         if self.features is None:
             return self
-        _, which = np.unique(self.features, axis=0, return_inverse=True)
-        which = which.ravel()
+        which = np.unique(self.features, axis=0, return_inverse=True)[1].ravel()
         every = self.tables.reshape(-1, self.n_transitions)
         _, column = np.unique(np.packbits(every, axis=0), axis=1, return_inverse=True)
         pairs = np.unique(np.stack([which, column.ravel()]), axis=1)
@@ -371,13 +360,9 @@ class Hypotheses:
         if weight is not None and (
             weight.shape != (len(self.variants),) or (weight <= 0).any() or weight.sum() >= 1
         ):
-            shown, allowed = (
-                weight.tolist(),
-                f"{len(self.variants)} probabilities, below 1 together",
-            )
-            raise InputError("hypotheses.variant_weight", shown, allowed)
-        wanted = {"features": self.features, "states": self.states}
-        for key, array in wanted.items():
+            allowed = f"{len(self.variants)} probabilities, below 1 together"
+            raise InputError("hypotheses.variant_weight", weight.tolist(), allowed)
+        for key, array in (("features", self.features), ("states", self.states)):
             if array is not None and (array.ndim != 2 or len(array) != self.n_transitions):
                 raise InputError(f"hypotheses.{key}", array.shape, f"{self.n_transitions} rows")
         if self.features is not None and not np.isfinite(self.features).all():

@@ -75,7 +75,8 @@ def without_ties(
     chosen, labels = assumed, labels_of(domain, most, assumed)[2]
     for name in (name for name in wanted if wanted[name] != assumed[name]):
         for nudge in NUDGES:
-            tried = chosen | {name: _times(wanted[name], nudge)}
+            value = wanted[name]
+            tried = chosen | {name: value * nudge if _is_number(value) else value}
             try:
                 chosen, labels = tried, labels_of(domain, most, tried)[2]
                 if nudge != 1:
@@ -84,13 +85,9 @@ def without_ties(
             except (DomainError, InputError) as error:
                 reason = str(error)
         else:
-            value = (name, wanted[name], assumed[name])
-            log.warning("hypotheses: no variant with %s=%s, it stays %s: %s", *value, reason)
+            stays = "hypotheses: no variant with %s=%s, it stays %s: %s"
+            log.warning(stays, name, wanted[name], assumed[name], reason)
     return chosen, labels
-
-
-def _times(value: Any, factor: float) -> Any:
-    return value * factor if _is_number(value) else value
 
 
 def _is_number(value: Any) -> bool:

@@ -6,6 +6,7 @@ Simulated observers and files of labels by real people give the same table.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,15 +53,12 @@ class Dataset:
 
     def take(self, rows: NDArray[np.int64]) -> Dataset:
         """The labels ``rows`` [R], in this order; tables of names and features stay."""
-        return Dataset(
-            self.features,
-            self.feature_names,
-            self.messages,
-            self.observers,
-            self.observer[rows],
-            self.transition[rows],
-            self.message_set[rows],
-            self.label[rows],
+        return replace(
+            self,
+            observer=self.observer[rows],
+            transition=self.transition[rows],
+            message_set=self.message_set[rows],
+            label=self.label[rows],
         )
 
     def answered(
@@ -80,10 +78,15 @@ class Dataset:
         )
 
 
-def places(rows: ArrayLike, known: ArrayLike) -> NDArray[np.int64]:
-    """[P] where rows of features [P, F] stand among known ones [U, F], of which no two are equal;
-    −1 where they do not. 0 and −0 are one."""
-    number = {row.tobytes(): u for u, row in enumerate(np.asarray(known, np.float64) + 0.0)}
+def numbered(rows: ArrayLike) -> dict[bytes, int]:
+    """The number of each of some rows [U, F], of which no two are equal. 0 and −0 are one."""
+    return {row.tobytes(): u for u, row in enumerate(np.asarray(rows, np.float64) + 0.0)}
+
+
+def places(rows: ArrayLike, known: ArrayLike | Mapping[bytes, int]) -> NDArray[np.int64]:
+    """[P] where rows of features [P, F] stand among known ones [U, F], or those that are
+    :func:`numbered`; −1 where they do not."""
+    number = known if isinstance(known, Mapping) else numbered(known)
     found = [number.get(row.tobytes(), -1) for row in np.asarray(rows, np.float64) + 0.0]
     return np.array(found, dtype=np.int64)
 

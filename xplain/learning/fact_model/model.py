@@ -158,15 +158,7 @@ class ChainState(NamedTuple):
 
     def copy(self) -> ChainState:
         """The same state in arrays of its own."""
-        return ChainState(
-            self.facts.copy(),
-            self.subset.copy(),
-            self.noise.copy(),
-            self.log_noise.copy(),
-            self.messages_given.copy(),
-            self.counts.copy(),
-            self.order.copy(),
-        )
+        return ChainState._make(array.copy() for array in self)
 
 
 def facts_that_matter(prior: Prior, state: ChainState) -> int:

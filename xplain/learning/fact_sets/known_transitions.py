@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.setting import MAX_MODELS
+from xplain.learning.data.dataset import numbered, places
 from xplain.learning.fact_sets.growth import grown, posterior_by
 
 UNWRITTEN = 0.1
@@ -140,30 +141,22 @@ class KnownTransitions:
         states, rows = self.hypotheses.states, self.hypotheses.features
         if states is None or rows is None:
             return {}
-        return {
-            state.tobytes() + row.tobytes(): t
-            for t, (state, row) in enumerate(
-                zip(states.astype(np.int64), rows.astype(np.float32), strict=True)
-            )
-        }
+        return numbered(np.hstack([states, rows.astype(np.float32)]))
 
     def find_exactly(
         self, features: NDArray[np.float64], states: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         """[P] the hypotheses' transitions with these features [P, F] between these states [P, 2];
         −1 where there is none."""
-        rows = features.astype(np.float32)
-        keys = [s.tobytes() + row.tobytes() for s, row in zip(states, rows, strict=True)]
-        return np.array([self._exact.get(key, -1) for key in keys], dtype=np.int64)
+        return places(np.hstack([states, features.astype(np.float32)]), self._exact)
 
     @cached_property
     def _place(self) -> dict[bytes, int]:
-        return {row.tobytes(): u for u, row in enumerate(self.features + np.float32(0))}
+        return numbered(self.features)
 
     def find(self, features: NDArray[np.floating]) -> NDArray[np.int64]:
         """[P] where rows of features [P, F] are; −1 where the hypotheses do not know them."""
-        rows = np.ascontiguousarray(features, dtype=np.float32) + np.float32(0)  # −0 is 0
-        return np.array([self._place.get(row.tobytes(), -1) for row in rows], dtype=np.int64)
+        return places(features.astype(np.float32), self._place)
 
 
 def _with_unwritten(hypotheses: Hypotheses) -> tuple[Hypotheses, int]:
