@@ -143,11 +143,8 @@ def test_an_accuracy_measured_on_answers_is_corrected():
 
 
 def test_what_is_taken_without_answers_is_mostly_no_error():
-    default = ErrorRates.of()
-    assert np.array_equal(default.rates, RATES)
-    assert np.array_equal(default.prior, RATE_PRIOR)
-    assert default.rates[0] == 0
-    assert default.prior.argmax() == 0
+    assert RATES[0] == 0
+    assert RATE_PRIOR.argmax() == 0
     nobody = learned(CellAnswers(*np.zeros((4, 0), dtype=np.int64)), np.zeros(0), 3, 2)
     assert nobody.errors.prior == pytest.approx(RATE_PRIOR)
     assert nobody.slip == pytest.approx(nobody.slip[-1])
@@ -166,7 +163,7 @@ def test_questions_are_known_by_their_features():
     errors = QuestionErrors(
         np.array([0.1, 0.2, 0.3]),
         np.array([0.01, 0.02, 0.03]),
-        ErrorRates.of(),
+        ErrorRates(RATES, RATE_PRIOR),
         np.array([[1.0, 0.0], [2.0, 0.0]]),
     )
     slip, guess = errors.rates_of(np.array([[2, -0.0], [3, 0], [1, 0]]))

@@ -15,8 +15,14 @@ from tests.domains.users.corridor import Corridor
 from tests.questions.tables import random_hypotheses
 from xplain.domains.users import hypotheses as hypotheses_module
 from xplain.domains.users import setting as setting_module
-from xplain.domains.users.hypotheses import AS_ASSUMED, OPPOSITE, Hypotheses
-from xplain.domains.users.inaccurate_values import NUDGES, scaled_values, without_ties
+from xplain.domains.users.hypotheses import Hypotheses
+from xplain.domains.users.inaccurate_values import (
+    AS_ASSUMED,
+    NUDGES,
+    OPPOSITE,
+    scaled_values,
+    without_ties,
+)
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import DomainError, InputError, TooLargeError, XplainError
 from xplain.experiment.config import composed

@@ -65,8 +65,8 @@ class ErrorRates:
     prior: NDArray[np.float64]
 
     @classmethod
-    def of(cls, rates: ArrayLike = RATES, prior: ArrayLike = RATE_PRIOR) -> ErrorRates:
-        """Checked; without arguments what is taken where no answers were learned from.
+    def of(cls, rates: ArrayLike, prior: ArrayLike) -> ErrorRates:
+        """Checked.
 
         Raises:
             InputError: no ascending rates in [0, ½), or no probabilities of as many.
@@ -79,11 +79,6 @@ class ErrorRates:
         if share.shape != grid.shape or (share < 0).any() or not np.isclose(share.sum(), 1):
             raise InputError("prior", share.tolist(), f"{len(grid)} probabilities that sum to 1")
         return cls(grid, share / share.sum())
-
-    @property
-    def mean(self) -> float:
-        """Expected error rate of the next person."""
-        return float(self.rates @ self.prior)
 
 
 @dataclass(frozen=True)

@@ -120,9 +120,8 @@ class Questionnaire:
         Raises:
             InputError: a value is not allowed.
         """
-        assert self._questions.transitions, (
-            "some question separates candidates"
-        )  # worked out once, for all
+        # Worked out once, for all.
+        assert self._questions.transitions, "some question separates candidates"
         made = copy.copy(self)
         made.seed = whole_number("seed", seed, 0)
         made._start(prior)

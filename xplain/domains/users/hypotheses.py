@@ -21,13 +21,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from xplain.domains.base import Domain, transition_feature_names, transition_features
 from xplain.domains.users.inaccurate_values import (
+    AS_ASSUMED,
     FurtherLabels,
     few,
     labels_of,
-    opposite_values,
-    scaled_values,
+    variants_of,
     with_subsets,
-    without_ties,
 )
 from xplain.domains.users.label_tables import prior_over, table_of_labels
 from xplain.domains.users.setting import MAX_MODELS
@@ -35,12 +34,6 @@ from xplain.errors import InputError, TooLargeError, whole_number
 from xplain.explanation.message_sets import names_of
 from xplain.storage import written_whole
 
-AS_ASSUMED = 0.6
-"""Prior of the assumed values, where there are variants."""
-OPPOSITE = 0.05
-"""Prior of all values on the other side of the robot's, together."""
-EACH = 8
-"""Facts up to which each is also on the other side alone."""
 FEW = 0.1
 """Prior probability that a fact is held wrong, where facts are too many to list all sets."""
 TEXTS = ("messages", "feature_names", "phrases")
@@ -138,12 +131,7 @@ class Hypotheses:
         Args:
             domain: the robot's task.
             most: parameters held wrong together; None: as many as MAX_MODELS models allow.
-            scales: one variant each: all inaccurate values that are numbers times this. Further
-                variants have them on the other side of the robot's values, all at once or, up to
-                EACH facts, one alone. A value that the domain refuses stays as assumed. Where ties
-                are ambiguous, values are nudged, or stay as assumed with a warning
-                (:func:`~xplain.domains.users.inaccurate_values.without_ties`). Where no value is
-                another than assumed, there is no variant.
+            scales: of the variants (:func:`~xplain.domains.users.inaccurate_values.variants_of`).
 
         Raises:
             DomainError: some model's ties are ambiguous, values being as assumed.
@@ -158,19 +146,8 @@ class Hypotheses:
         assumed = {parameter.name: parameter.inaccurate for parameter in domain.parameters}
         setting, facts, labels = labels_of(domain, most, assumed)
         transitions = setting.reachable
-        opposite = opposite_values(domain)
-        turned = [opposite]
-        if n <= EACH:
-            turned += [assumed | {name: value} for name, value in opposite.items()]
-        scaled = [scaled_values(domain, scale) for scale in scales]
-        other, weight = [], []
-        for share, wanted in ((1 - AS_ASSUMED - OPPOSITE, scaled), (OPPOSITE, turned)):
-            different = {str(one): one for one in wanted if one != assumed}
-            made = [without_ties(domain, most, one) for one in different.values()]
-            made = [(values, own) for values, own in made if values != assumed]
-            other += made
-            weight += [share / max(len(made), 1)] * len(made)
-        every_value = (assumed, *(values for values, _ in other))
+        other = variants_of(domain, most, scales)
+        every_value = (assumed, *(values for values, _, _ in other))
         every = np.arange(len(transitions))
         return cls.of(
             labels,
@@ -181,8 +158,8 @@ class Hypotheses:
             feature_names=transition_feature_names(domain),
             phrases=tuple(domain.describe(transition) for transition in transitions),
             states=transitions[:, [0, 2]],
-            variants=np.array([own for _, own in other], dtype=np.uint8),
-            variant_weight=np.array(weight) if weight else None,
+            variants=np.array([own for _, own, _ in other], dtype=np.uint8),
+            variant_weight=np.array([prior for _, _, prior in other]) if other else None,
             further=FurtherLabels(domain, every_value, transitions, every) if most < n else None,
         )
 

@@ -18,6 +18,12 @@ from xplain.explanation.message_sets import indices, names_of, subsets
 
 log = logging.getLogger(__name__)
 
+AS_ASSUMED = 0.6
+"""Prior of the assumed values, where there are variants."""
+OPPOSITE = 0.05
+"""Prior of all values on the other side of the robot's, together."""
+EACH = 8
+"""Facts up to which each is also on the other side alone."""
 NUDGES = (1.0, 1.01, 0.99, 1.02, 0.98, 1.05, 0.95)
 """Where ties at some values are ambiguous, the values times each of these are tried, in this order:
 nobody's idea of a size is so exact."""
@@ -51,6 +57,38 @@ def labels_of(
     facts = np.array(sorted(model))
     by_model = setting.label_by_model(setting.reachable)
     return setting, facts, by_model[[model[held] for held in facts.tolist()]]
+
+
+def variants_of(
+    domain: Domain, most: int, scales: Sequence[float]
+) -> list[tuple[dict[str, Any], NDArray[np.uint8], float]]:
+    """Wrong values that people may hold in place of those assumed, by parameter, with their labels
+    [C, T] and their prior probability.
+
+    A value that the domain refuses stays as assumed. Where ties are ambiguous, values are nudged,
+    or stay as assumed with a warning (:func:`without_ties`). Where no value is another than
+    assumed, there is no variant.
+
+    Args:
+        domain: its inaccurate values are those assumed.
+        most: parameters held wrong together.
+        scales: one variant each: all inaccurate values that are numbers times this. Further
+            variants have them on the other side of the robot's values, all at once or, up to EACH
+            facts, one alone.
+    """
+    assumed = {parameter.name: parameter.inaccurate for parameter in domain.parameters}
+    opposite = opposite_values(domain)
+    turned = [opposite]
+    if len(opposite) <= EACH:
+        turned += [assumed | {name: value} for name, value in opposite.items()]
+    scaled = [scaled_values(domain, scale) for scale in scales]
+    found = []
+    for share, wanted in ((1 - AS_ASSUMED - OPPOSITE, scaled), (OPPOSITE, turned)):
+        different = {str(one): one for one in wanted if one != assumed}
+        made = [without_ties(domain, most, one) for one in different.values()]
+        made = [(values, labels) for values, labels in made if values != assumed]
+        found += [(values, labels, share / len(made)) for values, labels in made]
+    return found
 
 
 def without_ties(

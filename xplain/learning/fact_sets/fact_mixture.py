@@ -74,7 +74,27 @@ def mixture(
     if answers.message_set.any():
         return weight.sum(axis=2), made, None
     said = np.moveaxis(weight[person], 0, 2) * (given[:, 1] - given[:, 0])
-    result = np.zeros((people, count))
+    return weight.sum(axis=2), made, _expected(known, facts, answers, weight, said, made)
+
+
+def _expected(
+    known: KnownTransitions,
+    facts: NDArray[np.int64],
+    answers: Answers,
+    weight: NDArray[np.float64],
+    said: NDArray[np.float64],
+    made: AnswerModel,
+) -> NDArray[np.float64]:
+    """P(answer 1) of each person about all rows of features, with nothing told: [O, U].
+
+    Args:
+        known, facts, answers: as for :func:`mixture`.
+        weight: [O, R, (1 + V) D] posterior of each person.
+        said: [R, (1 + V) D, P] what each answer says for f = 1 (log), by who may have given it.
+        made: how answers err.
+    """
+    count = known.share.shape[2]
+    result = np.zeros((len(weight), count))
     for r, held in enumerate(known.hypotheses.row(facts).tolist()):
         cells = held * count + np.arange(count)
         f = truth(known.by_cell[cells], known.hypotheses.sizes).reshape(count, -1)
@@ -82,4 +102,4 @@ def mixture(
         zero, both = made.given(np.arange(count))[:, :, :1].transpose(1, 0, 2)  # of rate 0
         result += weight[:, r] @ ((1 - f) * zero + f * both).T
     rate = (made.person[:-1] @ made.errors.rates)[:, None]
-    return weight.sum(axis=2), made, (1 - rate) * result + rate * (1 - result)
+    return np.asarray((1 - rate) * result + rate * (1 - result))
