@@ -100,7 +100,9 @@ def arrays_of(classifier: Any) -> dict[str, NDArray[Any]]:
         return nodes | {"value": tree.value[:, 0, :], "classes": classifier.classes_}
     if hasattr(classifier, "tabulated"):
         return dict(zip(("rows", "table"), classifier.tabulated(), strict=True))
-    return {"skops": np.frombuffer(_skops_bytes(classifier), dtype=np.uint8)}
+    name = type(classifier).__name__
+    written = _skops("labeler.classifier", name, "a decision tree; others need").dumps(classifier)
+    return {"skops": np.frombuffer(written, dtype=np.uint8)}
 
 
 def classifier_of(
@@ -160,29 +162,24 @@ def classifier_of(
     )
 
 
-def _skops_bytes(classifier: Any) -> bytes:
-    name = type(classifier).__name__
+def _skops(key: str, value: str, allowed: str) -> Any:
+    """The module that reads and writes classifiers.
+
+    Raises:
+        InputError: it is not installed.
+    """
     try:
         import skops.io
     except ImportError:
-        raise InputError(
-            "labeler.classifier",
-            name,
-            "a decision tree; others need pip install 'xplain-hri[skops]'",
-        ) from None
-    return bytes(skops.io.dumps(classifier))
+        raise InputError(key, value, f"{allowed} pip install 'xplain-hri[skops]'") from None
+    return skops.io
 
 
 def _from_skops(data: bytes, trusted: Sequence[str]) -> Any:
-    try:
-        import skops.io
-    except ImportError:
-        raise InputError(
-            "types", "a classifier that is no tree", "needs pip install 'xplain-hri[skops]'"
-        ) from None
-    unknown = set(skops.io.get_untrusted_types(data=data)) - set(trusted)
+    skops = _skops("types", "a classifier that is no tree", "needs")
+    unknown = set(skops.get_untrusted_types(data=data)) - set(trusted)
     if unknown:
         raise InputError(
             "types", ", ".join(sorted(unknown)), "classes to name in trusted=, if you trust them"
         )
-    return skops.io.loads(data, trusted=list(trusted))
+    return skops.loads(data, trusted=list(trusted))

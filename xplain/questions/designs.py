@@ -232,8 +232,7 @@ class _Checks:
         setting: Setting,
         rng: np.random.Generator,
     ) -> _Checks:
-        visits = dict(zip(map(bytes, setting.reachable), visits_of(setting).tolist(), strict=True))
-        weight = np.array([visits[bytes(one)] for one in transitions])
+        weight = visits_of(setting)[places(transitions, setting.reachable)]
         return cls(int(np.bitwise_or.reduce(known.facts)), weight * known.tables[0, 0], rng)
 
     def next(self) -> tuple[int, int]:

@@ -94,13 +94,9 @@ def places(rows: ArrayLike, known: ArrayLike | Mapping[bytes, int]) -> NDArray[n
 def query_index(dataset: Dataset) -> NDArray[np.int64]:
     """The number of each label's query (transition, message set): [P], 0 … distinct queries − 1,
     in the order of (transition, message set)."""
-    key = np.stack([dataset.transition, dataset.message_set])
-    order = np.lexsort(key[::-1])
-    new = np.ones(len(order), dtype=bool)
-    new[1:] = (key[:, order[1:]] != key[:, order[:-1]]).any(axis=0)
-    number = np.empty(len(order), dtype=np.int64)
-    number[order] = np.cumsum(new) - 1
-    return number
+    told = np.unique(dataset.message_set, return_inverse=True)[1]
+    key = dataset.transition * (told.max(initial=0) + 1) + told
+    return np.unique(key, return_inverse=True)[1].astype(np.int64)
 
 
 def inputs(
