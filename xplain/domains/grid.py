@@ -22,6 +22,8 @@ MOVES: dict[str, Cell] = {"up": (-1, 0), "down": (1, 0), "left": (0, -1), "right
 SIDEWAYS = np.array([[2, 3], [2, 3], [0, 1], [0, 1]])
 """The two moves at right angles to each move: the directions of a slip."""
 WALL, FLOOR, START = "#", ".", "s"
+MAP = "domain.map"
+"""The key of the map in the configuration, for errors."""
 
 
 @dataclass(frozen=True)
@@ -41,36 +43,35 @@ class Grid:
     where: Mapping[str, tuple[Cell, ...]]
 
     @classmethod
-    def parse(cls, text: str, symbols: Mapping[str, str], key: str = "domain.map") -> Grid:
+    def parse(cls, text: str, symbols: Mapping[str, str]) -> Grid:
         """Reads an ASCII map: ``#`` wall, ``.`` floor, ``s`` floor where traces may start.
 
         Args:
             text: one line for each row; blank lines around it are ignored.
             symbols: the other symbols of the map, and the meaning of each.
-            key: of the map in the configuration, for errors.
 
         Raises:
             InputError: no text, rows of unequal length, an unknown symbol, or walls only.
         """
-        sentence(key, text, "an ASCII map, one line for each row")
+        sentence(MAP, text, "an ASCII map, one line for each row")
         lines = [line.rstrip() for line in text.strip("\n").splitlines()]
         known = {WALL: "wall", FLOOR: "floor", START: "floor where traces start", **symbols}
         where: dict[str, list[Cell]] = {}
         for r, line in enumerate(lines):
             if len(line) != len(lines[0]):
                 raise InputError(
-                    key, line, f"row {r} has {len(line)} symbols, row 0 has {len(lines[0])}"
+                    MAP, line, f"row {r} has {len(line)} symbols, row 0 has {len(lines[0])}"
                 )
             for c, symbol in enumerate(line):
                 if symbol not in known:
                     legend = ", ".join(f"{s} {meaning}" for s, meaning in known.items())
                     raise InputError(
-                        key, symbol, f"unknown symbol in row {r}, column {c}; known: {legend}"
+                        MAP, symbol, f"unknown symbol in row {r}, column {c}; known: {legend}"
                     )
                 where.setdefault(symbol, []).append((r, c))
         wall = np.array([[symbol == WALL for symbol in line] for line in lines])
         if wall.all():
-            raise InputError(key, text, "at least one cell that is not a wall")
+            raise InputError(MAP, text, "at least one cell that is not a wall")
         number = np.where(wall, -1, np.cumsum(~wall).reshape(wall.shape) - 1)
         return cls(wall.shape, np.argwhere(~wall), number, {s: tuple(c) for s, c in where.items()})
 
@@ -89,7 +90,7 @@ class Grid:
             raise InputError(key, tuple(cell), allowed)
         return int(self.number[r, c])
 
-    def only(self, symbol: str, name: str, key: str = "domain.map") -> int:
+    def only(self, symbol: str, name: str) -> int:
         """The number of the one cell with this symbol.
 
         Raises:
@@ -97,8 +98,8 @@ class Grid:
         """
         found = self.where.get(symbol, ())
         if len(found) != 1:
-            raise InputError(key, found, f"exactly one {name} ({symbol}) must be on the map")
-        return self.at(found[0], key)
+            raise InputError(MAP, found, f"exactly one {name} ({symbol}) must be on the map")
+        return self.at(found[0], MAP)
 
     @cached_property
     def neighbour(self) -> NDArray[np.int64]:
@@ -129,7 +130,7 @@ class Grid:
         # Each move has a move back: what can be reached from the goal has a path to it.
         if not reached(np.array([goal]), len(self.cells), self.neighbour.__getitem__)[cell]:
             raise InputError(
-                "domain.map", self.position(cell), f"no path from the {what} to the {goal_name}"
+                MAP, self.position(cell), f"no path from the {what} to the {goal_name}"
             )
 
     def starts(self) -> NDArray[np.int64]:
@@ -140,7 +141,7 @@ class Grid:
         """
         marked = self.where.get(START) or self.where.get(FLOOR, ())
         if not marked:
-            raise InputError("domain.map", "no floor", "a floor cell (s or .) to start from")
+            raise InputError(MAP, "no floor", "a floor cell (s or .) to start from")
         return np.array([self.number[cell] for cell in marked], dtype=np.int64)
 
     def position(self, cell: int) -> Cell:

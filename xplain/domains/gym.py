@@ -165,10 +165,8 @@ class Gymnasium:
         start = self._own
         arguments = [change["arguments"] for _, change in changes if "arguments" in change]
         if arguments:
-            changed = self._arguments.copy()
-            for one in arguments:
-                changed |= one
-            start, _ = read_model(self._id, changed, self.discount)
+            every = {k: v for one in (self._arguments, *arguments) for k, v in one.items()}
+            start, _ = read_model(self._id, every, self.discount)
             if start.successor.shape[:2] != self._own.successor.shape[:2]:
                 raise InputError("domain.parameters", arguments, "arguments that keep the states")
         successor, probability = start.successor.copy(), start.probability.copy()

@@ -120,10 +120,13 @@ class LearnedTypes:
             "sentences": np.array([self.sentences.get(m, "") for m in self.messages], np.str_),
         }
         if self.errors is not None:
-            found = self.errors
-            arrays |= {"errors/features": found.features, "errors/prior": found.errors.prior}
-            arrays |= {"errors/slip": found.slip, "errors/guess": found.guess}
-            arrays["errors/rates"] = found.errors.rates
+            arrays |= {
+                "errors/features": self.errors.features,
+                "errors/prior": self.errors.errors.prior,
+                "errors/slip": self.errors.slip,
+                "errors/guess": self.errors.guess,
+                "errors/rates": self.errors.errors.rates,
+            }
         for key in FIGURES:
             arrays[key] = np.array([getattr(labeler, key) for labeler in self.labelers])
         for t, labeler in enumerate(self.labelers):
