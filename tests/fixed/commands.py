@@ -8,7 +8,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.people.server_process import ROOT, free_port
+from tests.people.server_process import ROOT, ServerProcess
 
 Kept = dict[str, Any]
 
@@ -52,8 +51,9 @@ def paper(folder: Path) -> Kept:
 
 
 def jobs(folder: Path, *words: str) -> Kept:
-    """What a sweep's jobs decided and what it cost."""
-    xplain(folder, "-m", *words)
+    """What a sweep's jobs decided and what it cost. In one process: two would both compile the
+    same kernels."""
+    xplain(folder, "-m", *words, "hydra/launcher=basic")
     kept = {}
     for path in sorted(folder.glob("outputs/sweeps/**/results.json")):
         results = json.loads(path.read_text(encoding="utf-8"))
@@ -118,27 +118,10 @@ def study(folder: Path) -> Kept:
 def served(folder: Path, command: str, people: int, *words: str) -> Path:
     """The export of a server that simulated people visited, one after the other, and whose log
     was replayed."""
-    port, log = free_port(), folder / "server.log"
-    started = [sys.executable, "-m", "xplain", command, f"port={port}", "database=d.sqlite"]
-    with log.open("w", encoding="utf-8") as said:
-        server = subprocess.Popen(
-            [*started, *words, "server.requests_per_second=1000", "server.burst=1000"],
-            cwd=folder,
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
-            stdout=said,
-            stderr=said,
-        )
-    try:
-        key = None
-        while key is None:
-            assert server.poll() is None, log.read_text(encoding="utf-8")
-            time.sleep(0.2)
-            key = re.search(r"key (\w+)", log.read_text(encoding="utf-8"))
-        where = ("--url", f"http://127.0.0.1:{port}", "--key", key[1], "--save", "out.zip")
+    rate = ("server.requests_per_second=1000", "server.burst=1000")
+    with ServerProcess(folder / "d.sqlite", *words, *rate, command=command) as server:
+        where = ("--url", server.url, "--key", server.key, "--save", "out.zip")
         xplain(folder, command, "bots", *where, "--count", str(people), "--at-once", "1")
-    finally:
-        server.terminate()
-        server.wait(timeout=30)
     xplain(folder, command, "replay", "d.sqlite")
     with zipfile.ZipFile(folder / "out.zip") as archive:
         archive.extractall(folder)

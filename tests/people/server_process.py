@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import signal
 import socket
 import subprocess
 import sys
@@ -28,7 +27,7 @@ def free_port() -> int:
 
 class ServerProcess:
     """``python -m xplain study`` (or ``collect``) on 127.0.0.1, over a database that holds a plan
-    already."""
+    already, or else is given the one that the overrides describe."""
 
     def __init__(self, database: Path, *overrides: str, command: str = "study") -> None:
         self.command = command
@@ -49,7 +48,7 @@ class ServerProcess:
             self._process = processes.start(
                 command, cwd=self.database.parent, env=environment, stderr=log, stdout=log
             )
-        until = time.monotonic() + 60
+        until = time.monotonic() + 120  # a plan is perhaps prepared first
         while time.monotonic() < until:
             try:
                 with urllib.request.urlopen(f"{self.url}/alive", timeout=2):
@@ -70,18 +69,19 @@ class ServerProcess:
 
     def kill(self) -> None:
         """kill -9 of the server with its worker, in the middle of whatever they do."""
-        self._end(signal.SIGKILL)
+        if self._process is not None:
+            processes.kill(self._process)
+            self._process = None
 
     def stop(self) -> None:
-        """SIGTERM: the server answers what it has begun, then ends."""
-        self._end(signal.SIGTERM)
-
-    def _end(self, how: signal.Signals) -> None:
+        """SIGTERM: the server answers what it has begun, then ends. For connections that browsers
+        keep open it would wait ten seconds and then kill its worker; here both are killed after
+        one."""
         if self._process is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._process.pid, how)
-            self._process.wait(timeout=30)
-            self._process = None
+            self._process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(timeout=1)
+            self.kill()
 
     def __enter__(self) -> ServerProcess:
         self.start()

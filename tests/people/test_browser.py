@@ -56,6 +56,7 @@ def driver() -> Iterator[Driver]:
     if what := missing():
         pytest.skip(f"no browser to drive: install {what}")
     with browser() as opened:
+        opened.implicitly_wait(0)  # what is looked for and is not there is known at once
         yield opened
 
 
@@ -344,7 +345,6 @@ def test_a_question_is_accessible_in_sight_and_photographed(
 def test_scrolling_hangs_on_no_condition(driver: Driver, rescue: Study, tmp_path: Path) -> None:
     """At three window sizes: over a whole study the conditions differ by less than a tenth."""
     plan, measured = rescue.plan, {}
-    driver.implicitly_wait(0)
     with serving(tmp_path / "s.sqlite", rescue) as server:
         for cell, (user_type, condition) in enumerate(plan.cells):
             if user_type == 0:  # the other types meet the same pages
@@ -479,7 +479,6 @@ def test_new_messages_are_announced(driver: Driver, study: Study, tmp_path: Path
     with serving(tmp_path / "s.sqlite", study) as server:
         go_in(driver, server.url, Researcher(server.url, server.key).invite(1)[0])
         announced: list[str] = []
-        driver.implicitly_wait(0)  # most steps bring no message
 
         def look(page: Page) -> None:
             new = [e.text for e in driver.find_elements(By.CSS_SELECTOR, ".message.new")]

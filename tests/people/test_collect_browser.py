@@ -112,7 +112,6 @@ def test_under_three_messages_the_button_is_in_sight(
     steps = rng.integers(plan.hypotheses.n_transitions, size=8)
     listed = tuple((int(step), int(rng.choice(threes))) for step in steps)
     collection = at_work(replace(plan, design=Adaptive(), questions=listed))
-    driver.implicitly_wait(0)
     phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
     bottom = "return document.querySelector('main form button').getBoundingClientRect().bottom"

@@ -127,7 +127,6 @@ def played_back(driver: Driver, axe: str, server: ServerProcess, of: str) -> Non
     driver.find_element(By.CSS_SELECTOR, "td a").click()
     wait(lambda: bool(driver.find_elements(By.CSS_SELECTOR, ".playback")))
     titles = [driver.title]
-    driver.implicitly_wait(0)
     while onward := driver.find_elements(By.CSS_SELECTOR, ".playback a[rel=next]"):
         address = driver.current_url
         onward[0].click()
@@ -135,7 +134,6 @@ def played_back(driver: Driver, axe: str, server: ServerProcess, of: str) -> Non
         titles.append(driver.title)
         if titles.count(driver.title) == 2:
             look_at(driver, axe, f"{of}-playback-{len(titles):02d}")
-    driver.implicitly_wait(3)
     assert "Thank you" in titles[-1]
 
 
@@ -143,7 +141,6 @@ def test_a_lab_goes_from_an_empty_folder_to_a_robot_and_a_study(
     driver: Driver, axe: str, lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     people, database = lab / "people.sqlite", lab / "study.sqlite"
-    driver.implicitly_wait(0)
     with serving("collect", people, "points=8", "rules.people=8") as server:
         researcher = Researcher(server.url, server.key)
         look = Looking(driver, axe, "collect")
