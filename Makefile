@@ -11,8 +11,11 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 READY = $(VENV)/.ready
-# A process a core and a file at a time, in the order of tests/conftest.py: the longest first.
-SPREAD = --numprocesses auto --dist loadfile --no-loadscope-reorder
+CORES := $(shell getconf _NPROCESSORS_ONLN)
+# A file at a time, in the order of tests/conftest.py: the longest first. Some tests wait more than
+# they compute, so there is a process more than cores; those in a browser mostly wait.
+SPREAD = --numprocesses $(shell expr $(CORES) + 1) --dist loadfile --no-loadscope-reorder
+SPREAD_BROWSER = --numprocesses $(shell expr $(CORES) \* 2) --dist loadgroup --no-loadscope-reorder
 
 .PHONY: run test style types tests test-docs test-slow browser-test mutants lint docs outputs bench bench-quick study ui clean
 
@@ -32,8 +35,9 @@ test-docs: $(READY)
 test-slow: $(READY)
 	$(BIN)/python -m pytest -q -m "slow and not browser"
 
+# These files alone: each process would read all the others first.
 browser-test: $(READY)
-	$(BIN)/python -m pytest -q -m browser $(SPREAD)
+	$(BIN)/python -m pytest -q -m browser $(SPREAD_BROWSER) $$(grep -rl --include='*.py' 'mark\.browser' tests)
 
 # Interrupted, it goes on where it was; another SEED is another sample.
 SAMPLE ?= 60

@@ -25,19 +25,22 @@ Command = Callable[..., subprocess.CompletedProcess[str]]
 
 LONGEST = (
     "fixed/test_fixed.py",
+    "people/test_dry_runs.py",
     "runs/test_sweep.py",
     "runs/test_interrupted.py",
     "runs/test_kill.py",
-    "cli/test_plan.py",
     "test_docs.py",
     "runs/test_api.py",
+    "people/test_whole_loop.py",
+    "cli/test_plan.py",
     "people/collect/test_protocol.py",
-    "people/test_browser.py",
     "report/test_browser.py",
+    "people/test_browser.py",
     "people/test_lab_browser.py",
-    "people/test_dry_runs.py",
+    "people/test_collect_browser.py",
 )
-"""Files that take half a minute and more."""
+"""Files that take long. The first compiles kernels that many others want; the second, beside it,
+wants hardly any."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from filelock import FileLock
 
 from tests import forked
 from tests.runs import sweeps
@@ -21,22 +24,41 @@ class Finished(NamedTuple):
     seconds: float
 
 
-@pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
-    """Whoever takes something out of its folder has it made again."""
-    folder = tmp_path_factory.mktemp("finished")
+def once(factory: pytest.TempPathFactory, name: str, fill: Callable[[Path], None]) -> Path:
+    """A folder that is filled by one of the processes that run the tests, for all of them."""
+    root = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        root = root.parent
+    folder, done = root / name, root / f"{name}.done"
+    with FileLock(root / f"{name}.lock"):
+        if not done.exists():
+            folder.mkdir()
+            fill(folder)
+            done.touch()
+    return folder
+
+
+def _finish(folder: Path) -> None:
     before = time.monotonic()
     code, output = sweeps.run(folder, *sweeps.TINY)
     assert code == 0, output
-    return Finished(folder, output, time.monotonic() - before)
+    (folder / "seconds.txt").write_text(str(time.monotonic() - before))
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    """Whoever takes something out of its folder has it made again."""
+    folder = tmp_path_factory.mktemp("own") / "finished"
+    shutil.copytree(once(tmp_path_factory, "finished", _finish), folder)
+    read = [(folder / name).read_text() for name in ("output.txt", "seconds.txt")]
+    return Finished(folder, read[0], float(read[1]))
 
 
 @pytest.fixture(scope="session")
 def empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """MLflow's database before the first run."""
-    path = tmp_path_factory.mktemp("store") / "mlflow.db"
-    forked.make_store(path)
-    return path
+    folder = once(tmp_path_factory, "store", lambda path: forked.make_store(path / "mlflow.db"))
+    return folder / "mlflow.db"
 
 
 @pytest.fixture
