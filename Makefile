@@ -14,8 +14,7 @@ READY = $(VENV)/.ready
 CORES := $(shell getconf _NPROCESSORS_ONLN)
 # A file at a time, in the order of tests/conftest.py: the longest first. Some tests wait more than
 # they compute, so there is a process more than cores; those in a browser mostly wait.
-SPREAD = --numprocesses $(shell expr $(CORES) + 1) --dist loadfile --no-loadscope-reorder
-SPREAD_BROWSER = --numprocesses $(shell expr $(CORES) \* 2) --dist loadgroup --no-loadscope-reorder
+SPREAD = --dist loadfile --no-loadscope-reorder --numprocesses
 
 .PHONY: run test style types tests test-docs test-slow browser-test mutants lint docs outputs bench bench-quick study ui clean
 
@@ -27,7 +26,7 @@ test: style
 	$(MAKE) --jobs 2 types tests
 
 tests: $(READY)
-	$(BIN)/python -m pytest -q -m "not browser and not slow" $(SPREAD)
+	$(BIN)/python -m pytest -q -m "not browser and not slow" $(SPREAD) $(shell expr $(CORES) + 1)
 
 test-docs: $(READY)
 	$(BIN)/python -m pytest -q -m slow tests/test_docs.py tests/test_examples.py
@@ -37,7 +36,7 @@ test-slow: $(READY)
 
 # These files alone: each process would read all the others first.
 browser-test: $(READY)
-	$(BIN)/python -m pytest -q -m browser $(SPREAD_BROWSER) $$(grep -rl --include='*.py' 'mark\.browser' tests)
+	$(BIN)/python -m pytest -q -m browser $(SPREAD) $(shell expr $(CORES) \* 2) $$(grep -rl --include='*.py' 'mark\.browser' tests)
 
 # Interrupted, it goes on where it was; another SEED is another sample.
 SAMPLE ?= 60

@@ -34,8 +34,8 @@ LONGEST = (
     "people/test_whole_loop.py",
     "cli/test_plan.py",
     "people/collect/test_protocol.py",
-    "report/test_browser.py",
     "people/test_browser.py",
+    "report/test_browser.py",
     "people/test_lab_browser.py",
     "people/test_collect_browser.py",
 )

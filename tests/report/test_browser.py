@@ -22,7 +22,7 @@ from tests import processes
 from tests.runs import sweeps
 from xplain.people.simulation.chromium import browser, missing
 
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("sweep")]  # one for all of them
+pytestmark = pytest.mark.browser
 
 SCREENSHOTS = Path(os.environ.get("XPLAIN_SCREENSHOTS", sweeps.ROOT / "outputs/screenshots"))
 
