@@ -13,6 +13,8 @@ import urllib.request
 from pathlib import Path
 from types import TracebackType
 
+from filelock import FileLock
+
 from tests import processes
 
 ROOT = Path(__file__).parent.parent.parent
@@ -82,6 +84,8 @@ class ServerProcess:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(timeout=1)
             self.kill()
+            with FileLock(f"{self.database}.lock", timeout=30):
+                pass  # the worker, which is not our child, has let go of it
 
     def __enter__(self) -> ServerProcess:
         self.start()
