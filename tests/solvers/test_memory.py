@@ -7,7 +7,8 @@ import logging
 import pytest
 
 from xplain.errors import InputError, TooLargeError
-from xplain.solvers.memory import GIB, check_memory, check_memory_gib
+from xplain.solvers.memory import GIB, check_memory
+from xplain.solvers.qmdp import QMDP
 
 
 def test_what_fits_exactly_is_allowed_and_a_byte_more_is_not() -> None:
@@ -28,4 +29,4 @@ def test_more_than_a_quarter_of_a_gibibyte_is_told(
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
 def test_a_limit_is_a_positive_number(value: float) -> None:
     with pytest.raises(InputError, match=r"solver\.memory_gib"):
-        check_memory_gib(value)
+        QMDP(memory_gib=value)

@@ -13,28 +13,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.errors import Positive, checks
 from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.message_sets import compress
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.inquiry import Inquiry, look, make_inquiry, make_room
-from xplain.solvers.memory import check_memory_gib
 from xplain.solvers.qmdp import greedy_policy
 from xplain.solvers.restriction import messages_worth_giving
 
 
+@checks("solver")
 @dataclass(frozen=True)
 class AskFirst:
     """Args:
     memory_gib: most that QMDP's tables may take.
     """
 
-    memory_gib: float = 8.0
+    memory_gib: Positive = 8.0
     knows: Knowledge = "types"
-
-    def __post_init__(self) -> None:
-        """Raises InputError for a setting out of its range."""
-        check_memory_gib(self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""

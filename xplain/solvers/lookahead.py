@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
+from xplain.errors import Count, Positive, checks
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, kernel
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.count_lattice import branch, make_answers
 from xplain.solvers.lookahead_knowing import LookaheadKnowing
-from xplain.solvers.memory import check_memory, check_memory_gib
+from xplain.solvers.memory import check_memory
 from xplain.solvers.model import (
     Model,
     SetPrices,
@@ -40,6 +40,7 @@ from xplain.solvers.restriction import Restricted, coupled
 from xplain.solvers.value_of_information import asks_by_value
 
 
+@checks("solver")
 @dataclass(frozen=True)
 class Lookahead:
     """Args:
@@ -49,17 +50,10 @@ class Lookahead:
     memory_gib: most that the tables [steps, 2^messages, types] may take.
     """
 
-    candidates: int = 16
-    answers: int = 4096
-    memory_gib: float = 8.0
+    candidates: Count = 16
+    answers: Count = 4096
+    memory_gib: Positive = 8.0
     knows: Knowledge = "types"
-
-    def __post_init__(self) -> None:
-        """Raises InputError for a setting out of its range."""
-        for key in ("candidates", "answers"):
-            if not getattr(self, key) >= 1:
-                raise InputError(f"solver.{key}", getattr(self, key), "a number ≥ 1")
-        check_memory_gib(self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""

@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import logging
 
-from xplain.errors import InputError, TooLargeError
+from xplain.errors import TooLargeError
 
 log = logging.getLogger(__name__)
 
 GIB = 1 << 30
-
-
-def check_memory_gib(value: float) -> None:
-    """Raises InputError unless the limit of a solver is a positive number."""
-    if not value > 0:
-        raise InputError("solver.memory_gib", value, "a number > 0")
 
 
 def check_memory(what: str, size: int, limit_gib: float, instead: str) -> None:

@@ -14,9 +14,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.errors import Positive, checks
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy
-from xplain.solvers.memory import check_memory, check_memory_gib
+from xplain.solvers.memory import check_memory
 from xplain.solvers.model import (
     Model,
     best_of,
@@ -31,18 +32,15 @@ from xplain.solvers.rows import rows_at
 from xplain.solvers.value_of_information import asks_by_value
 
 
+@checks("solver")
 @dataclass(frozen=True)
 class QMDP:
     """Args:
     memory_gib: most that the tables [steps, 2^messages, types] may take.
     """
 
-    memory_gib: float = 8.0
+    memory_gib: Positive = 8.0
     knows: Knowledge = "types"
-
-    def __post_init__(self) -> None:
-        """Raises InputError for a setting out of its range."""
-        check_memory_gib(self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""

@@ -7,23 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.errors import Positive, checks
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy
-from xplain.solvers.memory import check_memory_gib
 from xplain.solvers.qmdp import greedy_policy
 
 
+@checks("solver")
 @dataclass(frozen=True)
 class MostLikelyType:
     """Args:
     memory_gib: most that the tables [steps, 2^messages, types] may take.
     """
 
-    memory_gib: float = 8.0
+    memory_gib: Positive = 8.0
     knows: Knowledge = "types"
-
-    def __post_init__(self) -> None:
-        check_memory_gib(self.memory_gib)
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Each type's optimal values; nothing here is random."""
