@@ -16,6 +16,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.pomdp_file import read
 from xplain.explanation.problem import Problem
+from xplain.explanation.problem_file import load, save
 
 SOLVERS = sorted(path.stem for path in (CONF / "solver").glob("*.yaml"))
 KEYS = {"solver", "first_messages", "value", "value_is", "optimal_lower", "optimal_upper"}
@@ -27,7 +28,7 @@ def file(tmp_path):
     rng = np.random.default_rng(9)
     path = tmp_path / "problem.npz"
     prior = np.array([0.3, 0.7])
-    Problem(rng.random((2, 3, 4)), np.array([0.5, 0.8]), 2.0, prior=prior).save(path)
+    save(Problem(rng.random((2, 3, 4)), np.array([0.5, 0.8]), 2.0, prior=prior), path)
     return path
 
 
@@ -61,7 +62,7 @@ def test_the_last_line_is_the_plan(command, file, solver) -> None:
     row = json.loads(out.splitlines()[-1])
     assert set(row) >= KEYS | {"seconds"}
     assert row["solver"] == solver
-    problem = Problem.load(file)
+    problem = load(file)
     optimum = reduced_optimal_value(problem)
     assert row["optimal_lower"] - 1e-9 <= optimum <= row["optimal_upper"] + 1e-9
     assert row["optimal_upper"] - row["optimal_lower"] <= 1e-3 + 1e-9
@@ -187,7 +188,7 @@ def asking(tmp_path):
     clip = LabelTable.dense(np.array([[[0.0, 1.0]], [[1.0, 1.0]]]))
     questions = Questions(clip, Limits(cost=0.125), texts=("refuels",))
     path = tmp_path / "asking.npz"
-    Problem(p, np.array([2.0]), discount=1.0, questions=questions).save(path)
+    save(Problem(p, np.array([2.0]), discount=1.0, questions=questions), path)
     return path
 
 

@@ -15,6 +15,7 @@ from xplain.errors import InputError
 from xplain.explanation.asking import Questions, worded
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
+from xplain.explanation.problem_file import load, save
 from xplain.testing.problems import with_questions
 
 
@@ -35,8 +36,8 @@ def test_a_saved_problem_carries_its_questions(tmp_path: Path, seed: int, words:
         shows = rng.random((len(asked), problem.n_steps)) < 0.5
         asked = replace(asked, texts=texts, right=right, shows=shows)
         problem = replace(problem, questions=asked)
-    problem.save(tmp_path / "problem.npz")
-    loaded = Problem.load(tmp_path / "problem.npz").questions
+    save(problem, tmp_path / "problem.npz")
+    loaded = load(tmp_path / "problem.npz").questions
     assert loaded is not None
     assert (loaded.limits, loaded.texts) == (asked.limits, asked.texts)
     np.testing.assert_array_equal(loaded.right, asked.right)
@@ -51,10 +52,10 @@ def test_a_saved_problem_carries_its_questions(tmp_path: Path, seed: int, words:
 
 
 def test_a_file_of_before_there_were_questions_opens(tmp_path: Path) -> None:
-    Problem(np.full((2, 3, 2), 0.5), np.ones(1)).save(tmp_path / "problem.npz")
+    save(Problem(np.full((2, 3, 2), 0.5), np.ones(1)), tmp_path / "problem.npz")
     with np.load(tmp_path / "problem.npz") as file:
         assert not [name for name in file.files if name.startswith("question")]
-    assert Problem.load(tmp_path / "problem.npz").questions is None
+    assert load(tmp_path / "problem.npz").questions is None
 
 
 def test_a_belief_shows_its_sentences_in_the_order_given() -> None:

@@ -216,7 +216,7 @@ def test_a_trace_in_parts_is_planned_as_the_whole(n, expected_steps):
     whole, _, last = (problem for problem, _ in planned)
     assert whole.n_steps == last.n_steps == max(5, expected_steps)
     for mask in range(8):
-        one, other = (p.label_probabilities(p.n_steps, mask) for p in (whole, last))
+        one, other = (p.table.label_probabilities(p.n_steps, mask) for p in (whole, last))
         assert np.array_equal(one, other)
         known = types.label_table(range(5)).label_probabilities(5, mask)
         assert np.array_equal(one[:, :5], known)

@@ -52,9 +52,9 @@ def plain_value(problem: Problem, policy: Asks) -> float:
             price += delay * problem.trade_off * float(problem.message_cost[j])
             delay *= per_message
         given |= new
-        thought = problem.label_probabilities(step + 1, given)
+        thought = problem.table.label_probabilities(step + 1, given)
         cost = problem.inexplicability_cost * float(belief @ (1 - thought).sum(axis=1))
-        p = problem.answer_probabilities(step + 1, given)
+        p = problem.table.answer_probabilities(step + 1, given)
         later = 0.0
         for code in range(1 << step + 1):
             labels = np.array([code >> i & 1 for i in range(step + 1)], np.uint8)

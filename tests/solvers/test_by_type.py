@@ -215,7 +215,7 @@ def test_a_model_has_labels_and_answers_of_every_message_set(both: Both, seed: i
         for told in rng.integers(0, 1 << erring.n_messages, 8).tolist():
             at = rows_at(model.rows, told), np.arange(erring.n_types)
             for table, wanted in (
-                (model.p, erring.label_probabilities(erring.n_steps, told)),
-                (model.answered, erring.answer_probabilities(erring.n_steps, told)),
+                (model.p, erring.table.label_probabilities(erring.n_steps, told)),
+                (model.answered, erring.table.answer_probabilities(erring.n_steps, told)),
             ):
                 assert np.array_equal(table[:, *at], wanted.T)

@@ -73,7 +73,7 @@ def idle_problem(**changes: object) -> Problem:
 
 def test_a_message_without_effect_is_never_given_at_the_usual_price() -> None:
     problem = idle_problem()
-    assert problem.messages_with_effect() == (0, 2)
+    assert problem.table.effective_of_any() == (0, 2)
     assert messages_worth_giving(problem) == (0, 2)
     for solver in (QMDP(), QHR(), Conformant(), Baseline()):
         policy = solver.plan(problem)

@@ -48,10 +48,10 @@ def worth_by_enumeration(
         cost += price
         factor *= per_message
     shown |= new
-    thought = problem.label_probabilities(step + 1, shown)
+    thought = problem.table.label_probabilities(step + 1, shown)
     zeros = problem.inexplicability_cost * float(belief @ (1 - thought).sum(axis=1))
     value, cost = value - factor * zeros, cost + zeros
-    p = problem.answer_probabilities(step + 1, shown)
+    p = problem.table.answer_probabilities(step + 1, shown)
     for labels in product((0, 1), repeat=step + 1):
         answer = np.array(labels, dtype=np.uint8)
         likelihood = np.where(answer == 1, p, 1 - p).prod(axis=1)

@@ -17,10 +17,10 @@ def export(arguments: list[str]) -> Path:
     if cfg.format != "pomdp":
         raise InputError("format", cfg.format, "pomdp")
     from xplain.explanation.pomdp_file import lines
-    from xplain.explanation.problem import Problem
+    from xplain.explanation.problem_file import load
 
     output = Path(cfg.output)
-    problem = Problem.load(cfg.problem)
+    problem = load(cfg.problem)
     with written_whole(output) as file:
         file.writelines(f"{line}\n" for line in lines(problem))
     return output

@@ -34,6 +34,7 @@ from xplain.experiment.config import CONF, composed
 from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
+from xplain.explanation.problem_file import load
 from xplain.interaction.statistics import half_width
 from xplain.randomness import run_seed
 from xplain.report.run_summary import BY_CHANCE
@@ -56,7 +57,7 @@ def main(arguments: list[str]) -> Row | list[Row]:
     rest = [argument for argument in arguments if argument != "solver=all"]
     names = sorted(path.stem for path in (CONF / "solver").glob("*.yaml"))
     configs = [composed("plan", [*rest, f"solver={name}"], with_hydra=True) for name in names]
-    known = _bounds(Problem.load(configs[0].problem), configs[0])
+    known = _bounds(load(configs[0].problem), configs[0])
     rows = [_plan_one(cfg, known, compared=True) for cfg in configs]
     _compare(rows)
     return rows
@@ -66,7 +67,7 @@ def _plan_one(cfg: DictConfig, known: Bounds | None = None, compared: bool = Fal
     """One solver's row; compared with others, one that cannot ask explains without asking."""
 
     run_seed(cfg.seed)
-    problem = Problem.load(cfg.problem)
+    problem = load(cfg.problem)
     solver = instantiate(cfg.solver)
     told = solver.knows in ("type", "labels") and problem.n_types > 1
     began = time.perf_counter()

@@ -93,8 +93,8 @@ class LiteralPOMDP:
         given = state.given | state.pending
         mask = bitmask(state.known if problem.tracks_knowledge else given)
         count = state.step + 1
-        every = problem.answer_probabilities(count, mask)[state.user_type].tolist()
-        thought = problem.label_probabilities(count, mask)[state.user_type]
+        every = problem.table.answer_probabilities(count, mask)[state.user_type].tolist()
+        thought = problem.table.label_probabilities(count, mask)[state.user_type]
         for labels in product((0, 1), repeat=count):
             probability = 1.0
             for p, label in zip(every, labels, strict=True):
@@ -185,10 +185,10 @@ def reduced_optimal_value(
         belief = tuple(float(p) for p in problem.prior)
     if step == problem.n_steps:
         return 0.0
-    thought = problem.label_probabilities(step + 1, given)
+    thought = problem.table.label_probabilities(step + 1, given)
     expected_zeros = float(np.dot(belief, (1 - thought).sum(axis=1)))
     later = 0.0
-    columns = problem.answer_probabilities(step + 1, given).tolist()
+    columns = problem.table.answer_probabilities(step + 1, given).tolist()
     for labels in product((0, 1), repeat=step + 1):
         joint = []
         for weight, column in zip(belief, columns, strict=True):

@@ -95,7 +95,7 @@ def lines(problem: Problem) -> Iterator[str]:
     forbidden = -1.0 - float(prices.sum()) - problem.inexplicability_cost * steps * (steps + 1) / 2
     for k, shown, t in product(range(steps), range(sets), range(types)):
         here, after = state(k, shown, t), state(k + 1, shown, t)
-        zeros = float((1 - problem.label_probabilities(k + 1, shown)[t]).sum())
+        zeros = float((1 - problem.table.label_probabilities(k + 1, shown)[t]).sum())
         yield f"T: {EXPLAIN} : {here} : {after} 1.0"
         yield f"R: {EXPLAIN} : {here} : * : * {-problem.inexplicability_cost * zeros!r}"
         # At the last step what is answered changes nothing.
@@ -127,7 +127,7 @@ def _check_lines(expected: int) -> None:
 def _answers(problem: Problem, step: int, shown: int) -> list[list[float]]:
     """P(answer | type) for the distinguishable answers to *explain* at (k, H): transitions with
     equal columns answer by their number of 1s, those that all types label alike not at all."""
-    labels = problem.answer_probabilities(step + 1, shown)
+    labels = problem.table.answer_probabilities(step + 1, shown)
     columns: dict[tuple[float, ...], int] = {}
     for i in range(step + 1):
         column = tuple(labels[:, i].tolist())

@@ -7,21 +7,20 @@ probabilities (:mod:`xplain.explanation.label_table`) is the whole model.
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from xplain.errors import InputError, number
+from xplain.errors import InputError, Range, one_of
 from xplain.explanation.again import Again
-from xplain.explanation.asking import PREFIX, Questions
+from xplain.explanation.asking import Questions
 from xplain.explanation.habits import PAPER, Habits
 from xplain.explanation.label_table import MAX_MESSAGES, LabelTable, joined
 from xplain.explanation.message_sets import indices
+from xplain.explanation.problem_values import distribution, each_cost, named, one_number
 
 DiscountPer = Literal["action", "step"]
 
@@ -72,60 +71,35 @@ class Problem:
         types, steps = table.n_types, len(table.p)
         if steps < 1:
             raise InputError("p_explicable", table.p.shape, "at least one transition")
-        cost = _numbers("message_cost", self.message_cost)
-        if not isinstance(given, LabelTable):
-            n = table.relevant.shape[1]
-        elif self.message_names or cost.ndim == 1:
-            n = len(self.message_names or cost)
-        else:
-            raise InputError("message_cost", cost.tolist(), "one cost a message, or message_names")
-        if n > MAX_MESSAGES:
-            raise InputError("message_cost", n, f"at most {MAX_MESSAGES} messages")
+        # A table by type does not say how many messages there are.
+        count = (len(self.message_names) or None) if given is table else table.relevant.shape[1]
+        cost = each_cost(self.message_cost, count)
+        n = len(cost)
         if self.tracks_knowledge and n * self.again.levels > MAX_MESSAGES:
             wanted = f"at most {MAX_MESSAGES // n} with {n} messages, or null for no limit"
             raise InputError("again.most", self.again.most, wanted)
-        cost = np.full(n, float(cost)) if cost.ndim == 0 else cost
-        if cost.shape != (n,) or (cost < 0).any():
-            raise InputError("message_cost", cost.tolist(), f"{n} costs ≥ 0, one a message")
         unknown = table.relevant[table.relevant >= n]
         if unknown.size:
             raise InputError("relevant", int(unknown[0]), f"a message 0 … {n - 1}, or −1")
-        prior = np.asarray(self.prior)
-        prior = np.full(types, 1 / types) if prior.size == 0 else _numbers("prior", prior)
-        if prior.shape != (types,) or (prior < 0).any() or abs(prior.sum() - 1) > 1e-6:
-            raise InputError("prior", prior.tolist(), f"{types} probabilities that sum to 1")
-        # A prior that sums to 1 but for rounding stays to the last bit, however often a problem is
-        # made of another: decisions and replays must not hang on it.
-        if abs(prior.sum() - 1) > 1e-12:
-            prior = prior / prior.sum()
         if self.questions is not None:
             self.questions.check(types, n, steps)
         known, left = divmod(types, len(self.habits))
         if left:
             wanted = f"a divisor of {types}, the columns of the table"
             raise InputError("habits", len(self.habits), wanted)
+        one_of("discount_per", self.discount_per, get_args(DiscountPer))
         checked: dict[str, Any] = {
             "table": table,
             "message_cost": cost,
-            "prior": prior,
-            "inexplicability_cost": _number("inexplicability_cost", self.inexplicability_cost),
-            "trade_off": _number("lambda", self.trade_off),
-            "discount": _number("discount", self.discount),
-            "message_names": tuple(self.message_names) or tuple(f"message_{j}" for j in range(n)),
-            "type_names": tuple(self.type_names) or tuple(f"type_{t}" for t in range(known)),
+            "prior": distribution(self.prior, types),
+            "inexplicability_cost": one_number(
+                "inexplicability_cost", self.inexplicability_cost, Range(0)
+            ),
+            "trade_off": one_number("lambda", self.trade_off, Range(0)),
+            "discount": one_number("discount", self.discount, Range(0, 1, "(]")),
+            "message_names": named("message_names", self.message_names, n, "message"),
+            "type_names": named("type_names", self.type_names, known, "type"),
         }
-        if checked["inexplicability_cost"] < 0:
-            raise InputError("inexplicability_cost", self.inexplicability_cost, "a number ≥ 0")
-        if checked["trade_off"] < 0:
-            raise InputError("lambda", self.trade_off, "a number ≥ 0")
-        if not 0 < checked["discount"] <= 1:
-            raise InputError("discount", self.discount, "a number in (0, 1]")
-        if self.discount_per not in ("action", "step"):
-            raise InputError("discount_per", self.discount_per, "action or step")
-        for key, length in (("message_names", n), ("type_names", known)):
-            if len(checked[key]) != length:
-                raise InputError(key, checked[key], f"{length} names")
-        cost.flags.writeable = False
         for key, value in checked.items():
             object.__setattr__(self, key, value)
 
@@ -177,14 +151,6 @@ class Problem:
         table = self.table.array(self.n_messages).view()
         table.flags.writeable = False
         return table
-
-    def label_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
-        """[N, count] P(label 1) of the first so many transitions, with message set H given."""
-        return self.table.label_probabilities(count, given)
-
-    def answer_probabilities(self, count: int, given: int) -> NDArray[np.float64]:
-        """[N, count] P(answer 1) of the first so many transitions, with message set H given."""
-        return self.table.answer_probabilities(count, given)
 
     def type_belief(self, belief: NDArray[np.float64]) -> NDArray[np.float64]:
         """[M] over user types, of a belief [N] over hidden types."""
@@ -312,19 +278,6 @@ class Problem:
         """
         return self.with_types(self.table.mixed(weights), (name,))
 
-    def pessimistic(self) -> Problem:
-        """The same trace and costs with one type, to whom each transition is as inexplicable as
-        to any.
-
-        Raises:
-            TooLargeError: as :meth:`mixture`.
-        """
-        return self.with_types(self.table.worst(), ("pessimist",))
-
-    def messages_with_effect(self) -> tuple[int, ...]:
-        """The positions of the messages that change some P[t, i, H], ascending."""
-        return self.table.effective_of_any()
-
     def with_messages(self, kept: tuple[int, ...]) -> Problem:
         """The problem with only some messages (ascending positions); the others are never
         given."""
@@ -337,96 +290,6 @@ class Problem:
             message_names=tuple(self.message_names[j] for j in kept),
         )
 
-    def save(self, path: str | Path) -> None:
-        """Writes an ``.npz`` file that :meth:`load` reads; arrays of numbers and text only. The
-        table is ``p_explicable`` [N, m, 2^n] where messages are few, else ``relevant`` [N, r] and
-        ``p_relevant`` [N, m, 2^r]. Where users fail there are ``p_answered``, of the same shape,
-        and ``habits`` [4, F], the fields of :class:`~xplain.explanation.habits.Habits`; where
-        something may be asked, the arrays of :meth:`~xplain.explanation.asking.Questions.arrays`.
-        """
-        table = self.table.compact(self.n_messages)
-        p = table.p.transpose(2, 0, 1)
-        dense = table.is_dense(self.n_messages)
-        tables = {"p_explicable": p} if dense else {"relevant": table.relevant, "p_relevant": p}
-        if table.answers.size:
-            tables["p_answered"] = table.answers.transpose(2, 0, 1)
-        habits = self.habits
-        if not (habits.never_err and habits.take_all_in):
-            fields = (habits.error, habits.accept, habits.forget, habits.prior)
-            tables["habits"] = np.stack(fields)
-        np.savez_compressed(
-            path,
-            **tables,
-            message_cost=self.message_cost,
-            inexplicability_cost=self.inexplicability_cost,
-            trade_off=self.trade_off,
-            discount=self.discount,
-            discount_per=self.discount_per,
-            prior=self.prior,
-            message_names=np.array(self.message_names, dtype=np.str_),
-            type_names=np.array(self.type_names, dtype=np.str_),
-            again=[self.again.price, self.again.most or 0],
-            **(self.questions.arrays() if self.questions else {}),
-        )
-
-    @classmethod
-    def load(cls, path: str | Path) -> Problem:
-        """Reads a file of :meth:`save` (or of anyone: only ``message_cost`` and either
-        ``p_explicable`` or ``relevant`` and ``p_relevant`` are mandatory), never unpickling.
-
-        Raises:
-            InputError: no such file, not an ``.npz``, a missing or unknown array, or values out
-                of range.
-        """
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {key: file[key] for key in file.files}
-        except (OSError, zipfile.BadZipFile, EOFError, ValueError, TypeError) as error:
-            # A ValueError means that numpy would have to unpickle, which is never done here; a
-            # TypeError, that it holds one array.
-            reason = getattr(error, "strerror", None) or "it must hold named arrays of numbers"
-            raise InputError("problem", str(path), f"not a readable .npz file ({reason})") from None
-        questions = Questions.of_arrays(arrays)
-        arrays = {key: value for key, value in arrays.items() if not key.startswith(PREFIX)}
-        by_type, dense = {"relevant", "p_relevant"}, {"p_explicable"}
-        fields = (
-            set(cls.__dataclass_fields__) - {"table", "questions"}
-            | by_type
-            | dense
-            | {"p_answered"}
-        )
-        tables = by_type if arrays.keys() & by_type else dense
-        missing = ({"message_cost"} | tables) - arrays.keys()
-        if missing:
-            raise InputError("problem", str(path), f"lacks {', '.join(sorted(missing))}")
-        unknown = arrays.keys() - fields
-        if unknown:
-            raise InputError(
-                "problem", sorted(unknown)[0], f"unknown array; known: {', '.join(sorted(fields))}"
-            )
-        values: dict[str, Any] = dict(arrays)
-        for key in ("inexplicability_cost", "trade_off", "discount", "discount_per"):
-            if key in values and values[key].ndim == 0:
-                values[key] = values[key].item()
-        for key in ("message_names", "type_names"):
-            if key in values:
-                values[key] = tuple(str(name) for name in values[key].tolist())
-        own = [values.pop(key) for key in ("relevant", "p_relevant") if key in values]
-        if own and "p_explicable" in values:
-            raise InputError("problem", "p_explicable", "not beside relevant and p_relevant")
-        if "again" in values:
-            price, most = _numbers("again", values["again"]).tolist()
-            values["again"] = Again(price, int(most) or None)
-        if "habits" in values:
-            values["habits"] = Habits(*_numbers("habits", values["habits"]))
-        answers = values.pop("p_answered", None)
-        table: Any = None if own else values.pop("p_explicable")
-        if own:
-            table = LabelTable.by_type(own[0], own[1], answers)
-        elif answers is not None:
-            table = LabelTable.dense(table, answers)
-        return cls(table, questions=questions, **values)
-
 
 def _erring(table: LabelTable, habits: Habits) -> LabelTable:
     """A table of users with these habits, side by side within a type."""
@@ -434,23 +297,3 @@ def _erring(table: LabelTable, habits: Habits) -> LabelTable:
     if habits.never_err:
         return erring
     return replace(erring, answers=habits.answered(table.answered))
-
-
-def _numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
-    """A float64 copy without NaN or infinities."""
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(key, value, "numbers") from None
-    if not np.isfinite(array).all():
-        raise InputError(key, array[~np.isfinite(array)].flat[0].item(), "finite numbers")
-    return array
-
-
-def _number(key: str, value: Any) -> float:
-    if isinstance(value, float):  # most are, and a problem is often made of another
-        return number(key, value)
-    array = _numbers(key, value)
-    if array.ndim != 0:
-        raise InputError(key, value, "one number")
-    return float(array)

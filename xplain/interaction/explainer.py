@@ -149,14 +149,5 @@ class Explainer(Planner):
         if not all(len(one) == 3 and 0 <= one[0] <= len(answers) for one in asked):
             raise InputError("session.questions", asked, "(step, number, answer) of each")
         session = self.session(trace, expected, clips)
-        for k in range(len(answers) + 1):
-            for step, number, answer in asked:
-                if step == k:
-                    session.ask(number)
-                    session.answer(answer)
-            if k < len(said):
-                session.tell(said[k])
-            if k < len(answers):
-                session.observe(answers[k])
-        session.take_up(unanswered, bool(state.get("told", False)))
+        session.take_up(asked, said, answers, unanswered, bool(state.get("told", False)))
         return session

@@ -172,20 +172,16 @@ class LazyPolicy:
     def _policy(self) -> Policy:
         return self.solver.plan(self.problem, self.seed)
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
+    def messages(self, step: int, given: int, belief: NDArray[np.float64], *asked: int) -> int:
         """See :meth:`xplain.solvers.base.Asks.messages`."""
-        if self.problem.questions is None:
-            return self._policy.messages(step, given, belief)
-        return asking(self._policy).messages(step, given, belief, asked)
+        return self._policy.messages(step, given, belief, *asked)
 
     def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
         """See :meth:`xplain.solvers.base.Asks.question`."""
         return asking(self._policy).question(step, given, belief, asked)
 
     def values(
-        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
+        self, step: int, given: int, belief: NDArray[np.float64], *asked: int
     ) -> Mapping[int, float]:
         """See :meth:`xplain.solvers.base.Asks.values`."""
-        if self.problem.questions is None:
-            return self._policy.values(step, given, belief)
-        return asking(self._policy).values(step, given, belief, asked)
+        return self._policy.values(step, given, belief, *asked)

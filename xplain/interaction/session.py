@@ -16,7 +16,7 @@ from xplain.explanation.listening import Explained
 from xplain.explanation.message_sets import mask_of, names_of
 from xplain.explanation.problem import Problem
 from xplain.interaction.interaction import Interaction
-from xplain.interaction.moves import Candidate, Move, Say, Show, Why, plain, questions_of
+from xplain.interaction.moves import Candidate, Move, Say, Show, Why, in_order, plain, questions_of
 from xplain.interaction.planner import Planner
 from xplain.solvers.base import Policy, asking
 
@@ -52,7 +52,7 @@ class Session:
         self._questions: list[tuple[int, int, int]] = []  # (step, number, answer)
         self._open = self._chosen = NO_QUESTION
         self._told = False
-        self._decision: tuple[Policy, int, int, NDArray[np.float64], int] | None = None
+        self._decision: tuple[Policy, int, int, NDArray[np.float64], tuple[int, ...]] | None = None
 
     @property
     def trace(self) -> tuple[Any, ...]:
@@ -121,19 +121,9 @@ class Session:
         self._trace += new
         self._talk.problem, self._talk.policy = problem, self._planner.plan(problem)
         if problem.tracks_knowledge:  # more facts may matter now, and a belief is over these
-            self._hear_again()
-
-    def _hear_again(self) -> None:
-        """All that happened, under the problem of today."""
-        self._talk.begin()
-        for k in range(len(self._answers) + 1):
-            for step, number, answer in self._questions:
-                if step == k:
-                    self._talk.hear_answer(number, answer)
-            if k < len(self._said):
-                self._talk.give(self._said[k])
-            if k < len(self._answers):
-                self._talk.hear(self._answers[k])
+            self._talk.begin()
+            talk = self._talk.hear_answer, self._talk.give, self._talk.hear
+            in_order(self._questions, self._said, self._answers, *talk)
 
     def _problem(self, table: LabelTable, trace: Sequence[Any] = ()) -> Problem:
         """What is planned for: the table of a trace, of which so much is known, and what may be
@@ -177,12 +167,26 @@ class Session:
         self._decide()
         self._open = self._chosen = number
 
-    def take_up(self, question: int, told: bool) -> None:
-        """Where it stood: this question is not answered yet, and messages were told of.
+    def take_up(
+        self,
+        questions: Sequence[Sequence[int]],
+        said: Sequence[Sequence[str]],
+        answers: Sequence[ArrayLike],
+        question: int,
+        told: bool,
+    ) -> None:
+        """All that happened (:func:`~xplain.interaction.moves.in_order`), to where it stood: this
+        question is not answered yet, and messages were told of.
 
         Raises:
-            InputError: as :meth:`ask`.
+            InputError: as :meth:`ask`, :meth:`answer`, :meth:`tell` and :meth:`observe`.
         """
+
+        def ask(number: int, answer: int) -> None:
+            self.ask(number)
+            self.answer(answer)
+
+        in_order(questions, said, answers, ask, self.tell, self.observe)
         if question != NO_QUESTION:
             self.ask(question)
         self._told = told
@@ -267,10 +271,7 @@ class Session:
             raise InputError("session", 0, "messages() comes first")
         policy, step, given, belief, no_news = self._decision
         questions = self._talk.problem.questions
-        if questions is None:
-            values = policy.values(step, given, belief)
-        else:
-            values = asking(policy).values(step, given, belief, no_news)
+        values = policy.values(step, given, belief, *no_news)
         ranked = sorted(values.items(), key=lambda item: -item[1])
         asked = None if questions is None or self._chosen < 0 else questions.question(self._chosen)
         return Why(
@@ -313,7 +314,8 @@ class Session:
         """Keeps what the decision rests on, for :meth:`why`."""
         talk = self._talk
         self._open = self._chosen = NO_QUESTION
-        self._decision = (talk.policy, talk.step, talk.said, talk.belief, talk.no_news)
+        no_news = (talk.no_news,) if talk.problem.questions else ()
+        self._decision = talk.policy, talk.step, talk.said, talk.belief, no_news
 
     def _by_name(self, belief: NDArray[np.float64]) -> dict[str, float]:
         problem = self._talk.problem

@@ -295,7 +295,7 @@ def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> Poli
             for own, each, optimal in zip(losses, models, known, strict=True):
                 own[episode] += _loss(each, optimal, k, given, new, belief)
             given |= new
-            p = problem.answer_probabilities(k + 1, given)[user_type]
+            p = problem.table.answer_probabilities(k + 1, given)[user_type]
             labels = (rng.random(k + 1) < p).astype(np.uint8)
             belief = update(problem, belief, given, labels)
     told = [problem.prior @ take(model, optimal[0], 0) for optimal in known]

@@ -154,7 +154,7 @@ class Reminding:
     def kept(self) -> tuple[int, ...]:
         """The messages worth a thought: those with effect, and those that may pay as a delay."""
         own = int(np.bitwise_or.reduce(self.solved.rows.relevant))
-        return tuple(sorted({*self.problem.messages_with_effect(), *indices(own)}))
+        return tuple(sorted({*self.problem.table.effective_of_any(), *indices(own)}))
 
     @property
     def delay(self) -> float:

@@ -24,7 +24,7 @@ def messages_worth_giving(problem: Problem) -> tuple[int, ...]:
     It is left out only where it cannot: what is still to be paid under the optimum is at most
     the optimal cost of an imagined type that finds each transition as inexplicable as any type.
     """
-    effective = problem.messages_with_effect()
+    effective = problem.table.effective_of_any()
     idle = set(range(problem.n_messages)) - set(effective)
     if not idle:
         return effective
@@ -35,7 +35,8 @@ def messages_worth_giving(problem: Problem) -> tuple[int, ...]:
     small = problem.with_messages(effective)
     stalling = {j for j in idle if price[j] < delay * _saying_everything(small)}
     if stalling and len(effective) <= MAX_RELEVANT:
-        ahead = -float(optimal_values(model_of(small.pessimistic().dense())).min())
+        imagined = small.with_types(small.table.worst(), ("worst",))
+        ahead = -float(optimal_values(model_of(imagined.dense())).min())
         stalling = {j for j in stalling if price[j] < delay * ahead}
     return tuple(sorted(stalling.union(effective)))
 
@@ -44,7 +45,7 @@ def _saying_everything(small: Problem) -> float:
     """What the imagined type has still to pay under the optimum, at most, from any step on and
     whatever was given: all messages are given at once, and then nothing is said."""
     everything = (1 << small.n_messages) - 1
-    p = small.label_probabilities(small.n_steps, everything).min(axis=0)
+    p = small.table.label_probabilities(small.n_steps, everything).min(axis=0)
     left, most = 0.0, 0.0
     for cost in reversed((small.inexplicability_cost * np.cumsum(1 - p)).tolist()):
         left = cost + small.discount * left
@@ -88,16 +89,21 @@ class Restricted:
     policy: Policy
     kept: tuple[int, ...]
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
+    def messages(self, step: int, given: int, belief: NDArray[np.float64], *asked: int) -> int:
         """The messages to give before the next *explain*, as
         :class:`xplain.solvers.base.Policy` says."""
-        return expand(self.policy.messages(step, compress(given, self.kept), belief), self.kept)
+        small = compress(given, self.kept)
+        return expand(self.policy.messages(step, small, belief, *asked), self.kept)
 
-    def values(self, step: int, given: int, belief: NDArray[np.float64]) -> Mapping[int, float]:
+    def values(
+        self, step: int, given: int, belief: NDArray[np.float64], *asked: int
+    ) -> Mapping[int, float]:
         """What the sets or messages to choose from are worth, as
         :class:`xplain.solvers.base.Policy` says."""
-        values = self.policy.values(step, compress(given, self.kept), belief)
-        return {expand(mask, self.kept): value for mask, value in values.items()}
+        values = self.policy.values(step, compress(given, self.kept), belief, *asked)
+        return {
+            mask if mask < 0 else expand(mask, self.kept): value for mask, value in values.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -110,20 +116,6 @@ class RestrictedAsking(Restricted):
 
     policy: Asks
 
-    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """As :class:`xplain.solvers.base.Asks` says."""
-        small = compress(given, self.kept)
-        return expand(self.policy.messages(step, small, belief, asked), self.kept)
-
     def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
         """As :class:`xplain.solvers.base.Asks` says."""
         return self.policy.question(step, compress(given, self.kept), belief, asked)
-
-    def values(
-        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
-    ) -> Mapping[int, float]:
-        """As :class:`xplain.solvers.base.Asks` says."""
-        values = self.policy.values(step, compress(given, self.kept), belief, asked)
-        return {
-            mask if mask < 0 else expand(mask, self.kept): value for mask, value in values.items()
-        }
