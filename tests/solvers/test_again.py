@@ -27,10 +27,10 @@ from xplain.solvers.bounds import bounds
 from xplain.solvers.cached_policy import CachedPolicy
 from xplain.solvers.hsvi.knowing import CertifiedKnowing
 from xplain.solvers.hsvi.solver import Certified
-from xplain.solvers.knowing_evaluation import simulate
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.open_loop import Silent
 from xplain.solvers.policy_evaluation import evaluate
+from xplain.solvers.policy_simulation import simulate_knowing
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.qmdp import QMDP
 from xplain.solvers.reminding import PATIENCE, Reminding
@@ -204,7 +204,7 @@ def test_exact_values_are_those_by_enumeration_and_simulation_is_near(
                 assert worth.value_is == "exact"
                 assert worth.value == pytest.approx(value, abs=1e-9)
                 assert worth.cost == pytest.approx(cost, abs=1e-9)
-            drawn = simulate(one, CachedPolicy(policy), 300, seed)
+            drawn = simulate_knowing(one, CachedPolicy(policy), 300, seed)
             assert drawn.value_is == "simulated"
             assert drawn.value == pytest.approx(value, abs=5 * drawn.value_se + 1e-9)
             assert drawn.cost == pytest.approx(cost, abs=5 * drawn.cost_se + 1e-9)
@@ -217,7 +217,7 @@ def test_values_with_questions_are_exact_too(seed: int) -> None:
     policy, optimum = Certified(gap=1e-9).plan(problem), literal_optimal_value(problem)
     worth = evaluate(problem, policy)
     assert (worth.value_is, worth.value) == ("exact", pytest.approx(optimum, abs=1e-7))
-    drawn = simulate(problem, CachedPolicy(policy), 400, seed)
+    drawn = simulate_knowing(problem, CachedPolicy(policy), 400, seed)
     assert drawn.value == pytest.approx(optimum, abs=5 * drawn.value_se + 1e-9)
 
 

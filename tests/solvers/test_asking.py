@@ -20,7 +20,8 @@ from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.hsvi.solver import Certified
 from xplain.solvers.inquiry import NO_NEWS, make_room, mask_of, open_questions, words_of
 from xplain.solvers.model import model_of
-from xplain.solvers.policy_evaluation import evaluate, simulate
+from xplain.solvers.policy_evaluation import evaluate
+from xplain.solvers.policy_simulation import simulate
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.qmdp import QMDP
 from xplain.testing.problems import random_problem, with_questions

@@ -17,7 +17,8 @@ from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers.base import Policy
 from xplain.solvers.known_type import Conformant
-from xplain.solvers.policy_evaluation import evaluate, simulate
+from xplain.solvers.policy_evaluation import evaluate
+from xplain.solvers.policy_simulation import simulate
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
@@ -152,7 +153,7 @@ def test_simulation_needs_no_values_of_known_types(monkeypatch: pytest.MonkeyPat
     problem = confident_problem()
     policy = QMDP().plan(problem)
     exact, close = evaluate(problem, policy), simulate(problem, policy, 1000, seed=1)
-    monkeypatch.setattr("xplain.solvers.policy_evaluation.KNOWN_BYTES", 0)
+    monkeypatch.setattr("xplain.solvers.policy_simulation.KNOWN_BYTES", 0)
     rough = simulate(problem, policy, 1000, seed=1)
     assert abs(exact.value - rough.value) < 4 * rough.value_se
     assert abs(exact.cost - rough.cost) < 4 * rough.cost_se

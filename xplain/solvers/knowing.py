@@ -14,17 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
-from xplain.numba_kernels import inlined, lean_kernel
-from xplain.solvers.count_lattice import copy
-from xplain.solvers.inquiry import Inquiry, hear_answer, make_inquiry, open_questions
+from xplain.numba_kernels import inlined
+from xplain.solvers.inquiry import Inquiry, make_inquiry
 from xplain.solvers.random_words import next_uniform
 from xplain.solvers.reminding import PATIENCE, Reminding
 from xplain.solvers.rows import row
 
 ROUNDING = 1e-12
 """Actions worth the same but for this are equal, the first is taken."""
-SPREAD = np.uint64(0xD1342543DE82EF95)
-"""Between the streams of two simulations."""
 
 
 class Knowing(NamedTuple):
@@ -276,39 +273,3 @@ def expected_loss(model, counter, step, given, start, belief, labels):  # type: 
             hear(model, k, labels, belief)
             scale *= model.discount
     return total
-
-
-@lean_kernel
-def gains(model, counter, step, given, belief, after, path, labels, room, rolls, seed):  # type: ignore[no-untyped-def]
-    """Finds questions, and fills ``room.news`` with what they are worth. Returns how many.
-
-    ``after`` and ``path`` are [S], ``labels`` is [m], to work in.
-    """
-    count = open_questions(model.inquiry, step, 0, belief, room)
-    if count == 0:
-        return 0
-    now = _mean_loss(model, counter, step, given, belief, path, labels, rolls, seed)
-    for i in range(count):
-        worth = now - model.inquiry.cost
-        for answer in range(2):
-            copy(belief, after)
-            share = hear_answer(model.inquiry, room.found[i], 0, answer, after)
-            if share > 0.0:
-                loss = _mean_loss(model, counter, step, given, after, path, labels, rolls, seed)
-                worth -= share * loss
-        room.news[i] = worth
-    return count
-
-
-@inlined
-def _mean_loss(model, counter, step, given, belief, path, labels, rolls, seed):  # type: ignore[no-untyped-def]
-    """Over users spread evenly over the belief, with the same random numbers for each belief."""
-    total, done, state = 0.0, 0.0, 0
-    for i in range(rolls):
-        while state < len(belief) - 1 and done + belief[state] <= (i + 0.5) / rolls:
-            done += belief[state]
-            state += 1
-        counter[0] = seed + np.uint64(i) * SPREAD
-        copy(belief, path)
-        total += expected_loss(model, counter, step, given, state, path, labels)
-    return total / rolls

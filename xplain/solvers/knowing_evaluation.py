@@ -1,21 +1,17 @@
 """What a policy is worth where messages may be missed or forgotten, as
-:mod:`xplain.solvers.policy_evaluation`: a walk through every belief over what users know, or
-simulation.
-"""
+:mod:`xplain.solvers.policy_evaluation`: a walk through every belief over what users know."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.asking import NO_QUESTION
-from xplain.explanation.belief import answered, rounded, told, update
+from xplain.explanation.belief import answered, rounded, told
 from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
-from xplain.randomness import stream
 from xplain.solvers.answering import Answering
 from xplain.solvers.base import PolicyValue
 from xplain.solvers.cached_policy import CachedPolicy
@@ -55,8 +51,7 @@ def walk(
         later: Layer = {}
         for (past, _), weight in layer.items():
             mass = float(weight.sum())
-            asked = (past.asked,) if problem.questions else ()
-            new = policy.messages(k, past.said, weight / mass, *asked)
+            new = policy.messages(k, past.said, weight / mass, past.asked)
             price, factor = known.paid(past.said, new)
             heard = told(problem, weight, new)
             zeros = float(heard @ known.explain_cost(k))
@@ -105,45 +100,3 @@ def _ask(
         for answer, share in answers.to_question(q, belief):
             open_.append((after, mass * share * answered(problem, belief, 0, q, answer)))
     return settled, plain, discounted
-
-
-def simulate(problem: Problem, policy: CachedPolicy, episodes: int, seed: int) -> PolicyValue:
-    """The worth as a mean over simulated users, with its standard error.
-
-    As :func:`xplain.solvers.policy_evaluation.simulate`, what a decision loses against being told
-    the state counts. Answers are drawn from what the belief expects, which is exact.
-    """
-    plain = Reminding(replace(problem, discount=1.0))
-    known, rng = (Reminding(problem), plain), stream(seed, "policy_value")
-    answers = Answering(problem)
-    losses = np.zeros((2, episodes))
-    for episode in range(episodes):
-        past, belief = Past(), problem.start
-        for k in range(problem.n_steps):
-            while problem.questions is not None:
-                q = policy.question(k, past.said, belief, past.asked)
-                if q == NO_QUESTION:
-                    break
-                losses[:, episode] += np.array([past.discount, 1]) * problem.questions.limits.cost
-                (answer, yes), *_ = answers.to_question(q, belief)
-                answer ^= int(rng.random() >= yes)
-                belief = answered(problem, belief, 0, q, answer)
-                past = past._replace(asked=past.asked | 1 << q)
-            asked = (past.asked,) if problem.questions else ()
-            new = policy.messages(k, past.said, belief, *asked)
-            heard = told(problem, belief, new)
-            said = problem.again.after(past.said, new, problem.n_messages)
-            for own, each, scale in zip(losses, known, (past.discount, 1.0), strict=True):
-                price, delay = each.paid(past.said, new)
-                after = delay * (heard @ each.explained(k, said)) - price
-                own[episode] += scale * (belief @ each.known(k, past.said) - after)
-            discount = past.discount * known[0].paid(0, new)[1] * problem.discount
-            past = Past(said, past.asked, discount)
-            state = rng.choice(len(heard), p=heard / heard.sum())
-            p = problem.table.answered[: k + 1].reshape(k + 1, -1)[:, state]
-            belief = update(problem, heard, said, (rng.random(k + 1) < p).astype(np.uint8))
-    sure = np.array([problem.start @ each.known(0, 0) for each in known])
-    value, undiscounted = sure - losses.mean(axis=1)
-    value_se, cost_se = losses.std(axis=1, ddof=1) / np.sqrt(episodes)
-    means, errors = (float(value), float(-undiscounted)), (float(value_se), float(cost_se))
-    return PolicyValue(*means, "simulated", *errors, len(policy.decisions))

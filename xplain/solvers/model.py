@@ -180,13 +180,34 @@ class SetPrices(NamedTuple):
 
 def set_prices(model: Model) -> SetPrices:
     """Prices of all sets of messages of a dense problem."""
-    sets = np.arange(model.n_rows)
+    return prices_of_sets(np.arange(model.n_rows), model.price, model.message_discount)
+
+
+def prices_of_sets(
+    sets: NDArray[np.int64], prices: NDArray[np.float64], message_discount: float
+) -> SetPrices:
+    """Prices of some sets of messages, given each message's."""
     price, discount = np.zeros(len(sets)), np.ones(len(sets))
-    for j in np.argsort(model.price, kind="stable"):
+    for j in np.argsort(prices, kind="stable"):
         has = sets >> j & 1 == 1
-        price[has] += discount[has] * model.price[j]
-        discount[has] *= model.message_discount
+        price[has] += discount[has] * prices[j]
+        discount[has] *= message_discount
     return SetPrices(price, discount)
+
+
+def discounts(model: Model, step: int, given: NDArray[np.int64]) -> NDArray[np.float64]:
+    """What discounts the *explain* that ends a step, H including the step's messages."""
+    actions: NDArray[np.float64] = model.message_discount ** np.bitwise_count(given)
+    return actions * model.discount**step
+
+
+def paid(model: Model, given: int, new: int) -> tuple[float, float, float]:
+    """Discount at the start of the messages (but for steps), the discounted price of them from
+    there, the cheapest first, and the plain price."""
+    per_message = model.message_discount
+    prices = sorted(p for j, p in enumerate(model.price) if new >> j & 1)
+    discounted = sum(p * per_message**i for i, p in enumerate(prices))
+    return per_message ** given.bit_count(), float(discounted), float(sum(prices))
 
 
 def best_set(values: Mapping[int, float]) -> int:

@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.explanation.asking import NO_QUESTION
-from xplain.explanation.belief import answered, update
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
-from xplain.randomness import stream
 from xplain.solvers import knowing_evaluation
 from xplain.solvers.base import Policy, PolicyValue
 from xplain.solvers.cached_policy import CachedPolicy
@@ -31,21 +29,13 @@ from xplain.solvers.count_lattice import (
     same,
 )
 from xplain.solvers.inquiry import answers_at, mask_of, words_for, words_of
-from xplain.solvers.model import (
-    Model,
-    explain_cost_at,
-    model_of,
-    optimal_values,
-    table_bytes,
-    take,
-)
+from xplain.solvers.model import Model, discounts, explain_cost_at, model_of, paid
+from xplain.solvers.policy_simulation import simulate, simulate_knowing
 
 NEGLIGIBLE = 1e-16
 """Joint probability below which an answer is not followed, at the precision EXACT."""
 EXACT = 1e-9
 """A walk is called exact when what it left out cannot change the value by more than this."""
-KNOWN_BYTES = 1 << 30
-"""Simulations are compared with known types where a table of their values takes no more."""
 
 
 def evaluate(
@@ -70,7 +60,7 @@ def evaluate(
     asked = CachedPolicy(policy)
     if problem.tracks_knowledge:
         found = knowing_evaluation.walk(problem, asked, beliefs, precision)
-        return found or knowing_evaluation.simulate(problem, asked, episodes, seed)
+        return found or simulate_knowing(problem, asked, episodes, seed)
     exact = _walk(problem, asked, beliefs, precision)
     return exact if exact is not None else simulate(problem, asked, episodes, seed)
 
@@ -81,44 +71,41 @@ def _walk(
     """None where more than ``limit`` beliefs are reachable, or will be: a layer is seldom smaller
     than the one before, so there must be room for as many of its size as there are steps to come.
     Decisions of a policy that searches are dear: none is asked for in vain."""
-    given = np.zeros(1, dtype=np.int64)
-    weight = problem.prior[None].copy()
     asked, value, cost, left_out = 0, 0.0, 0.0, 0.0
     model = model_of(problem)
     words = words_for(len(model.inquiry.answered))
     evidence = np.zeros((1, problem.n_types + words), dtype=np.int64)
+    layer = Layer(np.zeros(1, dtype=np.int64), problem.prior[None].copy(), evidence)
     worst = _worst_remaining(model)
     budget = precision / (2 * problem.n_steps * max(worst, 1))
     negligible = NEGLIGIBLE * precision / EXACT
     for k in range(problem.n_steps):
-        if asked + (problem.n_steps - k) * len(given) > limit:
+        if asked + (problem.n_steps - k) * len(layer.given) > limit:
             return None
         if words:
-            (given, weight, evidence), plain, price = _ask(
-                model, policy, k, Layer(given, weight, evidence)
-            )
+            layer, plain, price = _ask(model, policy, k, layer)
             cost += plain
             value -= price
+        given, weight, evidence = layer
         asked += len(given)
         mass = weight.sum(axis=1)
         for b in range(len(given)):
-            no_news = [mask_of(evidence[b, problem.n_types :])] if words else []
-            new = policy.messages(k, int(given[b]), weight[b] / mass[b], *no_news)
-            factor, price, undiscounted = _give(model, int(given[b]), new)
+            no_news = mask_of(evidence[b, problem.n_types :])
+            new = policy.messages(k, int(given[b]), weight[b] / mass[b], no_news)
+            factor, price, undiscounted = paid(model, int(given[b]), new)
             given[b] |= new
             value -= mass[b] * model.discount**k * factor * price
             cost += mass[b] * undiscounted
         sets, which = np.unique(given, return_inverse=True)
         zeros = (weight * explain_cost_at(model, k, sets)[which]).sum(axis=1)
         cost += float(zeros.sum())
-        value -= float(zeros @ _discounts(model, k, given))
+        value -= float(zeros @ discounts(model, k, given))
         if k + 1 < problem.n_steps:
-            layer = _next_layer(model, k, given, weight, evidence, limit, negligible)
-            if layer is None:
+            found = _next_layer(model, k, layer, limit, negligible)
+            if found is None:
                 return None
-            given, weight, evidence, tail = layer
-            kept, faint = _likely(weight, budget)
-            given, weight, evidence = given[kept], weight[kept], evidence[kept]
+            layer, tail = found
+            layer, faint = _likely(layer, budget)
             left_out += (tail + faint) * worst
     if left_out > precision * (1 + abs(value)):
         return None
@@ -141,7 +128,7 @@ def _ask(model: Model, policy: CachedPolicy, step: int, layer: Layer) -> tuple[L
             here[1] = here[1] + weight
             continue
         plain += mass * inquiry.cost
-        discounted += mass * inquiry.cost * float(_discounts(model, step, np.array([given]))[0])
+        discounted += mass * inquiry.cost * float(discounts(model, step, np.array([given]))[0])
         yes = answers_at(inquiry, q, int(given))
         for p in (yes, 1 - yes):
             after, joint = evidence.copy(), weight * p
@@ -155,13 +142,15 @@ def _ask(model: Model, policy: CachedPolicy, step: int, layer: Layer) -> tuple[L
     return Layer(np.array(rows[0]), np.array(rows[1]), np.array(rows[2])), plain, discounted
 
 
-def _likely(weight: NDArray[np.float64], budget: float) -> tuple[NDArray[np.int64], float]:
+def _likely(layer: Layer, budget: float) -> tuple[Layer, float]:
     """All but the unlikeliest beliefs, whose probabilities together stay within the budget."""
-    mass = weight.sum(axis=1)
+    mass = layer.weight.sum(axis=1)
     order = np.argsort(mass, kind="stable")
     total = np.cumsum(mass[order])
     dropped = int(np.searchsorted(total, budget, side="right"))
-    return np.sort(order[dropped:]), float(total[dropped - 1]) if dropped else 0.0
+    kept = np.sort(order[dropped:])
+    likely = Layer(layer.given[kept], layer.weight[kept], layer.evidence[kept])
+    return likely, float(total[dropped - 1]) if dropped else 0.0
 
 
 def _worst_remaining(model: Model) -> float:
@@ -170,45 +159,22 @@ def _worst_remaining(model: Model) -> float:
     return model.inexplicability * m * (m + 1) / 2 + float(model.price.sum())
 
 
-def _discounts(model: Model, step: int, given: NDArray[np.int64]) -> NDArray[np.float64]:
-    """What discounts the *explain* that ends a step, H including the step's messages."""
-    actions: NDArray[np.float64] = model.message_discount ** np.bitwise_count(given)
-    return actions * model.discount**step
-
-
-def _give(model: Model, given: int, new: int) -> tuple[float, float, float]:
-    """Discount at the start of the messages (but for steps), the discounted price of them from
-    there, the cheapest first, and the plain price."""
-    per_message = model.message_discount
-    prices = sorted(p for j, p in enumerate(model.price) if new >> j & 1)
-    discounted = sum(p * per_message**i for i, p in enumerate(prices))
-    return per_message ** given.bit_count(), float(discounted), float(sum(prices))
-
-
 def _next_layer(
-    model: Model,
-    step: int,
-    given: NDArray[np.int64],
-    weight: NDArray[np.float64],
-    evidence: NDArray[np.int64],
-    limit: int,
-    negligible: float,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], float] | None:
+    model: Model, step: int, layer: Layer, limit: int, negligible: float
+) -> tuple[Layer, float] | None:
     """The beliefs after the answers, and the probability of what was left out."""
+    width = layer.evidence.shape[1]
     after = Layer(
         np.empty(limit + 1, np.int64),
         np.empty((limit + 1, model.n_types)),
-        np.empty((limit + 1, evidence.shape[1]), np.int64),
+        np.empty((limit + 1, width), np.int64),
     )
-    words = evidence.shape[1] - model.n_types
-    answers = make_answers(limit + 1, model.n_steps, model.n_types, words)
+    answers = make_answers(limit + 1, model.n_steps, model.n_types, width - model.n_types)
     slots = np.full(1 << (4 * limit + 3).bit_length(), -1, np.int64)
-    found, tail = _expand_layer(
-        model, step, Layer(given, weight, evidence), after, slots, answers, negligible
-    )
+    found, tail = _expand_layer(model, step, layer, after, slots, answers, negligible)
     if found < 0:
         return None
-    return after.given[:found], after.weight[:found], after.evidence[:found], tail
+    return Layer(after.given[:found], after.weight[:found], after.evidence[:found]), tail
 
 
 class Layer(NamedTuple):
@@ -263,79 +229,3 @@ def _expand_layer(model, step, layer, after, slots, answers, negligible):  # typ
                     break
                 slot = (slot + 1) & (len(slots) - 1)
     return found, left_out
-
-
-def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> PolicyValue:
-    """The policy's worth as a mean over simulated users, with its standard error.
-
-    Counted is what each decision is expected to lose against being told the type, not what the
-    labels drawn happen to cost: :func:`_loss`. The mean is the same, its error several times
-    smaller (a control variate).
-    """
-    rng, model = stream(seed, "policy_value"), model_of(problem)
-    models = model, model._replace(discount=1.0, message_discount=1.0)
-    known = [_known_values(problem, each) for each in models]
-    losses = np.zeros((2, episodes))
-    asked = policy if isinstance(policy, CachedPolicy) else CachedPolicy(policy)
-    for episode in range(episodes):
-        user_type = rng.choice(problem.n_types, p=problem.prior)
-        given, belief, no_news = 0, problem.prior, 0
-        for k in range(problem.n_steps):
-            while problem.questions is not None:
-                q = asked.question(k, given, belief, no_news)
-                if q == NO_QUESTION:
-                    break
-                # Of W, below, it changes nothing: what it tells is expected there.
-                price = problem.questions.limits.cost
-                losses[0, episode] += price * float(_discounts(model, k, np.array([given]))[0])
-                losses[1, episode] += price
-                answer = int(rng.random() < answers_at(model.inquiry, q, given)[user_type])
-                belief, no_news = answered(problem, belief, given, q, answer), no_news | 1 << q
-            new = asked.messages(k, given, belief, no_news)
-            for own, each, optimal in zip(losses, models, known, strict=True):
-                own[episode] += _loss(each, optimal, k, given, new, belief)
-            given |= new
-            p = problem.table.answer_probabilities(k + 1, given)[user_type]
-            labels = (rng.random(k + 1) < p).astype(np.uint8)
-            belief = update(problem, belief, given, labels)
-    told = [problem.prior @ take(model, optimal[0], 0) for optimal in known]
-    value, undiscounted = told - losses.mean(axis=1)
-    value_se, cost_se = losses.std(axis=1, ddof=1) / np.sqrt(episodes)
-    return PolicyValue(
-        float(value),
-        float(-undiscounted),
-        "simulated",
-        float(value_se),
-        float(cost_se),
-        len(asked.decisions),
-    )
-
-
-def _known_values(problem: Problem, model: Model) -> NDArray[np.float64]:
-    """V*_t(k, H): [m + 1, rows, N]; zeros where they would take too much memory."""
-    if table_bytes(problem) <= KNOWN_BYTES:
-        return optimal_values(model)
-    shape = model.n_steps + 1, model.n_rows, model.n_types
-    return np.broadcast_to(np.zeros(()), shape)
-
-
-def _loss(
-    model: Model,
-    optimal: NDArray[np.float64],
-    step: int,
-    given: int,
-    new: int,
-    belief: NDArray[np.float64],
-) -> float:
-    """What a decision costs more than being told the type there, expected before the answers and
-    discounted to the start: W(k, H, b) − E[what is paid now + W(k + 1, H', b')], where W(k, H, b) =
-    Σ_t b(t) V_t(k, H). The belief is a martingale and W is linear in it, so E[W(k + 1, H', b')] =
-    W(k + 1, H', b), and a policy is worth W at the root less the losses to come on the way: for any
-    V that is 0 after the last step, and with little noise for V*, ``optimal``."""
-    factor, price, _ = _give(model, given, new)
-    shown = given | new
-    later = model.discount * take(model, optimal[step + 1], shown)
-    explained = belief @ (later - explain_cost_at(model, step, shown))
-    after = model.message_discount ** new.bit_count() * explained - price
-    now = belief @ take(model, optimal[step], given)
-    return float(model.discount**step * factor * (now - after))

@@ -25,7 +25,7 @@ from xplain.randomness import derived_seed
 from xplain.solvers.base import TIE, Policy
 from xplain.solvers.count_lattice import copy
 from xplain.solvers.inquiry import Inquiry, Room, hear_answer, make_room, open_questions
-from xplain.solvers.knowing import SPREAD, Knowing, gains, make_knowing
+from xplain.solvers.knowing import Knowing, expected_loss, make_knowing
 from xplain.solvers.memory import check_memory
 from xplain.solvers.pomcp.rollout import roll_qmdp
 from xplain.solvers.pomcp.search_model import SearchModel, model_bytes, model_of
@@ -39,6 +39,8 @@ ROLLS = 40
 """Simulations from a belief, spread evenly over its types; one a type at least."""
 FAINT = 1e-6
 """A type less likely than this is not simulated."""
+SPREAD = np.uint64(0xD1342543DE82EF95)
+"""Between the streams of two simulations."""
 
 
 def asks_by_value(policy: Policy, problem: Problem, seed: int, memory_gib: float = 8.0) -> Policy:
@@ -124,7 +126,7 @@ class SimulatedKnowing:
         labels = np.empty(len(self.model.explain), np.bool_)
         counter, sure = np.zeros(1, np.uint64), np.ascontiguousarray(belief)
         where, spaces = (self.model, counter, step, given), (after, path, labels, room)
-        count = gains(*where, sure, *spaces, ROLLS // 2, self.stream)
+        count = _look_knowing(*where, sure, *spaces, ROLLS // 2, self.stream)
         return room._replace(found=room.found[:count], news=room.news[:count])
 
 
@@ -195,3 +197,39 @@ def _earned(model, tree, step, given, belief, rolls, seed):  # type: ignore[no-u
                 tree.counter[0] = seed + np.uint64(t * rolls + i) * SPREAD
                 total += belief[t] / each * roll_qmdp(model, tree, step, given, t, belief)
     return total
+
+
+@lean_kernel
+def _look_knowing(model, counter, step, given, belief, after, path, labels, room, rolls, seed):  # type: ignore[no-untyped-def]
+    """Finds questions, and fills ``room.news`` with what they are worth. Returns how many.
+
+    ``after`` and ``path`` are [S], ``labels`` is [m], to work in.
+    """
+    count = open_questions(model.inquiry, step, 0, belief, room)
+    if count == 0:
+        return 0
+    now = _mean_loss(model, counter, step, given, belief, path, labels, rolls, seed)
+    for i in range(count):
+        worth = now - model.inquiry.cost
+        for answer in range(2):
+            copy(belief, after)
+            share = hear_answer(model.inquiry, room.found[i], 0, answer, after)
+            if share > 0.0:
+                loss = _mean_loss(model, counter, step, given, after, path, labels, rolls, seed)
+                worth -= share * loss
+        room.news[i] = worth
+    return count
+
+
+@inlined
+def _mean_loss(model, counter, step, given, belief, path, labels, rolls, seed):  # type: ignore[no-untyped-def]
+    """Over users spread evenly over the belief, with the same random numbers for each belief."""
+    total, done, state = 0.0, 0.0, 0
+    for i in range(rolls):
+        while state < len(belief) - 1 and done + belief[state] <= (i + 0.5) / rolls:
+            done += belief[state]
+            state += 1
+        counter[0] = seed + np.uint64(i) * SPREAD
+        copy(belief, path)
+        total += expected_loss(model, counter, step, given, state, path, labels)
+    return total / rolls

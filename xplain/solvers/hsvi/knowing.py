@@ -13,20 +13,19 @@ import time
 from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import TooLargeError
-from xplain.explanation import knowledge
 from xplain.explanation.belief import answered, rounded, told
-from xplain.explanation.message_sets import indices, subsets
+from xplain.explanation.message_sets import subsets
 from xplain.solvers.answering import MAX_SETS, Answering, every_told, kept_of
 from xplain.solvers.base import best_question
+from xplain.solvers.hsvi.deaf_plans import DeafPlans
 from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.knowing import make_knowing
-from xplain.solvers.model import best_set
+from xplain.solvers.model import best_set, prices_of_sets
 from xplain.solvers.reminding import Reminding
 
 CLOSE = 0.02
@@ -78,8 +77,7 @@ class Bounded:
         self.policy, self.problem = policy, policy.problem
         self.model = make_knowing(policy)
         self.answers = Answering(self.problem)
-        self._planned: dict[tuple[int, int], NDArray[np.float64]] = {}
-        self._worths: dict[tuple[int, int, int], NDArray[np.float64]] = {}
+        self.plans = DeafPlans(policy, self.model)
         self.kept = self._worth_giving()
         if len(self.kept) > MAX_SETS:
             raise TooLargeError(
@@ -95,7 +93,7 @@ class Bounded:
         delay, kept = 1 - policy.delay, list(policy.kept)
         if delay == 0 or len(kept) == problem.n_messages:
             return policy.kept
-        plans = np.array([self._plans(k, 0) for k in range(problem.n_steps)])
+        plans = np.array([self.plans.worths(k, 0) for k in range(problem.n_steps)])
         if problem.levels:  # where more was said, all but silence are worth something else
             plans = plans[:, -1:]
         later = np.append(-plans.min(axis=2).max(axis=1)[1:], 0.0)
@@ -129,57 +127,7 @@ class Bounded:
     def _between(self, step: int, given: int, weight: NDArray[np.float64]) -> tuple[float, float]:
         """Bounds of what a belief, or a part of one, is worth."""
         upper = float(weight @ self.policy.known(step, given))
-        return upper, min(float((self._plans(step, given) @ weight).max()), upper)
-
-    def _plans(self, step: int, given: int) -> NDArray[np.float64]:
-        """[U, S] what plans that heed no answer are worth: for each type what QMDP would say to it
-        if it knew the type alone; and silence."""
-        if (step, given) not in self._planned:
-            plans = range(len(self._schedules))
-            found = np.array([self._plan(u, step, given) for u in plans])
-            self._planned[step, given] = found
-        return self._planned[step, given]
-
-    def _plan(self, u: int, step: int, given: int) -> NDArray[np.float64]:
-        """[S] what is left of a plan is worth; it leaves out what may not be said any more."""
-        model, problem, types = self.model, self.problem, self.problem.n_types
-        if step == problem.n_steps:
-            return np.zeros(problem.start.size)
-        if (u, step, given) not in self._worths:
-            said = self._schedules[u][step] & problem.may_say(given)
-            after = problem.again.after(given, said, problem.n_messages) if problem.levels else 0
-            later = knowledge.expected_after_forgetting(
-                self._plan(u, step + 1, after).reshape(-1, types),
-                problem.table.relevant,
-                problem.forget,
-            )
-            value = model.discount * later - model.explain_cost[step].reshape(-1, types)
-            prices = problem.prices(given)
-            for j in sorted(indices(said), key=lambda j: -prices[j]):
-                landed = knowledge.with_message(value, problem.table.relevant, j)
-                heard = problem.accept * landed + (1 - problem.accept) * value
-                value = model.message_discount * heard - prices[j]
-            self._worths[u, step, given] = value.ravel()
-        return self._worths[u, step, given]
-
-    @cached_property
-    def _schedules(self) -> list[list[int]]:
-        """What each plan says, step by step."""
-        types = range(self.problem.n_types)
-        return [*map(self._schedule, types), [0] * self.problem.n_steps]
-
-    def _schedule(self, t: int) -> list[int]:
-        """What QMDP says to a user of a type, step by step, if nothing is heard of them."""
-        problem, schedule, given = self.problem, list[int](), 0
-        belief = np.zeros((problem.table.p.shape[1], problem.n_types))
-        belief[0, t] = 1
-        for k in range(problem.n_steps):
-            said = self.policy.messages(k, given, belief.ravel())
-            given = problem.again.after(given, said, problem.n_messages)
-            belief = told(problem, belief.ravel(), said).reshape(belief.shape)
-            belief = knowledge.forget(belief, problem.table.relevant, problem.forget)
-            schedule.append(said)
-        return schedule
+        return upper, min(float((self.plans.worths(step, given) @ weight).max()), upper)
 
     def search(self, root: Node, effort: Effort) -> None:
         """Trials until the root's gap is closed or the effort is spent."""
@@ -229,18 +177,14 @@ class Bounded:
         prices, may_say = problem.prices(node.given), problem.may_say(node.given)
         free = [j for j in self.kept if may_say >> j & 1]
         sets, heard = subsets(free), every_told(problem, node.belief, free)
-        price, delay = np.zeros(len(sets)), np.ones(len(sets))
-        for j in sorted(free, key=lambda j: prices[j]):
-            said = sets >> j & 1 == 1
-            price[said] += delay[said] * prices[j]
-            delay[said] *= model.message_discount
+        price, delay = prices_of_sets(sets, prices, model.message_discount)
         base = -price - delay * (heard @ self.policy.explain_cost(k))
         upper, lower = np.empty((2, len(sets)))
         givens = np.array([self._given(node, chosen) for chosen in sets.tolist()])
         for given in np.unique(givens).tolist():
             own = givens == given
             upper[own] = heard[own] @ self.policy.explained(k, given)
-            worth = kept_of(problem, heard[own]) @ self._plans(k + 1, given).T
+            worth = kept_of(problem, heard[own]) @ self.plans.worths(k + 1, given).T
             lower[own] = worth.max(axis=1)
         later = delay * model.discount
         upper, lower = delay * upper - price, base + later * lower

@@ -25,7 +25,7 @@ the mean forgets only slowly.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal, get_args
 
@@ -40,7 +40,7 @@ from xplain.solvers.base import Knowledge, Policy, best_question
 from xplain.solvers.inquiry import Inquiry
 from xplain.solvers.knowing import make_knowing
 from xplain.solvers.memory import check_memory
-from xplain.solvers.model import best_set, one_by_one, table_bytes
+from xplain.solvers.model import best_set, table_bytes
 from xplain.solvers.pomcp.forest import Forest, Run
 from xplain.solvers.pomcp.kernel import simulate
 from xplain.solvers.pomcp.knowing import KnowingSearch, simulate_knowing
@@ -110,7 +110,7 @@ class POMCP:
         check_memory("pomcp", size, self.memory_gib, "search less, or qhr plans without tables")
         model, known_is_exact = model_of(small), self.backup == "max" and self.rollout == "qmdp"
         forest = self._forest(small, model.reduced.inquiry, seed)
-        search = Search(model, self._options(small), forest, known_is_exact)
+        search = Search(small, self._options(small), forest, model, known_is_exact)
         return (RestrictedAsking if small.questions else Restricted)(search, kept)
 
     def _plan_knowing(self, problem: Problem, seed: int) -> Policy:
@@ -120,7 +120,7 @@ class POMCP:
         check_memory("pomcp", size, self.memory_gib, "fewer messages or habits fit")
         model = KnowingSearch(make_knowing(Reminding(problem)))
         forest = self._forest(problem, model.reduced.inquiry, seed)
-        return Remembering(problem, model, self._options(problem), forest)
+        return Remembering(problem, self._options(problem), forest, model)
 
     def _forest(self, problem: Problem, inquiry: Inquiry, seed: int) -> Forest:
         return Forest(
@@ -151,31 +151,29 @@ class POMCP:
 
 
 @dataclass(frozen=True)
-class Search:
-    """The policy: a search a decision, on a random stream of its own.
+class Searching:
+    """A policy that searches for each decision, on a random stream of its own.
 
     Attributes:
-        model, options: as the kernel wants them.
+        problem: of the plan.
+        options: as the kernel wants them.
         forest: how to search.
-        known_is_exact: whether a search from a certain belief finds V* in the limit: it backs up
-            maxima of what QMDP's rollouts, which are exact there, return. So V* is taken at once.
     """
 
-    model: SearchModel
+    problem: Problem
     options: Options
     forest: Forest
-    known_is_exact: bool
-    _last: dict[tuple[object, ...], Mapping[int, float]] = field(default_factory=dict)
+    _last: dict[tuple[object, ...], Mapping[int, float]] = field(default_factory=dict, init=False)
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
         """The messages to give before the next *explain*, as
-        :class:`xplain.solvers.base.Policy` says."""
-        return one_by_one(
-            lambda said: best_set(
-                self._values(SearchRoot(step, said, belief, asked, said == given))
-            ),
-            given,
-        )
+        :class:`xplain.solvers.base.Policy` says; where they may be missed or forgotten, some of
+        them perhaps again, each at most once a step."""
+        said = 0
+        while new := best_set(self._values(self._start(step, given, said, belief, asked))):
+            said |= new
+            belief = told(self.problem, belief, new)
+        return said
 
     def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
         """The question to ask, as :class:`xplain.solvers.base.Asks` says."""
@@ -185,8 +183,48 @@ class Search:
         self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
     ) -> Mapping[int, float]:
         """Estimated return of *explain* (0), of each message (its bit) and question (~q), where it
-        was tried."""
-        return self._values(SearchRoot(step, given, belief, asked))
+        was tried, before anything is said at this step."""
+        return self._values(self._start(step, given, 0, belief, asked))
+
+    def _start(
+        self, step: int, given: int, said: int, belief: NDArray[np.float64], asked: int
+    ) -> SearchRoot:
+        """Where messages ``said`` at this step may have been missed, those before them are told
+        apart as far as it matters."""
+        problem = self.problem
+        if not problem.tracks_knowledge:
+            return SearchRoot(step, given | said, belief, asked, not said)
+        before = given if problem.levels else 0
+        used = problem.again.exhausted(before, problem.n_messages)
+        return SearchRoot(step, used | said, belief, asked, not said, before)
+
+    def _values(self, start: SearchRoot) -> Mapping[int, float]:
+        """What is searched for a question is searched for messages next, so the last values are
+        kept."""
+        key = *start[:2], start.belief.tobytes(), *start[3:]
+        if key not in self._last:
+            found = self.forest.values(start, self._run)
+            self._last.clear()
+            self._last[key] = found
+        return self._last[key]
+
+    def _run(self) -> Run:
+        """What a thread runs simulations with."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Search(Searching):
+    """Where messages are taken in.
+
+    Attributes:
+        model: as the kernel wants it.
+        known_is_exact: whether a search from a certain belief finds V* in the limit: it backs up
+            maxima of what QMDP's rollouts, which are exact there, return. So V* is taken at once.
+    """
+
+    model: SearchModel
+    known_is_exact: bool
 
     def search(
         self, step: int, given: int, belief: NDArray[np.float64]
@@ -197,7 +235,7 @@ class Search:
     def _values(self, start: SearchRoot) -> Mapping[int, float]:
         if self.known_is_exact and rounded(start.belief).max() == 1.0:
             return self._known_values(start.step, start.given, int(np.argmax(start.belief)))
-        return once(self._last, start, lambda: self.forest.values(start, self._run))
+        return super()._values(start)
 
     def _run(self) -> Run:
         model = self.model if self.forest.threads == 1 else with_own_room(self.model)
@@ -220,66 +258,17 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Remembering:
-    """The same where messages may be missed or forgotten, and said again: each at most once a step.
+class Remembering(Searching):
+    """Where messages may be missed or forgotten, and said again.
 
     Attributes:
-        problem: of the plan.
-        model, options: as the kernel wants them.
-        forest: how to search.
+        model: as the kernel wants it.
     """
 
-    problem: Problem
     model: KnowingSearch
-    options: Options
-    forest: Forest
-    _last: dict[tuple[object, ...], Mapping[int, float]] = field(default_factory=dict)
-
-    def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """The messages to give before the next *explain*, some of them perhaps again."""
-        said = 0
-        while True:
-            new = best_set(self._values(step, given, said, belief, asked))
-            if not new:
-                return said
-            said |= new
-            belief = told(self.problem, belief, new)
-
-    def question(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
-        """The question to ask, as :class:`xplain.solvers.base.Asks` says."""
-        return best_question(self.values(step, given, belief, asked))
-
-    def values(
-        self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0
-    ) -> Mapping[int, float]:
-        """As :meth:`Search.values`, before anything is said at this step."""
-        return self._values(step, given, 0, belief, asked)
-
-    def _values(
-        self, step: int, given: int, said: int, belief: NDArray[np.float64], asked: int
-    ) -> Mapping[int, float]:
-        before = given if self.problem.levels else 0
-        used = self.problem.again.exhausted(before, self.problem.n_messages)
-        start = SearchRoot(step, said | used, belief, asked, not said, before)
-        return once(self._last, start, lambda: self.forest.values(start, self._run))
 
     def _run(self) -> Run:
         labels = np.empty(self.problem.n_steps, np.bool_)
         return lambda count, tree, roots: simulate_knowing(
             count, self.model, self.options, tree, labels, *roots
         )
-
-
-def once(
-    last: dict[tuple[object, ...], Mapping[int, float]],
-    start: SearchRoot,
-    search: Callable[[], Mapping[int, float]],
-) -> Mapping[int, float]:
-    """The values of a start. What is searched for a question is searched for messages next, so the
-    last values are kept."""
-    key = *start[:2], start.belief.tobytes(), *start[3:]
-    if key not in last:
-        found = search()
-        last.clear()
-        last[key] = found
-    return last[key]
