@@ -9,8 +9,6 @@ the fact to those with it, and forgetting moves a part φ back.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,13 +63,6 @@ def with_message(values: Table, relevant: Relevant, message: int) -> Table:
         without, having = _halves(after, bit)
         without[..., own] = having[..., own]
     return after
-
-
-def each_bit(relevant: Relevant) -> Iterator[tuple[int, int, NDArray[np.bool_]]]:
-    """Each (bit of a row, message, which types it is that message to)."""
-    for bit, column in enumerate(relevant.T):
-        for message in np.unique(column[column >= 0]).tolist():
-            yield bit, message, column == message
 
 
 def _halves(table: Table, bit: int) -> tuple[Table, Table]:

@@ -22,10 +22,6 @@ class Estimate:
     low: float
     high: float
 
-    def negated(self) -> Estimate:
-        """The estimate of minus the quantity: the ends of the interval change places."""
-        return Estimate(-self.mean, -self.high, -self.low)
-
 
 def half_width(error: float, freedom: int, level: float = 0.95) -> float:
     """What stands behind ±: half of Student's interval of a mean.
