@@ -8,13 +8,13 @@ import re
 import numpy as np
 import pytest
 
+from tests.explanation.flat_pomdp import read
 from xplain.cli import export, plan
 from xplain.cli.main import main
 from xplain.experiment.config import CONF
 from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import reduced_optimal_value
-from xplain.explanation.pomdp_file import read
 from xplain.explanation.problem import Problem
 from xplain.explanation.problem_file import load, save
 

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 
+from tests.explanation.flat_pomdp import Flat, read
 from tests.explanation.problems import misleading_problem, tiny_problems
 from xplain.errors import InputError, TooLargeError
 from xplain.explanation import pomdp_file as cassandra
 from xplain.explanation.literal_pomdp import reduced_optimal_value
-from xplain.explanation.pomdp_file import Flat, lines, read
+from xplain.explanation.pomdp_file import lines
 from xplain.explanation.problem import Problem
 
 

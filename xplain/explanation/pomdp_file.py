@@ -11,9 +11,7 @@ leads to the end at a price above any cost, so no optimal policy takes it.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from itertools import product
 from math import comb
 
@@ -24,33 +22,6 @@ from xplain.explanation.problem import Problem
 
 EXPLAIN, NOTHING = 0, 0
 MAX_LINES = 20_000_000
-
-
-@dataclass(frozen=True)
-class Flat:
-    """A POMDP as the file tells it; absent entries are 0.
-
-    Attributes:
-        discount: γ.
-        states, actions, observations: how many.
-        start: initial belief, one a state.
-        transition: {(action, state): {next state: probability}}.
-        observation: {(action, next state): {observation: probability}}.
-        reward: {(action, state): expected value}.
-    """
-
-    discount: float
-    states: int
-    actions: int
-    observations: int
-    start: tuple[float, ...]
-    transition: dict[tuple[int, int], dict[int, float]] = field(
-        default_factory=lambda: defaultdict(dict)
-    )
-    observation: dict[tuple[int, int], dict[int, float]] = field(
-        default_factory=lambda: defaultdict(dict)
-    )
-    reward: dict[tuple[int, int], float] = field(default_factory=dict)
 
 
 def lines(problem: Problem) -> Iterator[str]:
@@ -141,47 +112,3 @@ def _answers(problem: Problem, step: int, shown: int) -> list[list[float]]:
                 weights[t] *= comb(size, count) * p**count * (1 - p) ** (size - count)
         found.append(weights)
     return found
-
-
-def read(text: str) -> Flat:
-    """Reads what :func:`lines` writes: numeric entries, one a line; rewards by action and state.
-
-    Raises:
-        InputError: a line that is not of that kind.
-    """
-    header: dict[str, str] = {}
-    flat: Flat | None = None
-    for number, line in enumerate(text.splitlines(), start=1):
-        try:
-            key, rest = line.split(":", 1)
-            if key not in ("T", "O", "R"):
-                header[key] = rest
-                continue
-            flat = flat or _flat(header)
-            *places, last = rest.split(":")
-            place, value = last.split()
-            action, state, *wildcards = places
-            if key == "R":
-                if [part.strip() for part in (*wildcards, place)] != ["*", "*"]:
-                    raise ValueError
-                flat.reward[int(action), int(state)] = float(value)
-            else:
-                if wildcards:
-                    raise ValueError
-                entries = flat.transition if key == "T" else flat.observation
-                entries[int(action), int(state)][int(place)] = float(value)
-        except (ValueError, IndexError, KeyError):
-            raise InputError("pomdp", line, f"line {number} is no numeric entry") from None
-    if flat is None:
-        raise InputError("pomdp", text[:20], "no entries")
-    return flat
-
-
-def _flat(header: dict[str, str]) -> Flat:
-    return Flat(
-        float(header["discount"]),
-        int(header["states"]),
-        int(header["actions"]),
-        int(header["observations"]),
-        tuple(float(p) for p in header["start"].split()),
-    )
