@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain.errors import TooLargeError
 from xplain.explanation import knowledge
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
@@ -16,6 +17,15 @@ from xplain.solvers.rows import Rows
 
 MAX_SETS = 10
 """Messages whose sets are weighed together, at most."""
+
+
+def check_sets(what: str, kept: Sequence[int]) -> None:
+    """Raises TooLargeError: more than MAX_SETS messages matter to a solver."""
+    if len(kept) > MAX_SETS:
+        raise TooLargeError(
+            f"{what} weighs sets of messages together: {len(kept)} matter on this trace, "
+            f"at most {MAX_SETS}; solver=qmdp or pomcp says one after the other"
+        )
 
 
 class Lattice(NamedTuple):

@@ -10,11 +10,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import TooLargeError
 from xplain.explanation import knowledge
 from xplain.explanation.belief import told
 from xplain.explanation.message_sets import indices, subsets
-from xplain.solvers.answering import MAX_SETS, Answering
+from xplain.solvers.answering import Answering, check_sets
 from xplain.solvers.model import best_set
 from xplain.solvers.reminding import Reminding
 
@@ -40,11 +39,7 @@ class LookaheadKnowing:
 
     def __post_init__(self) -> None:
         """Raises TooLargeError: more than MAX_SETS messages matter."""
-        if len(self.policy.kept) > MAX_SETS:
-            raise TooLargeError(
-                f"lookahead weighs sets of messages together: {len(self.policy.kept)} matter on "
-                f"this trace, at most {MAX_SETS}; solver=qmdp or pomcp says one after the other"
-            )
+        check_sets("lookahead", self.policy.kept)
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64]) -> int:
         """The messages to give before the next *explain*, some of them perhaps again."""

@@ -17,10 +17,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import TooLargeError
 from xplain.explanation.belief import answered, rounded, told
 from xplain.explanation.message_sets import subsets
-from xplain.solvers.answering import MAX_SETS, Answering, every_told, kept_of
+from xplain.solvers.answering import Answering, check_sets, every_told, kept_of
 from xplain.solvers.base import best_question
 from xplain.solvers.hsvi.deaf_plans import DeafPlans
 from xplain.solvers.hsvi.explore import Effort
@@ -79,11 +78,7 @@ class Bounded:
         self.answers = Answering(self.problem)
         self.plans = DeafPlans(policy, self.model)
         self.kept = self._worth_giving()
-        if len(self.kept) > MAX_SETS:
-            raise TooLargeError(
-                f"certified weighs sets of messages together: {len(self.kept)} matter on this "
-                f"trace, at most {MAX_SETS}; solver=qmdp or pomcp says one after the other"
-            )
+        check_sets("certified", self.kept)
         self.nodes: dict[tuple[int, int, bytes, int], Node] = {}
 
     def _worth_giving(self) -> tuple[int, ...]:
