@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError, Range, one_of
+from xplain.errors import InputError, one_of
 from xplain.explanation.again import Again
 from xplain.explanation.asking import Questions
 from xplain.explanation.habits import PAPER, Habits
@@ -92,11 +92,9 @@ class Problem:
             "table": table,
             "message_cost": cost,
             "prior": distribution(self.prior, types),
-            "inexplicability_cost": one_number(
-                "inexplicability_cost", self.inexplicability_cost, Range(0)
-            ),
-            "trade_off": one_number("lambda", self.trade_off, Range(0)),
-            "discount": one_number("discount", self.discount, Range(0, 1, "(]")),
+            "inexplicability_cost": one_number("inexplicability_cost", self.inexplicability_cost),
+            "trade_off": one_number("lambda", self.trade_off),
+            "discount": one_number("discount", self.discount),
             "message_names": named("message_names", self.message_names, n, "message"),
             "type_names": named("type_names", self.type_names, known, "type"),
         }

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from xplain.errors import InputError, Range, number
 from xplain.explanation.label_table import MAX_MESSAGES
 
+RANGES = {"inexplicability_cost": Range(0), "lambda": Range(0), "discount": Range(0, 1, "(]")}
+
 
 def numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
     """A float64 copy without NaN or infinities."""
@@ -23,14 +25,14 @@ def numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
-def one_number(key: str, value: Any, within: Range) -> float:
-    """A finite number in a range."""
+def one_number(key: str, value: Any) -> float:
+    """A finite number in its range."""
     if not isinstance(value, float):  # most are, and a problem is often made of another
         array = numbers(key, value)
         if array.ndim != 0:
             raise InputError(key, value, "one number")
         value = float(array)
-    return number(key, value, within)
+    return number(key, value, RANGES[key])
 
 
 def distribution(given: ArrayLike, types: int) -> NDArray[np.float64]:
