@@ -189,8 +189,8 @@ class Searching:
     def _start(
         self, step: int, given: int, said: int, belief: NDArray[np.float64], asked: int
     ) -> SearchRoot:
-        """Where messages ``said`` at this step may have been missed, those before them are told
-        apart as far as it matters."""
+        """A search's root once messages were ``said`` at this step. Where they may be missed or
+        forgotten, what was said at earlier steps counts as far as it matters."""
         problem = self.problem
         if not problem.tracks_knowledge:
             return SearchRoot(step, given | said, belief, asked, not said)
