@@ -25,6 +25,7 @@ the mean forgets only slowly.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal, get_args
@@ -151,7 +152,7 @@ class POMCP:
 
 
 @dataclass(frozen=True)
-class Searching:
+class Searching(ABC):
     """A policy that searches for each decision, on a random stream of its own.
 
     Attributes:
@@ -208,9 +209,9 @@ class Searching:
             self._last[key] = found
         return self._last[key]
 
+    @abstractmethod
     def _run(self) -> Run:
         """What a thread runs simulations with."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
