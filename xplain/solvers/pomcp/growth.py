@@ -15,9 +15,19 @@ from xplain.numba_kernels import inlined
 from xplain.solvers.bits import count_bits
 from xplain.solvers.count_lattice import copy
 from xplain.solvers.inquiry import open_questions
-from xplain.solvers.pomcp.tree import CLOSED, EDGES, MASK, NODES, ROOT, UNOPENED, UNVISITED
 from xplain.solvers.random_words import GOLDEN, splitmix64
 from xplain.solvers.rows import find_rows
+
+ROOT, END = np.int64(0), -1
+"""The node that a search begins at, and what comes after the last *explain*. A plain 0 would be a
+type of its own to numba, which compiled half of the search for it and then again for all others."""
+UNVISITED, UNOPENED = 0, 0
+"""``edge.child`` and ``entry.node`` where there is no node (the root is no child), and
+``node.edges`` until a simulation goes on from there (the first edges are unused)."""
+CLOSED = -1
+"""Instead of how many questions a node has: none may be asked there."""
+NODES, EDGES, MASK = 0, 1, 2
+"""Positions in ``tree.used``."""
 
 
 @inlined

@@ -13,7 +13,17 @@ from numba import uint64
 from xplain.numba_kernels import inlined, lean_kernel
 from xplain.solvers.bits import count_bits, nth_bit
 from xplain.solvers.inquiry import answer_probability, hear_answer
-from xplain.solvers.pomcp.growth import add, find, grow_table, open_, questions_at
+from xplain.solvers.pomcp.growth import (
+    END,
+    ROOT,
+    UNOPENED,
+    UNVISITED,
+    add,
+    find,
+    grow_table,
+    open_,
+    questions_at,
+)
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
 from xplain.solvers.pomcp.rollout import (
     RANDOM,
@@ -23,7 +33,6 @@ from xplain.solvers.pomcp.rollout import (
     roll_random,
     roll_silent,
 )
-from xplain.solvers.pomcp.tree import END, ROOT, UNOPENED, UNVISITED
 from xplain.solvers.random_words import GOLDEN, next_below, next_uniform, splitmix64
 
 MEAN, MAX = 0, 1

@@ -29,9 +29,17 @@ from xplain.solvers.knowing import (
     shown,
     told,
 )
-from xplain.solvers.pomcp.growth import add, find, grow_table, make_edges
+from xplain.solvers.pomcp.growth import (
+    END,
+    ROOT,
+    UNOPENED,
+    UNVISITED,
+    add,
+    find,
+    grow_table,
+    make_edges,
+)
 from xplain.solvers.pomcp.kernel import backward, select
-from xplain.solvers.pomcp.tree import END, ROOT, UNOPENED, UNVISITED
 from xplain.solvers.random_words import GOLDEN, next_uniform, splitmix64
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.solvers.inquiry import NO_ROOM, Room
+from xplain.solvers.pomcp.growth import CLOSED
 
 NODE = np.dtype(
     [
@@ -42,16 +43,6 @@ EDGE = np.dtype(
     align=True,
 )
 ENTRY = np.dtype([("node", np.int32), ("tag", np.uint32)])
-ROOT, END = np.int64(0), -1
-"""The node that a search begins at, and what comes after the last *explain*. A plain 0 would be a
-type of its own to numba, which compiled half of the search for it and then again for all others."""
-UNVISITED, UNOPENED = 0, 0
-"""``edge.child`` and ``entry.node`` where there is no node (the root is no child), and
-``node.edges`` until a simulation goes on from there (the first edges are unused)."""
-CLOSED = -1
-"""Instead of how many questions a node has: none may be asked there."""
-NODES, EDGES, MASK = 0, 1, 2
-"""Positions in ``tree.used``."""
 INQUIRED = 4
 """Questions that a search tries at a belief, at most: the most telling."""
 FIRST_TABLE = 1 << 12
