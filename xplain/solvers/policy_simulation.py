@@ -66,8 +66,8 @@ def simulate(problem: Problem, policy: Policy, episodes: int, seed: int) -> Poli
             p = problem.table.answer_probabilities(k + 1, given)[user_type]
             labels = (rng.random(k + 1) < p).astype(np.uint8)
             belief = update(problem, belief, given, labels)
-    told = np.array([problem.prior @ take(model, optimal[0], 0) for optimal in known])
-    return _mean(told, losses, asked)
+    sure = np.array([problem.prior @ take(model, optimal[0], 0) for optimal in known])
+    return _mean(sure, losses, asked)
 
 
 def simulate_knowing(
