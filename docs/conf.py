@@ -52,7 +52,13 @@ html_copy_source = False
 html_show_sourcelink = False
 
 SIDEBAR = {
-    "Start": ["docs/tour.md", "docs/method.md", "docs/choices.md", "docs/domains.md"],
+    "Start": [
+        "docs/tour.md",
+        "docs/glossary.md",
+        "docs/method.md",
+        "docs/choices.md",
+        "docs/domains.md",
+    ],
     "Use": [
         "docs/config.md",
         "docs/sweeps.md",

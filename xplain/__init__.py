@@ -1,8 +1,8 @@
 """Personalized explanations of sequential decisions (Soni, Sreedharan & Kambhampati, 2021).
 
-For programs: ``from xplain import Explainer, GivenTypes, LearnedTypes`` (see docs/explainer.md),
-``from xplain import Hypotheses, Questionnaire`` (see docs/what-to-ask.md). Experiments:
-``xplain.run``, ``xplain.sweep``, ``xplain.load`` (see docs/python.md).
+These names, and those of ``xplain.testing``, are public: they do not change without notice. All
+else may change. Explaining in a program: docs/explainer.md. Experiments: docs/python.md. Components
+of your own: docs/your-own-domain.md.
 """
 
 from __future__ import annotations
@@ -12,12 +12,28 @@ from typing import Any
 __version__ = "0.1.0"
 
 _WHERE = {
-    "Explainer": "xplain.interaction.explainer",
-    "GivenTypes": "xplain.interaction.explainer",
+    **dict.fromkeys(("Domain", "Item", "Parameter", "Scene"), "xplain.domains.base"),
+    "MDP": "xplain.domains.mdp",
     "Hypotheses": "xplain.domains.users.hypotheses",
+    **dict.fromkeys(("Setting", "UserType"), "xplain.domains.users.setting"),
+    "TypeSource": "xplain.domains.users.types",
+    **dict.fromkeys(("InputError", "TooLargeError"), "xplain.errors"),
+    **dict.fromkeys(("Limits", "Question"), "xplain.explanation.asking"),
+    **dict.fromkeys(("BeliefUpdate", "Independent", "Persistent"), "xplain.explanation.belief"),
+    "LabelTable": "xplain.explanation.label_table",
+    "Problem": "xplain.explanation.problem",
+    **dict.fromkeys(("Reaction", "SimulatedUser"), "xplain.interaction.explainees"),
+    **dict.fromkeys(("Explainer", "GivenTypes"), "xplain.interaction.explainer"),
+    "Session": "xplain.interaction.session",
+    **dict.fromkeys(("Clusterer", "Clustering"), "xplain.learning.clustering"),
+    "Dataset": "xplain.learning.data.dataset",
+    **dict.fromkeys(("Answer", "Queries"), "xplain.learning.data.queries"),
+    "LabelerTrainer": "xplain.learning.labelers",
     "LearnedTypes": "xplain.learning.saved_types",
     "Questionnaire": "xplain.questions.questionnaire",
+    "stream": "xplain.randomness",
     **dict.fromkeys(("Run", "Sweep", "load", "run", "sweep"), "xplain.runs.api"),
+    **dict.fromkeys(("Policy", "Solver"), "xplain.solvers.base"),
 }
 __all__ = sorted(["__version__", *_WHERE])
 

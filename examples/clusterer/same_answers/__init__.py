@@ -6,10 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from xplain.errors import InputError
-from xplain.learning.clustering import Clustering
-from xplain.learning.data.dataset import Dataset, query_index
-from xplain.learning.labelers import LabelerTrainer
+from xplain import Clustering, Dataset, InputError, LabelerTrainer
+from xplain.learning.data.dataset import query_index
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from xplain.domains.base import Item, Parameter, Scene
-from xplain.domains.mdp import MDP
-from xplain.errors import InputError
+from xplain import MDP, InputError, Item, Parameter, Scene
 
 WALK, RAIL, WATER = range(3)
 

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import InputError
-from xplain.explanation.label_table import LabelTable
-from xplain.interaction.explainees import Person, Reaction, SimulatedUser
-from xplain.randomness import stream
+from xplain import InputError, LabelTable, Reaction, SimulatedUser, stream
+from xplain.interaction.explainees import Person
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, ClassifierMixin
 
-from xplain.errors import InputError
+from xplain import InputError
 
 
 class HammingNeighbours(ClassifierMixin, BaseEstimator):

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xplain.domains.users.setting import Setting
-from xplain.learning.data.queries import Answer, Answered, RandomTraces
-from xplain.randomness import stream
+from xplain import Answer, Setting, stream
+from xplain.learning.data.queries import Answered, RandomTraces
 
 
 @dataclass(frozen=True)

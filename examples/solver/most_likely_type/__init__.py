@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xplain import Policy, Problem
 from xplain.errors import Positive, checks
-from xplain.explanation.problem import Problem
-from xplain.solvers.base import Knowledge, Policy
+from xplain.solvers.base import Knowledge
 from xplain.solvers.qmdp import greedy_policy
 
 

@@ -4,9 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xplain.domains.base import Domain
-from xplain.domains.users.setting import UserType
-from xplain.errors import InputError
+from xplain import Domain, InputError, UserType
 
 
 @dataclass(frozen=True)
