@@ -86,13 +86,12 @@ FIRST_SEED = 7200
 MAPS = ("rescue", "four_rooms", "random rescue", "random rooms")
 WAYS = {
     "random questions, trees": ("independent", "tree"),
-    "by what was learned, trees": ("committee", "tree"),
     "random questions, hypotheses": ("independent", "hypotheses"),
     "battery, hypotheses": ("battery", "hypotheses"),
     "adaptive, hypotheses": ("adaptive", "hypotheses"),
     "adaptive in turn, hypotheses": ("in turn", "hypotheses"),
 }
-DRAWN = tuple(WAYS)[:5]
+DRAWN = tuple(WAYS)[:4]
 """In the picture, and tried where no others are named."""
 COMPARED = {"adaptive, hypotheses": (20, 40), "random questions, trees": (40,)}
 """Of ``people``: labels a person, by way. The second knows no hypotheses."""
@@ -165,7 +164,6 @@ def design_of(way: str, path: str | None, error: float, people: str) -> tuple[Qu
         "battery": Battery(hypotheses=path),
         "adaptive": Adaptive(error=max(error, 0.01), hypotheses=path, **clips),  # type: ignore[arg-type]
         "in turn": Adaptive(error=max(error, 0.01), hypotheses=path, in_turn=True),
-        "committee": Adaptive(hypotheses="none"),
     }
     if labeler == "hypotheses":
         return designs[asked], None

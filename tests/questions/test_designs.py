@@ -11,10 +11,7 @@ from xplain.learning.data.observers import SimulatedObservers
 from xplain.learning.data.queries import Independent
 from xplain.learning.fact_model.dirichlet import DirichletMixture
 from xplain.learning.fact_sets.labeler import HypothesisTrainer
-from xplain.learning.known_types import learn
 from xplain.questions import designs
-from xplain.questions.committee import Committee
-from xplain.questions.contest import Contest
 from xplain.questions.designs import Adaptive, Battery, transitions_of
 from xplain.questions.questionnaire import Questionnaire
 
@@ -190,7 +187,6 @@ def test_random_questions_tell_hypotheses_less(setting):
         (Adaptive, {"check": 1.0}),
         (Adaptive, {"none": 1.0}),
         (Adaptive, {"none": -0.1}),
-        (Adaptive, {"screen": 0}),
         (Adaptive, {"in_turn": "yes"}),
         (Battery, {"redundancy": 0}),
     ],
@@ -249,55 +245,3 @@ def test_who_holds_wrong_what_nobody_wrote_down_is_found(setting, tmp_path):
     needs = found.needs[found.assignment]
     assert (needs[truth == 0] == 0b01).all()
     assert (needs[truth > 0] & 0b10 > 0).all()
-
-
-def test_once_hypotheses_are_beaten_people_are_asked_and_learned_without_them(
-    setting, monkeypatch, caplog
-):
-    """Answers so far stay; the next questions are those of who has no hypotheses, and knows these
-    answers."""
-    monkeypatch.setattr(Contest, "beaten", lambda self, asked: len(asked.asked) == 14)
-    crowd = SimulatedObservers(per_type=3, points=[12, 14])
-    sizes, before = [], []
-
-    class Kept(Committee):
-        def ask(self, setting, size, answer, seed, first=()):
-            sizes.extend(size.tolist())
-            before.extend(first)
-            return super().ask(setting, size, answer, seed, first)
-
-    monkeypatch.setattr(designs, "Committee", Kept)
-    observed = crowd.collect(setting, Adaptive(), 1)
-    assert observed.beaten
-    assert sizes.index(14) + 1 == len(before)
-    assert f"from observer {len(before)} on questions are asked without them" in caplog.text
-    data = observed.dataset
-    assert np.bincount(data.observer).tolist() == sizes
-    said = np.concatenate([one.labels for one in before])
-    assert data.label[: len(said)].tolist() == said.tolist()
-    types = learn(observed, HypothesisTrainer(), DirichletMixture(), 0)
-    assert types.clustering.rule == "posterior"
-    assert types.evidence is None
-
-
-def test_hypotheses_of_people_as_assumed_are_kept(setting):
-    for seed in range(5):
-        crowd = SimulatedObservers(per_type=3, points=30, label_noise=0.05)
-        assert not crowd.collect(setting, Adaptive(), seed).beaten
-
-
-def test_who_answered_before_is_not_asked_again(setting):
-    """The committee goes on after others; what these said counts as of people like all others."""
-    asked = []
-
-    def answer(observer, transitions, told):
-        asked.append(observer)
-        return np.ones(len(told), dtype=np.uint8)
-
-    sizes = np.array([6, 6, 6])
-    every = Committee(3).ask(setting, sizes, answer, 0)
-    asked.clear()
-    later = Committee(3).ask(setting, sizes, answer, 0, every[:2])
-    assert set(asked) == {2}
-    assert later[:2] == every[:2]
-    assert len(later[2].labels) == 6

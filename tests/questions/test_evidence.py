@@ -11,14 +11,10 @@ from xplain.learning.clustering import Single
 from xplain.learning.data.observers import Observed
 from xplain.learning.evidence import BEATEN, BEFORE, COIN, LEAST, Evidence, foretold, parts, stacked
 from xplain.learning.fact_model.dirichlet import DirichletMixture
-from xplain.learning.fact_sets.known_transitions import KnownTransitions
 from xplain.learning.fact_sets.labeler import HypothesisTrainer
-from xplain.learning.fact_sets.labels_alone import TwoWays
 from xplain.learning.known_types import learn
 from xplain.learning.labelers import LabelerTrainer
 from xplain.learning.user_types import learn_types
-from xplain.questions.contest import Contest
-from xplain.questions.questionnaire import Questionnaire
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -134,34 +130,6 @@ def test_where_labels_alone_foretell_better_their_labels_are_mixed_in():
     mixed = trust * own + (1 - trust) * alone.probability(known.features, told)
     both = weighed.fit(data, 0).probability(known.features, told)
     assert both == pytest.approx(mixed, abs=0.003)
-
-
-def contest(thinks, people=6, each=60):
-    """How far labels alone are ahead after each of some people, and whether hypotheses are beaten:
-    60 transitions, random questions, one answer in twenty wrong."""
-    rng, known = np.random.default_rng(2), hypotheses(transitions=60)
-    data = erring(asked(known, [3] * people, each, rng, thinks), [0.05] * people, rng)
-    ways = TwoWays(KnownTransitions.of(known), np.arange(60))
-    match = Contest(ways, data.take(np.zeros(0, dtype=np.int64)))
-    for o in range(people):
-        somebody, own = Questionnaire(known, 0.05), data.of(np.array([o]))
-        for t, told, label in zip(own.transition, own.message_set, own.label, strict=True):
-            somebody.answer(int(label), (int(t), int(told)))
-        yield match.beaten(somebody), match.ahead
-
-
-def test_while_people_are_asked_hypotheses_are_beaten_where_they_tell_nothing():
-    """Labels that a feature tells, and nothing that people were told changes."""
-    found = list(contest(lambda label, transition: transition >= 30))
-    assert found[-1][0]
-    for beaten, ahead in found:
-        assert beaten == (ahead > BEATEN)
-
-
-def test_while_people_are_asked_hypotheses_that_are_right_are_ever_more_ahead():
-    ahead = np.array([ahead for beaten, ahead in contest(None) if not beaten])
-    assert len(ahead) == 6
-    assert (np.diff(ahead) < 0).all()
 
 
 def test_hypotheses_are_never_given_up_for_a_coin():

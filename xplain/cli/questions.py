@@ -5,12 +5,6 @@ Prints one list of questions that tells apart all that people might hold wrong, 
 ``messages`` (names joined by ``;``), ``told`` (the same in words), and the features, if any.
 The last line on standard output is one JSON object: ``output``, ``questions``, ``transitions``,
 ``candidates`` (that behave differently).
-
-Where nobody knows what people might hold wrong (``queries=adaptive queries.hypotheses=none``), it
-is the next screen of questions to one ``observer``, by the answers so far (``data``). Its columns
-``observer`` and ``label`` (empty) make it a form: filled in and put below the answers so far, it is
-the ``data`` of the next screen, and of ``xplain discover``. The JSON object then has ``output``,
-``questions``, ``transitions``, ``observer``, ``answers`` (so far).
 """
 
 from __future__ import annotations
@@ -26,18 +20,13 @@ from rich.console import Console
 from rich.table import Table
 
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
-from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.explanation.message_sets import names_of
-from xplain.learning.data.encoding import align, columns_of
-from xplain.learning.data.label_file import read_table
 from xplain.questions.battery import battery
-from xplain.questions.candidates import Candidates
-from xplain.questions.committee import next_screen_of
-from xplain.questions.designs import WITHOUT, Adaptive, Battery
+from xplain.questions.designs import Battery
 from xplain.questions.own_transitions import read_transitions
-from xplain.randomness import run_seed, stream
+from xplain.randomness import run_seed
 from xplain.storage import written_whole
 
 Row = dict[str, Any]
@@ -50,18 +39,14 @@ def main(arguments: list[str]) -> Row:
     cfg = composed("questions", arguments, with_hydra=True)
     run_seed(cfg.seed)
     design = instantiate(cfg.queries)
-    if isinstance(design, Battery):
-        rows, about = _battery(cfg, design)
-    elif getattr(design, "hypotheses", None) == WITHOUT:
-        rows, about = _screen(cfg, design)
-    else:
+    if not isinstance(design, Battery):
         raise InputError(
             "queries",
             cfg.hydra.runtime.choices.queries,
-            "battery, or adaptive with queries.hypotheses=none, a screen at a time; with "
-            "hypotheses each question depends on the answer before (from xplain import "
+            "battery; other questions depend on the answer before (from xplain import "
             "Questionnaire)",
         )
+    rows, about = _battery(cfg, design)
     _write(rows, Path(cfg.output))
     _show(rows)
     return {"output": str(cfg.output), "questions": len(rows), **about}
@@ -84,52 +69,6 @@ def _battery(cfg: DictConfig, design: Battery) -> tuple[list[Row], Row]:
         known.save(cfg.save)
     candidates = len(np.unique(known.classes))
     return rows, {"transitions": known.n_transitions, "candidates": candidates}
-
-
-def _screen(cfg: DictConfig, design: Adaptive) -> tuple[list[Row], Row]:
-    """As :func:`_battery`, of the next screen."""
-
-    for key in ("hypotheses", "save"):
-        if cfg[key] is not None:
-            raise InputError(key, cfg[key], "null; queries.hypotheses=none does without them")
-    if not cfg.observer:
-        raise InputError("observer", cfg.observer, "the name of who is asked next")
-    pool, texts, images, sentences = _pool(cfg)
-    answers = pool.unanswered(tuple(sentences))
-    columns = columns_of(answers)
-    if cfg.data is not None:
-        read = read_table(cfg.data, tuple(sentences), list(columns), under_way=True)
-        answers = pool.answered(align(read, pool.feature_names))
-    rng = stream(cfg.seed, "queries", "committee", cfg.observer, len(answers))
-    transitions, told = next_screen_of(pool, answers, cfg.observer, design.screen, rng)
-    rows: list[Row] = []
-    for number, (t, mask) in enumerate(zip(transitions.tolist(), told.tolist(), strict=True), 1):
-        names = names_of(mask, tuple(sentences))
-        row = _row(number, t, texts[t], images[t], {name: sentences[name] for name in names})
-        # The text itself is a feature where the table has no other.
-        row |= {name: own[pool.which[t]] for name, own in columns.items() if name != "text"}
-        rows.append(row | {"observer": cfg.observer, "label": ""})
-    size = len(pool.features)
-    return rows, {"transitions": size, "observer": cfg.observer, "answers": len(answers)}
-
-
-def _pool(cfg: DictConfig) -> tuple[Candidates, tuple[str, ...], tuple[str, ...], dict[str, str]]:
-    """What can be asked about, in words, its images, and what to say for each message."""
-
-    if cfg.transitions is None:
-        domain = instantiate(cfg.domain)
-        types = instantiate(cfg.users).types(domain, stream(cfg.seed, "users"))
-        setting = Setting.build(domain, types)
-        texts = tuple(domain.describe(transition) for transition in setting.reachable)
-        said = {p.name: p.message for p in domain.parameters}
-        return Candidates.of_setting(setting), texts, ("",) * len(texts), said
-    own = read_transitions(cfg.transitions)
-    names = list(cfg.messages or (own.hypotheses.messages if own.facts else ()))
-    if not names:
-        raise InputError("messages", cfg.messages, "names of what people can be told")
-    features, feature_names = own.told_apart()
-    pool = Candidates.of(features, feature_names, np.ones(len(own.texts)))
-    return pool, own.texts, own.images, {name: name for name in names}
 
 
 def _known(cfg: DictConfig) -> tuple[Hypotheses, tuple[str, ...], dict[str, str]]:

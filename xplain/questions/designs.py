@@ -3,8 +3,7 @@ for each person (docs/what-to-ask.md)."""
 
 from __future__ import annotations
 
-import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -16,20 +15,16 @@ from xplain.domains.users.setting import Setting
 from xplain.errors import Count, InputError, Range, checks
 from xplain.learning.data.dataset import places
 from xplain.learning.data.queries import Answer, Answered, asked_in_order
+from xplain.learning.data.rollouts import expected_visits
 from xplain.learning.fact_sets.growth import grown
-from xplain.learning.fact_sets.known_transitions import KnownTransitions
-from xplain.learning.fact_sets.labels_alone import TwoWays
 from xplain.questions.battery import battery
-from xplain.questions.candidates import Candidates, visits_of
-from xplain.questions.committee import Committee
-from xplain.questions.contest import Contest
 from xplain.questions.questionnaire import MAX_CLIP, NONE_ERROR, Questionnaire
 from xplain.randomness import derived_seed, stream
 
-log = logging.getLogger(__name__)
-
-WITHOUT = "none"
-"""In place of a file: there are no hypotheses."""
+LONGEST = 40
+"""Steps of a trace whose transitions are checked."""
+RARE = 1e-3
+"""Visits a trace that every transition counts for at least."""
 AGAIN = 0.25
 """How likely a transition is checked again, of anybody, against before."""
 KEPT = 0.01
@@ -108,9 +103,7 @@ class Adaptive:
             should be explicable.
         in_turn: a question each in turn, as of people who answer at the same time, each by what is
             thought of all others by then; else one person after the other.
-        hypotheses: an ``.npz`` file; None: those of the domain; ``none``: no hypotheses, and
-            questions are those of :class:`xplain.questions.committee.Committee`.
-        screen: without hypotheses, questions chosen at a time.
+        hypotheses: an ``.npz`` file; None: those of the domain.
     """
 
     error: Annotated[float, Range(1e-3, NONE_ERROR, "[)")] = 0.05
@@ -121,7 +114,6 @@ class Adaptive:
     check: Share = 0.5
     in_turn: bool = False
     hypotheses: str | None = None
-    screen: Count = 25
 
     def __post_init__(self) -> None:
         if not isinstance(self.in_turn, bool):
@@ -131,14 +123,11 @@ class Adaptive:
         self, setting: Setting, sizes: NDArray[np.int64], answer: Answer, seed: int
     ) -> list[Answered]:
         """Exactly ``sizes`` labels an observer; the last clip is cut."""
-        if self.hypotheses == WITHOUT:
-            return Committee(self.screen).ask(setting, sizes, answer, seed)
         known = hypotheses_of(setting.domain, self.hypotheses).told_apart_by_features()
         transitions = transitions_of(known, setting)
         checks = _Checks.of(known, transitions, setting, stream(seed, "queries", "checks"))
         asked: dict[int, Questionnaire] = {}
         found: dict[int, Posterior] = {}
-        contest = _contest(known, transitions, setting)
         for o, now in self._turns(sizes.tolist()):
             others = [one for other, one in found.items() if other != o]
             questions = self._questions(
@@ -154,12 +143,6 @@ class Adaptive:
                 left -= len(clip)
                 questions = self._grown(questions, others)
             asked[o], found[o] = questions, _likely(questions)
-            if not self.in_turn and contest.beaten(questions):
-                log.warning("hypotheses foretell answers worse than labels alone: from observer %d "
-                            "on questions are asked without them", o + 1)  # fmt: skip
-                before = [_answered(asked[i], transitions, found[i][0]) for i in range(o + 1)]
-                asked_all = Committee(self.screen).ask(setting, sizes, answer, seed, before)
-                return [replace(one, likely=None, beaten=True) for one in asked_all]
         return [_answered(asked[o], transitions, found[o][0]) for o in range(len(sizes))]
 
     def _turns(self, sizes: list[int]) -> list[tuple[int, int]]:
@@ -232,24 +215,16 @@ class _Checks:
         setting: Setting,
         rng: np.random.Generator,
     ) -> _Checks:
-        weight = visits_of(setting)[places(transitions, setting.reachable)]
-        return cls(int(np.bitwise_or.reduce(known.facts)), weight * known.tables[0, 0], rng)
+        model, optimal, starts = setting.models[0], setting.optimal[0], setting.domain.starts
+        visits = RARE + expected_visits(model, optimal, starts, setting.reachable, LONGEST)
+        weight = visits[places(transitions, setting.reachable)] * known.tables[0, 0]
+        return cls(int(np.bitwise_or.reduce(known.facts)), weight, rng)
 
     def next(self) -> tuple[int, int]:
         """A transition, drawn by its weight, and the message set."""
         chosen = int(self.rng.choice(len(self.weight), p=self.weight / self.weight.sum()))
         self.weight[chosen] *= AGAIN
         return chosen, self.told
-
-
-def _contest(known: Hypotheses, transitions: NDArray[np.int64], setting: Setting) -> Contest:
-    """Before anybody is asked about these transitions [T, 3] of the hypotheses."""
-    features = transition_features(setting.domain, transitions)
-    nobody = replace(
-        Candidates.of_setting(setting).unanswered(setting.message_names), features=features
-    )
-    by_features = KnownTransitions.of(replace(known, features=features))
-    return Contest(TwoWays(by_features, by_features.find(features)), nobody)
 
 
 def _likely(questions: Questionnaire) -> Posterior:

@@ -61,22 +61,6 @@ class Dataset:
             label=self.label[rows],
         )
 
-    def answered(
-        self,
-        observer: int,
-        transition: ArrayLike,
-        message_set: ArrayLike,
-        label: NDArray[np.uint8],
-    ) -> Dataset:
-        """With further labels [R] of one observer (by index), at the end."""
-        return replace(
-            self,
-            observer=np.append(self.observer, np.full(len(label), observer)),
-            transition=np.append(self.transition, transition),
-            message_set=np.append(self.message_set, message_set),
-            label=np.append(self.label, label.astype(np.uint8)),
-        )
-
 
 def numbered(rows: ArrayLike) -> dict[bytes, int]:
     """The number of each of some rows [U, F], of which no two are equal. 0 and −0 are one."""

@@ -32,14 +32,12 @@ class Observed:
         truth: [O] index of each observer's true type; None where nobody knows it.
         setting: the domain, the true types and their models; None where there is only a table.
         likely: fact sets (bitmasks) that the questions found likely beside the hypotheses.
-        beaten: whether the questions found the hypotheses worse than labels alone.
     """
 
     dataset: Dataset
     truth: NDArray[np.int64] | None = None
     setting: Setting | None = None
     likely: NDArray[np.int64] | None = None
-    beaten: bool = False
 
     def __post_init__(self) -> None:
         """Raises InputError where the labels are not of the setting's features and messages."""
@@ -157,7 +155,7 @@ class SimulatedObservers:
         )
         found = [one.likely for one in asked if one.likely is not None]
         likely = np.unique(np.concatenate(found)) if found else None
-        return Observed(dataset, truth, setting, likely, any(one.beaten for one in asked))
+        return Observed(dataset, truth, setting, likely)
 
     def _counts(self, types: int) -> list[int]:
         counts = _whole_numbers(self.per_type)

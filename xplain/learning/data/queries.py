@@ -31,14 +31,12 @@ class Answered:
         labels: [p], 1 = explicable.
         likely: fact sets (bitmasks) that the answers made likely, where the design found some that
             were no hypotheses before.
-        beaten: whether the design found its hypotheses worse than labels alone.
     """
 
     transitions: NDArray[np.int64]
     message_sets: NDArray[np.int64]
     labels: NDArray[np.uint8]
     likely: NDArray[np.int64] | None = None
-    beaten: bool = False
 
 
 class Queries(Protocol):

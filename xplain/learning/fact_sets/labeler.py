@@ -108,10 +108,7 @@ class HypothesisTrainer(LabelerTrainer):
 
     def given(self, observed: Observed) -> LabelerTrainer:
         """With the hypotheses of the observers' domain, and the fact sets that their questions
-        found likely, where it has no others; without any where their questions found them worse
-        than labels alone."""
-        if observed.beaten:
-            return self._alone
+        found likely, where it has no others."""
         if self.hypotheses is not None or self.path is not None:
             return self
         return replace(self, hypotheses=observed.hypotheses)
