@@ -11,6 +11,7 @@ No learner and no solver of explanations is involved: only the tasks, their type
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator
 from itertools import islice, product
 from pathlib import Path
@@ -20,13 +21,9 @@ import numpy as np
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from xplain.domains.four_rooms import DOORS
-from xplain.domains.rescue import Rescue
-from xplain.domains.rescue_maps import random_map
-from xplain.domains.users.setting import Setting
-from xplain.errors import XplainError
-from xplain.experiment.config import composed
-from xplain.learning.data.domain_properties import (
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from tests.domains.properties import (
     Trace,
     count_traces,
     inexplicable_alone,
@@ -34,6 +31,12 @@ from xplain.learning.data.domain_properties import (
     problems,
     share_through,
 )
+from tests.domains.rescue_maps import random_map
+from xplain.domains.four_rooms import DOORS
+from xplain.domains.rescue import Rescue
+from xplain.domains.users.setting import Setting
+from xplain.errors import XplainError
+from xplain.experiment.config import composed
 from xplain.randomness import stream
 from xplain.report.plots import save
 from xplain.report.story import Story

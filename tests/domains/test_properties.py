@@ -10,16 +10,16 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.domains.configs import configured, domain_of, setting_of
-from xplain.domains.base import cell_name
-from xplain.domains.four_rooms import DOORS
-from xplain.domains.rescue_maps import random_map
-from xplain.learning.data.domain_properties import (
+from tests.domains.properties import (
     count_traces,
     inexplicable_alone,
     on_policy_traces,
     problems,
     share_through,
 )
+from tests.domains.rescue_maps import random_map
+from xplain.domains.base import cell_name
+from xplain.domains.four_rooms import DOORS
 from xplain.randomness import stream
 
 FOUR_ROOMS, RESCUE = "domain=four_rooms", "domain=rescue"

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.domains.example import warehouse
 from xplain.domains.base import transition_features
 from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting, UserType
-from xplain.domains.warehouse import Warehouse
 from xplain.errors import DomainError, TooLargeError
 from xplain.explanation.message_sets import mask_of
 from xplain.learning.data.observers import SimulatedObservers
@@ -27,12 +27,12 @@ FACTS = 7
 
 @cache
 def every_set() -> Hypotheses:
-    return Hypotheses.of_domain(Warehouse(FACTS))
+    return Hypotheses.of_domain(warehouse(FACTS))
 
 
 @cache
 def few_sets(most: int) -> Hypotheses:
-    return Hypotheses.of_domain(Warehouse(FACTS), most=most)
+    return Hypotheses.of_domain(warehouse(FACTS), most=most)
 
 
 @pytest.mark.parametrize("most", [1, 3])
@@ -74,15 +74,15 @@ def test_the_posterior_is_that_over_all_sets_within_the_list(seed, most):
 @cache
 def many_facts() -> tuple[Setting, tuple[int, ...]]:
     """Sixteen facts, of which no list holds all 2^16 sets; types of up to five."""
-    warehouse = Warehouse(16)
-    wrong = {p.name: p.inaccurate for p in warehouse.parameters}
+    domain = warehouse(16)
+    wrong = {p.name: p.inaccurate for p in domain.parameters}
     names = list(wrong)
     sets = ((0, 5), (1, 3, 7, 12, 15), (2, 5, 9, 14))
     types = tuple(
         UserType(f"T{i}", {names[j]: wrong[names[j]] for j in own}) for i, own in enumerate(sets)
     )
     masks = tuple(mask_of(one.inaccurate, names) for one in types)
-    return Setting.build(warehouse, types), masks
+    return Setting.build(domain, types), masks
 
 
 def test_types_of_more_facts_than_the_list_begins_with_are_found():
@@ -140,6 +140,6 @@ def test_a_list_stays_as_it_is_where_further_sets_cannot_be_worked_out(error, ca
 
 
 def test_a_battery_of_too_many_questions_is_refused_before_it_is_listed():
-    known = Hypotheses.of_domain(Warehouse(40), most=2, scales=())
+    known = Hypotheses.of_domain(warehouse(40), most=2, scales=())
     with pytest.raises(TooLargeError, match="queries=adaptive"):
         battery(known)

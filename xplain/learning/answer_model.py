@@ -26,7 +26,6 @@ from scipy.special import betaln, softmax
 
 from xplain.errors import InputError
 from xplain.explanation.habits import UNKNOWN, Habits
-from xplain.learning.data.dataset import places
 
 RATES, RATE_PRIOR = map(np.array, UNKNOWN["error"])
 """The error rates e that are told apart, here as in explanations, and their probabilities where no
@@ -159,13 +158,6 @@ class QuestionErrors(SlipsAndGuesses):
                 raise InputError(key, row.shape, f"{count} probabilities inside (0, 1)")
         if not (self.slip + self.guess < 1).all():
             raise InputError("slip", float((self.slip + self.guess).max()), "slip + guess < 1")
-
-    def rates_of(
-        self, features: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Slip and guess of transitions with these features [m, F]: [m] each."""
-        place = places(features, self.features)
-        return self.slip[place], self.guess[place]
 
 
 def answered(

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from tests.domains.configs import domain_of, setting_of
+from tests.domains.example import warehouse
 from tests.domains.users.corridor import SIZE, Corridor, Padded
 from xplain.domains import mdp
 from xplain.domains.base import Parameter
 from xplain.domains.users import setting as module
 from xplain.domains.users.setting import Setting, UserType
-from xplain.domains.warehouse import Warehouse
 from xplain.errors import InputError, TooLargeError
 
 RESCUE = "domain=rescue"
@@ -117,9 +117,9 @@ def test_types_that_other_messages_set_right_are_two() -> None:
 
 def test_a_table_of_a_million_message_sets_is_refused() -> None:
     for facts in (20, 21):
-        warehouse = Warehouse(facts)
-        wrong = warehouse.parameters[-1]
-        setting = Setting.build(warehouse, (UserType("A", {wrong.name: wrong.inaccurate}),))
+        domain = warehouse(facts)
+        wrong = domain.parameters[-1]
+        setting = Setting.build(domain, (UserType("A", {wrong.name: wrong.inaccurate}),))
         few = setting.reachable[:2]
         if facts == 20:
             assert setting.label_table(few).shape == (1, 2, 1 << 20)

@@ -123,6 +123,13 @@ def test_types_of_few_facts_behave_differently() -> None:
         FewFacts(8, 1, 1, attempts=5).types(Painted(), RNG)
 
 
+def test_types_of_more_facts_than_there_are_are_refused() -> None:
+    with pytest.raises(InputError, match=r"users\.most"):
+        FewFacts(2, most=11).types(Painted(), RNG)
+    with pytest.raises(InputError, match=r"users\.most"):
+        FewFacts(2, fewest=3, most=2)
+
+
 def test_the_same_stream_draws_the_same_types() -> None:
     domain = domain_of("domain=four_rooms")
     draws = [RandomCover(3).types(domain, stream(5, "users")) for _ in range(2)]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.domains.example import warehouse
 from tests.domains.users.corridor import Corridor
 from xplain.domains.users.setting import Setting, UserType
-from xplain.domains.warehouse import Warehouse
 from xplain.errors import InputError
 from xplain.learning.data.queries import Answered, Independent, Queries, RandomTraces, Shared
 
@@ -57,9 +57,9 @@ def test_message_probability_at_its_limits(probability: float, told: int) -> Non
 
 
 def test_forty_messages_are_given_as_well_as_two() -> None:
-    warehouse = Warehouse(40)
-    wrong = warehouse.parameters[0]
-    setting = Setting.build(warehouse, (UserType("A", {wrong.name: wrong.inaccurate}),))
+    domain = warehouse(40)
+    wrong = domain.parameters[0]
+    setting = Setting.build(domain, (UserType("A", {wrong.name: wrong.inaccurate}),))
     (one,) = asked(Independent(message_probability=1.0), [5], setting)
     assert one.message_sets.tolist() == [(1 << 40) - 1] * 5
     (one,) = asked(Independent(trace_length=1), [400], setting)

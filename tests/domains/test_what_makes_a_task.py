@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from tests.domains.configs import domain_of, setting_of
-from tests.domains.users.corridor import Corridor
-from xplain.domains.mdp import MDP
-from xplain.domains.rescue_maps import random_map
-from xplain.domains.users.setting import Setting, UserType
-from xplain.learning.data.domain_properties import (
+from tests.domains.properties import (
     count_traces,
     inexplicable_alone,
     on_policy_traces,
     problems,
     share_through,
 )
+from tests.domains.rescue_maps import random_map
+from tests.domains.users.corridor import Corridor
+from xplain.domains.mdp import MDP
+from xplain.domains.users.setting import Setting, UserType
 from xplain.randomness import stream
 
 LEFT, TOLL = UserType("left", {"end": "left"}), UserType("toll", {"toll": -5.0})
