@@ -209,8 +209,8 @@ def jobs(file: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 def sweep(root: Path, name: str) -> dict[str, Any]:
-    """The content of a file of conf/sweeps/, over that of the files that it is based on."""
-    own: Any = OmegaConf.load(root / "conf" / "sweeps" / f"{name}.yaml")
+    """The content of a file of sweeps/, over that of the files that it is based on."""
+    own: Any = OmegaConf.load(root / "sweeps" / f"{name}.yaml")
     based = [sweep(root, base) for base in own.pop("defaults", []) if base != "_self_"]
     merged: Any = OmegaConf.to_container(OmegaConf.merge(*based, own))
     return dict(merged)

@@ -96,8 +96,7 @@ def test_an_example_conforms_and_runs_against_the_wheel(installed, tmp_path, nam
 @pytest.mark.slow
 def test_the_wheel_carries_what_the_commands_need(installed, tmp_path):
     shipped = {path.name for path in (installed / "xplain" / "conf").rglob("*.yaml")}
-    assert shipped == {path.name for path in (ROOT / "conf").rglob("*.yaml")}
-    assert shipped
+    assert shipped == {path.name for of in ("conf", "sweeps") for path in (ROOT / of).rglob("*.yaml")}
     for page in (ROOT / "xplain").rglob("*.html"):
         assert (installed / page.relative_to(ROOT)).exists()
     assert (installed / "xplain" / "py.typed").exists()
@@ -109,6 +108,37 @@ def test_the_wheel_carries_what_the_commands_need(installed, tmp_path):
         **where,
     )
     assert "QHR" in said
+
+
+SMOKE = ("sweeps=smoke", "traces=1", "hydra.sweeper.settings=null", "tracking=none")
+
+
+def test_a_prepared_sweep_is_found_in_the_repository_and_from_another_folder(tmp_path):
+    listed = [
+        ran(sys.executable, "-m", "xplain", *SMOKE, "dry_run=true", f"outputs={tmp_path}", cwd=cwd)
+        for cwd in (ROOT, tmp_path)
+    ]
+    assert listed[0] == listed[1]
+    assert "λ=0.5" in listed[0]
+    assert {path.name for path in (ROOT / "sweeps").iterdir()} >= {"smoke.yaml", "table1.yaml"}
+
+
+@pytest.mark.slow
+def test_a_prepared_sweep_runs_from_a_wheel_in_an_empty_environment(wheels, tmp_path):
+    """Its dependencies are those of this environment, whose own xplain it does not see."""
+    venv.create(tmp_path / "empty", with_pip=False, symlinks=True)
+    python = tmp_path / "empty" / "bin" / "python"
+    paths = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    site = Path(ran(python, "-c", paths).strip())
+    (site / "dependencies.pth").write_text(ran(sys.executable, "-c", paths))
+    install(site, *wheels.glob("xplain_hri-*.whl"))
+    where = elsewhere("", tmp_path)
+    found = ran(python, "-c", "import xplain; print(xplain.__file__)", **where)
+    assert Path(found.strip()).is_relative_to(site)
+    ran(python, "-m", "xplain", *SMOKE, **where)
+    (results,) = tmp_path.glob("outputs/sweeps/smoke-*/report/regret.csv")
+    assert "qhr" in results.read_text()
+    assert "rescue qmdp" in ran(python, "-m", "xplain", "sweeps=table1", "dry_run=true", **where)
 
 
 @pytest.mark.slow

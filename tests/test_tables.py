@@ -73,8 +73,8 @@ class Repository:
             (tables.ENTRIES, ENTRIES),
             (tables.STAMPS, "{}"),
             ("docs/page.md", PAGE),
-            ("conf/sweeps/one.yaml", BASE),
-            ("conf/sweeps/two.yaml", SWEEP),
+            ("sweeps/one.yaml", BASE),
+            ("sweeps/two.yaml", SWEEP),
             (FIXED, '{"qmdp λ=1": {"cost": 3.5, "bounds": 2}, "pomcp λ=1": {"cost": 3}}'),
         ):
             (root / file).parent.mkdir(parents=True, exist_ok=True)
@@ -121,7 +121,7 @@ def test_a_table_is_older_than_a_default_a_map_or_a_run_that_changed(
     repository.change("conf/config.yaml", "labeler: practice", "labeler: tree")
     repository.change("conf/config.yaml", "discount: 0.95", "discount: 0.9")
     repository.change("conf/domain/four_rooms.yaml", "reward: 10.0", "reward: 9.0")
-    repository.change("conf/sweeps/one.yaml", "0.5,1", "0.5,1,2")
+    repository.change("sweeps/one.yaml", "0.5,1", "0.5,1,2")
     repository.change(FIXED, "3.5", "3.25")
     assert repository.main() == 1
     assert repository.listed == (
