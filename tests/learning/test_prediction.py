@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from tests.learning.conftest import made
-from xplain.learning.clustering import Clustering
+from xplain.learning.clustering import Clustering, Single
+from xplain.learning.data.dataset import Dataset
 from xplain.learning.labelers import LabelerTrainer
-from xplain.learning.prediction import calibration, predicted
+from xplain.learning.prediction import calibration, held_out, predicted
 from xplain.learning.user_types import learn_types
 
 
@@ -65,3 +66,17 @@ def test_intervals_of_calibration_are_wilsons():
             reached = 1.96 * np.sqrt(end * (1 - end) / part.labels)
             assert abs(part.ones - end) == pytest.approx(reached, abs=1e-9)
     assert sum(part.labels for part in many) == 57
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_of_few_labels_one_is_held_out_and_one_is_learned_from(count: int) -> None:
+    """Nobody was told anything; each label is held out with probability 1/4."""
+    rows = np.arange(count)
+    dataset = Dataset(
+        rows[:, None].astype(float), ("place",), ("m",), ("a", "b"),
+        rows % 2, rows, np.zeros(count, np.int64), (rows % 2).astype(np.uint8),
+    )  # fmt: skip
+    for seed in range(40):
+        found = held_out(dataset, Single(), LabelerTrainer(), seed)
+        assert 1 <= sum(part.labels for part in found.calibration) < count
+        assert np.isfinite([found.types, found.one_type, found.question_mean, *found.gain]).all()

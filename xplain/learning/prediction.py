@@ -149,11 +149,14 @@ def held_out(dataset: Dataset, clusterer: Clusterer, trainer: LabelerTrainer, se
 
     A share of the distinct (transition, message set) is put aside (``trainer.holdout``), or, where
     nobody was told anything, of the labels: questions are then items, of which no other teaches.
+    At least one label is put aside, and one is kept.
     """
     if dataset.message_set.any():
         test = split(dataset, trainer.holdout, derived_seed(seed, "held out"))
     else:
-        test = stream(seed, "held out").random(len(dataset)) < trainer.holdout
+        drawn = stream(seed, "held out").random(len(dataset))
+        test = drawn < trainer.holdout
+        test[drawn.argmin()], test[drawn.argmax()] = True, False  # one of either, at least
     rest, held = dataset.take(np.flatnonzero(~test)), dataset.take(np.flatnonzero(test))
     found = clusterer.cluster(rest, trainer, seed, None)
     alone = Single().cluster(rest, trainer, seed, None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -88,6 +89,19 @@ def test_what_cannot_happen_is_not_reachable() -> None:
     )
     right = [[cell, 1, cell + 1] for cell in range(1, SIZE - 1)]
     assert plain.reachable.tolist() == padded.reachable.tolist() == right
+
+
+def test_a_parameter_that_the_domain_reads_and_does_not_have_is_one_line() -> None:
+    """Its name in the configuration is misspelt."""
+
+    class Misspelt(Corridor):
+        parameters = (Corridor.parameters[0], replace(Corridor.parameters[1], name="tol"))
+
+    with pytest.raises(
+        InputError, match=r"domain\.parameters='end, tol'.*parameter toll"
+    ) as caught:
+        Setting.build(Misspelt(), (UserType("A", {"end": "left"}),))
+    assert "\n" not in str(caught.value)
 
 
 def test_types_that_label_alike_are_one() -> None:

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.special import gammaln
 
 from tests.learning.fact_model.states import counted
 from xplain.learning.data.dataset import Dataset
 from xplain.learning.fact_model.counts import REACH
-from xplain.learning.fact_model.gibbs import init
+from xplain.learning.fact_model.gibbs import init, sample
 from xplain.learning.fact_model.model import CELL, NOISE, ChainState, Prior, SortedLabels
 from xplain.learning.fact_model.resample_transitions import (
     WIDE,
@@ -38,14 +39,19 @@ def some_answers(rng: np.random.Generator, n: int, size: int, ones: float) -> So
     return SortedLabels.of(dataset)
 
 
-def log_joint(answers: SortedLabels, prior: Prior, state: ChainState) -> NDArray[np.float64]:
+def log_joint(
+    answers: SortedLabels,
+    prior: Prior,
+    state: ChainState,
+    log_noise: NDArray[np.float64] = LOG_NOISE,
+) -> NDArray[np.float64]:
     """[T, Z, E] log P(S, ε and the labels about a transition | everybody's R), f summed out."""
     held = state.facts[answers.owner] & ~answers.message_set
     found = np.empty((len(state.subset), len(prior.size), len(NOISE)))
     for t, z, e in np.ndindex(found.shape):
         about = answers.transition == t
         cell = held & prior.members[z]
-        value = prior.log_subset[z] + LOG_NOISE[e]
+        value = prior.log_subset[z] + log_noise[e]
         for one in np.unique(cell[about]):
             label = answers.label[about & (cell == one)]
             ones, zeros = int(label.sum()), int((1 - label).sum())
@@ -111,3 +117,27 @@ def test_the_score_is_the_sum_over_all_of_them_however_many_labels_agree(ones: f
     score = resample_transitions(answers, prior, state, held, 1.0, rng, scratch)
     expected = np.logaddexp.reduce(log_joint(answers, prior, state).reshape(2, -1), axis=1)
     assert score == pytest.approx(expected.sum(), rel=1e-9)
+
+
+def test_chains_of_many_observers_are_compared_by_the_joint_of_the_same_variables() -> None:
+    """Types are merged at the end with S and ε fixed; the score is summed over both, as that of any
+    other chain."""
+    rng, n, observers = np.random.default_rng(5), 2, 120
+    dataset = Dataset(
+        features=np.arange(2.0)[:, None],
+        feature_names=("place",),
+        messages=("m0", "m1"),
+        observers=tuple(f"o{o}" for o in range(observers)),
+        observer=rng.integers(observers, size=400),
+        transition=rng.integers(2, size=400),
+        message_set=rng.integers(1 << n, size=400),
+        label=rng.integers(0, 2, 400).astype(np.uint8),
+    )
+    answers, prior = SortedLabels.of(dataset), Prior.of(n, 2)
+    first = rng.integers(0, 1 << n, observers)
+    chain = sample(answers, prior, 0.5, first, 4, 2.0, rng)
+    joint = log_joint(answers, prior, chain.best, chain.best.log_noise).reshape(2, -1)
+    members = np.unique(chain.best.facts, return_counts=True)[1]
+    restaurant = (np.log(0.5) - n * np.log(2) + gammaln(members)).sum()
+    expected = np.logaddexp.reduce(joint, axis=1).sum() + restaurant
+    assert chain.score == pytest.approx(expected, rel=1e-9)

@@ -54,7 +54,8 @@ class Setting:
         """Solves every distinct model.
 
         Raises:
-            InputError: no types, two of one name, or a type that names an unknown parameter.
+            InputError: no types, two of one name, a type that names an unknown parameter, or a
+                domain that reads a parameter that it does not have.
             DomainError: a model has ambiguous ties, or no way to its goal.
             TooLargeError: more than MAX_MODELS distinct models.
         """
@@ -81,7 +82,7 @@ class Setting:
             key = repr([values[name] for name in names])
             if key not in index:
                 index[key] = len(models)
-                models.append(domain.model(values))
+                models.append(_model(domain, values))
                 whose.append(who)
             return index[key]
 
@@ -178,3 +179,20 @@ class Setting:
             key = own, labels.of_types([t]).over([own]).p.tobytes()
             found.append(first.setdefault(key, len(first)))
         return np.array(found)
+
+
+def _model(domain: Domain, values: Mapping[str, Any]) -> mdp.TaskModel:
+    """The domain's model of these values.
+
+    Raises:
+        InputError: the domain reads a parameter that it does not have.
+    """
+    try:
+        return domain.model(values)
+    except KeyError as error:
+        if error.args and error.args[0] in values:
+            raise
+        wanted = error.args[0] if error.args else ""
+        raise InputError(
+            "domain.parameters", ", ".join(values), f"{domain.name} needs the parameter {wanted}"
+        ) from error

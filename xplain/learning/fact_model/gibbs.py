@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from xplain.learning.fact_model.model import ChainState, Prior, SortedLabels, facts_that_matter
 from xplain.learning.fact_model.resample_facts import FactScratch as ObserverScratch
 from xplain.learning.fact_model.resample_facts import InUse, resample_facts
+from xplain.learning.fact_model.resample_transitions import WIDE, resample_transitions
 from xplain.learning.fact_model.resample_transitions import TransitionScratch as TransitionScratch
-from xplain.learning.fact_model.resample_transitions import resample_transitions
 from xplain.learning.fact_model.split_merge import MANY_OBSERVERS, merge_types, split_merge
 
 
@@ -77,6 +77,11 @@ def sample(
             split_merge(answers, prior, state, log_new, temperature, rng)
     if len(first) >= MANY_OBSERVERS:
         best_score += merge_types(answers, prior, best, log_new)
+        if n <= WIDE:  # merges compare with S and ε fixed; chains are compared with both summed out
+            held = best.facts[answers.owner] & ~answers.message_set
+            merged = answers, prior, best.copy(), held, 1.0, rng, of_transition
+            members = np.unique(best.facts, return_counts=True)[1]
+            best_score = resample_transitions(*merged) + _log_restaurant(members, log_new)
     return Chain(best, best_score, types[sweeps // 2 :])
 
 
