@@ -96,7 +96,9 @@ def test_an_example_conforms_and_runs_against_the_wheel(installed, tmp_path, nam
 @pytest.mark.slow
 def test_the_wheel_carries_what_the_commands_need(installed, tmp_path):
     shipped = {path.name for path in (installed / "xplain" / "conf").rglob("*.yaml")}
-    assert shipped == {path.name for of in ("conf", "sweeps") for path in (ROOT / of).rglob("*.yaml")}
+    assert shipped == {
+        path.name for of in ("conf", "sweeps") for path in (ROOT / of).rglob("*.yaml")
+    }
     for page in (ROOT / "xplain").rglob("*.html"):
         assert (installed / page.relative_to(ROOT)).exists()
     assert (installed / "xplain" / "py.typed").exists()

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from sklearn.ensemble import RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.svm import LinearSVC
 from sklearn.tree import DecisionTreeClassifier
@@ -243,20 +244,20 @@ def test_the_table_over_what_a_tree_looks_at_is_the_whole_table(seed: int, n: in
     assert set(whole.effective()[0]) <= set(some.rows[0])
 
 
-def test_twenty_messages_are_the_most_that_are_looked_at() -> None:
+def test_sixteen_messages_are_the_most_that_are_looked_at() -> None:
     """A tree of one path a message, in a row."""
-    for count in (20, 21):
+    for count in (16, 17):
         x = np.zeros((count + 1, 24), dtype=np.float32)
         x[np.arange(count), 1 + np.arange(count)] = 1
         tree = DecisionTreeClassifier(random_state=0).fit(x, np.arange(count + 1) < count)
         labeler = Labeler(tree, 23, 0.9, 0.9, 1, 1)
-        if count == 20:
+        if count == 16:
             found = labeler.table(np.zeros((1, 1)))
-            assert found.rows == [list(range(20))]
+            assert found.rows == [list(range(16))]
             assert not found.p[0, 0, 0] > 0.5
             assert (found.p[0, 1:, 0] > 0.5).all()
         else:
-            with pytest.raises(TooLargeError, match="21 of 23 messages"):
+            with pytest.raises(TooLargeError, match="17 of 23 messages"):
                 labeler.table(np.zeros((1, 1)))
 
 
@@ -286,3 +287,22 @@ def test_a_labeler_that_looks_at_too_many_messages_is_refused(rng: np.random.Gen
         Labeler(tree, n, 0.9, 0.9, 1, 1).table(features[:1])
     with pytest.raises(TooLargeError, match="labeler=pruned"):
         Labeler(LogisticRegression().fit(x, x[:, 1]), n, 0.9, 0.9, 1, 1).table(features[:1])
+
+
+@pytest.mark.parametrize("confidence", ["accuracy", "leaf"])
+@pytest.mark.parametrize("forest", [False, True])
+def test_table_holds_the_probability_of_every_message_set(
+    rng: np.random.Generator, confidence: str, forest: bool
+) -> None:
+    dataset, _ = made(rng, [[0, 2]], noise=0.1)
+    model = RandomForestClassifier(5) if forest else DecisionTreeClassifier(min_samples_leaf=2)
+    labeler = LabelerTrainer(model, confidence=confidence).fit(dataset, 3)  # type: ignore[arg-type]
+    table = labeler.table(dataset.features).array(dataset.n_messages)[0]
+    every = np.arange(1 << dataset.n_messages)
+    for row, features in zip(table, dataset.features, strict=True):
+        rows = np.tile(features, (len(every), 1))
+        assert row == pytest.approx(labeler.probability(rows, every))
+        if confidence == "accuracy":  # a forest's average may disagree with its vote at a half
+            assert ((row > 0.5) == labeler.predict(rows, every)).all()
+    assert table.min() > 0
+    assert table.max() < 1

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
@@ -11,12 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xplain.errors import InputError, Range, TooLargeError, checks
-from xplain.explanation.label_table import DENSE, MAX_RELEVANT, LabelTable
-from xplain.explanation.message_sets import indices
+from xplain.explanation.label_table import DENSE, LabelTable
+from xplain.explanation.message_sets import subsets
 from xplain.learning.data.dataset import Dataset, inputs, query_index
 from xplain.learning.data.observers import Observed
-from xplain.learning.tree_leaves import cubes
 from xplain.randomness import derived_seed, stream
+
+MOST_LOOKED_AT = 16
+"""Messages that may change a labeler's predictions about one trace."""
+ROWS = 1 << 16
+"""Rows that a classifier is asked about at a time."""
 
 
 def paper_tree() -> Any:
@@ -93,9 +97,6 @@ class Labeler:
     ) -> LabelTable:
         """P(label = 1) of T transitions, of people of one type.
 
-        A tree fills it leaf by leaf (n = 20 takes tenths of a second); any other classifier is
-        asked for each entry.
-
         Args:
             features: [T, F].
             transitions: [T, 3] with these features, where they are known; a labeler may tell
@@ -113,28 +114,14 @@ class Labeler:
         """The messages that matter, r of them ascending: all where they are few, else those that
         the labeler looks at; and P(label = 1) under every subset of them, [T, 2^r]."""
         n = self.n_messages
-        if hasattr(self.classifier, "tree_"):
-            found = cubes(self.classifier.tree_, features, n)
-            relevant: Sequence[int] = range(n)
-            if n > DENSE:
-                relevant = indices(int(np.bitwise_or.reduce(found.ones | found.zeros, initial=0)))
-                check_looked_at(len(relevant), n)
-            shape = len(features), 1 << len(relevant)
-            return relevant, found.over(relevant).table(self._of_leaves(), shape)
-        if n > DENSE:
-            raise TooLargeError(
-                f"labeler: a classifier that is no tree may look at any of {n} messages, more "
-                f"than {DENSE}; labeler=pruned is a tree that looks at few"
-            )
-        return range(n), self._by_sets(features, np.arange(1 << n))
+        relevant = range(n) if n <= DENSE else looked_at(self.classifier, features, n)
+        return relevant, self._by_sets(features, subsets(relevant))
 
     def _by_sets(
         self, features: NDArray[np.float64], message_sets: NDArray[np.int64]
     ) -> NDArray[np.float64]:
         """P(label = 1) of each transition [T, F] under each of the message sets [K]: [T, K]."""
-        shape = len(message_sets), features.shape[1]
-        every = [self.probability(np.broadcast_to(row, shape), message_sets) for row in features]
-        return np.reshape(every, (len(features), len(message_sets)))
+        return by_sets(self._probability, features, message_sets, self.n_messages)
 
     def _probability(self, x: NDArray[np.float32]) -> NDArray[np.float64]:
         if hasattr(self.classifier, "tree_"):
@@ -260,12 +247,64 @@ class LabelerTrainer:
         return model.fit(x, y)
 
 
+def looked_at(classifier: Any, features: NDArray[np.float64], n_messages: int) -> Sequence[int]:
+    """The messages that may change a prediction about transitions [T, F], ascending: of a decision
+    tree those that its paths ask for, of any other classifier all.
+
+    Raises:
+        TooLargeError: they are too many for a table of all sets of them.
+    """
+    if not hasattr(classifier, "tree_"):
+        if n_messages > DENSE:
+            raise TooLargeError(
+                f"labeler: a classifier that is no tree may look at any of {n_messages} messages, "
+                f"more than {DENSE}; labeler=pruned is a tree that looks at few"
+            )
+        return range(n_messages)
+    tree, width = classifier.tree_, features.shape[1]
+    # The tree compares single precision inputs with double precision thresholds.
+    single = features.astype(np.float32)
+    found: set[int] = set()
+    todo = [(0, np.arange(len(features)))]
+    while todo:
+        node, rows = todo.pop()
+        low = high = rows
+        tested = int(tree.feature[node])
+        if tree.children_left[node] < 0 or not len(rows):
+            continue
+        if tested < width:
+            below = single[rows, tested] <= tree.threshold[node]
+            low, high = rows[below], rows[~below]
+        else:
+            found.add(tested - width)
+        todo += [(tree.children_left[node], low), (tree.children_right[node], high)]
+    check_looked_at(len(found), n_messages)
+    return sorted(found)
+
+
+def by_sets(
+    asked: Callable[[NDArray[np.float32]], NDArray[Any]],
+    features: NDArray[np.float64],
+    message_sets: NDArray[np.int64],
+    n_messages: int,
+) -> NDArray[Any]:
+    """What is ``asked`` of a classifier's input [P, F + n] → [P], of each transition [T, F] under
+    each of the message sets [K]: [T, K]."""
+    count = len(message_sets)
+    size = max(ROWS // count, 1)
+    found = [
+        asked(inputs(np.repeat(part, count, axis=0), np.tile(message_sets, len(part)), n_messages))
+        for part in np.split(features, np.arange(size, len(features), size))
+    ]
+    return np.concatenate(found).reshape(len(features), count)
+
+
 def check_looked_at(count: int, n_messages: int) -> None:
-    """Raises TooLargeError where a labeler looks at more than MAX_RELEVANT messages on a trace."""
-    if count > MAX_RELEVANT:
+    """Raises TooLargeError where a labeler looks at more messages on a trace than allowed."""
+    if count > MOST_LOOKED_AT:
         raise TooLargeError(
             f"labeler: a type's labeler looks at {count} of {n_messages} messages on one trace, "
-            f"more than {MAX_RELEVANT}; shorter traces, or a pruned tree (labeler=pruned), look "
+            f"more than {MOST_LOOKED_AT}; shorter traces, or a pruned tree (labeler=pruned), look "
             "at fewer"
         )
 
