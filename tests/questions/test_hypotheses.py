@@ -26,7 +26,7 @@ from xplain.domains.users.inaccurate_values import (
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import DomainError, InputError, TooLargeError, XplainError
 from xplain.experiment.config import composed
-from xplain.questions.expectation import groups
+from xplain.questions.matrix import QuestionMatrix
 
 seeds = st.integers(0, 10_000)
 
@@ -77,21 +77,26 @@ def test_expected_labels_are_the_sum_over_candidates(seed, variants):
     hypotheses = random_hypotheses(seed, variants=variants)
     weight = np.random.default_rng(seed).random((1 + variants, 8))
     tables = [hypotheses.labels, *hypotheses.variants]
-    covered = set()
-    for group in groups(hypotheses):
-        expected = group.expected(weight)
-        for g, transitions in enumerate(group.transitions):
-            for kept, facts in enumerate(group.facts.tolist()):
-                for t in transitions.tolist():
-                    told = int(group.facts[-1]) & ~facts
-                    plain = sum(
-                        weight[v, held] * table[held & ~told, t]
-                        for v, table in enumerate(tables)
-                        for held in range(8)
-                    )
-                    assert expected[kept, g] == pytest.approx(plain, abs=1e-12)
-                    covered.add(t)
-    assert covered == set(np.flatnonzero(hypotheses.matters).tolist())
+    matrix = QuestionMatrix.of(hypotheses)
+    expected = weight.ravel() @ matrix.labels[:, matrix.column]
+    covered = []
+    for one, g, told in zip(expected, matrix.function, matrix.told.tolist(), strict=True):
+        for t in matrix.transitions[g].tolist():
+            plain = sum(
+                weight[v, held] * table[held & ~told, t]
+                for v, table in enumerate(tables)
+                for held in range(8)
+            )
+            assert one == pytest.approx(plain, abs=1e-12)
+            covered.append((t, told))
+    every = [
+        (t, told)
+        for t, facts in enumerate(hypotheses.matters.tolist())
+        for told in range(8)
+        if facts and told & ~facts == 0
+    ]
+    assert sorted(covered) == every
+    assert len(np.unique(matrix.labels, axis=1).T) == matrix.labels.shape[1]
 
 
 def test_of_a_domain_they_are_the_labels_of_its_inaccurate_values(corridor):

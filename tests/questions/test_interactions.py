@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xplain.domains.users.hypotheses import Hypotheses
-from xplain.questions.expectation import AllQuestions, groups, questions_of
 from xplain.questions.interactions import Interactions
+from xplain.questions.matrix import QuestionMatrix, questions_of
 
 seeds = st.integers(0, 10_000)
 FACTS, TRANSITIONS = 5, 6
@@ -30,25 +30,6 @@ def by_definition(hypotheses, weight, transition, kept):
     """Σ weight(v, R) f^v(R ∩ K)."""
     rows = hypotheses.row(hypotheses.facts & kept)
     return float((weight * hypotheses.tables[:, rows, transition]).sum())
-
-
-@given(seeds, st.integers(0, 2))
-@settings(deadline=None)
-def test_expected_labels_are_those_of_the_tables(seed, variants):
-    hypotheses = random_list(seed, variants)
-    weight = np.random.default_rng(seed).random((1 + variants, len(hypotheses.facts)))
-    sparse = Interactions.of(hypotheses)
-    function = {t: g for g, own in enumerate(sparse.transitions) for t in own.tolist()}
-    covered = set()
-    for group in groups(hypotheses):
-        dense = group.expected(weight)
-        for row, kept in enumerate(group.facts.tolist()):
-            found = sparse.expected(weight, np.full(len(sparse.transitions), kept))
-            for g, own in enumerate(group.transitions):
-                for t in own.tolist():
-                    assert found[function[t]] == pytest.approx(dense[row, g], abs=1e-9)
-                    covered.add(t)
-    assert covered == set(function)
 
 
 @given(seeds, st.integers(0, 1))
@@ -76,8 +57,15 @@ def test_no_question_that_differs_in_one_message_tells_more(seed, variants):
 def test_where_all_sets_are_listed_all_questions_are_weighed(seed):
     hypotheses = random_list(seed)
     every = len(hypotheses.facts) == 1 << FACTS
-    assert isinstance(questions_of(hypotheses), AllQuestions) == every
+    assert isinstance(questions_of(hypotheses), QuestionMatrix) == every
     weight = np.random.default_rng(seed).random((1, len(hypotheses.facts)))
     middle = weight.sum() / 2
-    best = AllQuestions(groups(hypotheses)).nearest(weight, middle, 1).off.min()
+    best = QuestionMatrix.of(hypotheses).nearest(weight, middle, 1).off.min()
     assert Interactions.of(hypotheses).nearest(weight, middle, 1).off.min() >= best - 1e-9
+
+
+def test_where_questions_are_too_many_for_a_matrix_they_are_searched(monkeypatch):
+    hypotheses = Hypotheses.of(np.random.default_rng(0).integers(0, 2, (1 << FACTS, 4)))
+    assert isinstance(questions_of(hypotheses), QuestionMatrix)
+    monkeypatch.setattr("xplain.questions.matrix.MAX_CELLS", 100)
+    assert isinstance(questions_of(hypotheses), Interactions)

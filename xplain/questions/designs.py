@@ -126,13 +126,15 @@ class Adaptive:
         known = hypotheses_of(setting.domain, self.hypotheses).told_apart_by_features()
         transitions = transitions_of(known, setting)
         checks = _Checks.of(known, transitions, setting, stream(seed, "queries", "checks"))
+        blank = Questionnaire(
+            *(known, self.error, None, self.clip), none=self.none, misread=self.misread
+        )
         asked: dict[int, Questionnaire] = {}
         found: dict[int, Posterior] = {}
         for o, now in self._turns(sizes.tolist()):
             others = [one for other, one in found.items() if other != o]
-            questions = self._questions(
-                asked.get(o), known, others, derived_seed(seed, "queries", o)
-            )
+            before = asked.get(o) or blank.anew(None, derived_seed(seed, "queries", o))
+            questions = self._questions(before, others)
             left = now
             while left:
                 check = questions.done and checks.rng.random() < self.check
@@ -156,19 +158,12 @@ class Adaptive:
             if first < size
         ]
 
-    def _questions(
-        self, before: Questionnaire | None, known: Hypotheses, others: list[Posterior], seed: int
-    ) -> Questionnaire:
+    def _questions(self, before: Questionnaire, others: list[Posterior]) -> Questionnaire:
         """A person's questionnaire, with what is thought of all others by now."""
-        listed = known if before is None else before.hypotheses
+        listed = before.hypotheses
         if others:
             listed = listed.with_sets(np.concatenate([facts for facts, _ in others]))
-        prior = self._prior(listed, others)
-        if before is not None:
-            return before.over(listed, prior)
-        return Questionnaire(
-            *(listed, self.error, prior, self.clip, seed), none=self.none, misread=self.misread
-        )
+        return before.over(listed, self._prior(listed, others))
 
     def _prior(self, known: Hypotheses, others: list[Posterior]) -> NDArray[np.float64]:
         """[C] before anything is asked, by the observers before."""

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import entr
 
 from xplain.domains.users.hypotheses import Hypotheses
-from xplain.questions.expectation import EQUAL, WeighedQuestions
 from xplain.questions.interactions import Nearest
+from xplain.questions.matrix import EQUAL, WeighedQuestions
 
 TIE = 1e-9
 """Clips tie when their mutual informations (bits) differ by less."""
@@ -48,12 +47,8 @@ class Posterior:
     ) -> NDArray[np.float64]:
         """P(answers | layer, candidate) of one question, a label a transition: [2 + V, C]."""
         labels, given = self.labels(transitions, told), np.array(answers)
-        if self.rates is None:
-            right, error = (labels == given).sum(axis=2), self.error[:, None]
-            each = (1 - error) ** right * error ** (len(given) - right)
-        else:
-            one = self._answered_one(labels, np.asarray(transitions))
-            each = np.where(given == 1, one, 1 - one).prod(axis=2)
+        one = self._answered_one(labels, np.asarray(transitions))
+        each = np.where(given == 1, one, 1 - one).prod(axis=2)
         return np.asarray((1 - self.misread) * each + self.misread / 2 ** len(given))
 
     def _answered_one(
@@ -88,24 +83,10 @@ class Posterior:
         transition, told = asked[rng.choice(ties)].tolist()
         return transition, told
 
-    def information(self, transitions: ArrayLike, told: int) -> float:
-        """Bits that the answer to one question tells of (the layer, the candidate)."""
-        if self.rates is not None:
-            clip = np.atleast_1d(np.asarray(transitions)).tolist()
-            every = product((0, 1), repeat=len(clip))
-            each = np.stack([self.likelihood(clip, told, answers) for answers in every])
-            mean = (self.weight * each).sum(axis=(1, 2))
-            return float(_entropy(mean) - (self.weight * _entropy(each)).sum())
-        labels = self.labels(transitions, told)
-        count = labels.shape[2]
-        pattern = labels @ (1 << np.arange(count))
-        shares = np.stack(
-            [
-                np.bincount(one, row, minlength=1 << count).astype(np.float64)
-                for one, row in zip(pattern, self.weight, strict=True)
-            ]
-        )
-        return float(self._bits(shares[:, :, None])[0])
+    def information(self, transitions: NDArray[np.int64], told: int) -> float:
+        """Bits that the answer to one question tells of (the layer, the candidate); of a clip the
+        sum of what the answers tell one by one."""
+        return float(self.gains(transitions, told).sum())
 
     def best_questions(
         self, questions: WeighedQuestions, count: int, seen: list[int], rng: np.random.Generator
@@ -149,30 +130,17 @@ class Posterior:
     def best_clip(
         self, starts: list[tuple[int, int]], length: int, rng: np.random.Generator
     ) -> tuple[list[int], int]:
-        """The best clip of those grown transition by transition, each time by the one that makes
-        the whole clip tell most (greedy, as mutual information is submodular)."""
-        known = self.hypotheses
+        """The best clip of those grown transition by transition, each time by the one that tells
+        most by itself."""
         best, most = ([starts[0][0]], starts[0][1]), -1.0
-        every = np.arange(known.n_transitions)
+        every = np.arange(self.hypotheses.n_transitions)
+        gains = {told: self.gains(every, told) for told in {told for _, told in starts}}
         for start, told in starts:
-            labels = self.labels(every, told)
-            clip, pattern = [start], labels[:, :, start]
-            value = self.information(clip, told)
+            clip = [start]
             while len(clip) < length and len(after := self._beside(clip)):
-                size = 1 << len(clip)
-                layers = list(zip(pattern, self.weight, labels[:, :, after], strict=True))
-                of_one = np.stack(  # [2 + V, patterns, further]: share of label 1 after a pattern
-                    [_sum_rows(own, row[:, None] * label, size) for own, row, label in layers]
-                )
-                of_any = np.stack([np.bincount(own, row, size) for own, row, _ in layers])
-                shares = np.concatenate([of_any[:, :, None] - of_one, of_one], axis=1)
-                values = self._bits(shares)
-                ties = np.flatnonzero(values > values.max() - TIE)
-                i = int(rng.choice(ties))
-                pattern = pattern + size * labels[:, :, after[i]]
-                value = float(values[i])
-                clip.append(int(after[i]))
-            if value > most + TIE:
+                own = gains[told][after]
+                clip.append(int(rng.choice(after[own > own.max() - TIE])))
+            if (value := float(gains[told][clip].sum())) > most + TIE:
                 best, most = (clip, told), value
         return best
 
@@ -182,46 +150,7 @@ class Posterior:
         others = np.setdiff1d(np.arange(self.hypotheses.n_transitions), clip)
         return others if states is None else others[states[others, 0] == states[clip[-1], 1]]
 
-    def _bits(self, shares: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Bits that answers tell: shares [2 + V, 2^c, Q] of each pattern of labels, by layer, of Q
-        questions about c transitions → [Q].
-
-        The noise has the same entropy whatever the pattern.
-        """
-        patterns = shares.shape[1]
-        layers = [
-            _channel(patterns.bit_length() - 1, error, self.misread)
-            for error in self.error.tolist()
-        ]
-        answers = sum(layer @ share for layer, share in zip(layers, shares, strict=True))
-        noise = sum(
-            share.sum() * _entropy(layer[:, 0])
-            for layer, share in zip(layers, self.weight, strict=True)
-        )
-        return np.asarray(_entropy(np.asarray(answers)) - noise)
-
-
-def _sum_rows(
-    group: NDArray[np.int64], rows: NDArray[np.float64], count: int
-) -> NDArray[np.float64]:
-    """Sums of the rows [C, Q] of each group [C]: [count, Q]."""
-    return np.asarray((group == np.arange(count)[:, None]).astype(np.float64) @ rows)
-
-
-def _channel(length: int, error: float, misread: float) -> NDArray[np.float64]:
-    """P(answered pattern | true pattern) of clips of ``length`` labels: [2^length, 2^length]."""
-    one = np.array([[1 - error, error], [error, 1 - error]])
-    result = np.ones((1, 1))
-    for _ in range(length):
-        result = np.kron(one, result)
-    return (1 - misread) * result + misread / len(result)
-
 
 def _binary(one: NDArray[np.float64]) -> NDArray[np.float64]:
     """Bits of an answer that is 1 with this probability."""
     return np.asarray((entr(one) + entr(1 - one)) / np.log(2))
-
-
-def _entropy(probability: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bits, over the first axis."""
-    return np.asarray(entr(probability).sum(axis=0) / np.log(2))

@@ -6,7 +6,7 @@ most c_A are 0). When the facts K are not told, the probability of label 1 is a 
 
     P(yes | K) = Σ_{A ⊆ K} c_A Σ_{R ⊇ A} p(R),
 
-exactly that of :mod:`xplain.questions.expectation`. A question tells the more the nearer it is to
+exactly that of :mod:`xplain.questions.matrix`. A question tells the more the nearer it is to
 ½, and K is found by turning one fact after the other, each time that which comes nearest.
 """
 
@@ -91,7 +91,7 @@ class Interactions:
         return entry, self._sets[entry] & ~(1 << fact), self.function[entry] * n + fact
 
     def nearest(self, weight: NDArray[np.float64], middle: float, count: int) -> Nearest:
-        """See :class:`xplain.questions.expectation.WeighedQuestions`: two questions a function,
+        """See :class:`xplain.questions.matrix.WeighedQuestions`: two questions a function,
         found from nothing told and from everything told. No question that differs from one of
         them in one message is nearer to the middle."""
         share = self._shares(weight)
@@ -100,11 +100,6 @@ class Interactions:
             kept, off = self._turned(share, middle, start)
             found.append(Nearest(off, np.arange(len(kept)), self.facts & ~kept))
         return Nearest(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
-
-    def expected(self, weight: NDArray[np.float64], kept: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Σ weight(v, R) f^v(R ∩ K) of each function by the facts K that are not told: weight
-        [1 + V, C], kept [G] → [G]."""
-        return self._sum(self._shares(weight), kept)
 
     def _shares(self, weight: NDArray[np.float64]) -> NDArray[np.float64]:
         """[E] Σ_v c^v_A Σ_{R ⊇ A} weight(v, R)."""

@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.label_tables import prior_over
 from xplain.errors import InputError, Range, number, whole_number
-from xplain.questions.expectation import WeighedQuestions, questions_of
 from xplain.questions.information import Posterior
+from xplain.questions.matrix import WeighedQuestions, questions_of
 from xplain.randomness import stream
 
 NONE_ERROR = 1 / 3
@@ -77,7 +77,7 @@ class Questionnaire:
 
     Raises:
         InputError: a value is not allowed, or no question separates any candidates.
-        TooLargeError: too many candidates, or facts that matter at one transition.
+        TooLargeError: too many candidates.
     """
 
     def __init__(
@@ -307,7 +307,8 @@ class Questionnaire:
 
     def information(self, question: Question) -> float:
         """Mutual information, in bits, of the answer and (the variant, the candidate, whether any
-        hypothesis fits): what :meth:`next` makes as large as possible (a clip: greedily)."""
+        hypothesis fits): what :meth:`next` makes as large as possible. Of a clip it is the sum over
+        its transitions, each by itself."""
         transitions, told = self._checked(question)
         return self._posterior.information(transitions, told)
 
