@@ -18,14 +18,7 @@ import numpy as np
 import pytest
 from filelock import FileLock
 
-from tests.people.kinds import ASKING, site_of
-from tests.people.server_process import ROOT, ServerProcess
-from tests.people.study.stand_in import FAULTLESS, street_study
-from xplain.cli.main import main
-from xplain.people.server.store import Store
-from xplain.people.simulation.bots import Researcher
-from xplain.people.simulation.browser import Page
-from xplain.people.simulation.chromium import (
+from tests.chromium import (
     Driver,
     answer,
     browser,
@@ -37,6 +30,13 @@ from xplain.people.simulation.chromium import (
     take_part,
     wait,
 )
+from tests.people.kinds import ASKING, site_of
+from tests.people.server_process import ROOT, ServerProcess
+from tests.people.study.stand_in import FAULTLESS, street_study
+from xplain.cli.main import main
+from xplain.people.server.store import Store
+from xplain.people.simulation.bots import Researcher
+from xplain.people.simulation.browser import Page
 from xplain.people.study.bot import Habits, StudyBot
 from xplain.people.study.flow import Study
 from xplain.people.study.prepare import study_plan

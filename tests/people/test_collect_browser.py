@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.chromium import Driver, answer, go_in, press, take_part, wait
 from tests.people import test_browser
 from tests.people.collect.stand_in import FAULTLESS, at_work, street_collection
 from tests.people.server_process import ServerProcess
@@ -23,7 +24,6 @@ from xplain.people.collect.site import CollectSite
 from xplain.people.server.store import Store
 from xplain.people.simulation.bots import Researcher
 from xplain.people.simulation.browser import Page
-from xplain.people.simulation.chromium import Driver, answer, go_in, press, take_part, wait
 from xplain.questions.designs import Adaptive
 
 pytestmark = pytest.mark.browser
@@ -144,7 +144,7 @@ def test_bots_in_a_browser_answer_as_those_without(
     assert "all equal" in capsys.readouterr().out
     store = Store(path, CollectSite(collection))
     plan = collection.plan
-    for number, row in enumerate(store.query("SELECT state FROM participant ORDER BY number")):
+    for number, row in enumerate(store.query("SELECT state FROM seen ORDER BY number")):
         state = store.site.state(row["state"])
         held = plan.roles[number].held
         best = max((f for f in state.belief if f != "none"), key=lambda f: state.belief[f])
@@ -160,7 +160,7 @@ def test_a_lost_network_loses_no_label(driver: Driver, tmp_path: Path) -> None:
         while (page := Page.of_html(driver.page_source)).stage != "clips":
             answer(driver, page, person.fill(page)[0])
         server.kill()
-        from xplain.people.simulation.chromium import choose
+        from tests.chromium import choose
 
         choose(driver, person.fill(page)[0])
         press(driver)

@@ -21,7 +21,7 @@ from xplain.people.simulation.bots import answer
 from xplain.people.stages import check, small
 
 ADMITTED: dict[str, dict[str, Any]] = {
-    "study": {"user_type": 0, "condition": "personalized"}
+    "study": {"position": 0, "user_type": 0, "condition": "personalized"}
     | {"orders": {"eligibility": (2, 0, 1, 3), "quiz": (3, 2, 1, 0)}},
     "collect": {"number": 5, "role": None, "others": {}},
 }
@@ -43,9 +43,9 @@ def consent(kind: str, **changes: Any) -> dict[str, Any]:
 def states(kind: str) -> list[Any]:
     """Every state on the way of somebody faultless."""
     flow, person = site_of(kind).flow, bot_of(site_of(kind), 5)
-    found = [flow.STATE(), flow.advance(flow.STATE(), "consent", consent(kind)).state]
+    found = [flow.STATE(), flow.advance(flow.STATE(), "consent", consent(kind))]
     while not found[-1].over:
-        found.append(flow.advance(found[-1], *answer(flow, person, found[-1])).state)
+        found.append(flow.advance(found[-1], *answer(flow, person, found[-1])))
     return found
 
 
@@ -104,13 +104,13 @@ def test_what_is_missing_or_cannot_be_is_refused(kind: str) -> None:
 @kinds
 def test_practice_goes_on_until_it_is_understood(kind: str) -> None:
     flow, state = site_of(kind).flow, at(kind, "example")
-    wrong = flow.advance(state, "example", {"label": 1}).state
+    wrong = flow.advance(state, "example", {"label": 1})
     assert (wrong.stage, wrong.part, wrong.wrong) == (state.stage, 0, True)
-    half = flow.advance(wrong, "example", {"label": 0}).state
+    half = flow.advance(wrong, "example", {"label": 0})
     assert (half.stage, half.part, half.wrong) == (state.stage, 1, False)
-    again = flow.advance(half, "example", {"label": 0}).state
+    again = flow.advance(half, "example", {"label": 0})
     assert (again.stage, again.part, again.wrong) == (state.stage, 1, True)
-    done = flow.advance(again, "example", {"label": 1}).state
+    done = flow.advance(again, "example", {"label": 1})
     assert (done.stage != state.stage, done.wrong) == (True, False)
     with pytest.raises(Refused):
         flow.advance(state, "example", {"label": 2})
@@ -138,7 +138,7 @@ def test_questions_take_what_lies_within_their_bounds(
 ) -> None:
     flow, state = site_of(kind).flow, at(kind, "answers")
     if accepted:
-        assert flow.advance(state, "answers", answers).state.stage == "done"
+        assert flow.advance(state, "answers", answers).stage == "done"
     else:
         with pytest.raises(Refused):
             flow.advance(state, "answers", answers)
@@ -155,12 +155,12 @@ def test_a_comment_has_no_characters_that_programs_end_at(kind: str) -> None:
 @kinds
 def test_who_declines_leaves_or_is_silent_ends(kind: str) -> None:
     flow = site_of(kind).flow
-    declined = flow.advance(flow.STATE(), "consent", consent(kind, agree=0)).state
+    declined = flow.advance(flow.STATE(), "consent", consent(kind, agree=0))
     assert declined == flow.STATE(stage="declined", accepted=1)  # and nothing is known of them
     with pytest.raises(Refused, match="changed"):
         flow.advance(flow.STATE(), "consent", consent(kind, text="another"))
     for state in states(kind)[:-1]:
-        left = flow.advance(state, "withdraw", {}).state
+        left = flow.advance(state, "withdraw", {})
         assert (left.stage, left.over) == ("withdrawn", True)
 
 
@@ -168,9 +168,10 @@ def test_who_declines_leaves_or_is_silent_ends(kind: str) -> None:
 def test_who_comes_back_is_where_they_were(kind: str) -> None:
     flow = site_of(kind).flow
     for before in states(kind)[:-1]:
-        away = flow.advance(before, "time_out", {}).state
+        away = flow.advance(before, "time_out", {})
         assert (away.stage, away.over, flow.waits_for(away)) == ("timed_out", True, "return")
-        back = flow.advance(away, "return", {"position": 0}).state
+        place = {"position": before.position} if kind == "study" else {}
+        back = flow.advance(away, "return", place)
         assert replace(back, accepted=before.accepted) == before
 
 
@@ -183,7 +184,7 @@ def test_whatever_comes_is_refused_or_leads_to_a_stage(kind: str, data: Any) -> 
     event = data.draw(st.sampled_from([*own, "return", "withdraw", "", "x"]))
     payload = data.draw(st.dictionaries(st.sampled_from(KEYS), PAYLOADS))
     try:
-        after: State = flow.advance(state, event, payload).state
+        after: State = flow.advance(state, event, payload)
     except Refused:
         return
     assert after.accepted == state.accepted + 1
@@ -217,10 +218,10 @@ def test_who_does_not_look_ahead_is_shown_what_comes_later(kind: str) -> None:
     flow, state = site_of(kind).flow, at(kind, "ahead")
     step, *later = flow.plan.ahead.steps
     assert flow.view(state) | {"action": step, "later": ()} == flow.view(state)
-    wrong = flow.advance(state, "ahead", {"label": 0}).state
+    wrong = flow.advance(state, "ahead", {"label": 0})
     assert (wrong.stage, wrong.wrong, list(flow.view(wrong)["later"])) == ("ahead", True, later)
     for before in (state, wrong):
-        after = flow.advance(before, "ahead", {"label": 1}).state
+        after = flow.advance(before, "ahead", {"label": 1})
         assert (after.stage != "ahead", after.wrong) == (True, False)
     for nothing in ({}, {"label": 2}, {"label": None}):
         with pytest.raises(Refused):
@@ -234,14 +235,14 @@ def test_simulated_people_answer_a_page_alike_whatever_pages_come_before(kind: s
     without = replace(site.flow, plan=replace(site.plan, ahead=None))
     given = []
     for flow in (site.flow, without):
-        person, state = bot_of(site, 5), flow.advance(flow.STATE(), "consent", consent(kind)).state
+        person, state = bot_of(site, 5), flow.advance(flow.STATE(), "consent", consent(kind))
         person.habits = replace(person.habits, mistake=0.5)
         answers = []
         while not state.over:
             event, payload = answer(flow, person, state)
             if state.stage not in ("briefing", "ahead"):
                 answers.append((state.stage, payload))
-            after = flow.advance(state, event, payload).state
+            after = flow.advance(state, event, payload)
             state = replace(after, stage="eligibility") if after.stage == "briefing" else after
         given.append(answers)
     assert given[0] == given[1]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.chromium import Driver, go_in, take_part, wait
 from tests.people import test_browser
 from tests.people.collect.stand_in import FAULTLESS as OBSERVING
 from tests.people.server_process import ServerProcess
@@ -24,7 +25,6 @@ from xplain.people.collect.bot import bot
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.simulation.bots import Researcher
 from xplain.people.simulation.browser import Page
-from xplain.people.simulation.chromium import Driver, go_in, press, take_part, wait
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.plan import StudyPlan
 
@@ -118,25 +118,6 @@ class Looking:
             look_at(self.driver, self.axe, f"{self.of}-{page.stage}-{count}")
 
 
-def played_back(driver: Driver, axe: str, server: ServerProcess, of: str) -> None:
-    """The researcher goes through the first session in the list."""
-    driver.get(f"{server.url}/researcher")
-    driver.find_element(By.ID, "key").send_keys(server.key)
-    press(driver)
-    wait(lambda: "Who is where" in driver.page_source)
-    driver.find_element(By.CSS_SELECTOR, "td a").click()
-    wait(lambda: bool(driver.find_elements(By.CSS_SELECTOR, ".playback")))
-    titles = [driver.title]
-    while onward := driver.find_elements(By.CSS_SELECTOR, ".playback a[rel=next]"):
-        address = driver.current_url
-        onward[0].click()
-        wait(lambda before=address: driver.current_url != before)  # type: ignore[misc]
-        titles.append(driver.title)
-        if titles.count(driver.title) == 2:
-            look_at(driver, axe, f"{of}-playback-{len(titles):02d}")
-    assert "Thank you" in titles[-1]
-
-
 def test_a_lab_goes_from_an_empty_folder_to_a_robot_and_a_study(
     driver: Driver, axe: str, lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -153,7 +134,6 @@ def test_a_lab_goes_from_an_empty_folder_to_a_robot_and_a_study(
         assert look.alts <= {line.rsplit(",", 1)[1] for line in STEPS.splitlines()}
         assert len(look.alts) > 2
         assert max(look.below.values()) <= 0, look.below
-        played_back(driver, axe, server, "collect")
         main(["collect", "bots", "--url", server.url, "--key", server.key, "--count", "8"])
     main(["collect", "export", str(people), "data"])
     main(["collect", "replay", str(people)])
@@ -180,7 +160,6 @@ def test_a_lab_goes_from_an_empty_folder_to_a_robot_and_a_study(
         assert look.seen["evaluation"] == 5
         assert len(look.alts) == 5
         assert max(look.below.values()) <= 0, look.below
-        played_back(driver, axe, server, "study")
     assert complaints(driver) == []
     main(["study", "replay", str(database)])
     assert "all equal" in capsys.readouterr().out

@@ -12,8 +12,8 @@ From timed_out they may return to where they were.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
@@ -31,9 +31,10 @@ class State:
     """Where a participant is. The first value is the start.
 
     Attributes:
-        ENDS: the stages that nothing follows, beside "done".
+        ENDS: the stages that nothing follows, beside "done" and "erased".
         stage: of the flow.
-        accepted: events accepted so far, which is the sequence number of the next one.
+        accepted: answers accepted so far, which is the number of the page that is open. Events of
+            the server (a time-out, a return) have no number.
         part: which half of the practice.
         wrong: whether the last answer of a practice or a test was wrong.
         left: the stage at which somebody was timed out.
@@ -50,7 +51,12 @@ class State:
     @property
     def over(self) -> bool:
         """Whether nothing more can happen."""
-        return self.stage == "done" or self.stage in self.ENDS
+        return self.stage in ("done", "erased", *self.ENDS)
+
+    @property
+    def paused(self) -> bool:
+        """Whether they were silent for too long; they may go on where they were."""
+        return self.stage == "timed_out"
 
     @property
     def text(self) -> str:
@@ -63,61 +69,18 @@ class State:
         """The state that :attr:`text` was made from, equal to the last bit."""
         return decode(cls, json.loads(text))
 
-    def to(self, **changes: Any) -> Outcome[Self]:
+    def to(self, **changes: Any) -> Self:
         """After one more accepted event."""
-        return Outcome(replace(self, accepted=self.accepted + 1, **changes))
+        return replace(self, accepted=self.accepted + 1, **changes)
 
 
-Rows = Mapping[int, Mapping[str, str | int | None]]
-"""Of the step table by step: columns by name."""
-Belief = Sequence[float] | Mapping[str, float]
+class Conflict(Refused):
+    """An answer to a page that is not open, or another answer to one that was answered."""
 
 
-def decided(
-    step: int, belief: Belief, given: int, messages: int, values: Mapping[str, Any]
-) -> Rows:
-    """What was chosen at a step, and why: its row, which the answer will complete.
-
-    Args:
-        step: k.
-        belief: before the step.
-        given, messages: bitmasks of the messages on the page before, and of the new ones.
-        values: behind the choice.
-    """
-    return {
-        step: {
-            "belief_before": json.dumps(belief),
-            "given": given,
-            "messages": messages,
-            "action_values": json.dumps(values),
-            "labels": None,
-            "belief_after": None,
-        }
-    }
-
-
-def answered(step: int, labels: tuple[int, ...], belief: Belief) -> Rows:
-    """The labels of a step and the belief after them: what its row still lacks."""
-    return {step: {"labels": json.dumps(labels), "belief_after": json.dumps(belief)}}
-
-
-S_co = TypeVar("S_co", bound=State, covariant=True)
 S = TypeVar("S", bound=State)
 F = TypeVar("F", bound="Flow[Any, Any]")
 P = TypeVar("P")
-
-
-@dataclass(frozen=True)
-class Outcome(Generic[S_co]):
-    """A new state; rows of the steps that it completes (:func:`answered`) and opens
-    (:func:`decided`), in this order."""
-
-    state: S_co
-    rows: Rows = field(default_factory=dict)
-
-    def with_rows(self, rows: Rows) -> Self:
-        """The same, with these rows before its own."""
-        return replace(self, rows={**rows, **self.rows})
 
 
 @dataclass(frozen=True)
@@ -126,14 +89,11 @@ class Stage(Generic[F, S]):
 
     Attributes:
         WITHIN: the stage that this one comes in the middle of; "" for one in the order of them all.
-        FIELDS: {key of the payload: name of its field}, where they differ; of a list the name of
-            each of its fields, "#" for the number.
         name: of the stage, its template and its title.
         kind: of the event that it waits for.
     """
 
     WITHIN: ClassVar[str] = ""
-    FIELDS: ClassVar[Mapping[str, str]] = {}
 
     name: str
     kind: str
@@ -142,8 +102,8 @@ class Stage(Generic[F, S]):
         """Whether a plan has this stage in its order."""
         return not self.WITHIN
 
-    def enter(self, flow: F, state: S) -> Outcome[S]:
-        """The outcome of the event that leads here."""
+    def enter(self, flow: F, state: S) -> S:
+        """The state after the event that leads here."""
         return state.to(stage=self.name)
 
     def view(self, flow: F, state: S) -> dict[str, Any]:
@@ -155,15 +115,7 @@ class Stage(Generic[F, S]):
         """The payload of what was sent; what is missing or malformed becomes None."""
         return {}
 
-    def fields(self, payload: Mapping[str, Any]) -> Fields:
-        """What was filled in where this payload was read."""
-        return [
-            (self.FIELDS.get(key, "").replace("#", str(number)) or key, str(one))
-            for key, value in payload.items()
-            for number, one in enumerate(value if isinstance(value, list) else [value])
-        ]
-
-    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
+    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """The state after the page's event.
 
         Raises:
@@ -214,19 +166,23 @@ class Flow(Generic[P, S]):
         here = self.stage(name)
         return here.WITHIN or name if here else name
 
+    def asking(self, state: S) -> S:
+        """The state whose page an answer is to: of somebody who was timed out, the one before."""
+        return replace(state, stage=str(state.left), left=None) if state.paused else state
+
     def waits_for(self, state: S) -> str:
         """The kind of event that goes on from here; "" from ends that nothing follows."""
         here = self.stage(state.stage)
-        return here.kind if here else "return" if state.stage == "timed_out" else ""
+        return here.kind if here else "return" if state.paused else ""
 
-    def after(self, state: S, **changes: Any) -> Outcome[S]:
+    def after(self, state: S, **changes: Any) -> S:
         """The next stage that the plan has."""
         names, state = [one.name for one in self.STAGES], replace(state, **changes)
         later = self.STAGES[names.index(state.stage) + 1 :]
         found = next((one for one in later if one.wanted(self.plan)), None)
         return found.enter(self, state) if found else state.to(stage="done")
 
-    def advance(self, state: S, kind: str, payload: Mapping[str, Any]) -> Outcome[S]:
+    def advance(self, state: S, kind: str, payload: Mapping[str, Any]) -> S:
         """The state after an event.
 
         Raises:
@@ -234,14 +190,14 @@ class Flow(Generic[P, S]):
                 for.
         """
         here = self.stage(state.stage)
-        if state.stage == "timed_out" and kind == "return":
-            return state.to(stage=state.left, left=None)
+        if state.paused and kind == "return":
+            return self.asking(state)
+        if kind == "withdraw" and (here or state.paused):
+            return state.to(stage="withdrawn", left=None)
         if here is None:
             raise Refused(self.words["ended"])
-        if kind == "withdraw":
-            return state.to(stage="withdrawn")
         if kind == "time_out":
-            return state.to(stage="timed_out", left=state.stage)
+            return replace(state, stage="timed_out", left=state.stage)
         if kind != here.kind:
             raise Refused(self.words["other_page"])
         return here.advance(self, state, payload)

@@ -118,7 +118,7 @@ def _picture(folder: Path, image: str, alt: str) -> Picture | None:
         raise InputError("transitions.image", image, f"a file that ends in {', '.join(MEDIA)}")
     try:
         content = path.read_bytes()
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise InputError("transitions.image", image, f"a file in {folder} ({error})") from None
     if len(content) > MAX_IMAGE:
         raise InputError("transitions.image", image, f"at most {MAX_IMAGE >> 20} MB")

@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any, ClassVar, Self
 
 from xplain.domains.base import Parameter, Scene
-from xplain.errors import InputError, Positive, one_of, sentence
+from xplain.errors import InputError, one_of, sentence
 from xplain.storage import decode, encode
 
 Told = tuple[tuple[str, ...], ...]
@@ -84,7 +84,7 @@ class Task:
     Attributes:
         name: of the task.
         facts: [n] of the domain, or of a lab's own: only their sentences tell.
-        scene, changes, pictures, ahead: see :class:`StoredPlan`.
+        scene, changes, pictures: see :class:`StoredPlan`.
     """
 
     name: str
@@ -92,7 +92,10 @@ class Task:
     scene: Scene | None = None
     changes: Told = ()
     pictures: tuple[Picture | None, ...] = ()
-    ahead: Ahead | None = None
+
+
+FORM = ("token", "sequence", "kind", "ms", "action", "method", "elements", "submit")
+"""Names that forms and their own fields have."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +140,18 @@ class LabQuestion:
 
     @classmethod
     def of(cls, question: Mapping[str, Any]) -> LabQuestion:
-        """A question as the configuration has it."""
+        """A question as the configuration has it.
+
+        Raises:
+            InputError: a choice that YAML takes for no text, or a name that a form has already.
+        """
+        key, name = f"questions.{question.get('name')}", str(question.get("name"))
+        for one in (*question.get("choices", ()), *question.get("ends", ())):
+            if not isinstance(one, str):
+                wanted = f'texts in quotation marks, such as "{one}"'
+                raise InputError(f"{key}.choices", one, wanted)
+        if name in FORM:
+            raise InputError("questions.name", name, f"another name; forms have {', '.join(FORM)}")
         lists = {key: tuple(question.get(key, ())) for key in ("choices", "ends")}
         return cls(**{**question, **lists})
 
@@ -152,23 +166,6 @@ class LabQuestion:
     def needed(self) -> bool:
         """Whether it has to be answered."""
         return self.required or bool(self.right)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Patience:
-    """How long somebody may be silent.
-
-    Attributes:
-        timeout_minutes: without a sign of life after which a participant's part ends.
-        first_minutes: the same after the consent; each answer adds as much, up to the other.
-    """
-
-    timeout_minutes: Positive
-    first_minutes: Positive = 5.0
-
-    def patience(self, answers: int) -> float:
-        """Minutes of silence after so many answers, the consent among them."""
-        return min(self.timeout_minutes, self.first_minutes * answers)
 
 
 @dataclass(frozen=True)
@@ -211,7 +208,7 @@ class StoredPlan:
         icons: {name of an item on the map: path of its icon in a box of 24}; may lack some.
         changes: [m] what each transition changes, for domains without a map; or none.
         pictures: of own transitions, None where one has no image; or none.
-        ahead: of the practice; None where the task has no such step.
+        ahead: of the practice; None where the texts have no such step.
         config: the configuration that it was made from, for the record.
     """
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from xplain.errors import Refused
-from xplain.people.flow import F, Form, Outcome, S, Stage
+from xplain.people.flow import F, Form, S, Stage
 from xplain.people.plan import LabQuestion
 
 
@@ -18,7 +18,7 @@ class Consent(Stage[F, S]):
         """Whether they agree, and the hash of the text that they read."""
         return {"agree": small(form.get("agree")), "text": form.get("text", "")[:64]}
 
-    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
+    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """To the flow, or to a polite end."""
         agreed = choice(payload.get("agree"), 2, flow.words["consent_missing"])
         if payload.get("text") != flow.plan.texts.consent_hash:
@@ -54,7 +54,7 @@ class OneLabel(Stage[F, S]):
 class Practice(OneLabel[F, S]):
     """One step twice: without the message that explains it (label 0), and with it (label 1)."""
 
-    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
+    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """On to the other half, or to the next stage; not before the label is right."""
         right = self.label(flow, payload) == state.part
         if right and state.part:
@@ -74,7 +74,7 @@ class LookingAhead(OneLabel[F, S]):
         steps = flow.plan.ahead.steps
         return {"action": steps[0], "later": steps[1:] if state.wrong else ()}
 
-    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
+    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """On once it makes sense to them."""
         if self.label(flow, payload):
             return flow.after(state, wrong=False)
@@ -106,7 +106,7 @@ class QuestionStage(Stage[F, S]):
         asked = getattr(flow.plan, self.of)
         return {one.name: form.get(one.name, "").translate(NO_TEXT).strip() for one in asked}
 
-    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> Outcome[S]:
+    def advance(self, flow: F, state: S, payload: Mapping[str, Any]) -> S:
         """Each answer has to be one that its question allows."""
         asked: Sequence[LabQuestion] = getattr(flow.plan, self.of)
         for one in asked:

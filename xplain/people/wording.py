@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -14,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from xplain.domains.base import Domain, Parameter, Scene, cell_name
 from xplain.errors import InputError, one_of
 from xplain.experiment.config import CONF
-from xplain.people.plan import Task, Texts, Told, Way, facts_of
+from xplain.people.plan import Ahead, Task, Texts, Told, Way, facts_of
 
 InWords = Callable[[str], str]
 NOT_OF_THE_PLAN = ("database", "host", "port", "threads", "server", "outputs")
@@ -30,22 +29,16 @@ def texts_of(kind: str, wording: Mapping[str, Any], in_words: InWords = str) -> 
         in_words: turns a domain's phrases into what people read.
 
     Raises:
-        InputError: the words of a page are missing, or there is no place where a text would stand.
+        InputError: the words of a page are missing.
     """
-    shared, neutral, own = (
+    shared, own = (
         yaml.safe_load((CONF / file).read_text(encoding="utf-8"))
-        for file in ("words/en.yaml", f"{kind}/neutral.yaml", f"{kind}/texts/en.yaml")
+        for file in ("words/en.yaml", f"{kind}/texts/en.yaml")
     )
     words, known = wording["words"], {**shared, **own["words"]}
     for key in known:
         if not str(words.get(key) or "").strip():
             raise InputError(f"wording.words.{key}", words.get(key), "what the page says here")
-    for of, given, allowed in (("", wording, {**neutral, **own}), ("words.", words, known)):
-        for key in given:
-            if key not in allowed:
-                near = difflib.get_close_matches(key, allowed, 3)
-                said = f"a text that a page shows, such as {', '.join(near or allowed)}"
-                raise InputError(f"wording.{of}{key}", given[key], said)
     paragraphs = ("consent", "introduction", "task", "debriefing")
     return Texts(
         title=wording["title"],
@@ -135,6 +128,25 @@ def way_of(domain: Domain, moves: Iterable[Sequence[int]]) -> Way | None:
     return way if domain.scene and len(way) == len(cells) else None
 
 
+def ahead_of(step: Mapping[str, Any], scene: Scene | None, in_words: InWords) -> Ahead:
+    """The practice step whose reason comes later, as a lab's texts have it.
+
+    Raises:
+        InputError: it is not on this map.
+    """
+    way = tuple(((a, b), (c, d)) for (a, b), (c, d) in step["way"])
+    walls = set(scene.walls) if scene else set()
+    for row, column in (cell for move in way for cell in move):
+        if (
+            scene is None
+            or (row, column) in walls
+            or not (0 <= row < scene.rows and 0 <= column < scene.columns)
+        ):
+            wanted = "a cell of this map where the robot can be; wording.ahead=null for none"
+            raise InputError("wording.ahead.way", [row, column], wanted)
+    return Ahead(tuple(map(in_words, step["steps"])), way)
+
+
 def parts(
     kind: str, config: Mapping[str, Any], wording: Mapping[str, Any], task: Task, does: str
 ) -> tuple[dict[str, Any], InWords]:
@@ -150,11 +162,8 @@ def parts(
     Raises:
         InputError: a text is missing, or of something that there is not.
     """
-    scene, ahead = task.scene, task.ahead
+    scene = task.scene
     in_words = phrases_of(wording["phrases"], scene is not None)
-    if ahead:
-        said = (does.format(phrase=in_words(phrase)) for phrase in ahead.steps)
-        ahead = replace(ahead, steps=tuple(said))
     return {
         "seed": config["seed"],
         "config": config,
@@ -163,7 +172,8 @@ def parts(
         "texts": texts_of(kind, wording, in_words),
         "changes": each(task.changes, in_words),
         "pictures": task.pictures,
-        "ahead": ahead,
+        "ahead": wording["ahead"]
+        and ahead_of(wording["ahead"], scene, lambda phrase: does.format(phrase=in_words(phrase))),
         "scene": scene and named(scene, wording["hide"], in_words),
         "icons": {in_words(name): path for name, path in wording["icons"].items()},
     }, in_words

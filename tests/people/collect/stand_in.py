@@ -26,7 +26,6 @@ EXPECTED = {
     "error": 0.05,
     "runs": 1.0,
     "rand_index": 1.0,
-    "rand_index_least": 1.0,
     "rand_index_more": 1.0,
 }
 

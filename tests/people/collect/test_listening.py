@@ -90,14 +90,14 @@ def test_pages_say_how_long_a_message_holds() -> None:
     person, state = bot_of(site, 2), CollectState()
     words, seen = site.plan.texts.words, dict[str, set[bool]]()
     consent = {"number": 0, "role": None, "others": {}}
-    state = site.flow.after(CollectState(), **site.flow.admitted(consent)).state
+    state = site.flow.after(CollectState(), **site.flow.admitted(consent))
     while not state.over:
         view = site.flow.view(state)
         if state.clip:
             seen.setdefault(state.stage, set()).add(view["lasting"])
         kind, filled_in = site.flow.waits_for(state), person.fill(Page.of_view(view))[0]
         form = dict(filled_in)
-        state = site.flow.advance(state, kind, site.flow.read(state, kind, form)).state
+        state = site.flow.advance(state, kind, site.flow.read(state, kind, form))
     assert seen == {"clips": {False}, "listening": {True}}
     assert words["lasts"] != words["only_here"]
 

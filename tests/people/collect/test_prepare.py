@@ -75,8 +75,8 @@ def test_without_features_the_text_is_one(folder: Path) -> None:
         ("facts.csv", FACTS.replace("The lift is slow.", ""), "facts='lift'"),
         ("own.csv", TABLE.replace("cable.png", "nowhere.png"), "nowhere.png"),
         ("own.csv", TABLE.replace("cable.png", "cable.svg"), "ends in .png"),
-        ("own.csv", TABLE.replace("0,door", ",door"), "a value of floor"),
-        ("own.csv", TABLE.replace("0,door", "nan,door"), "finite"),
+        ("own.csv", TABLE.replace("0,door", ",door"), "floor.*missing in 1 rows"),
+        ("own.csv", TABLE.replace("0,door", "inf,door"), "floor.*infinite in row"),
     ],
 )
 def test_what_is_wrong_with_ones_own_table_is_named(
@@ -176,29 +176,12 @@ def test_a_task_is_either_a_domain_or_a_table(arguments: list[str]) -> None:
         configured("collect", arguments)
 
 
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"introductoin": ["A"]}, "wording.introductoin"),
-        ({"words": wording()["words"] | {"bye": "Bye"}}, "wording.words.bye"),
-        ({"icons": {"cable": "M0 0"}}, "wording.icons"),
-    ],
-)
-def test_a_text_that_no_page_would_show_is_refused(
-    folder: Path, changes: dict[str, Any], said: str
-) -> None:
-    source = own_table(folder / "own.csv", str(folder / "facts.csv"), 0)
-    config = {"seed": 0, "briefing": "none", "wording": wording(**changes), "points": 12}
-    with pytest.raises(InputError, match=said):
-        assemble(source, Adaptive(), CollectRules(points=12, **RULES), config)
-
-
 def test_the_expectation_is_of_the_plan_and_its_people() -> None:
     plan = street_plan(points=16)
     users = Explicit({one.name: list(one.inaccurate) for one in TYPES})
     figures = expect(plan, 0.05, STREET, users)
     assert figures["people"] == 6
-    assert figures["rand_index_least"] <= figures["rand_index"] <= 1
+    assert 0 <= figures["rand_index"] <= 1
     assert figures["rand_index"] > 0.9
     assert figures["cost"] >= figures["floor"] - 1e-9
 

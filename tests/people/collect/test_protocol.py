@@ -55,7 +55,7 @@ def states(collection: Collection, held: int = 3, number: int = 5) -> list[Colle
     found = [CollectState()]
     kind, payload = "consent", consent(collection, number=number)
     while not found[-1].over:
-        found.append(collection.advance(found[-1], kind, payload).state)
+        found.append(collection.advance(found[-1], kind, payload))
         if not found[-1].over:
             kind, payload = answer(collection, person, found[-1])
     return found

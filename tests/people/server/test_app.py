@@ -74,7 +74,9 @@ def test_requests_are_limited_by_participant_and_by_address(tmp_path: Path, stud
     with client.get("/static/study.css") as style:
         assert style.status_code == 200
     other = app.test_client()
-    other.set_cookie("participant", Keys(store.secret).cookie(store.enter_open()))
+    other.set_cookie(
+        f"participant_{Keys(store.secret).mark}", Keys(store.secret).cookie(store.enter_open())
+    )
     assert other.get("/study").status_code == 200  # not held back by the crowd
     assert {other.get("/study").status_code for _ in range(25)} == {200, 429}
     store.close()
@@ -102,7 +104,9 @@ def test_an_error_leads_on_to_no_page_that_is_an_error(client: FlaskClient, stor
     """Without a cookie there is nothing to go on with."""
     for path in ("/study", "/nowhere"):
         assert 'href="/study"' not in client.get(path).text
-    client.set_cookie("participant", Keys(store.secret).cookie(store.enter_open()))
+    client.set_cookie(
+        f"participant_{Keys(store.secret).mark}", Keys(store.secret).cookie(store.enter_open())
+    )
     assert 'href="/study"' in client.get("/nowhere").text
 
 

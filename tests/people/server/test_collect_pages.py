@@ -73,7 +73,7 @@ def test_of_the_erased_nothing_stays_in_memory(
     for number in range(2):
         list(walk(browser(), store, number))
     store.site.glance(store.query)
-    gone, kept = store.query("SELECT id, state FROM participant ORDER BY number")
+    gone, kept = store.query("SELECT id, state FROM seen ORDER BY number")
     state = store.site.state(gone["state"])
     beliefs = {f: p for f, p in state.belief.items() if f != "none"}
     del state
@@ -103,7 +103,7 @@ def test_a_clip_shows_just_what_is_told_there(tmp_path: Path) -> None:
     for html, page in walk(Visitor(create_app(store, GENEROUS).test_client()), store, 1):
         if page.stage != "clips":
             continue
-        (row,) = store.query("SELECT state FROM participant")
+        (row,) = store.query("SELECT state FROM seen")
         clip = store.site.state(row["state"]).clip
         known = {fact.message: 1 << j for j, fact in enumerate(plan.facts)}
         assert sum(known[sentence] for sentence in page.messages) == clip.told
@@ -205,10 +205,10 @@ def test_assigned_briefings_are_balanced_and_shown_again(tmp_path: Path) -> None
         for _, page in walk(Visitor(app.test_client()), store, number):
             if page.stage in ("task", "clips"):
                 assert tuple(page.facts) in [role.briefing for role in collection.plan.roles]
-    roles = store.query("SELECT json_extract(state, '$.role') AS role FROM participant")
+    roles = store.query("SELECT json_extract(state, '$.role') AS role FROM seen")
     assert sorted(row["role"] for row in roles) == [0, 0, 1, 1, 2, 2]
     # Each answered as the briefing says, whoever they were before.
-    rows = store.query("SELECT state FROM participant")
+    rows = store.query("SELECT state FROM seen")
     for row in rows:
         state = store.site.state(row["state"])
         held = collection.plan.roles[state.role].held

@@ -59,7 +59,7 @@ def test_reload_back_second_tab_and_double_click_change_nothing(store: Store, ap
         assert Page.of_html(two.get("/study")[1]).hidden == page.hidden
         for fields in old:  # every page before, sent once more
             status, html = one.post("/study", fields)
-            assert status == 200
+            assert status in (200, 409)  # as it was answered, or otherwise
             assert Page.of_html(html).hidden == page.hidden
         if page.hidden:
             other = [(name, choices[-1][0]) for name, choices in page.fields.items()]

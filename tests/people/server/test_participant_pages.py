@@ -13,14 +13,17 @@ import pytest
 from tests.people.study.stand_in import FAULTLESS, street_plan
 from tests.people.visitors import GENEROUS, Visitor, consent, enter, field, pages
 from xplain.errors import InputError
+from xplain.people.analysis.export import participants
 from xplain.people.server.app import create_app
 from xplain.people.server.http import Context, Server
 from xplain.people.server.map_svg import picture
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import Page, visit
 from xplain.people.study.bot import StudyBot
+from xplain.people.study.flow import StudyState
 from xplain.people.study.plan import StudyPlan
 from xplain.people.study.site import StudySite
+from xplain.people.study.tables import steps_of
 
 
 def test_earlier_labels_stay_and_only_the_new_one_is_needed(
@@ -39,8 +42,8 @@ def test_earlier_labels_stay_and_only_the_new_one_is_needed(
     assert "Please say whether" in html
     status, html = visitor.post("/study", [*hidden.items(), ("label_1", "1")])
     assert status == 200
-    labels = store.query("SELECT labels FROM step WHERE k = 1")
-    assert labels == [{"labels": "[0, 1]"}]
+    (who,) = participants(store._connection, StudyState)
+    assert [step["labels"] for step in steps_of(who)][:2] == ["[0]", "[0, 1]"]
 
 
 def test_a_message_is_said_again_in_words_that_blame_nobody(tmp_path: Path) -> None:
@@ -54,8 +57,9 @@ def test_a_message_is_said_again_in_words_that_blame_nobody(tmp_path: Path) -> N
         for html, page in pages(Visitor(client.test_client()), someone, token):
             assert len(set(page.messages)) == len(page.messages)
             marked += re.findall(r'<span class="tag">As said before:</span> (.*?)</div>', html)
-    again = store.query("SELECT given & messages AS mask FROM step")
-    assert len(marked) == sum(int(row["mask"]).bit_count() for row in again) > 0
+    people = participants(store._connection, StudyState)
+    again = [step["given"] & step["messages"] for one in people for step in steps_of(one)]
+    assert len(marked) == sum(mask.bit_count() for mask in again) > 0
     store.close()
 
 

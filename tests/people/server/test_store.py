@@ -8,7 +8,6 @@ import sqlite3
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,11 +17,12 @@ from filelock import FileLock
 
 from tests.people.server.test_fuzz import records
 from tests.people.study.stand_in import FAULTLESS, street_plan, street_study
-from tests.people.visitors import GENEROUS, Visitor, consent, field, pages
+from tests.people.visitors import GENEROUS, Visitor, consent
 from xplain.errors import InputError, Refused, XplainError
 from xplain.people.analysis.stored import read_plan
+from xplain.people.flow import Conflict
 from xplain.people.server.app import create_app
-from xplain.people.server.database import MAX_TAB_EVENTS, Clock, Database, Unknown
+from xplain.people.server.database import MAX_TAB_EVENTS, Clock, Database, Gone, Unknown
 from xplain.people.server.http import Context, Server
 from xplain.people.server.security import Keys
 from xplain.people.server.site import Full
@@ -49,6 +49,12 @@ def time() -> Time:
     return Time()
 
 
+def places(store: Store, own: str = "person") -> dict[int, str]:
+    """Who holds or has used up which place of a stream."""
+    rows = store.query("SELECT id, stream, state FROM seen WHERE stream = ?", (own,))
+    return {position: row["id"] for row in rows for _, position in store.site.holders([row])}
+
+
 @pytest.fixture
 def store(tmp_path: Path, study: Study, time: Time) -> Iterator[Store]:
     """One whose time is told."""
@@ -63,7 +69,7 @@ def test_an_answer_that_comes_twice_counts_once(store: Store) -> None:
     before = store.query("SELECT * FROM event")
     assert consent(store, who) == first
     assert store.query("SELECT * FROM event") == before
-    assert store.query("SELECT count(*) AS n FROM slot WHERE holder IS NOT NULL") == [{"n": 1}]
+    assert places(store) == {0: who}
 
 
 def test_an_answer_out_of_order_is_refused(store: Store) -> None:
@@ -143,7 +149,7 @@ def test_a_refusal_leaves_the_database_as_it_was(
     store = Store(path, StudySite(study), time.clock())
     silent, who = (store.enter_invited(token) for token in store.invite(2, "person"))
     consent(store, silent)
-    store.enter_from_platform(ids_of("P", "S", "X"), keep=True)
+    consent(store, store.enter_from_platform(ids_of("P", "S", "X"), keep=True))
     time.now += 31 * 60
     before = whole(store)
     with pytest.raises((Refused, Unknown, TypeError)):
@@ -198,10 +204,9 @@ def test_the_same_answer_from_many_threads_counts_once(store: Store) -> None:
 
 
 def test_places_are_blocks_with_every_cell_once(store: Store, study: Study) -> None:
-    rows = store.query("SELECT * FROM slot ORDER BY position")
-    cells = [(row["user_type"], row["condition"]) for row in rows]
     size = len(study.plan.cells)
-    assert len(cells) == size * study.plan.rules.per_cell
+    most = size * study.plan.rules.per_cell
+    cells = [store.site.cell("person", position) for position in range(most)]
     for block in range(study.plan.rules.per_cell):
         assert sorted(cells[block * size : (block + 1) * size]) == sorted(study.plan.cells)
     assert cells[:size] != cells[size : 2 * size]  # an order drawn for each block
@@ -214,61 +219,33 @@ def test_the_log_says_which_place_somebody_got(store: Store) -> None:
         (event,) = store.query(
             "SELECT payload FROM event WHERE participant = ? AND kind = 'consent'", (who,)
         )
-        (place,) = store.query("SELECT * FROM slot WHERE holder = ?", (who,))
         said = json.loads(event["payload"])
-        for key in ("position", "user_type", "condition"):
-            assert said[key] == place[key]
+        assert places(store)[said["position"]] == who
+        assert (said["user_type"], said["condition"]) == store.site.cell("person", said["position"])
 
 
 def test_only_completion_uses_a_place_up(store: Store, time: Time, study: Study) -> None:
     everybody = [store.enter_invited(token) for token in store.invite(14, "person")]
-    places = len(study.plan.cells) * study.plan.rules.per_cell
-    for who in everybody[:places]:
+    most = len(study.plan.cells) * study.plan.rules.per_cell
+    for who in everybody[:most]:
         consent(store, who)
     with pytest.raises(Full):
-        consent(store, everybody[places])
-    assert store.participant(everybody[places]).state.stage == "consent"
-    taken = store.query("SELECT position FROM slot WHERE holder = ?", (everybody[3],))
+        consent(store, everybody[most])
+    assert store.participant(everybody[most]).state.stage == "consent"
+    assert places(store)[3] == everybody[3]
     state = store.participant(everybody[3]).state
     store.submit(everybody[3], state.accepted, "withdraw", {})
-    consent(store, everybody[places])
-    now = store.query("SELECT position FROM slot WHERE holder = ?", (everybody[places],))
-    assert now == taken  # the very place that came back
-    # Silence frees a place too, when somebody asks for one: a short one right after the consent.
-    time.now += 4 * 60
+    consent(store, everybody[most])
+    assert places(store)[3] == everybody[most]  # the very place that came back
+    # Silence frees a place too, when somebody asks for one.
+    time.now += 29 * 60
     assert store.time_out_stale() == 0
     time.now += 2 * 60
     for who in everybody[:2]:
         store.shown(who, 1, "briefing")  # signs of life
-    consent(store, everybody[places + 1])
+    consent(store, everybody[most + 1])
     assert store.participant(everybody[5]).state.stage == "timed_out"
     assert store.participant(everybody[0]).state.stage == "briefing"
-
-
-def test_a_place_is_held_for_longer_the_further_somebody_is(
-    store: Store, time: Time, study: Study
-) -> None:
-    """Ids that somebody makes up consent and no more: their places are soon free again."""
-    rules = study.plan.rules
-    app = create_app(store, GENEROUS)
-    person = StudyBot(study.plan, FAULTLESS, np.random.default_rng(0))
-    stages = []
-    for html, page in pages(Visitor(app.test_client()), person, store.invite(1, "person")[0]):
-        accepted = int(page.hidden.get("sequence", 0)) if page.stage != "consent" else 0
-        if not accepted:
-            continue
-        held = min(rules.timeout_minutes, 5 * accepted)
-        now = time.now
-        time.now = now + 60 * held - 1
-        assert store.time_out_stale() == 0, page.stage
-        time.now = now
-        stages.append((page.stage, held, field(html, "sequence")))
-    assert [held for _, held, _ in stages][:7] == [5, 10, 15, 20, 25, 30, 30]
-    made_up = [store.enter_from_platform(ids_of(str(n), "S", "X"), False) for n in range(9)]
-    for who in made_up:
-        consent(store, who)
-    time.now += 60 * 5 + 1
-    assert store.time_out_stale() == len(made_up)
 
 
 def test_who_sets_the_clock_times_nobody_out(tmp_path: Path, study: Study) -> None:
@@ -281,13 +258,13 @@ def test_who_sets_the_clock_times_nobody_out(tmp_path: Path, study: Study) -> No
     for jump in (1e6, -2e6):
         wall[0] += jump
         assert store.time_out_stale() == 0
-    monotonic[0] += 301
+    monotonic[0] += 1801
     assert store.time_out_stale() == 1
-    store.submit(who, 2, "return", {})
+    store.submit(who, 1, "return", {})
     store.close()
     monotonic[0] = 2.0
     store = Store(path, StudySite(study), replace(clock, boot="another"))
-    wall[0] += 599
+    wall[0] += 1799
     assert store.time_out_stale() == 0
     wall[0] += 600
     assert store.time_out_stale() == 1
@@ -314,52 +291,32 @@ def test_cells_are_balanced_in_spite_of_drop_outs(tmp_path: Path) -> None:
     assert stages["left"] > 5
     done = store.query(
         "SELECT json_extract(state, '$.user_type') AS t, json_extract(state, '$.condition') AS c, "
-        "count(*) AS n FROM participant WHERE json_extract(state, '$.stage') = 'done' GROUP BY 1, 2"
+        "count(*) AS n FROM seen WHERE json_extract(state, '$.stage') = 'done' GROUP BY 1, 2"
     )
     assert {(row["t"], row["c"]): row["n"] for row in done} == dict.fromkeys(study.plan.cells, 4)
     store.close()
 
 
 def test_bots_and_pilots_do_not_touch_peoples_places(store: Store) -> None:
-    before = store.query("SELECT * FROM slot WHERE stream = 'person'")
     for token in store.invite(40, "bot"):
         consent(store, store.enter_invited(token))
     consent(store, store.enter_open())
-    assert store.query("SELECT * FROM slot WHERE stream = 'person'") == before
-    cells = store.query(
-        "SELECT count(*) AS n FROM slot WHERE stream = 'bot' AND holder IS NOT NULL "
-        "GROUP BY user_type, condition"
-    )
-    assert max(c["n"] for c in cells) - min(c["n"] for c in cells) <= 1
-    positions = store.query("SELECT position FROM slot WHERE stream = 'bot' ORDER BY position")
-    assert [row["position"] for row in positions] == list(range(len(positions)))
-    held = store.query("SELECT holder FROM slot WHERE stream = 'bot' ORDER BY position")
-    assert [row["holder"] is not None for row in held] == [i < 40 for i in range(len(held))]
+    assert places(store) == {}
+    assert [*places(store, "bot")] == [*range(40)]
+    cells = Counter(store.site.cell("bot", position) for position in range(40))
+    assert max(cells.values()) - min(cells.values()) <= 1
 
 
 @pytest.mark.parametrize(
     "sql",
     [
         "INSERT OR REPLACE INTO event SELECT * FROM event WHERE kind = 'consent'",
-        "INSERT OR REPLACE INTO meta VALUES ('plan', '{}')",
-        "UPDATE meta SET value = 'x' WHERE key = 'plan_hash'",
-        "DELETE FROM meta",
-        "DELETE FROM slot",
-        "UPDATE slot SET condition = 'personalized', user_type = user_type + 1",
-        "UPDATE slot SET used = 0 WHERE used = 1",
-        "DELETE FROM step",
-        "UPDATE step SET messages = 0",
-        "DELETE FROM invitation",
-        "UPDATE invitation SET participant = NULL WHERE participant IS NOT NULL",
-        "UPDATE participant SET code = 'X'",
         "UPDATE event SET payload = '{}'",
+        "UPDATE event SET state = NULL",
         "DELETE FROM event",
-        "UPDATE participant SET stream = 'person'",
-        "DELETE FROM participant",
-        "UPDATE step SET labels = '[0]' WHERE labels IS NOT NULL",
     ],
 )
-def test_the_log_only_grows_and_a_bot_stays_a_bot(
+def test_the_log_only_grows(
     store: Store, browser: Callable[[], Visitor], person: Callable[[], StudyBot], sql: str
 ) -> None:
     visit(browser(), person(), store.invite(1, "bot")[0])
@@ -384,8 +341,8 @@ def test_who_has_not_agreed_yet_is_never_timed_out(store: Store, time: Time, stu
 def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
     store: Store, time: Time, study: Study
 ) -> None:
-    places = len(study.plan.cells) * study.plan.rules.per_cell
-    everybody = [store.enter_invited(token) for token in store.invite(places + 2, "person")]
+    most = len(study.plan.cells) * study.plan.rules.per_cell
+    everybody = [store.enter_invited(token) for token in store.invite(most + 2, "person")]
     gone, away, other = *everybody[:2], everybody[-1]
     for who in (gone, away):
         consent(store, who)
@@ -393,20 +350,18 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
     before = store.submit(away, 1, "read", {})
     time.now += 31 * 60
     assert store.time_out_stale() == 1
-    state = store.submit(away, 3, "return", {})
+    state = store.submit(away, 2, "return", {})
     assert (state.stage, state.user_type, state.condition) == (
         before.stage,
         before.user_type,
         before.condition,
     )
-    held = "SELECT user_type, condition FROM slot WHERE holder = ?"
-    assert store.query(held, (away,)) == [
-        {"user_type": state.user_type, "condition": state.condition}
-    ]
+    (position,) = [position for position, who in places(store).items() if who == away]
+    assert store.site.cell("person", position) == (state.user_type, state.condition)
     # The log says which place they hold now.
     said = "SELECT payload FROM event WHERE participant = ? AND kind = 'return'"
-    (place,) = store.query("SELECT position FROM slot WHERE holder = ?", (away,))
-    assert [json.loads(row["payload"]) for row in store.query(said, (away,))] == [place]
+    returned = [json.loads(row["payload"]) for row in store.query(said, (away,))]
+    assert returned == [{"position": position}]
     for who in everybody[2:-1]:
         consent(store, who)
     time.now += 31 * 60
@@ -414,12 +369,8 @@ def test_who_was_silent_for_too_long_goes_on_while_a_place_is_free(
         store.shown(who, 1, "briefing")  # signs of life
     consent(store, other)  # takes the only place, which was theirs
     with pytest.raises(Full):
-        store.submit(away, 5, "return", {})
+        store.submit(away, 2, "return", {})
     assert StudySite(study).replay(store._connection).differences == []
-    with store.transaction() as do:  # a place like theirs, held by whoever has left
-        do("UPDATE slot SET holder = ? WHERE holder = ?", (away, other))
-    (said,) = StudySite(study).replay(store._connection).differences
-    assert said.startswith("slot person ")
 
 
 def states_in_memory() -> set[str]:
@@ -435,13 +386,12 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     for person, token in zip(someone, store.invite(2, "person"), strict=True):
         visit(Visitor(app.test_client()), person, token)
     (gone, said), (kept, _) = (
-        tuple(row.values())
-        for row in store.query("SELECT id, state FROM participant ORDER BY number")
+        tuple(row.values()) for row in store.query("SELECT id, state FROM seen ORDER BY number")
     )
     store.site.state(said)
     assert said in states_in_memory()
     store.from_tab(gone, "a" * 16, [(0, "visible", 1.0, {"what": "whatnobodyelsesaid"})])
-    (place,) = store.query("SELECT position FROM slot WHERE holder = ?", (gone,))
+    (place,) = [position for position, who in places(store).items() if who == gone]
     before = records(store, [kept])
     with pytest.raises(InputError, match="reference"):
         store.erase(gone)  # an id is in published data; it erases nothing
@@ -452,9 +402,9 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     assert store.query(when, (gone,)) == [
         {"wall": 0.0, "monotonic": 0.0, "boot": "", "browser": None}
     ]
-    assert store.query("SELECT * FROM step WHERE participant = ?", (gone,)) == []
-    holder = "SELECT holder, used FROM slot WHERE stream = 'person' AND position = ?"
-    assert store.query(holder, (place["position"],)) == [{"holder": None, "used": 0}]
+    states = store.query("SELECT state FROM event WHERE participant = ? AND state > ''", (gone,))
+    assert states == [{"state": '{"stage": "erased"}'}]
+    assert place not in places(store)
     found = StudySite(study).replay(store._connection)
     assert (found.differences, found.participants) == ([], 1)
     with pytest.raises(InputError, match="reference"):
@@ -462,15 +412,6 @@ def test_erasing_leaves_nothing_but_a_log_that_can_be_checked(tmp_path: Path, st
     store.close()
     content = b"".join(file.read_bytes() for file in tmp_path.glob("s.sqlite*"))
     assert b"whatnobodyelsesaid" not in content
-    # What says that it was erased, but is not in the log as erased, is a change.
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("DROP TRIGGER event_fixed")
-        connection.execute(
-            "UPDATE event SET kind = 'erased', payload = '{}' WHERE participant = ?", (kept,)
-        )
-    store = Store(path, StudySite(study))
-    assert StudySite(study).replay(store._connection).differences
-    store.close()
 
 
 def test_each_is_erased_alone_and_afterwards_nothing_can_be_changed(
@@ -491,8 +432,8 @@ def test_each_is_erased_alone_and_afterwards_nothing_can_be_changed(
 def test_a_place_that_is_not_in_the_plan_is_refused(
     store: Store, study: Study, beyond: bool
 ) -> None:
-    with pytest.raises(Refused, match="not_understood"), store.transaction() as do:
-        store.site.pin(do, "somebody", len(study.plan.cells) if beyond else -1)
+    with pytest.raises(Refused, match="not_understood"):
+        store.enter_preview(len(study.plan.cells) if beyond else -1)
 
 
 def test_codes_are_letters_and_no_ending_has_that_of_another(store: Store) -> None:
@@ -538,10 +479,12 @@ def test_invitations_and_outside_ids_lead_back_to_the_same_participant(store: St
         store.enter_invited(token + "x")
     first = store.enter_from_platform(ids_of("P", "S", "X"), keep=False)
     assert store.enter_from_platform(ids_of("P", "S", "X"), keep=False) == first
-    with pytest.raises(Unknown):  # the same person in another session
-        store.enter_from_platform(ids_of("P", "S", "Y"), keep=False)
-    # Another study of the platform's has other people, though it calls them alike.
-    assert store.enter_from_platform(ids_of("P", "T", "X"), keep=False) != first
+    # A person is one, whatever study the link names; the session is the last one before consent.
+    assert store.enter_from_platform(ids_of("P", "T", "Y"), keep=False) == first
+    consent(store, first)
+    assert store.enter_from_platform(ids_of("P", "S", "Y"), keep=False) == first
+    with pytest.raises(Unknown):
+        store.enter_from_platform(ids_of("P", "S", "X"), keep=False)
     assert store.keyed("ab", "c") != store.keyed("a", "bc")
     store.enter_from_platform(ids_of("Q", "S", "Z"), keep=True)
     dump = "\n".join(store._connection.iterdump())
@@ -613,15 +556,65 @@ def test_state_survives_a_restart(tmp_path: Path, study: Study) -> None:
     store.close()
 
 
-def test_previews_hold_places_of_their_own_in_the_cell_that_was_chosen(
+def test_previews_show_the_cell_that_was_chosen_and_take_no_place(
     store: Store, study: Study
 ) -> None:
     cells = study.plan.cells
-    chosen = [len(cells) - 1, 0, 0, 2]
-    shown = [store.enter_preview(cell) for cell in chosen]
-    slots = "SELECT holder, user_type, condition FROM slot WHERE stream = ? ORDER BY position"
-    found = [tuple(row.values()) for row in store.query(slots, ("preview",))]
-    assert found == [(who, *cells[cell]) for who, cell in zip(shown, chosen, strict=True)]
+    for chosen in (len(cells) - 1, 0, 0, 2):
+        state = consent(store, store.enter_preview(chosen))
+        assert (state.user_type, state.condition) == cells[chosen]
+    assert places(store, "pilot") == {}
+
+
+def test_an_answer_after_the_time_out_is_kept_and_brings_back(store: Store, time: Time) -> None:
+    who = store.enter_invited(store.invite(1, "person")[0])
+    consent(store, who)
+    time.now += 31 * 60
+    assert store.time_out_stale() == 1
+    assert store.submit(who, 1, "read", {}).accepted == 2
+    kinds = [event["kind"] for event in store.log(who)]
+    assert kinds[-3:] == ["time_out", "return", "read"]
+    assert store.site.replay(store._connection).differences == []
+
+
+def test_an_acknowledged_answer_is_the_one_that_is_kept(store: Store) -> None:
+    """The same one again is acknowledged; another one, or one to no page, is a conflict."""
+    who = store.enter_invited(store.invite(1, "person")[0])
+    consent(store, who)
+    store.submit(who, 1, "read", {})
+    before = whole(store)
+    assert store.submit(who, 1, "read", {}) == store.participant(who).state
+    for number, kind in ((1, "example"), (0, "read"), (3, "read")):
+        with pytest.raises(Conflict):
+            store.submit(who, number, kind, {})
+    with pytest.raises(Conflict):
+        store.submit(who, 0, "consent", {"agree": 0, "text": ""})
+    assert whole(store) == before
+
+
+def test_leaving_is_accepted_from_any_page(store: Store, time: Time) -> None:
+    for number in (0, 1, 7):
+        who = store.enter_invited(store.invite(1, "person")[0])
+        consent(store, who)
+        time.now += 31 * 60 * (number == 7)  # also after a time-out
+        store.time_out_stale()
+        for _ in range(2):
+            assert store.submit(who, number, "withdraw", {}).stage == "withdrawn"
+        assert [event["kind"] for event in store.log(who)].count("withdraw") == 1
+
+
+def test_a_link_of_somebody_erased_makes_nobody_new(store: Store) -> None:
+    (token,) = store.invite(1, "person")
+    invited = store.enter_invited(token)
+    sent = store.enter_from_platform(ids_of("P", "S", "X"), keep=False)
+    for who in (invited, sent):
+        store.erase(store.reference(who))
+    before = whole(store)
+    with pytest.raises(Gone):
+        store.enter_invited(token)
+    with pytest.raises(Gone):
+        store.enter_from_platform(ids_of("P", "S", "X"), keep=False)
+    assert whole(store) == before
 
 
 def test_who_comes_back_finds_the_place_of_somebody_who_is_silent_now(
@@ -636,6 +629,31 @@ def test_who_comes_back_finds_the_place_of_somebody_who_is_silent_now(
     for who in others:
         consent(store, who)
     with pytest.raises(Full):
-        store.submit(away, 2, "return", {})
+        store.submit(away, 1, "return", {})
     time.now += 31 * 60
-    assert store.submit(away, 2, "return", {}).stage == "briefing"
+    assert store.submit(away, 1, "return", {}).stage == "briefing"
+
+
+def test_a_database_whose_key_is_lost_is_refused(tmp_path: Path, study: Study) -> None:
+    """Another key would make every cookie, invitation and reference worthless."""
+    path = tmp_path / "s.sqlite"
+    Store(path, StudySite(study)).close()
+    path.with_name("s.sqlite.key").unlink()
+    with pytest.raises(InputError, match=r"database=.*s\.sqlite\.key is missing"):
+        Store(path, StudySite(study))
+    assert not path.with_name("s.sqlite.key").exists()
+
+
+def test_of_who_declines_the_decision_alone_is_kept(store: Store) -> None:
+    who = store.enter_from_platform(ids_of("unique-person-id", "S", "X"), keep=True)
+    store.shown(who, 0, "consent")
+    store.from_tab(who, "a" * 16, [(0, "visible", 1.0, {"at": 1.0, "what": "seen-by-them"})])
+    agreed = {"agree": 0, "text": store.site.plan.texts.consent_hash, "width": 4321}
+    assert store.submit(who, 0, "consent", agreed).stage == "declined"
+    kept = whole(store)
+    for told in ("unique-person-id", "seen-by-them", "4321"):
+        assert told not in kept
+    (row,) = store.query("SELECT external, session, kept FROM participant")
+    assert row == {"external": None, "session": None, "kept": "{}"}
+    assert [e["kind"] for e in store.log(who)] == ["enter", "erased", "erased", "consent"]
+    assert store.site.replay(store._connection).differences == []

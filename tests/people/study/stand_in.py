@@ -140,6 +140,7 @@ CONFIG: dict[str, Any] = {
         "training": {"belief": "b", "action": "a", "message": "m"},
         "rewards": {"bridge": "Crossing the bridge"},
         "hide": [],
+        "ahead": None,
         "icons": {"market": "M3 12L12 4L21 12"},
     },
 }

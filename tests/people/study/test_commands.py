@@ -30,7 +30,6 @@ from tests.conftest import Command
             ["--key", "k", "--url", "http://127.0.0.1:9"],
             "a running study",
         ),
-        ("xplain study power", ["--people", "1"], "--people=1"),
     ],
 )
 def test_what_is_wrong_is_one_line(

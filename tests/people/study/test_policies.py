@@ -27,11 +27,9 @@ def test_probes_of_stored_plans_are_answered_as_when_they_were_stored() -> None:
     study = street_study()
     for number in (0, 1):
         rng = stream(0, "probes", number)
-        state = study.after(
-            StudyState(stage="eligibility", user_type=0, condition="conformant")
-        ).state
+        state = study.after(StudyState(stage="eligibility", user_type=0, condition="conformant"))
         while state.stage == "evaluation":
             labels = [int(one < 0.8) for one in rng.random(state.step + 1)]
-            state = study.advance(state, "labels", {"labels": labels}).state
+            state = study.advance(state, "labels", {"labels": labels})
         last = str([belief.hex() for belief in state.belief])
         assert study.plan.probes["conformant"][number].endswith(last)

@@ -16,13 +16,12 @@ from xplain.domains.users.setting import Setting
 from xplain.errors import InputError
 from xplain.experiment.config import composed
 from xplain.explanation.belief import Persistent
-from xplain.explanation.label_table import LabelTable
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
 from xplain.people.server.app import create_app
 from xplain.people.server.store import Store
 from xplain.people.simulation.browser import visit
-from xplain.people.study import known_types, prepare
+from xplain.people.study import prepare
 from xplain.people.study.bot import StudyBot
 from xplain.people.study.content import needed
 from xplain.people.study.plan import StudyPlan
@@ -165,30 +164,6 @@ def test_the_first_trace_on_which_the_conditions_differ_is_taken(
     monkeypatch.setattr(prepare, "difference", gap)
     assert study_plan(cfg).trace == tried[2]
     assert len(set(tried)) == 3
-
-
-def test_learned_types_are_found_by_their_labels_whatever_their_order(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    setting = street()
-
-    def tables(order: list[int], *unused: object) -> LabelTable:
-        shown = np.array([[j, 0, j + 1] for j in range(4)])
-        return setting.labels_by_type(shown).of_types(order)
-
-    def learned(order: list[int]) -> known_types.Learned:
-        names = tuple(str(one) for one in order)
-        return known_types.Learned(names, order, np.ones(len(order)), (0, 1, 2, 3, 4), "types")  # type: ignore[arg-type]
-
-    monkeypatch.setattr(known_types, "label_table", tables)
-    for order in ([0, 1, 2], [2, 0, 1], [1, 0, 2]):
-        found = known_types.matched(setting, learned(order), 0)
-        assert [order[one] for one in found] == [0, 1, 2]
-    for unclear in ([0, 0, 2], [1, 1, 1]):
-        with pytest.raises(InputError, match="types="):
-            known_types.matched(setting, learned(unclear), 0)
-    with pytest.raises(InputError, match="types=2"):
-        known_types.matched(setting, learned([0, 1]), 0)
 
 
 def test_places_have_letters_and_numbers_and_phrases_their_words() -> None:

@@ -16,8 +16,7 @@ CODEBOOK = {
         "boot": "id of the machine's boot",
         "browser": "the page's performance.now, milliseconds since the page began to load",
         "number": "order of arrival of all participants' events",
-        "content": "hash of the event (xplain/people/analysis/log.py)",
-        "digest": "hash of the event and all before it",
+        "state": "JSON: where the participant is after it, with what was decided; empty: as before",
         "payload": "JSON; of a tab: at = browser's wall clock in ms, what = detail",
     },
     "codebook": {
@@ -37,6 +36,7 @@ _WHOLE = {
     *("in_labels", "observers.labels", "attentive", "practice_errors"),
 }
 _JSON = {"belief_before", "belief_after", "action_values", "steps.labels", "payload", "outside_ids"}
+_JSON |= {"state"}
 _NUMBERS = {"consistency", "posterior", "unlike", "bits", "cost", "worth"}
 _UNITS = {
     "s": {"entered", "last_seen", "shown", "seconds", "wall", "monotonic"},

@@ -1,9 +1,11 @@
 """What every export is made of: the participants with their events, tables whose columns are those
-of a codebook, the plan, and the head of the log."""
+of a codebook, and the plan."""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 import sqlite3
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -11,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic
 
 from xplain.people.analysis.codebook import CODEBOOK, explained
-from xplain.people.analysis.log import head_of
 from xplain.people.analysis.stored import Plan, plan_of, reading
 from xplain.people.flow import S
 
@@ -23,6 +24,7 @@ Codebook = Mapping[str, Mapping[str, str]]
 """What every column of every table means."""
 OTHERS = "…"
 """Ends an entry of a codebook that stands for every column beginning with what is before it."""
+_NUMBER = re.compile(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠")
 
 
@@ -39,6 +41,11 @@ class ParticipantRow(Generic[S]):
         """As in every table."""
         return str(self.row["id"])
 
+    @property
+    def moves(self) -> list[Row]:
+        """The events that changed their state, in order."""
+        return [event for event in self.events if event["state"] and event["kind"] != "enter"]
+
     def answers(self, kind: str) -> list[Row]:
         """The accepted answers of a kind, in order."""
         return [e for e in self.events if e["source"] == "protocol" and e["kind"] == kind]
@@ -48,21 +55,17 @@ class ParticipantRow(Generic[S]):
         return next((event["payload"] for event in self.answers(kind)), {})
 
 
-def everybody(connection: sqlite3.Connection) -> list[tuple[Row, tuple[Row, ...]]]:
-    """Rows and events of everybody who was not erased, in the order in which they came."""
-    rows = connection.execute("SELECT * FROM participant WHERE NOT erased ORDER BY number")
-    of: dict[str, tuple[Row, list[Row]]] = {row["id"]: (dict(row), []) for row in rows}
-    for event in connection.execute("SELECT * FROM event ORDER BY participant, sequence"):
-        if event["participant"] in of:
-            read = dict(event) | {"payload": json.loads(event["payload"])}
-            of[event["participant"]][1].append(read)
-    return [(row, tuple(events)) for row, events in of.values()]
-
-
 def participants(connection: sqlite3.Connection, kind: type[S]) -> list[ParticipantRow[S]]:
-    """The same with the states that are stored."""
+    """Everybody who was not erased, in the order in which they came."""
+    rows = connection.execute("SELECT * FROM seen WHERE NOT erased ORDER BY number").fetchall()
+    events: dict[str, list[Row]] = {row["id"]: [] for row in rows}
+    for event in connection.execute("SELECT * FROM event ORDER BY participant, sequence"):
+        if event["participant"] in events:
+            read = dict(event) | {"payload": json.loads(event["payload"])}
+            events[event["participant"]].append(read)
     return [
-        ParticipantRow(row, kind.from_text(row["state"]), own) for row, own in everybody(connection)
+        ParticipantRow(dict(row), kind.from_text(row["state"]), tuple(events[row["id"]]))
+        for row in rows
     ]
 
 
@@ -88,8 +91,11 @@ def described(name: str, rows: Iterable[Row], codebook: Mapping[str, Any]) -> pd
 
 
 def defused(cell: Any) -> Any:
-    """A text that a spreadsheet would run as a formula, with an apostrophe before it."""
-    return f"'{cell}" if isinstance(cell, str) and cell[:1] in _FORMULAS else cell
+    """A text that a spreadsheet would run as a formula, with an apostrophe before it; numbers
+    stay as they are."""
+    if not isinstance(cell, str) or cell[:1] not in _FORMULAS or _NUMBER.fullmatch(cell):
+        return cell
+    return f"'{cell}"
 
 
 def seconds(first: Row, last: Row) -> tuple[float | None, str]:
@@ -106,12 +112,12 @@ def write(
     folder: Path,
     plan: type[Plan],
     state: type[S],
-    tables: Callable[[Plan, list[ParticipantRow[S]], list[Row]], Mapping[str, Iterable[Row]]],
+    tables: Callable[[Plan, list[ParticipantRow[S]]], Mapping[str, Iterable[Row]]],
     codebook: Codebook,
 ) -> tuple[str, Plan, list[ParticipantRow[S]]]:
     """Writes the tables of a database (better: of a snapshot) into a folder, with the events of
-    everybody who is in them, the codebook and the plan; and the head of the log, by which a replay
-    can tell whether anything before was changed since.
+    everybody who is in them, the codebook and the plan; and SHA-256 of the file of events, to be
+    published with a preregistration.
 
     Args:
         database: of a flow.
@@ -121,7 +127,7 @@ def write(
             codebook: of these tables.
 
     Returns:
-        The head, the plan, and the participants.
+        The hash, the plan, and the participants.
 
     Raises:
         InputError: it is no such flow's database.
@@ -129,10 +135,8 @@ def write(
     book = {**codebook, **CODEBOOK}
     with reading(database) as connection:
         own, people = plan_of(connection, plan), participants(connection, state)
-        steps = connection.execute("SELECT * FROM step ORDER BY participant, k")
-        rows = dict(tables(own, people, [dict(step) for step in steps]))
+        rows = dict(tables(own, people))
         (stored,) = connection.execute("SELECT value FROM meta WHERE key = 'plan'").fetchone()
-        head = head_of(connection)
     rows["codebook"] = explained(book)
     folder.mkdir(parents=True, exist_ok=True)
     for name in rows:
@@ -141,8 +145,9 @@ def write(
         table.to_parquet(folder / f"{name}.parquet", index=False)
     text = json.dumps(json.loads(stored), indent=1, ensure_ascii=False)
     (folder / "plan.json").write_text(f"{text}\n", encoding="utf-8")
-    (folder / "head.txt").write_text(f"{head}\n", encoding="ascii")
-    return head, own, people
+    digest = hashlib.sha256((folder / "events.csv").read_bytes()).hexdigest()
+    (folder / "SHA256SUMS").write_text(f"{digest}  events.csv\n", encoding="ascii")
+    return digest, own, people
 
 
 def events_of(people: Iterable[ParticipantRow[Any]]) -> list[Row]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from filelock import FileLock, Timeout
 
@@ -16,33 +16,6 @@ from xplain.people.plan import StoredPlan
 Plan = TypeVar("Plan", bound=StoredPlan)
 STREAMS = ("person", "pilot", "bot")
 """Whose data it is; fixed by the invitation, and never mixed in an analysis."""
-MOVED = {
-    "xplain.data.observers": "xplain.learning.data.observers",
-    "xplain.data.queries": "xplain.learning.data.queries",
-    "xplain.evaluation.explainees": "xplain.interaction.explainees",
-    "xplain.learning.dirichlet": "xplain.learning.fact_model.dirichlet",
-    "xplain.questions.labeler": "xplain.learning.fact_sets.labeler",
-    "xplain.solvers.certified": "xplain.solvers.hsvi.solver",
-    "xplain.solvers.pomcp": "xplain.solvers.pomcp.solver",
-    "xplain.users.observers": "xplain.learning.data.observers",
-    "xplain.users.types": "xplain.domains.users.types",
-}
-"""Modules by the names that older plans carry. A stored plan is never rewritten: its hash is in
-the data. What it names is looked up here whenever it is used."""
-
-
-def renamed(config: Any) -> Any:
-    """A stored configuration with today's names of modules, wherever a ``_target_`` stands."""
-    if isinstance(config, Mapping):
-        return {
-            key: _today(one) if key == "_target_" else renamed(one) for key, one in config.items()
-        }
-    return [renamed(one) for one in config] if isinstance(config, list | tuple) else config
-
-
-def _today(target: str) -> str:
-    module, _, name = target.rpartition(".")
-    return f"{MOVED.get(module, module)}.{name}"
 
 
 @contextmanager

@@ -46,12 +46,14 @@ class AskedClip:
         transitions: rows of the hypotheses.
         told: bitmask of the messages shown.
         labels: one a transition; empty before the answer.
+        bits: how much a question's answer was expected to tell.
     """
 
     purpose: str
     transitions: tuple[int, ...]
     told: int
     labels: tuple[int, ...] = ()
+    bits: float = 0.0
 
     @property
     def size(self) -> int:

@@ -136,7 +136,7 @@ def take_part(
         role: whose briefing they get, if any.
     """
     consent = {"number": number, "role": role, "others": others}
-    state = collection.after(CollectState(), **collection.admitted(consent)).state
+    state = collection.after(CollectState(), **collection.admitted(consent))
     return bots.take_part(collection, person, state)
 
 

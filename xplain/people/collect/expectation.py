@@ -73,8 +73,8 @@ def expect(
     plan: CollectPlan, error: float, domain: Domain | None = None, users: TypeSource | None = None
 ) -> dict[str, float]:
     """The figures: ``people``, ``labels`` a person, ``error``, ``runs``; means over runs of
-    ``rand_index`` and, with ten more people, ``rand_index_more``; ``rand_index_least``. With a
-    domain ``cost`` of an explanation (λ = 1, QMDP), and the clairvoyant's, the ``floor``.
+    ``rand_index`` and, with ten more people, ``rand_index_more``. With a domain ``cost`` of an
+    explanation (λ = 1, QMDP), and the clairvoyant's, the ``floor``.
 
     Args:
         plan: without an expectation.
@@ -91,7 +91,6 @@ def expect(
         "error": error,
         "runs": float(RUNS),
         "rand_index": float(np.mean(index)),
-        "rand_index_least": min(index),
         "rand_index_more": float(np.mean([rand_index(plan, states) for states in runs])),
     }
     if domain is None or users is None:

@@ -12,7 +12,6 @@ from functools import cached_property, lru_cache
 from typing import Any, ClassVar
 
 from xplain.explanation.message_sets import indices
-from xplain.people import flow as core
 from xplain.people.collect import asking
 from xplain.people.collect.asking import (
     ATTENTION,
@@ -23,12 +22,11 @@ from xplain.people.collect.asking import (
     CollectState,
 )
 from xplain.people.collect.plan import CollectPlan
-from xplain.people.flow import Flow, Form, Stage, answered, decided
+from xplain.people.flow import Flow, Form, Stage
 from xplain.people.stages import Consent, LookingAhead, Practice, QuestionStage, choices, small
 from xplain.questions.questionnaire import Questionnaire
 from xplain.randomness import derived_seed, stream
 
-Outcome = core.Outcome[CollectState]
 QUESTIONNAIRES = 512
 """Kept at a time: more than people answer at once."""
 
@@ -58,10 +56,9 @@ class ClipStage(Stage["Collection", CollectState]):
         LASTING: whether messages hold on the pages that follow, too.
     """
 
-    FIELDS: ClassVar = {"labels": "label_#"}
     LASTING: ClassVar = False
 
-    def enter(self, flow: Collection, state: CollectState) -> Outcome:
+    def enter(self, flow: Collection, state: CollectState) -> CollectState:
         """The first clip."""
         return self._next(flow, replace(state, wrong=False))
 
@@ -80,17 +77,17 @@ class ClipStage(Stage["Collection", CollectState]):
         steps = range(state.clip.size if state.clip else 0)
         return {"labels": [small(form.get(f"label_{i}")) for i in steps]}
 
-    def advance(self, flow: Collection, state: CollectState, payload: Mapping[str, Any]) -> Outcome:
+    def advance(
+        self, flow: Collection, state: CollectState, payload: Mapping[str, Any]
+    ) -> CollectState:
         """To the next clip, or on from the last one."""
         clip = state.clip
         assert clip is not None, "a clip is on the page"
         chosen = choices(payload.get("labels"), [2] * clip.size, flow.words["choose_each"])
         state = replace(state, answered=(*state.answered, replace(clip, labels=chosen)), clip=None)
-        outcome = self._next(flow, state)
-        step = len(state.answered) - 1
-        return outcome.with_rows(answered(step, chosen, outcome.state.belief))
+        return self._next(flow, state)
 
-    def _next(self, flow: Collection, state: CollectState) -> Outcome:
+    def _next(self, flow: Collection, state: CollectState) -> CollectState:
         """The next clip, or the end of the clips."""
         step, known = len(state.answered), flow.questionnaire(state)
         state = replace(state, belief=asking.belief(known))
@@ -99,13 +96,8 @@ class ClipStage(Stage["Collection", CollectState]):
             return flow.after(state)
         clip = asking.clip(flow.plan, state, tasks, known)
         question = clip.purpose == QUESTION
-        why = {
-            "purpose": clip.purpose,
-            "transitions": clip.transitions,
-            "bits": known.information((list(clip.transitions), clip.told)) if question else 0.0,
-        }
-        row = decided(step, state.belief, clip.told, 0, why)
-        return state.to(stage=self.name, clip=clip).with_rows(row)
+        bits = known.information((list(clip.transitions), clip.told)) if question else 0.0
+        return state.to(stage=self.name, clip=replace(clip, bits=float(bits)))
 
 
 class Listening(ClipStage):
@@ -121,8 +113,6 @@ class Listening(ClipStage):
 class BeliefStage(Stage["Collection", CollectState]):
     """What they say they thought of each fact."""
 
-    FIELDS: ClassVar = {"stated": "fact_#"}
-
     def view(self, flow: Collection, state: CollectState) -> dict[str, Any]:
         """The facts in the participant's order."""
         shown = statements(flow.plan, state.person)
@@ -134,7 +124,9 @@ class BeliefStage(Stage["Collection", CollectState]):
         facts = range(len(flow.plan.facts))
         return {"stated": [small(form.get(f"fact_{j}")) for j in facts]}
 
-    def advance(self, flow: Collection, state: CollectState, payload: Mapping[str, Any]) -> Outcome:
+    def advance(
+        self, flow: Collection, state: CollectState, payload: Mapping[str, Any]
+    ) -> CollectState:
         """All of them are needed."""
         counts = [len(STATED)] * len(flow.plan.facts)
         return flow.after(

@@ -89,7 +89,7 @@ def listeners_in(database: Path, stream: str = "person") -> list[Asked]:
         InputError: it is no collection's database, there is no such stream, or nothing was told
             that holds from page to page.
     """
-    query = "SELECT state FROM participant WHERE stream = ? AND NOT erased ORDER BY number"
+    query = "SELECT state FROM seen WHERE stream = ? AND NOT erased ORDER BY number"
     plan, rows = rows_of(database, stream, CollectPlan, query)
     states = [CollectState.from_text(text) for (text,) in rows]
     if not plan.rules.listening:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from xplain.domains.users.hypotheses import Hypotheses
-from xplain.errors import InputError, Range, Whole, checks, whole_number
-from xplain.people.plan import Patience, StoredPlan, Told, Way
+from xplain.errors import InputError, Positive, Range, Whole, checks, whole_number
+from xplain.people.plan import StoredPlan, Told, Way
 from xplain.questions.designs import Adaptive
 
 
@@ -29,12 +29,13 @@ class Example:
 
 @checks("rules")
 @dataclass(frozen=True, kw_only=True)
-class CollectRules(Patience):
-    """Numbers of the protocol; how long somebody may be silent is in the base class.
+class CollectRules:
+    """Numbers of the protocol.
 
     Attributes:
         people: wanted; the page stays open when more come.
         points: labels a person, those for consistency and attention not counted.
+        timeout_minutes: without a sign of life, after which a participant's part pauses.
         repeats: questions asked a second time, for consistency.
         attention: whether an obvious step is among them.
         listening: messages told at the end that hold from then on: asked about at once, later
@@ -43,6 +44,7 @@ class CollectRules(Patience):
 
     people: Annotated[int, Range(2)]
     points: int
+    timeout_minutes: Positive
     repeats: Whole
     attention: bool
     listening: Whole = 0

@@ -17,7 +17,6 @@ from xplain.domains.users.hypotheses import hypotheses_of
 from xplain.domains.users.types import TypeSource
 from xplain.errors import InputError, Range, number, one_of
 from xplain.explanation.message_sets import mask_of
-from xplain.people.ahead import ahead_of
 from xplain.people.collect.bot import probes
 from xplain.people.collect.expectation import expect
 from xplain.people.collect.flow import Collection
@@ -89,7 +88,6 @@ def domain_source(domain: Domain, users: TypeSource, seed: int) -> Source:
         paths=paths or (),
         changes=() if paths else _changes(domain, known.states, known.phrases),
         scene=domain.scene if paths else None,
-        ahead=ahead_of(domain, whole.states, whole.labels, lambda t: whole.phrases[t]),
         domain=domain,
         users=users,
     )

@@ -28,7 +28,6 @@ class CollectSite(site.Site[Collection]):
     PLAN = CollectPlan
     TEMPLATES = Path(__file__).parent / "templates"
     OVERVIEW = "collecting.html"
-    STEP = "clip"
     export = staticmethod(export)
     probes = staticmethod(probes)
 
@@ -47,9 +46,8 @@ class CollectSite(site.Site[Collection]):
         said = (
             f"collect: expect of {figures['people']:.0f} people × {figures['labels']:.0f} labels, "
             f"{figures['error']:.0%} of them wrong: types found with an adjusted Rand index of "
-            f"{figures['rand_index']:.2f} (1 is perfect; least {figures['rand_index_least']:.2f} "
-            f"of {figures['runs']:.0f} simulations; {figures['rand_index_more']:.2f} with ten more "
-            "people)\n"
+            f"{figures['rand_index']:.2f} (1 is perfect; mean of {figures['runs']:.0f} "
+            f"simulations; {figures['rand_index_more']:.2f} with ten more people)\n"
         )
         if "cost" not in figures:
             return said
@@ -65,7 +63,7 @@ class CollectSite(site.Site[Collection]):
         own, plan = person["stream"], self.plan
         marks = ", ".join("?" * len(FINISHED))
         rows = do(
-            "SELECT number, state FROM participant WHERE stream = ? AND "
+            "SELECT number, state FROM seen WHERE stream = ? AND "
             f"json_extract(state, '$.stage') IN ({marks}) ORDER BY number",
             (own, *FINISHED),
         ).fetchall()
@@ -86,7 +84,7 @@ class CollectSite(site.Site[Collection]):
         """The role that fewest people of the stream have who have not left; ties at random."""
         counts = [0] * len(self.plan.roles)
         for row in do(
-            "SELECT json_extract(state, '$.role') AS role, count(*) AS number FROM participant "
+            "SELECT json_extract(state, '$.role') AS role, count(*) AS number FROM seen "
             "WHERE stream = ? AND json_extract(state, '$.role') IS NOT NULL AND "
             "json_extract(state, '$.stage') NOT IN ('withdrawn', 'timed_out') GROUP BY 1",
             (person["stream"],),
@@ -95,7 +93,7 @@ class CollectSite(site.Site[Collection]):
         fewest = [role for role, count in enumerate(counts) if count == min(counts)]
         return int(stream(self.plan.seed, "roles", person["number"]).choice(fewest))
 
-    def pin(self, do: Do, who: str, cell: int) -> None:
+    def check_cell(self, cell: int) -> None:
         """Everybody is asked by their own answers: there is one way to see it."""
         if cell:
             raise Refused("not_understood")
@@ -120,7 +118,7 @@ class CollectSite(site.Site[Collection]):
     def glance(self, query: site.Query) -> dict[str, Any]:
         """Labels so far, the types that are in them, and what more people would bring: of people,
         or of bots while there are none."""
-        rows = query("SELECT id, stream, state FROM participant ORDER BY number")
+        rows = query("SELECT id, stream, state FROM seen ORDER BY number")
         own = "person" if any(row["stream"] == "person" for row in rows) else "bot"
         states = {
             row["id"]: CollectState.from_text(row["state"]) for row in rows if row["stream"] == own

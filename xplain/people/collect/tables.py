@@ -8,7 +8,7 @@ and bots never share a table of labels.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,12 +26,12 @@ Participant = ParticipantRow[CollectState]
 
 
 def export(database: Path, folder: Path) -> str:
-    """Writes all tables of a database (better: of a snapshot) into a folder; the head of the log.
+    """Writes all tables of a database (better: of a snapshot) into a folder; SHA-256 of the events.
 
     Raises:
         InputError: it is no collection's database.
     """
-    head, plan, people = write(database, folder, CollectPlan, CollectState, tables, CODEBOOK)
+    digest, plan, people = write(database, folder, CollectPlan, CollectState, tables, CODEBOOK)
     for stream in STREAMS:
         own = [one for one in people if one.row["stream"] == stream]
         if kept := {one.id: one.state for one in own if not why_left_out(one.state)}:
@@ -40,18 +40,15 @@ def export(database: Path, folder: Path) -> str:
     (plan.whole or plan.hypotheses).save(folder / "hypotheses.npz")
     said = json.dumps({one.name: one.message for one in plan.facts}, ensure_ascii=False, indent=1)
     (folder / "sentences.yaml").write_text(f"{said}\n", encoding="utf-8")  # JSON is YAML
-    return head
+    return digest
 
 
-def tables(
-    plan: CollectPlan, people: list[Participant], steps: list[Row]
-) -> dict[str, Iterable[Row]]:
-    """Rows of every table but the labels, by name. Of who withdrew no answer is in them."""
-    chosen = {(step["participant"], step["k"]): json.loads(step["action_values"]) for step in steps}
+def tables(plan: CollectPlan, people: list[Participant]) -> dict[str, Iterable[Row]]:
+    """Rows of every table but the labels, by name. Answers of people who withdrew are left out."""
     stayed = [one for one in people if one.state.stage != "withdrawn"]
     return {
         "observers": [_observer(plan, one) for one in people],
-        "clips": [row for one in stayed for row in _clips(plan, one, chosen)],
+        "clips": [row for one in stayed for row in _clips(plan, one)],
         "events": events_of(stayed),
     }
 
@@ -108,9 +105,7 @@ def _observer(plan: CollectPlan, one: Participant) -> Row:
     }
 
 
-def _clips(
-    plan: CollectPlan, one: Participant, chosen: Mapping[tuple[str, int], Row]
-) -> Iterator[Row]:
+def _clips(plan: CollectPlan, one: Participant) -> Iterator[Row]:
     known = plan.hypotheses
     for number, (clip, (answer, shown)) in enumerate(
         zip(one.state.answered, _timed(one), strict=True)
@@ -123,7 +118,7 @@ def _clips(
             "steps": "|".join(steps),
             "messages": ";".join(names_of(clip.told, known.messages)),
             "labels": ";".join(map(str, clip.labels)),
-            "bits": chosen[one.id, number]["bits"],
+            "bits": clip.bits,
             "seconds": seconds(shown, answer)[0] if shown else None,
             "browser_ms": answer["browser"],
         }

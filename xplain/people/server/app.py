@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 
+import jinja2
 from flask import Flask, Response, request
-from jinja2 import ChoiceLoader, FileSystemLoader
+from jinja2 import ChoiceLoader, FileSystemLoader, pass_context
+from markupsafe import Markup
 from werkzeug.exceptions import HTTPException
 from werkzeug.middleware.proxy_fix import ProxyFix
 from werkzeug.wrappers import Response as AnyResponse
@@ -16,6 +18,9 @@ from xplain.people.server.participant_pages import pages as participant_pages
 from xplain.people.server.researcher_pages import pages as researcher_pages
 from xplain.people.server.store import Store
 
+MARKED = ("participant.answer", "participant.events")
+"""Routes whose replies scripts take for an acknowledgement only with the server's mark: a proxy in
+between may answer anything."""
 log = logging.getLogger(__name__)
 FREE = ("static", "alive", "researcher.login")
 """Routes that take nothing from anybody's limit; the login has one of its own, of wrong keys."""
@@ -34,7 +39,9 @@ def create_app(store: Store, server: Server) -> Flask:
     app.jinja_loader = ChoiceLoader([templates, app.jinja_loader])  # type: ignore[list-item]
     app.jinja_env.trim_blocks = app.jinja_env.lstrip_blocks = True
     app.jinja_env.globals.update(
-        store.site.drawing() | {"texts": store.site.plan.texts, "words": own.words}
+        store.site.drawing()
+        | {"texts": store.site.plan.texts, "words": own.words, "mark": own.keys.mark}
+        | {"checked": checked}
     )
     app.before_request(_limit)
     app.after_request(_secure)
@@ -47,6 +54,12 @@ def create_app(store: Store, server: Server) -> Flask:
         app.wsgi_app = ProxyFix(app.wsgi_app, server.proxies, server.proxies)  # type: ignore[method-assign]
     app.wsgi_app = security.ReadToTheEnd(app.wsgi_app)  # type: ignore[method-assign]
     return app
+
+
+@pass_context
+def checked(page: jinja2.runtime.Context, name: str, value: object) -> Markup:
+    """The attribute of a choice that was made in a refused form."""
+    return Markup(" checked" if str(value) in page["typed"].getlist(name) else "")
 
 
 def _limit() -> AnyResponse | None:
@@ -65,6 +78,8 @@ def _secure(response: Response) -> Response:
     """Adds the headers. Pages are never stored: back and reload ask the server again."""
     kept = request.endpoint == "static" and response.status_code == 200
     response.headers.update(security.HEADERS)
+    if request.endpoint in MARKED and response.status_code not in (429, 500):
+        response.headers["Study-Mark"] = context().keys.mark
     response.headers["Cache-Control"] = "public, max-age=3600" if kept else "no-store"
     if context().server.https:
         response.headers["Strict-Transport-Security"] = "max-age=31536000"

@@ -25,7 +25,6 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from xplain.errors import InputError, Refused, XplainError
-from xplain.people.analysis import log as event_log
 
 Do = Callable[..., sqlite3.Cursor]
 """Executes a statement within a transaction."""
@@ -54,6 +53,10 @@ class Unknown(Exception):
     """No such participant, invitation or key."""
 
 
+class Gone(Exception):
+    """The data of this participant was erased."""
+
+
 class Database:
     """The open file. Safe to use from several threads."""
 
@@ -73,7 +76,6 @@ class Database:
             raise XplainError(f"database={path}: another process is using it") from None
         with ExitStack() as opened:
             opened.callback(self._file_lock.release)
-            self.secret = _secret(path)
             self._lock = threading.RLock()
             try:
                 self._connection = opened.enter_context(
@@ -88,6 +90,8 @@ class Database:
                 ):
                     self._connection.execute(f"PRAGMA {pragma}")
                 self._check()
+                started = bool(self.query("SELECT 1 FROM meta WHERE key = 'plan'"))
+                self.secret = _secret(path, started)
             except sqlite3.DatabaseError as error:
                 raise InputError("database", str(path), f"cannot be used ({error})") from None
             opened.pop_all()  # it can be used: all stays open until it is closed
@@ -135,9 +139,8 @@ class Database:
     def erase(self, reference: str) -> None:
         """Erases everything that one participant did or said, and their outside ids.
 
-        The random id, the number of their events and the hashes stay, so that the log can still be
-        checked; the erasure is an event of its own. A protocol that gives places frees theirs by a
-        trigger on ``meta``'s row ``erasing``.
+        The random id and the number of their events stay. The keyed hash of their outside id stays,
+        so that their link makes nobody new. The erasure is an event of its own.
 
         Args:
             reference: as the participant was given it; what is no hexadecimal digit is left out.
@@ -152,27 +155,41 @@ class Database:
             raise InputError("reference", reference, "the reference of a participant")
         with self.transaction() as do:
             do("INSERT INTO meta VALUES ('erasing', ?)", (who,))
-            do("DELETE FROM step WHERE participant = ?", (who,))
+            self.record(do, who, "server", None, "erase", {}, state='{"stage": "erased"}')
             do(
-                "UPDATE event SET kind = ?, source = 'erased', source_sequence = sequence, "
-                "wall = 0, monotonic = 0, boot = '', browser = NULL, payload = '{}' "
-                "WHERE participant = ?",
-                (event_log.ERASED, who),
-            )
-            do(
-                "UPDATE participant SET external = NULL, session = NULL, kept = '{}', over = 1, "
-                "state = '{\"stage\": \"erased\"}', code = '', salt = '', "
-                "erased = 1 WHERE id = ?",
+                "UPDATE event SET kind = iif(kind = 'erase', kind, 'erased'), source = 'erased', "
+                "source_sequence = sequence, wall = 0, monotonic = 0, boot = '', browser = NULL, "
+                "payload = '{}', state = iif(kind = 'erase', state, NULL) WHERE participant = ?",
                 (who,),
             )
-            (sequence,) = do(
-                "SELECT max(sequence) + 1 FROM event WHERE participant = ?", (who,)
-            ).fetchone()
-            append(do, (who, sequence, "server", sequence, "erase", 0.0, 0.0, "", None, "{}"))
+            do(
+                "UPDATE participant SET session = NULL, kept = '{}', code = '', erased = 1 "
+                "WHERE id = ?",
+                (who,),
+            )
             do("DELETE FROM meta WHERE key = 'erasing'")
         with self._lock:
             self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             self._connection.execute("VACUUM")
+
+    def forget_visit(self, do: Do, who: str) -> None:
+        """Keeps of somebody who declined that they came and declined, and when: no outside id, and
+        nothing that their page reported."""
+        do("INSERT INTO meta VALUES ('erasing', ?)", (who,))
+        do(
+            "UPDATE event SET kind = 'erased', source = 'erased', source_sequence = sequence, "
+            "browser = NULL, payload = '{}' WHERE participant = ? "
+            "AND (source = 'shown' OR source LIKE 'tab:%')",
+            (who,),
+        )
+        do(
+            """UPDATE event SET payload = json_remove(payload, '$.kept', '$.width') WHERE
+            participant = ? AND source != 'erased'""",
+            (who,),
+        )
+        gone = "external = NULL, session = NULL, kept = '{}'"
+        do(f"UPDATE participant SET {gone} WHERE id = ?", (who,))
+        do("DELETE FROM meta WHERE key = 'erasing'")
 
     # The log of events -------------------------------------------------------------------------
 
@@ -223,15 +240,22 @@ class Database:
         kind: str,
         payload: Mapping[str, Any],
         browser: float | None = None,
+        state: str | None = None,
     ) -> None:
-        """Appends an event unless its source sent it before; ``None`` numbers it here."""
+        """Appends an event, with the state that it leads to, unless its source sent it before;
+        ``None`` numbers it here."""
         (sequence,) = do(
             "SELECT coalesce(max(sequence) + 1, 0) FROM event WHERE participant = ?", (who,)
         ).fetchone()
         number = sequence if source_sequence is None else source_sequence
         now = self.clock.wall(), self.clock.monotonic(), self.clock.boot
         text = json.dumps(payload, sort_keys=True)
-        append(do, (who, sequence, source, number, kind, *now, browser, text))
+        event = (who, sequence, source, number, kind, *now, browser, text, state)
+        do(
+            f"INSERT INTO event VALUES (NULL, {', '.join('?' * len(event))}) "
+            "ON CONFLICT (participant, source, source_sequence) DO NOTHING",
+            event,
+        )
 
     def reference(self, who: str) -> str:
         """What a participant is given to have their data erased: nobody can make it from the id,
@@ -245,32 +269,16 @@ class Database:
         return hmac.new(self.secret, message, hashlib.sha256).hexdigest()
 
 
-def append(do: Do, event: Sequence[Any]) -> None:
-    """Appends an event to the log unless its source sent it before.
+def _secret(path: Path, started: bool) -> bytes:
+    """The server's secret, in a file of its own beside the database, for its owner only.
 
-    Args:
-        do: of the transaction.
-        event: the values of :data:`xplain.people.analysis.log.FIELDS`.
+    Raises:
+        InputError: something was started in the database, and its secret is lost.
     """
-    (salt,) = do("SELECT salt FROM participant WHERE id = ?", (event[0],)).fetchone()
-    (head,) = do("SELECT value FROM meta WHERE key = 'head'").fetchone()
-    content = event_log.content_of(event, salt)
-    digest = event_log.linked(head, content)
-    columns = ", ".join(event_log.FIELDS)
-    done = do(
-        f"INSERT INTO event (number, {columns}, content, digest) "
-        "VALUES ((SELECT coalesce(max(number), 0) + 1 FROM event), "
-        "?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) "
-        "ON CONFLICT (participant, source, source_sequence) DO NOTHING",
-        (*event, content, digest),
-    )
-    if done.rowcount:
-        do("UPDATE meta SET value = ? WHERE key = 'head'", (digest,))
-
-
-def _secret(path: Path) -> bytes:
-    """The server's secret, in a file of its own beside the database, for its owner only."""
     file = path.with_name(path.name + ".key")
+    if started and not file.exists():
+        wanted = f"a database with its key beside it: {file.name} is missing, restore it"
+        raise InputError("database", str(path), wanted)
     try:
         handle = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except FileExistsError:

@@ -96,7 +96,8 @@ class Server:
             InputError: it cannot be read.
         """
         try:
-            return set(Path(self.ids).read_text(encoding="utf-8").split())
+            lines = Path(self.ids).read_text(encoding="utf-8-sig").splitlines()
+            return {line.strip() for line in lines} - {""}
         except (OSError, UnicodeDecodeError) as error:
             raise InputError("server.ids", self.ids, f"a file of ids ({error})") from None
 
@@ -145,6 +146,10 @@ class Context:
         address = self.server.completion_url.replace("{code}", code)
         return address.replace("{id}", quote(person, safe=""))
 
+    def cookie(self, name: str) -> str:
+        """The name of a cookie, which no other server on this host uses."""
+        return f"{name}_{self.keys.mark}"
+
 
 def context() -> Context:
     """The context of the running application."""
@@ -153,12 +158,12 @@ def context() -> Context:
 
 def owner() -> str | None:
     """The participant whose cookie came along, if the cookie is genuine."""
-    return context().keys.owner(request.cookies.get(PARTICIPANT, ""))
+    return context().keys.owner(read_cookie(PARTICIPANT))
 
 
 def session() -> str | None:
     """Of the researcher who is logged in."""
-    found = context().keys.owner(request.cookies.get(RESEARCHER, ""), SESSION)
+    found = context().keys.owner(read_cookie(RESEARCHER), SESSION)
     return found if found in context().sessions else None
 
 
@@ -177,9 +182,19 @@ def error_page(status: int, text: str) -> Response:
     )
 
 
+def read_cookie(name: str) -> str:
+    """What the browser sent; "" for nothing."""
+    return request.cookies.get(context().cookie(name), "")
+
+
 def set_cookie(response: AnyResponse, name: str, value: str, samesite: str = "Lax") -> None:
     """A cookie that scripts cannot read."""
     https = context().server.https
     response.set_cookie(
-        name, value, httponly=True, samesite=samesite, secure=https, max_age=14 * 86400
+        context().cookie(name),
+        value,
+        httponly=True,
+        samesite=samesite,
+        secure=https,
+        max_age=14 * 86400,
     )

@@ -6,6 +6,7 @@ from __future__ import annotations
 import base64
 import re
 import secrets
+from dataclasses import replace
 from typing import Any, Literal
 
 from flask import (
@@ -19,17 +20,20 @@ from flask import (
     url_for,
 )
 from pydantic import BaseModel, Field, ValidationError
+from werkzeug.datastructures import MultiDict
 from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import Refused
 from xplain.people.analysis.export import ParticipantRow
-from xplain.people.server.database import Unknown
+from xplain.people.flow import Conflict, Form
+from xplain.people.server.database import Gone, Unknown
 from xplain.people.server.http import (
     PARTICIPANT,
     context,
     error_page,
     genuine,
     owner,
+    read_cookie,
     set_cookie,
 )
 from xplain.people.server.site import Full
@@ -37,7 +41,7 @@ from xplain.people.server.site import Full
 pages = Blueprint("participant", __name__)
 VISITOR = "visitor"
 """The cookie of somebody who has not entered yet; forms are bound to it."""
-TAB_KINDS = Literal["visible", "hidden", "label", "recall", "retry"]
+TAB_KINDS = Literal["visible", "hidden", "label", "recall", "retry", "active"]
 MAX_ITEMS = 50
 
 # Entry -----------------------------------------------------------------------------------------
@@ -46,7 +50,7 @@ MAX_ITEMS = 50
 @pages.get("/")
 def entrance() -> AnyResponse:
     """Where invitations and recruiting platforms lead; changes nothing yet."""
-    visitor = request.cookies.get(VISITOR, "")
+    visitor = read_cookie(VISITOR)
     if not (len(visitor) == 32 and visitor.isascii() and visitor.isalnum()):
         visitor = secrets.token_hex(16)
     own = context()
@@ -68,7 +72,7 @@ def entrance() -> AnyResponse:
 def enter() -> AnyResponse:
     """Admits, or leads back to where the participant was."""
     own = context()
-    if not genuine(request.cookies.get(VISITOR, "")):
+    if not genuine(read_cookie(VISITOR)):
         return error_page(403, "old_form")
     ids = {key: request.form.get(key, "") for key in own.server.id_names}
     invitation = request.form.get("invitation", "").strip()
@@ -83,6 +87,8 @@ def enter() -> AnyResponse:
             raise Unknown
     except Unknown:
         return error_page(403, "not_invited")
+    except Gone:
+        return error_page(410, "erased")
     response = redirect(url_for("participant.show"), 303)
     set_cookie(response, PARTICIPANT, own.keys.cookie(who))
     return response
@@ -105,21 +111,18 @@ def show() -> AnyResponse:
     return _page(_current())
 
 
-def _page(found: ParticipantRow[Any], problem: str = "", status: int = 200) -> Response:
+def _page(
+    found: ParticipantRow[Any], problem: str = "", status: int = 200, typed: Form | None = None
+) -> Response:
+    """The page where somebody is; of a refused form the page that it is of, with what was typed."""
     own = context()
-    own.store.shown(found.id, found.state.accepted, found.state.stage)
+    if typed:
+        found = replace(found, state=own.site.flow.asking(found.state))
+    if not found.state.paused:
+        own.store.shown(found.id, found.state.accepted, found.state.stage)
     reference = "-".join(re.findall(".{4}", own.store.reference(found.id)))
-    token = own.keys.form(found.id)
-    said = own.say(problem)
-    return make_response(rendered(found, token=token, problem=said, reference=reference), status)
-
-
-def rendered(found: ParticipantRow[Any], **more: Any) -> str:
-    """The page of a participant's state, with what else it shows. Without a form's token nothing
-    can be done on it."""
-    own = context()
     flow, code = own.site.flow, own.code(found)
-    return render_template(
+    html = render_template(
         "ended.html" if found.state.over else f"{found.state.stage}.html",
         **flow.view(found.state),
         kind=flow.waits_for(found.state),
@@ -128,13 +131,18 @@ def rendered(found: ParticipantRow[Any], **more: Any) -> str:
         stages=flow.stages,
         within=flow.part(found.state.stage),
         stream=found.row["stream"],
-        **more,
+        typed=typed or MultiDict(),
+        token=own.keys.form(found.id),
+        problem=own.say(problem),
+        reference=reference,
     )
+    return make_response(html, status)
 
 
 @pages.post("/study")
 def answer() -> AnyResponse:
-    """Accepts an answer, once, and leads on. Says 303 only when the answer is on the disk."""
+    """Accepts an answer, once, and leads on. Says 303 (204 to scripts, which then go on by
+    themselves) only when the answer is on the disk."""
     found, own, form = _current(), context(), request.form
     if not genuine(found.id):
         return error_page(403, "not_yours")
@@ -149,15 +157,20 @@ def answer() -> AnyResponse:
             found.id,
             sequence,
             kind,
-            own.site.flow.read(found.state, kind, form),
+            own.site.flow.read(own.store.asked(found, sequence), kind, form),
             ms if 0 <= ms < 1e10 else None,
         )
     except Full as error:
         code = own.server.codes.get("full", "")
         said = f"{own.say(str(error))} {own.say('code')}: {code}" if code else str(error)
-        return _page(found, said, 503)
+        return _page(found, said, 503, form)
+    except Conflict as error:
+        return _page(own.store.participant(found.id), str(error), 409)
     except Refused as error:
-        return _page(own.store.participant(found.id), str(error), 400)
+        found = own.store.participant(found.id)
+        return _page(found, str(error), 400, form if sequence == found.state.accepted else None)
+    if "Study-Script" in request.headers:
+        return make_response("", 204)
     return redirect(url_for("participant.show"), 303)
 
 
@@ -189,7 +202,8 @@ def events() -> AnyResponse:
         if not own.keys.owns_form(found.id, report.token):
             return make_response({"error": "not yours"}, 403)
         items = [(i.n, str(i.kind), i.ms, {"at": i.at, "what": i.what}) for i in report.items]
-        own.store.from_tab(found.id, report.tab, items)
+        if found.state.stage != "declined":
+            own.store.from_tab(found.id, report.tab, items)
     except (ValidationError, Refused):
         return make_response({"error": "not understood, or too much"}, 400)
     return make_response({"kept": len(items)})

@@ -10,11 +10,8 @@ import secrets
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from flask import (
     Blueprint,
@@ -29,7 +26,6 @@ from werkzeug.wrappers import Response as AnyResponse
 
 from xplain.errors import InputError, Refused
 from xplain.people.analysis.stored import STREAMS
-from xplain.people.server.database import Unknown
 from xplain.people.server.http import (
     PARTICIPANT,
     RESEARCHER,
@@ -39,8 +35,6 @@ from xplain.people.server.http import (
     session,
     set_cookie,
 )
-from xplain.people.server.participant_pages import rendered
-from xplain.people.server.playback import filled_in, played
 from xplain.people.server.security import SESSION
 from xplain.people.stages import small
 
@@ -75,12 +69,12 @@ def overview() -> AnyResponse:
     site, blinded = own.site, own.server.blinded
     people = own.store.query(
         "SELECT id, stream, state, entered, wall FROM seen WHERE NOT erased "
-        "ORDER BY over, wall DESC LIMIT 500"
+        "ORDER BY wall DESC LIMIT 500"
     )
     counted: Counter[tuple[str, str]] = Counter()
     for row in own.store.query(
         "SELECT stream, json_extract(state, '$.stage') AS stage, count(*) AS number "
-        "FROM participant GROUP BY 1, 2"
+        "FROM seen GROUP BY 1, 2"
     ):
         counted[row["stream"], site.flow.part(row["stage"])] += row["number"]
     given = own.store.query(
@@ -94,10 +88,7 @@ def overview() -> AnyResponse:
             **site.glance(own.store.query),
             token=own.keys.form(here),
             columns=site.about(site.state(), blinded),
-            people=[
-                p | {"about": site.about(site.state(p["state"]), blinded), "hidden": _hidden(p)}
-                for p in people
-            ],
+            people=[p | {"about": site.about(site.state(p["state"]), blinded)} for p in people],
             now=own.store.clock.wall(),
             stages=(*site.flow.stages, *site.flow.STATE.ENDS),
             flow=counted,
@@ -108,7 +99,6 @@ def overview() -> AnyResponse:
             plan_hash=site.plan.hash,
             paused=own.store.paused,
             blinded=blinded,
-            head=own.store.query("SELECT value FROM meta WHERE key = 'head'")[0]["value"],
         )
     )
 
@@ -133,7 +123,7 @@ def logout() -> AnyResponse:
     """Ends this browser's session, here and in the browser."""
     context().sessions.discard(session() or "")
     response = _back()
-    response.delete_cookie(RESEARCHER)
+    response.delete_cookie(context().cookie(RESEARCHER))
     return response
 
 
@@ -191,36 +181,6 @@ def export() -> AnyResponse:
         archive = shutil.make_archive(f"{folder}/study", "zip", folder, "study")
         content = io.BytesIO(Path(archive).read_bytes())
     return send_file(content, download_name="study.zip", as_attachment=True)
-
-
-@pages.get("/session/<who>/<int:number>")
-def playback(who: str, number: int) -> AnyResponse:
-    """A page of somebody's session as they saw it, computed again from the log. Writes nothing."""
-    own = context()
-    if session() is None:
-        return make_response(render_template("login.html"))
-    try:
-        found = own.store.participant(who)
-        if _hidden(found.row):
-            return error_page(403, "Sessions tell types and conditions: server.blinded=false")
-        seen = played(own.site.flow, own.store.log(who))
-    except Unknown:
-        return error_page(404, "There is nobody with this id, or their data was erased.")
-    except Refused as error:
-        return error_page(409, f"This session cannot be computed again: {error}")
-    if not 1 <= number <= len(seen):
-        return error_page(404, "no_page")
-    page = seen[number - 1]
-    then = replace(found, state=page.state)
-    shown = {"who": who, "number": number, "pages": len(seen), "page": page}
-    html = rendered(then, reference="…", playback=shown)
-    return make_response(filled_in(html, page.fields))
-
-
-def _hidden(person: Mapping[str, Any]) -> bool:
-    """Whether a participant's session would tell what the researcher shall not know."""
-    own = context()
-    return own.site.BLIND and own.server.blinded and person["stream"] == "person"
 
 
 def _back() -> AnyResponse:

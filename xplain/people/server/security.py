@@ -129,6 +129,11 @@ class Keys:
         return self._signer(_FORM).verify_signature(_bytes(who), _bytes(token))
 
     @property
+    def mark(self) -> str:
+        """What this server's cookies and replies to answers are marked with."""
+        return self._signer("mark").derive_key().hex()[:12]
+
+    @property
     def researcher(self) -> str:
         """What the researcher types in to see who is where; the same at every start."""
         return self._signer(_RESEARCHER).derive_key().hex()[:32]

@@ -40,16 +40,12 @@ class Site(ABC, Generic[F]):
         PLAN: class of its plans.
         TEMPLATES: folder of its pages, one named like each stage.
         OVERVIEW: template of the researcher's page.
-        STEP: what it calls a row of the step table.
-        BLIND: whether a page tells who gets what.
         flow: with its plan.
     """
 
     PLAN: ClassVar[type[StoredPlan]]
     TEMPLATES: ClassVar[Path]
     OVERVIEW: ClassVar[str]
-    STEP: ClassVar[str] = "step"
-    BLIND: ClassVar[bool] = False
 
     def __init__(self, flow: F) -> None:
         self.flow = flow
@@ -93,9 +89,6 @@ class Site(ABC, Generic[F]):
 
     # Places, within the transaction of the event that needs them ---------------------------------
 
-    def found(self, do: Do) -> None:
-        """What a new database holds besides the plan."""
-
     @abstractmethod
     def admit(self, do: Do, person: Mapping[str, Any]) -> Mapping[str, Any]:
         """What the consent of a participant (a row of the table) carries from elsewhere.
@@ -114,16 +107,9 @@ class Site(ABC, Generic[F]):
         return {}
 
     @abstractmethod
-    def pin(self, do: Do, who: str, cell: int) -> None:
-        """Makes a participant one of that cell of the plan (a type under a condition), in the
-        order of the researcher's page.
-
-        Raises:
-            Refused: there is no such cell.
-        """
-
-    def settle(self, do: Do, who: str, stage: str) -> None:
-        """The end of somebody's part."""
+    def check_cell(self, cell: int) -> None:
+        """Raises Refused: the researcher's page offers no such cell of the plan (a type under a
+        condition) to look at."""
 
     def forget(self) -> None:
         """Drops what is kept in memory to answer sooner: somebody's data was erased."""
@@ -177,16 +163,15 @@ class Site(ABC, Generic[F]):
     @staticmethod
     @abstractmethod
     def export(database: Path, folder: Path) -> str:
-        """Writes the tables of a database (better: of a snapshot); the head of its log."""
+        """Writes the tables of a database (better: of a snapshot); SHA-256 of its events."""
 
-    def replay(self, connection: sqlite3.Connection, head: str = "") -> Findings:
-        """Compares everything that can be computed from the events with what is stored.
+    def replay(self, connection: sqlite3.Connection) -> Findings:
+        """Whether this plan would decide all of it again.
 
         Args:
             connection: to the database; its rows are mappings.
-            head: of the log, as an earlier export printed it, or its first characters; "" for none.
         """
-        found, people = replayed(connection, self.flow, head, self.STEP)
+        found, people = replayed(connection, self.flow)
         found.differences += self.unequal(connection, people)
         return found
 

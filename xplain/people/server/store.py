@@ -1,12 +1,13 @@
 """The server's memory of its participants.
 
-Every change happens in one transaction: the event, the participant's state, the slot, the policy's
-step. An event that comes twice is stored once.
+Every change is one event, with the state that it leads to. An event that comes twice is stored
+once.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import secrets
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,16 +16,12 @@ from typing import Any
 from xplain.errors import InputError, Refused, one_of
 from xplain.people.analysis.export import ParticipantRow
 from xplain.people.analysis.stored import STREAMS
-from xplain.people.flow import State
-from xplain.people.server.database import Clock, Database, Do, Unknown
+from xplain.people.flow import Conflict, State
+from xplain.people.server.database import Clock, Database, Do, Gone, Unknown
 from xplain.people.server.site import Site
 
 LETTERS = "BCDFGHJKLMNPQRSTVWXZ"
 """Of completion codes: no vowels, so no words, and no digits that look like a number."""
-ANSWERED = """UPDATE step SET labels = :labels, belief_after = :belief_after
-    WHERE participant = :participant AND k = :k"""
-DECIDED = """INSERT INTO step VALUES (:participant, :k, :belief_before, :given, :messages,
-    :action_values, :labels, :belief_after)"""
 OTHER_PLAN = (
     "belongs to another study plan, or was begun by an earlier version: go on with that one, or "
     "take another database (export and replay read this one)"
@@ -42,14 +39,13 @@ class Store(Database):
         """
         super().__init__(path, clock)
         self.site, plan = site, site.plan
+        self._signs: dict[str, float] = {}
         try:
             with self.transaction() as do:
                 row = do("SELECT value FROM meta WHERE key = 'plan'").fetchone()
                 if row is None:
                     do("INSERT INTO meta VALUES ('plan', ?)", (plan.text,))
                     do("INSERT INTO meta VALUES ('plan_hash', ?)", (plan.hash,))
-                    do("INSERT INTO meta VALUES ('head', ?)", (plan.hash,))
-                    self.site.found(do)
                 elif row[0] != plan.text:
                     raise InputError("database", str(path), OTHER_PLAN)
         except BaseException:
@@ -80,6 +76,7 @@ class Store(Database):
 
         Raises:
             Unknown: no such token.
+            Gone: their data was erased.
         """
         hashed = self.keyed("token", token)
         with self.transaction() as do:
@@ -87,29 +84,40 @@ class Store(Database):
             if row is None:
                 raise Unknown
             if row["participant"]:
+                (erased,) = do(
+                    "SELECT erased FROM participant WHERE id = ?", (row["participant"],)
+                ).fetchone()
+                if erased:
+                    raise Gone
                 return self._resume(do, row["participant"])
             who = self._enter(do, row["stream"], "invitation")
             do("UPDATE invitation SET participant = ? WHERE token = ?", (who, hashed))
             return who
 
     def enter_from_platform(self, ids: Mapping[str, str], keep: bool) -> str:
-        """The participant of a recruiting platform's ids, made at their first use.
+        """The participant of a recruiting platform's ids, made at their first use. A person is one
+        participant, whatever study or session the link names.
 
         Args:
             ids: of a person, of a study and of a session, by their names; the last two may lack.
             keep: whether they are stored in clear.
 
         Raises:
-            Unknown: this person came before, in another session.
+            Unknown: this person consented before, in another session.
+            Gone: their data was erased.
         """
-        person, study, session = (*ids.values(), "", "")[:3]
-        external, hashed = self.keyed("platform", person, study), self.keyed("session", session)
+        person, _, session = (*ids.values(), "", "")[:3]
+        external, hashed = self.keyed("platform", person), self.keyed("session", session)
         with self.transaction() as do:
-            row = do("SELECT * FROM participant WHERE external = ?", (external,)).fetchone()
+            row = do("SELECT * FROM seen WHERE external = ?", (external,)).fetchone()
             if row is None:
                 return self._enter(do, "person", "platform", external, hashed, ids if keep else {})
+            if row["erased"]:
+                raise Gone
             if row["session"] != hashed:
-                raise Unknown
+                if self.site.state(row["state"]).stage != "consent":
+                    raise Unknown
+                do("UPDATE participant SET session = ? WHERE id = ?", (hashed, row["id"]))
             return self._resume(do, row["id"])
 
     def enter_preview(self, cell: int) -> str:
@@ -118,10 +126,9 @@ class Store(Database):
         Raises:
             Refused: the protocol has no such cell.
         """
+        self.site.check_cell(cell)
         with self.transaction() as do:
-            who = self._enter(do, "pilot", "preview")
-            self.site.pin(do, who, cell)
-            return who
+            return self._enter(do, "pilot", "preview", cell=cell)
 
     def enter_open(self) -> str:
         """A new participant without an invitation, where the config allows it."""
@@ -136,18 +143,16 @@ class Store(Database):
         external: str | None = None,
         session: str | None = None,
         kept: Mapping[str, str] | None = None,
+        **more: int,
     ) -> str:
         who, ids = secrets.token_hex(8), json.dumps(kept or {})
         code = "".join(secrets.choice(LETTERS) for _ in range(8))
         do(
-            "INSERT INTO participant VALUES (NULL, ?, ?, ?, ?, ?, ?, 0, ?, ?, ?, 0)",
-            (
-                *(who, stream_name, entry, external, session, ids),
-                *(self.site.state().text, code, secrets.token_hex(16)),
-            ),
+            "INSERT INTO participant VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, 0)",
+            (who, stream_name, entry, external, session, ids, code),
         )
-        about = {"entry": entry, "stream": stream_name, "code": code, "kept": ids}
-        self.record(do, who, "server", None, "enter", about)
+        about = {"entry": entry, "stream": stream_name, "code": code, "kept": ids, **more}
+        self.record(do, who, "server", None, "enter", about, state=self.site.state().text)
         return who
 
     def _resume(self, do: Do, who: str) -> str:
@@ -168,12 +173,14 @@ class Store(Database):
     # The participant's way ---------------------------------------------------------------------
 
     def participant(self, who: str) -> ParticipantRow[Any]:
-        """The participant with this id, with their present state, without their events.
+        """The participant with this id, with their present state, without their events. Asking is
+        a sign of life.
 
         Raises:
             Unknown: there is none.
         """
-        for row in self.query("SELECT * FROM participant WHERE id = ? AND NOT erased", (who,)):
+        self._signs[who] = self.clock.monotonic()
+        for row in self.query("SELECT * FROM seen WHERE id = ? AND NOT erased", (who,)):
             return ParticipantRow(row, self.site.state(row["state"]))
         raise Unknown
 
@@ -189,37 +196,70 @@ class Store(Database):
 
         Args:
             who: the participant.
-            sequence: of the answer, ``state.accepted`` of the page that it was given on. A
-                smaller number was accepted before: nothing happens.
-            kind, payload: for the protocol.
+            sequence: of the answer, ``state.accepted`` of the page that it was given on. What was
+                accepted before under this number is acknowledged again. Leaving is accepted from
+                any page.
+            kind, payload: for the protocol. An answer of somebody who was timed out brings them
+                back, where a place is free.
             browser: the page's ``performance.now``, ms.
 
         Returns:
-            The state to go on with; on the disk when this returns.
+            The state to go on with. This content is on the disk when this returns.
 
         Raises:
             Unknown, Refused.
+            Conflict: another answer was accepted under this number, or no page had it.
         """
         with self.transaction() as do:
-            row = do("SELECT * FROM participant WHERE id = ?", (who,)).fetchone()
+            row = do("SELECT * FROM seen WHERE id = ?", (who,)).fetchone()
             if row is None:
                 raise Unknown
             state: State = self.site.state(row["state"])
+            left = kind == "withdraw" and state.stage == "withdrawn"
+            if left or (kind == "return" and not state.paused):
+                return state
+            if kind == "withdraw" and (not state.over or state.paused):
+                return self._accept(do, who, state, kind, payload, browser)
             if sequence < state.accepted:
-                return state
-            if sequence > state.accepted:
-                raise Refused("not_yet")
-            if state.over and kind != "return":
-                return state
+                return self._acknowledge(do, who, state, sequence, kind, payload)
+            if sequence > state.accepted or (state.over and not state.paused):
+                raise Conflict("other_page")
+            if state.paused:
+                self._time_out_stale(do)
+                back = self.site.readmit(do, row, state)
+                state = self._accept(do, who, state, "return", back, None)
+                if kind == "return":
+                    return state
             if kind == "consent" and payload.get("agree"):
                 if row["stream"] == "person" and self.paused:
                     raise Refused("paused")
                 self._time_out_stale(do)
                 payload = {**payload, **self.site.admit(do, row)}
-            elif kind == "return":
-                self._time_out_stale(do)
-                payload = self.site.readmit(do, row, state)
             return self._accept(do, who, state, kind, payload, browser)
+
+    def _acknowledge(
+        self,
+        do: Do,
+        who: str,
+        state: State,
+        sequence: int,
+        kind: str,
+        payload: Mapping[str, Any],
+    ) -> State:
+        """The state, if this is what was accepted under a number."""
+        sql = "SELECT kind, payload FROM event WHERE participant = ? AND source_sequence = ? "
+        row = do(sql + "AND source = 'protocol'", (who, sequence)).fetchone()
+        if row["kind"] != kind or not payload.items() <= json.loads(row["payload"]).items():
+            raise Conflict("other_answer")
+        return state
+
+    def asked(self, found: ParticipantRow[Any], sequence: int) -> State:
+        """The state of a participant whose page had this number; the present one if none had."""
+        here: State = self.site.flow.asking(found.state)
+        if not 0 <= sequence < here.accepted:
+            return here
+        states = [self.site.state(event["state"]) for event in self.log(found.id) if event["state"]]
+        return next(one for one in states if one.accepted == sequence)
 
     def _accept(
         self,
@@ -230,32 +270,26 @@ class Store(Database):
         payload: Mapping[str, Any],
         browser: float | None,
     ) -> State:
-        outcome = self.site.flow.advance(state, kind, payload)
-        after: State = outcome.state
-        self.record(do, who, "protocol", state.accepted, kind, payload, browser)
-        for k, row in outcome.rows.items():
-            sql = DECIDED if "given" in row else ANSWERED
-            do(sql, {"participant": who, "k": k, **row})
-        do(
-            "UPDATE participant SET state = ?, over = ? WHERE id = ?",
-            (after.text, after.over, who),
-        )
-        if after.over and not state.over:
-            self.site.settle(do, who, after.stage)
+        after: State = self.site.flow.advance(state, kind, payload)
+        numbered = after.accepted > state.accepted
+        source, number = ("protocol", state.accepted) if numbered else ("server", None)
+        self.record(do, who, source, number, kind, payload, browser, after.text)
+        if after.stage == "declined":
+            self.forget_visit(do, who)
         return after
 
     def time_out_stale(self) -> int:
         """Gives the places of everybody silent for too long to others; returns how many. They may
-        come back while places are free. Nobody's time runs before they have agreed to take part;
-        how long it is hangs on how far they are."""
+        come back while places are free. Nobody's time runs before they have agreed to take part."""
         with self.transaction() as do:
             return self._time_out_stale(do)
 
     def _time_out_stale(self, do: Do) -> int:
-        here = "SELECT * FROM seen WHERE over = 0 AND json_extract(state, '$.stage') != 'consent'"
         count = 0
-        for row in do(here).fetchall():
+        for row in do("SELECT * FROM seen").fetchall():
             state: State = self.site.state(row["state"])
+            if state.over or state.stage == "consent":
+                continue
             # Who sets the wall clock times nobody out: it is asked across restarts alone.
             same = row["boot"] == self.clock.boot
             silent = (
@@ -263,7 +297,9 @@ class Store(Database):
                 if same
                 else self.clock.wall() - row["wall"]
             )
-            if silent > 60 * self.site.plan.rules.patience(state.accepted):
+            sign = self._signs.get(row["id"], -math.inf)
+            silent = min(silent, self.clock.monotonic() - sign)
+            if silent > 60 * self.site.plan.rules.timeout_minutes:
                 self._accept(do, row["id"], state, "time_out", {}, None)
                 count += 1
         return count

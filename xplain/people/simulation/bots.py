@@ -1,6 +1,6 @@
 """Simulated people, in the bare flow and against a running server (``study bots``).
 
-They come over HTTP, or each in a real browser, with invitations of the stream "bot", which marks
+They come over HTTP, with invitations of the stream "bot", which marks
 them in the data for ever. The plan that they need is read from the snapshot that the server
 offers, so the server may run anywhere.
 """
@@ -27,7 +27,6 @@ from xplain.errors import InputError, Probability
 from xplain.people.analysis.stored import Plan, opened, plan_of
 from xplain.people.flow import Fields, Flow, S
 from xplain.people.plan import LabQuestion
-from xplain.people.simulation import chromium
 from xplain.people.simulation.browser import Browser, Page, Visitor, visit
 from xplain.randomness import below
 
@@ -120,7 +119,7 @@ def answer(flow: Flow[Any, S], bot: Bot[Any, Any], state: S) -> tuple[str, dict[
 def take_part(flow: Flow[Any, S], bot: Bot[Any, Any], state: S) -> S:
     """A bot in the bare flow, from a state to the end or to where they leave."""
     while not state.over and not bot.leaves(Page.of_view(flow.view(state))):
-        state = flow.advance(state, *answer(flow, bot, state)).state
+        state = flow.advance(state, *answer(flow, bot, state))
     return state
 
 
@@ -168,7 +167,6 @@ def crowd(
     at_once: int,
     pace: float,
     person_of: Callable[[int], Visitor],
-    in_chromium: bool,
 ) -> Counter[str]:
     """Lets simulated people take part; how many ended at which stage.
 
@@ -178,7 +176,6 @@ def crowd(
         at_once: how many of them at a time.
         pace: seconds of waiting a simulated second of thinking; 0 = none.
         person_of: the person with a number.
-        in_chromium: each in a real browser instead of bare HTTP.
     """
     url = researcher.browser.url
 
@@ -186,12 +183,7 @@ def crowd(
         time.sleep(pace * seconds)
 
     def one(number: int, invitation: str) -> str:
-        person = person_of(number)
-        if not in_chromium:
-            return visit(Browser(url), person, invitation, think)
-        with chromium.browser() as driver:
-            chromium.go_in(driver, url, invitation)
-            return chromium.take_part(driver, person, think)
+        return visit(Browser(url), person_of(number), invitation, think)
 
     invitations: list[str] = []
     while len(invitations) < count:

@@ -25,7 +25,7 @@ from xplain.randomness import stream
 @checks("habits")
 @dataclass(frozen=True)
 class Habits(bots.BotHabits):
-    """Assumptions about participants; the power curves show what each does.
+    """Assumptions about participants.
 
     Attributes:
         label_noise: probability that a fresh judgement of a step is the wrong way round.
@@ -179,8 +179,14 @@ def take_part(
     """One simulated participant in the bare flow; None if they did not get to the end of it."""
     person, role = StudyBot(study.plan, habits, rng), study.plan.roles[user_type]
     orders = {"quiz": range(len(role.quiz)), "eligibility": range(len(role.eligibility))}
-    slot = {"user_type": user_type, "condition": condition, "orders": orders, "width": 9999}
-    state = study.after(StudyState(), **study.admitted(slot)).state
+    slot = {
+        "position": None,
+        "user_type": user_type,
+        "condition": condition,
+        "orders": orders,
+        "width": 9999,
+    }
+    state = study.after(StudyState(), **study.admitted(slot))
     found = bots.take_part(study, person, replace(state, stage="briefing"))
     if found.score is None:
         return None

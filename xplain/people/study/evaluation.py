@@ -6,9 +6,8 @@ experiments, resumed at each page.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,7 +17,7 @@ from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.message_sets import indices
 from xplain.interaction.interaction import Interaction
 from xplain.people import flow as core
-from xplain.people.flow import Flow, Form, Stage, answered, decided
+from xplain.people.flow import Flow, Form, Stage
 from xplain.people.stages import OneLabel, choices, small
 from xplain.people.study.plan import StudyPlan, StudyRole
 from xplain.solvers.base import Policy
@@ -67,6 +66,10 @@ class StudyState(core.State):
         heard: the messages said, by number, in the order of their arrival; again where said again.
         score: of the quiz.
         asked: the questions, the one on the page last.
+        position: of the place that they hold; None for none.
+        before, values: what the step on the page was decided by: the belief over user types, and
+            the policy's values by message set.
+        after: the belief over user types after the labels of the last step.
     """
 
     ENDS = ENDS
@@ -84,14 +87,10 @@ class StudyState(core.State):
     score: int | None = None
     heard: tuple[int, ...] = ()
     asked: tuple[AskedQuestion, ...] = ()
-
-    @property
-    def text(self) -> str:
-        """Without the questions where there are none, as before there were any."""
-        content = asdict(self)
-        if not self.asked:
-            del content["asked"]
-        return json.dumps(content, sort_keys=True)
+    position: int | None = None
+    before: tuple[float, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+    after: tuple[float, ...] = ()
 
     @property
     def slot_type(self) -> int:
@@ -100,12 +99,14 @@ class StudyState(core.State):
         return self.user_type
 
     @property
+    def place(self) -> int | None:
+        """The position of the place that they hold or have used up; None once it is given back."""
+        return self.position if self.stage == "done" or not self.over else None
+
+    @property
     def again(self) -> int:
         """How often a message was said that had been said before."""
         return len(self.heard) - self.given.bit_count()
-
-
-Outcome = core.Outcome[StudyState]
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
         )
         return talk
 
-    def next_step(self, state: StudyState) -> Outcome:
+    def next_step(self, state: StudyState) -> StudyState:
         """A question, if the policy asks one before the state's step; else the step with the
         policy's messages."""
         talk, belief = self.talk(state), self.of_types(state.belief)
@@ -164,14 +165,15 @@ class Explaining(Flow[StudyPlan, StudyState]):
             return state.to(stage="asking", asked=(*state.asked, one))
         new = talk.say()
         shown = {str(int(mask)): value for mask, value in said.items()}
-        outcome = state.to(
+        return state.to(
             stage="evaluation",
             given=talk.given,
             new=new,
             heard=(*state.heard, *indices(new)),
             belief=tuple(talk.belief.tolist()),
+            before=belief,
+            values=shown,
         )
-        return outcome.with_rows(decided(state.step, belief, state.given, new, shown))
 
     def of_types(self, belief: Sequence[float]) -> tuple[float, ...]:
         """What is logged: over user types, whatever habits and knowledge go with them."""
@@ -200,9 +202,7 @@ class Explaining(Flow[StudyPlan, StudyState]):
 class Evaluation(Stage["Explaining", StudyState]):
     """The robot's steps, one after the other, with the policy's messages."""
 
-    FIELDS: ClassVar = {"labels": "label_#"}
-
-    def enter(self, flow: Explaining, state: StudyState) -> Outcome:
+    def enter(self, flow: Explaining, state: StudyState) -> StudyState:
         """The first step."""
         belief = tuple(flow.plan.problem_of(state.condition or "").start.tolist())
         return flow.next_step(replace(state, wrong=False, belief=belief))
@@ -225,18 +225,26 @@ class Evaluation(Stage["Explaining", StudyState]):
         pairs = zip(sent, kept, strict=True)
         return {"labels": [old if label is None else label for label, old in pairs]}
 
-    def advance(self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]) -> Outcome:
+    def advance(
+        self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]
+    ) -> StudyState:
         """To the next step, or on from the last one."""
         count = [2] * (state.step + 1)
         chosen = choices(payload.get("labels"), count, flow.words["label_missing"])
         talk = flow.talk(state)
         talk.hear(np.array(chosen, dtype=np.uint8))
         belief = tuple(talk.belief.tolist())
-        rows = answered(state.step, chosen, flow.of_types(belief))
-        state = replace(state, labels=chosen, belief=belief, previous=state.given, new=0)
+        state = replace(
+            state,
+            labels=chosen,
+            belief=belief,
+            after=flow.of_types(belief),
+            previous=state.given,
+            new=0,
+        )
         if state.step + 1 == flow.plan.n_steps:
-            return flow.after(state).with_rows(rows)
-        return flow.next_step(replace(state, step=state.step + 1)).with_rows(rows)
+            return flow.after(state)
+        return flow.next_step(replace(state, step=state.step + 1))
 
 
 class Asking(OneLabel["Explaining", StudyState]):
@@ -254,7 +262,9 @@ class Asking(OneLabel["Explaining", StudyState]):
             "fields": {"label": []},
         }
 
-    def advance(self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]) -> Outcome:
+    def advance(
+        self, flow: Explaining, state: StudyState, payload: Mapping[str, Any]
+    ) -> StudyState:
         """To another question, or to the next step."""
         label, talk = self.label(flow, payload), flow.talk(state)
         talk.hear_answer(state.asked[-1].question, label)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from xplain.errors import Refused
@@ -25,7 +25,7 @@ from xplain.people.stages import (
     choices,
     small,
 )
-from xplain.people.study.evaluation import ENDS, Asking, Evaluation, Explaining, Outcome, StudyState
+from xplain.people.study.evaluation import ENDS, Asking, Evaluation, Explaining, StudyState
 from xplain.people.study.plan import StudyPlan
 
 __all__ = ["ENDS", "Study", "StudyState"]
@@ -54,7 +54,7 @@ class Briefing(Stage["Study", StudyState]):
             "attempts_left": flow.plan.rules.max_attempts - state.attempts,
         }
 
-    def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> Outcome:
+    def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
         """After a failed attempt the example is known; only the facts need another look."""
         if state.attempts:
             return state.to(stage="eligibility", wrong=False)
@@ -75,8 +75,6 @@ class TrainingStage(Practice["Study", StudyState]):
 class Eligibility(Stage["Study", StudyState]):
     """Whether they know what they were told."""
 
-    FIELDS: ClassVar = {"answers": "q#"}
-
     def wanted(self, plan: StudyPlan) -> bool:
         """Nobody who is not briefed can be checked."""
         return not plan.kinds
@@ -94,7 +92,7 @@ class Eligibility(Stage["Study", StudyState]):
         count = len(flow.role(state).eligibility)
         return {"answers": [small(form.get(f"q{i}")) for i in range(count)]}
 
-    def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> Outcome:
+    def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
         """On with all of them right; else back to the briefing, or to the end."""
         questions = flow.role(state).eligibility
         counts = [len(question.options) for question in questions]
@@ -110,8 +108,6 @@ class Eligibility(Stage["Study", StudyState]):
 class Quiz(Stage["Study", StudyState]):
     """Which statements are true of the robot; no way back to the briefing."""
 
-    FIELDS: ClassVar = {"chosen": "true"}
-
     def view(self, flow: Study, state: StudyState) -> dict[str, Any]:
         """The statements in the participant's order."""
         statements = flow.role(state).quiz
@@ -122,7 +118,7 @@ class Quiz(Stage["Study", StudyState]):
         """Those that are ticked."""
         return {"chosen": [small(text) for text in form.getlist("true")[:100]]}
 
-    def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> Outcome:
+    def advance(self, flow: Study, state: StudyState, payload: Mapping[str, Any]) -> StudyState:
         """A point for each statement judged rightly."""
         statements, chosen = flow.role(state).quiz, payload.get("chosen")
         missing = flow.words["quiz_missing"]
@@ -160,11 +156,16 @@ class Study(Explaining):
         untrue = role.wrong if role.briefing else ()
         return view | {"untrue": [(role.briefing[j], facts[j].message) for j in untrue]}
 
+    def advance(self, state: StudyState, kind: str, payload: Mapping[str, Any]) -> StudyState:
+        """Who returns has the place that was free."""
+        after = super().advance(state, kind, payload)
+        return replace(after, **payload) if kind == "return" else after
+
     def admitted(self, payload: Mapping[str, Any]) -> dict[str, Any]:
-        """The slot and the orders of questions, where the window is wide enough."""
+        """The place and the orders of questions, where the window is wide enough."""
         width, least = payload.get("width"), self.plan.rules.min_width
         if least and (not isinstance(width, int) or width < least):
             raise Refused(self.words["too_narrow"].format(width=least))
         orders = {name: tuple(order) for name, order in payload["orders"].items()}
-        slot = {key: payload[key] for key in ("user_type", "condition")}
-        return slot | {"orders": orders}
+        place = {key: payload[key] for key in ("position", "user_type", "condition")}
+        return place | {"orders": orders}

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
-from xplain.errors import InputError
+from xplain.errors import InputError, one_of
 from xplain.explanation.listening import Explained
-from xplain.people.analysis.stored import rows_of
+from xplain.people.analysis.export import participants
+from xplain.people.analysis.stored import STREAMS, plan_of, reading
+from xplain.people.study.flow import StudyState
 from xplain.people.study.plan import StudyPlan
-
-STEPS = """
-    SELECT step.* FROM step JOIN participant ON participant.id = step.participant
-    WHERE stream = ? AND labels IS NOT NULL ORDER BY participant, k
-"""
+from xplain.people.study.tables import steps_of
 
 
 def listeners_in(database: Path, stream: str = "person") -> list[Explained]:
@@ -29,15 +26,20 @@ def listeners_in(database: Path, stream: str = "person") -> list[Explained]:
     Raises:
         InputError: it is no study's database, or there is no such stream.
     """
-    plan, rows = rows_of(database, stream, StudyPlan, STEPS)
-    people = [list(own) for _, own in groupby(rows, key=lambda row: row["participant"])]
-    if not people:
+    one_of("stream", stream, STREAMS)
+    with reading(database) as connection:
+        plan = plan_of(connection, StudyPlan)
+        everybody = participants(connection, StudyState)
+    own = [steps_of(one) for one in everybody if one.row["stream"] == stream]
+    labelled = [[step for step in steps if step["labels"]] for steps in own]
+    if not any(labelled):
         raise InputError("database", str(database), f"one with answers (stream {stream})")
     return [
         Explained(
             plan.problem,
-            [row["messages"] for row in own],
-            [np.array(json.loads(row["labels"]), np.uint8) for row in own],
+            [step["messages"] for step in steps],
+            [np.array(json.loads(step["labels"]), np.uint8) for step in steps],
         )
-        for own in people
+        for steps in labelled
+        if steps
     ]

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import Count, Whole, checks
+from xplain.errors import Count, Positive, Whole, checks
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.problem import Problem
-from xplain.people.plan import LabQuestion, Patience, Picture, StoredPlan, Told, Way
+from xplain.people.plan import LabQuestion, Picture, StoredPlan, Told, Way
 
 PERSONALIZED, CONFORMANT, ASKING = "personalized", "conformant", "asking"
 """Names of conditions that something hangs on: the policy of the last may ask before it speaks."""
@@ -99,17 +99,19 @@ class Clip:
 
 @checks("rules")
 @dataclass(frozen=True, kw_only=True)
-class StudyRules(Patience):
-    """Numbers of the protocol; how long somebody may be silent is in the base class.
+class StudyRules:
+    """Numbers of the protocol.
 
     Attributes:
         per_cell: completed participants wanted for each type under each condition.
+        timeout_minutes: without a sign of life, after which a place goes to somebody else.
         max_attempts: how often the eligibility test may be taken.
         recall: whether the briefing can be opened again during the evaluation.
         min_width: of the window, in CSS pixels, to take part; 0 lets phones in.
     """
 
     per_cell: Count
+    timeout_minutes: Positive
     max_attempts: Count
     recall: bool
     min_width: Whole = 0

@@ -10,7 +10,6 @@ from hydra.utils import instantiate
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.interaction.episode import Episode, explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.people.analysis.stored import renamed
 from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import ASKING, StudyPlan
 from xplain.randomness import derived_seed, stream
@@ -25,13 +24,13 @@ def at_work(plan: StudyPlan) -> Study:
     """A plan with its policies, made from its conditions' configurations."""
     seed = derived_seed(plan.seed, "solver")
     policies = {
-        condition: instantiate(renamed(solver)).plan(plan.problem_of(condition), seed)
+        condition: instantiate(solver).plan(plan.problem_of(condition), seed)
         for condition, solver in plan.conditions.items()
     }
     if ASKING in policies:
         # Which of two questions that are as good comes first shall not hang on rounding.
         policies[ASKING] = CachedPolicy(asking(policies[ASKING]))
-    return Study(plan, policies, instantiate(renamed(plan.belief)))
+    return Study(plan, policies, instantiate(plan.belief))
 
 
 def difference(plan: StudyPlan) -> float:
@@ -73,15 +72,15 @@ def probes(study: Study) -> dict[str, tuple[str, ...]]:
 def _walk(study: Study, condition: str, number: int) -> str:
     rng = stream(0, "probes", number)
     before = StudyState(stage="eligibility", user_type=0, condition=condition)
-    state = study.after(before).state
+    state = study.after(before)
     messages = [state.new]
     while state.stage in ("evaluation", "asking"):
         if state.stage == "asking":
-            state = study.advance(state, "clip", {"label": int(rng.random() < 0.8)}).state
+            state = study.advance(state, "clip", {"label": int(rng.random() < 0.8)})
             continue
         # Mostly 1, so that beliefs stay apart rather than settle at once.
         labels = (rng.random(state.step + 1) < 0.8).astype(int).tolist()
-        state = study.advance(state, "labels", {"labels": labels}).state
+        state = study.advance(state, "labels", {"labels": labels})
         messages.append(state.new)
     asked = [one.question for one in state.asked]
     return f"{messages} {[float(b).hex() for b in state.belief]}" + (f" {asked}" if asked else "")

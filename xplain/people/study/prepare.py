@@ -20,7 +20,7 @@ from xplain.explanation.label_table import LabelTable
 from xplain.people.own_table import no_map, own_table
 from xplain.people.plan import LabQuestion
 from xplain.people.study import content
-from xplain.people.study.known_types import Learned, fitting, learned_types, matched
+from xplain.people.study.known_types import Learned, fitting, learned_types
 from xplain.people.study.plan import (
     ASKING,
     PERSONALIZED,
@@ -113,8 +113,6 @@ def _task_and_types(cfg: DictConfig, config: Mapping[str, Any]) -> tuple[StudyTa
         if cfg.facts is not None:
             raise InputError("facts", cfg.facts, "only with transitions=TABLE")
         setting, learned = learned_types(cfg)
-        if config["briefing"] == "assigned" and learned.key:
-            learned = learned.ordered(matched(setting, learned, cfg.seed))
         return OfDomain(setting), learned
     if config["briefing"] != "none":
         wanted = "none, for people as they are: one's own transitions name no types"

@@ -34,7 +34,7 @@ def exclusions(path: Path | None) -> dict[str, str]:
         return {}
     if not path.is_file():
         raise InputError("exclude", str(path), "a CSV file with the columns participant, reason")
-    with path.open(encoding="utf-8", newline="") as file:
+    with path.open(encoding="utf-8-sig", newline="") as file:
         rows = csv.DictReader(file)
         if set(rows.fieldnames or ()) != {"participant", "reason"}:
             raise InputError("exclude", rows.fieldnames, "the columns participant, reason")
@@ -60,10 +60,6 @@ def show(analysis: Analysis, console: Console) -> None:
     flow = Table("", *counted, title="Flow of participants")
     for stage, counts in analysis.flow.iterrows():
         flow.add_row(str(stage), *map(str, counts))
-    for reason, number in analysis.excluded.items():
-        flow.add_row(f"excluded: {reason}", str(number))
-    each = {"all": len(analysis.data), **analysis.data["condition"].value_counts()}
-    flow.add_row("analysed", *(str(each.get(key, "")) for key in columns))
     console.print(flow)
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -22,52 +23,6 @@ from xplain.people.study.policies import at_work, faultless, probes
 from xplain.people.study.tables import export
 from xplain.randomness import stream
 
-PREVIEW = "preview"
-"""Stream of the slots of pilots who see what the researcher chose."""
-
-SCHEMA = (
-    """
-    CREATE TABLE slot (
-        stream TEXT NOT NULL,
-        position INTEGER NOT NULL,          -- order of assignment
-        user_type INTEGER NOT NULL,
-        condition TEXT NOT NULL,
-        holder TEXT REFERENCES participant (id),
-        used INTEGER NOT NULL DEFAULT 0,    -- 1 once its holder has completed
-        PRIMARY KEY (stream, position)
-    ) STRICT
-    """,
-    "CREATE INDEX slot_holder ON slot (holder)",
-    """
-    CREATE TRIGGER slot_fixed BEFORE UPDATE ON slot
-    WHEN (NEW.stream, NEW.position, NEW.user_type, NEW.condition)
-         IS NOT (OLD.stream, OLD.position, OLD.user_type, OLD.condition)
-         OR (OLD.used AND NOT EXISTS
-             (SELECT 1 FROM meta WHERE key = 'erasing' AND value = OLD.holder))
-    BEGIN SELECT RAISE(ABORT, 'what a slot is never changes'); END
-    """,
-    """
-    CREATE TRIGGER slot_kept BEFORE DELETE ON slot
-    BEGIN SELECT RAISE(ABORT, 'slots are never deleted'); END
-    """,
-    """
-    CREATE TRIGGER slot_of_the_erased AFTER INSERT ON meta WHEN NEW.key = 'erasing'
-    BEGIN UPDATE slot SET holder = NULL, used = 0 WHERE holder = NEW.value; END
-    """,
-)
-
-FREE = """
-    SELECT * FROM slot WHERE stream = :stream AND holder IS NULL AND used = 0
-    AND (:user_type IS NULL OR (user_type, condition) = (:user_type, :condition))
-    ORDER BY position LIMIT 1
-"""
-
-
-def _count(do: Do, stream_name: str) -> int:
-    """Slots of a stream, free ones and others."""
-    (count,) = do("SELECT count(*) FROM slot WHERE stream = ?", (stream_name,)).fetchone()
-    return int(count)
-
 
 class StudySite(site.Site[Study]):
     """Gives places, so that types and conditions are balanced."""
@@ -75,7 +30,6 @@ class StudySite(site.Site[Study]):
     PLAN = StudyPlan
     TEMPLATES = Path(__file__).parent / "templates"
     OVERVIEW = "researcher.html"
-    BLIND = True
     export = staticmethod(export)
     probes = staticmethod(probes)
 
@@ -96,77 +50,64 @@ class StudySite(site.Site[Study]):
             f"{costs} ({asked:.1f} questions)\n"
         )
 
-    # Places: permuted blocks of every type and condition. A slot is reserved in the transaction
-    # that admits a participant, comes back when they drop out, time out or are not eligible, and
-    # is used up only when they complete.
+    # Places: permuted blocks of every type and condition. Somebody holds a place from the consent
+    # on, gives it back by dropping out, timing out or not being eligible, and uses it up by
+    # completing: all of this is in their states.
 
-    def found(self, do: Do) -> None:
-        """Makes the table, and the slots of all people."""
-        for statement in SCHEMA:
-            do(statement)
-        for _ in range(self.plan.rules.per_cell):
-            self._add_block(do, "person")
+    def cell(self, stream_name: str, position: int) -> tuple[int, str]:
+        """Type and condition of a place: in each block every cell once, in a seeded order."""
+        block, place = divmod(position, len(self.plan.cells))
+        rng = stream(self.plan.seed, "slots", stream_name, block)
+        return self.plan.cells[int(rng.permutation(len(self.plan.cells))[place])]
 
-    def _add_block(self, do: Do, stream_name: str) -> None:
-        """One more permuted block: every (type, condition) once, in a seeded order."""
-        cells, taken = self.plan.cells, _count(do, stream_name)
-        rng = stream(self.plan.seed, "slots", stream_name, taken // len(cells))
-        for position, cell in enumerate(rng.permutation(len(cells)), taken):
-            do(
-                "INSERT INTO slot VALUES (?, ?, ?, ?, NULL, 0)",
-                (stream_name, position, *cells[cell]),
-            )
+    def holders(self, rows: Iterable[Mapping[str, Any]]) -> dict[tuple[str, int], StudyState]:
+        """{(stream, position): state} of everybody who holds a place or has used it up.
+
+        Args:
+            rows: with stream and state.
+        """
+        states = [(row["stream"], self.state(row["state"])) for row in rows]
+        return {(own, one.place): one for own, one in states if one.place is not None}
 
     def admit(self, do: Do, person: Mapping[str, Any]) -> dict[str, Any]:
-        """Takes the first free slot of the person's stream, and draws the orders of questions."""
-        slot = do("SELECT * FROM slot WHERE holder = ?", (person["id"],)).fetchone()
-        if slot is None:  # not pinned
-            slot = self._take(do, person)
-        role = self.plan.roles[slot["user_type"]]
+        """The first free place of the person's stream, and the orders of questions. Who shall see
+        a cell of the plan takes no place."""
+        enter = "SELECT json_extract(payload, '$.cell') FROM event WHERE participant = ?"
+        (cell,) = do(f"{enter} AND sequence = 0", (person["id"],)).fetchone()
+        if cell is None:
+            position: int | None = self._free(do, person["stream"])
+            assert position is not None
+            user_type, condition = self.cell(person["stream"], position)
+        else:
+            position, (user_type, condition) = None, self.plan.cells[cell]
+        role = self.plan.roles[user_type]
         rng = stream(self.plan.seed, "orders", person["stream"], person["number"])
         tests = {"eligibility": role.eligibility, "quiz": role.quiz}
         orders = {name: rng.permutation(len(test)).tolist() for name, test in tests.items()}
-        taken = {key: slot[key] for key in ("position", "user_type", "condition")}
-        return taken | {"orders": orders}
+        place = {"position": position, "user_type": user_type, "condition": condition}
+        return place | {"orders": orders}
 
     def readmit(self, do: Do, person: Mapping[str, Any], state: StudyState) -> dict[str, Any]:
-        """A slot like the one that somebody lost by being silent: the same type and condition."""
-        if state.stage != "timed_out":
-            raise Refused("other_page")
-        return {"position": self._take(do, person, state)["position"]}
+        """A place like the one that somebody lost by being silent: the same type and condition."""
+        if state.position is None:
+            return {}
+        return {"position": self._free(do, person["stream"], state)}
 
-    def pin(self, do: Do, who: str, cell: int) -> None:
-        """A slot for somebody who is to see this cell of the plan."""
-        cells = self.plan.cells
-        if not 0 <= cell < len(cells):
+    def check_cell(self, cell: int) -> None:
+        """One for every type under every condition."""
+        if not 0 <= cell < len(self.plan.cells):
             raise Refused("not_understood")
-        do(
-            "INSERT INTO slot VALUES (?, ?, ?, ?, ?, 0)",
-            (PREVIEW, _count(do, PREVIEW), *cells[cell], who),
-        )
 
-    def _take(
-        self, do: Do, person: Mapping[str, Any], like: StudyState | None = None
-    ) -> Mapping[str, Any]:
-        """The first free slot of the person's stream, now held by them: any, or of the type and
-        condition of a state. People find none where all are taken; pilots and bots get more."""
-        own, cell = person["stream"], like or StudyState()
-        wanted = {"stream": own, "user_type": cell.user_type, "condition": cell.condition}
-        slot: Mapping[str, Any] | None = do(FREE, wanted).fetchone()
-        if slot is None and own == "person":
-            raise site.Full("full")
-        if slot is None:
-            self._add_block(do, own)
-            slot = do(FREE, wanted).fetchone()
-        assert slot is not None, "a block has every cell"
-        where = (person["id"], own, slot["position"])
-        do("UPDATE slot SET holder = ? WHERE stream = ? AND position = ?", where)
-        return slot
-
-    def settle(self, do: Do, who: str, stage: str) -> None:
-        """The slot is used up or comes back."""
-        change = "used = 1" if stage == "done" else "holder = NULL"
-        do(f"UPDATE slot SET {change} WHERE holder = ?", (who,))
+    def _free(self, do: Do, own: str, like: StudyState | None = None) -> int:
+        """The first free place of a stream: any, or of the type and condition of a state. People
+        find none where all are taken; pilots and bots always find one."""
+        rows = do("SELECT stream, state FROM seen WHERE stream = ?", (own,)).fetchall()
+        held, most = self.holders(rows), self.plan.rules.per_cell * len(self.plan.cells)
+        for position in range(most) if own == "person" else count():
+            fits = like is None or self.cell(own, position) == (like.user_type, like.condition)
+            if fits and (own, position) not in held:
+                return position
+        raise site.Full("full")
 
     # Pages ---------------------------------------------------------------------------------------
 
@@ -195,16 +136,24 @@ class StudySite(site.Site[Study]):
         return (*of_trace, *(clip.picture for clip in plan.clips))
 
     def glance(self, query: site.Query) -> dict[str, Any]:
-        """Which slots are left."""
-        left = query(
-            "SELECT stream, user_type, condition, sum(used) AS completed, "
-            "sum(used = 0 AND holder IS NOT NULL) AS held, sum(holder IS NULL) AS free "
-            "FROM slot GROUP BY stream, user_type, condition ORDER BY stream, user_type, condition"
-        )
-        roles = self.plan.roles
-        cells = [f"{roles[t].name}, {condition}" for t, condition in self.plan.cells]
+        """Which places are left."""
+        held, plan = self.holders(query("SELECT stream, state FROM seen")), self.plan
+        rows = []
+        for own in sorted({"person", *(name for name, _ in held)}):
+            for user_type, condition in plan.cells:
+                inside = [
+                    one.stage == "done"
+                    for (name, _), one in held.items()
+                    if (name, one.user_type, one.condition) == (own, user_type, condition)
+                ]
+                free = plan.rules.per_cell - len(inside) if own == "person" else None
+                rows.append(
+                    {"stream": own, "user_type": user_type, "condition": condition}
+                    | {"completed": sum(inside), "held": inside.count(False), "free": free}
+                )
+        cells = [f"{plan.roles[t].name}, {condition}" for t, condition in plan.cells]
         data = "CSV and Parquet tables"
-        return {"slots": left, "roles": roles, "cells": cells, "data": data}
+        return {"slots": rows, "roles": plan.roles, "cells": cells, "data": data}
 
     def step_of(self, state: StudyState) -> str:
         """Of the evaluation."""
@@ -221,18 +170,14 @@ class StudySite(site.Site[Study]):
     def unequal(
         self, connection: sqlite3.Connection, people: list[ParticipantRow[StudyState]]
     ) -> Iterator[str]:
-        """Slots whose holder is of another type, or has left."""
-        for slot in connection.execute(
-            "SELECT slot.*, participant.state AS state, "
-            "iif(entry = 'preview', 'preview', participant.stream) AS whose FROM slot "
-            "JOIN participant ON participant.id = slot.holder"
-        ):
-            state = StudyState.from_text(slot["state"])
-            cell = (state.user_type, state.condition, slot["whose"])
-            done = state.stage == "done"
-            if (
-                cell != (slot["user_type"], slot["condition"], slot["stream"])
-                or bool(slot["used"]) != done
-                or (state.over and not done)
-            ):
-                yield f"slot {slot['stream']} {slot['position']}: {slot['holder']}"
+        """Places of another type or condition than the plan's, and places that two hold."""
+        held: dict[tuple[str, int], str] = {}
+        for one in people:
+            state, own, place = one.state, one.row["stream"], one.state.place
+            if place is None:
+                continue
+            if self.cell(own, place) != (state.user_type, state.condition):
+                yield f"place {place} of {own}: {one.id} is of another type or condition"
+            if other := held.get((own, place)):
+                yield f"place {place} of {own}: held by {other} and {one.id}"
+            held[own, place] = one.id

@@ -49,9 +49,8 @@ class Analysis:
         measures: a row a measure, the three primary ones first (the others are not part of the
             correction): the figures of :func:`xplain.people.study.statistics.compare`, those of a
             group by its condition; ``student_p_holm``; and ``paper_…`` what the paper has there.
-        flow: participants that reached a stage, then those that came to an end, of all and by
-            condition.
-        excluded: {reason: number} of completed participants that were left out.
+        flow: participants that reached a stage, those that came to an end, those that were
+            excluded and why, and those that are analysed; of all and by condition.
         data: the completed, included participants.
     """
 
@@ -59,7 +58,6 @@ class Analysis:
     stream: str
     measures: pd.DataFrame
     flow: pd.DataFrame
-    excluded: Mapping[str, int]
     data: pd.DataFrame
 
 
@@ -129,7 +127,7 @@ def analyse(
     if "attention_missed" in done.columns:
         missed = done.loc[done["attention_missed"] > 0, "participant"]
         excluded = dict.fromkeys(missed, "attention check missed") | dict(excluded)
-    reasons = [excluded[p] for p in done["participant"] if p in excluded]
+    reasons = done["participant"].map(excluded)
     kept = done[~done["participant"].isin(list(excluded))]
     if any((kept["condition"] == condition).sum() < 2 for condition in conditions):
         counts = {c: int((kept["condition"] == c).sum()) for c in conditions}
@@ -145,10 +143,11 @@ def analyse(
     measures.insert([*measures.columns].index("hedges_g"), "student_p_holm", adjusted)
     if conditions == CONDITIONS:
         measures = measures.join(pd.DataFrame(paper_table()).T.add_prefix("paper_"))
-    counted = {reason: reasons.count(reason) for reason in dict.fromkeys(reasons)}
-    if untimed := int(kept["interaction_time_s"].isna().sum()):
-        counted["of the time alone: the clock was set back"] = untimed
-    return Analysis(conditions, stream, measures, _flow(own), counted, kept)
+    left_out = {f"excluded: {one}": reasons == one for one in dict.fromkeys(reasons.dropna())}
+    if kept["interaction_time_s"].isna().any():
+        left_out["time left out: the clock was set back"] = kept["interaction_time_s"].isna()
+    analysed = done["participant"].isin(kept["participant"])
+    return Analysis(conditions, stream, measures, _flow(own, left_out, analysed), kept)
 
 
 def analyses(
@@ -175,8 +174,16 @@ def _compare(
     return compare(a[measure], b[measure], types_a, types_b, drawn, conditions)
 
 
-def _flow(own: pd.DataFrame) -> pd.DataFrame:
-    """How many got how far, and how the others ended."""
+def _flow(
+    own: pd.DataFrame, left_out: Mapping[str, pd.Series[bool]], analysed: pd.Series[bool]
+) -> pd.DataFrame:
+    """How many got how far, how the others ended, who is left out and why, and who is analysed.
+
+    Args:
+        own: participants of a stream.
+        left_out: {reason: who}, of rows of ``own``; absent rows are False.
+        analysed: the same.
+    """
     everybody = own["participant"].notna()
     reached = {
         "entered": everybody,
@@ -187,6 +194,8 @@ def _flow(own: pd.DataFrame) -> pd.DataFrame:
         **{end.replace("_", " "): own["stage"] == end for end in ENDS},
         "still on their way": ~own["stage"].isin(["done", *ENDS]),
     }
+    for stage, who in {**left_out, "analysed": analysed}.items():
+        reached[stage] = pd.Series(own.index.isin(who.index[who]), own.index)
     asked = (ASKING,) if (own["condition"] == ASKING).any() else ()
     of = {"all": everybody} | {c: own["condition"] == c for c in (*CONDITIONS, *asked)}
     counted = {

@@ -23,7 +23,7 @@ EVALUATING = ("evaluation", "asking")
 
 
 def export(database: Path, folder: Path) -> str:
-    """Writes all tables of a database (better: of a snapshot) into a folder; the head of the log.
+    """Writes all tables of a database (better: of a snapshot) into a folder; SHA-256 of the events.
 
     Raises:
         InputError: it is no study's database.
@@ -31,10 +31,32 @@ def export(database: Path, folder: Path) -> str:
     return write(database, folder, StudyPlan, StudyState, tables, CODEBOOK)[0]
 
 
-def tables(
-    plan: StudyPlan, people: list[Participant], steps: list[Row]
-) -> dict[str, Iterable[Row]]:
+def steps_of(one: Participant) -> list[Row]:
+    """What was decided at each step of somebody's evaluation, and their labels of it."""
+    steps: dict[int, Row] = {}
+    for event in one.moves:
+        state = StudyState.from_text(event["state"])
+        if event["kind"] == "labels":
+            k = len(event["payload"]["labels"]) - 1
+            answer = (event["payload"]["labels"], state.after)
+            steps[k] |= dict(zip(("labels", "belief_after"), map(json.dumps, answer), strict=True))
+        if state.stage == "evaluation" and state.step not in steps:
+            steps[state.step] = {
+                "participant": one.id,
+                "k": state.step,
+                "belief_before": json.dumps(state.before),
+                "given": state.previous or 0,
+                "messages": state.new,
+                "action_values": json.dumps(state.values),
+                "labels": None,
+                "belief_after": None,
+            }
+    return list(steps.values())
+
+
+def tables(plan: StudyPlan, people: list[Participant]) -> dict[str, Iterable[Row]]:
     """Rows of every table by name."""
+    steps = [step for one in sorted(people, key=lambda one: one.id) for step in steps_of(one)]
     shown = [page for one in people for page in pages(one.events)]
     took = {
         (page["participant"], page["step"]): page["seconds"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -20,9 +19,8 @@ from xplain.explanation.label_table import LabelTable
 from xplain.explanation.message_sets import indices
 from xplain.learning.data.rollouts import sample_trace
 from xplain.learning.user_types import label_table
-from xplain.people.ahead import ahead_of
 from xplain.people.own_table import Source
-from xplain.people.plan import Ahead, Task, Told, Way
+from xplain.people.plan import Task, Told, Way
 from xplain.people.study import content
 from xplain.people.study.known_types import Learned
 from xplain.people.study.plan import Clip
@@ -116,7 +114,6 @@ class OfDomain:
             path=way_of(domain, pairwise(states)),
             changes=() if domain.scene else changes_of(domain, trace),
             taken=of_states(domain, "gone", states),
-            ahead=self._ahead,
         )
 
     def may_ask(self, learned: Learned, trace: NDArray[np.int64], pool: Pool) -> MayAsk:
@@ -134,12 +131,6 @@ class OfDomain:
         ways = [way_of(domain, [step]) or () for step in near.transitions[:, [0, 2]].tolist()]
         clips = tuple(map(Clip, near.texts, ways, situations, gone, changes))
         return MayAsk(clips, near.learned, near.labels, near.shows)
-
-    @cached_property
-    def _ahead(self) -> Ahead | None:
-        domain, made = self.setting.domain, self.setting.reachable
-        labels = self.setting.label_by_model(made)
-        return ahead_of(domain, made[:, [0, 2]], labels, lambda row: domain.describe(made[row]))
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ def test_the_table_is_what_scipy_computes_from_people_alone() -> None:
 
     data = completed(20)
     found = analysis_of(data, "person", {"conformant3": "was interrupted"})
-    assert found.excluded == {"was interrupted": 1}
+    assert found.flow.loc["excluded: was interrupted", "all"] == 1
+    assert found.flow.loc["analysed", "all"] == len(found.data)
     own = data[(data["stream"] == "person") & (data["participant"] != "conformant3")]
     for measure, row in found.measures.iterrows():
         a, b = (own.loc[own["condition"] == c, measure] for c in ("conformant", "personalized"))
@@ -57,7 +58,7 @@ def test_who_has_no_possible_time_counts_in_every_other_measure() -> None:
     time, inexplicable = (found.measures.iloc[row] for row in (0, 1))
     assert (time["n_conformant"], inexplicable["n_conformant"]) == (5, 6)
     assert not np.isnan(time["student_p"])
-    assert list(found.excluded.values()) == [1]
+    assert found.flow.loc["time left out: the clock was set back", "all"] == 1
 
 
 def test_files_that_are_no_export_are_named(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def test_pages_tell_what_is_said_now_as_views_do(
     (token,) = store.invite(1, "bot")
     seen = 0
     for _, page in pages(Visitor(app.test_client()), person(), token):
-        (row,) = store.query("SELECT state FROM participant")
+        (row,) = store.query("SELECT state FROM seen")
         view = Page.of_view(flow.view(StudyState.from_text(row["state"])))
         if page.stage == "evaluation":
             assert list(page.new) == list(view.new)

@@ -14,7 +14,7 @@
     } catch { /* the server is away; next time */ }
   }, 10000);
   if (!("sequence" in body.dataset)) return;
-  const { token, sequence, events: address } = body.dataset;
+  const { token, sequence, mark, events: address } = body.dataset;
   const connection = document.getElementById("connection");
   const OUTBOX = "study-outbox-" + token.slice(0, 16);
 
@@ -26,15 +26,17 @@
     try { item ? localStorage.setItem(OUTBOX, JSON.stringify(item)) : localStorage.removeItem(OUTBOX); } catch { /* private mode: the page itself still retries */ }
   };
 
-  // Any answer of the server acknowledges: what it refuses once it would refuse again.
+  // A reply with the server's mark acknowledges or refuses. Any other is that of a proxy in between,
+  // or of a server that is not well: the answer is sent again.
+  const acknowledges = (reply) => reply.headers.get("Study-Mark") === mark;
   async function deliver(item) {
     for (let pause = 500; ; pause = Math.min(pause * 2, 8000)) {
       try {
         const reply = await fetch(item.action, {
           method: "POST", body: new URLSearchParams(item.fields), credentials: "same-origin",
-          redirect: "manual", // the redirect acknowledges; this window follows it, once
+          redirect: "manual", headers: { "Study-Script": "1" },
         });
-        if (reply.status < 500 && reply.status !== 429 || reply.status === 503) return reply;
+        if (acknowledges(reply)) return reply;
       } catch { /* no network; try again */ }
       connection.textContent = body.dataset.lost;
       note("retry", String(item.sequence));
@@ -48,7 +50,7 @@
     keep(null);
     connection.textContent = "";
     leaving = true;
-    if (reply.type === "opaqueredirect") {
+    if (reply.status === 204) {
       location.replace(item.action);
     } else {
       // The page with the sentence that says what is missing.
@@ -62,7 +64,8 @@
 
   document.addEventListener("submit", (event) => {
     const form = event.target;
-    if (form.method !== "post") return;
+    const action = form.getAttribute("action");
+    if (!action || form.getAttribute("method") !== "post") return;
     event.preventDefault();
     if (leaving) return;
     leaving = true;
@@ -72,7 +75,7 @@
     form.querySelector("button").after(connection); // where the eye is
     flush();
     const fields = [...new FormData(form)].map(([name, value]) => [name, String(value)]);
-    send({ action: form.action, fields, sequence: Number(sequence) });
+    send({ action, fields, sequence: Number(sequence) });
   });
 
   window.addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
@@ -107,7 +110,7 @@
     const items = queue.slice(0, 50);
     try {
       const reply = await fetch(address, { method: "POST", body: JSON.stringify({ token, tab, items }), credentials: "same-origin" });
-      if (reply.status < 500 && reply.status !== 429) queue = queue.slice(items.length);
+      if (acknowledges(reply)) queue = queue.slice(items.length);
     } catch { /* stays in the queue */ }
     busy = false;
   }
@@ -122,6 +125,13 @@
   document.addEventListener("change", (event) => {
     if (event.target.type === "radio" || event.target.type === "checkbox") note("label", (event.target.name + "=" + event.target.value).slice(0, 40));
   });
+  // Typing and scrolling are signs of life.
+  let active = 0;
+  for (const kind of ["input", "scroll", "pointerdown", "keydown"]) document.addEventListener(kind, () => {
+    if (leaving || performance.now() < active + 20000) return;
+    active = performance.now();
+    note("active");
+  }, { passive: true });
   for (const details of document.querySelectorAll("details.recall")) {
     details.addEventListener("toggle", () => note("recall", details.open ? "open" : "closed"));
   }

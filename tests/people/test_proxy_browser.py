@@ -1,0 +1,107 @@
+"""A real Chromium behind a proxy that answers for the server: nothing that was typed is lost."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+import requests
+
+from tests.chromium import (
+    browser,
+    choose,
+    go_in,
+    missing,
+    press,
+    sequence,
+    wait,
+)
+from tests.people.server_process import ServerProcess
+from tests.people.study.stand_in import street_study
+from xplain.people.server.store import Store
+from xplain.people.simulation.bots import Researcher
+from xplain.people.study.site import StudySite
+
+pytest.importorskip("selenium", reason="selenium is not installed")
+pytestmark = pytest.mark.browser
+
+
+class Proxy(ThreadingHTTPServer):
+    """Hands requests on; answers for the server where it is told to.
+
+    Attributes:
+        status: of its own answers to forms; 0 hands them on.
+        answered: how many it gave.
+    """
+
+    def __init__(self, target: str) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.target, self.status, self.answered = target, 0, 0
+
+
+class Handler(BaseHTTPRequestHandler):
+    server: Proxy
+
+    def do_GET(self) -> None:
+        self.hand_on(b"")
+
+    def do_POST(self) -> None:
+        body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
+        if self.server.status and self.path == "/study":
+            self.server.answered += 1
+            self.send_response(self.server.status)
+            self.send_header("Location", "/elsewhere")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+        else:
+            self.hand_on(body)
+
+    def hand_on(self, body: bytes) -> None:
+        address = self.server.target + self.path
+        reply = requests.request(
+            self.command, address, data=body, headers=dict(self.headers), allow_redirects=False
+        )
+        self.send_response(reply.status_code)
+        for name, value in reply.headers.items():
+            if name.lower() not in ("connection", "transfer-encoding", "content-length"):
+                self.send_header(name, value)
+        self.send_header("Content-Length", str(len(reply.content)))
+        self.end_headers()
+        self.wfile.write(reply.content)
+
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+
+@contextmanager
+def proxied(target: str) -> Iterator[Proxy]:
+    proxy = Proxy(target)
+    threading.Thread(target=proxy.serve_forever, daemon=True).start()
+    try:
+        yield proxy
+    finally:
+        proxy.shutdown()
+        proxy.server_close()
+
+
+@pytest.mark.parametrize("status", [302, 403, 404, 502, 503])
+def test_an_answer_outlives_what_a_proxy_says(tmp_path: Path, status: int) -> None:
+    if what := missing():
+        pytest.skip(f"no browser to drive: install {what}")
+    path = tmp_path / "s.sqlite"
+    Store(path, StudySite(street_study())).close()
+    with ServerProcess(path) as server, proxied(server.url) as proxy, browser() as driver:
+        (token,) = Researcher(server.url, server.key).invite(1)
+        go_in(driver, f"http://127.0.0.1:{proxy.server_address[1]}", token)
+        proxy.status = status
+        choose(driver, [("agree", "1")])
+        press(driver)
+        wait(lambda: proxy.answered > 1)
+        assert "No connection" in driver.find_element("id", "connection").text
+        assert sequence(driver) == "0"
+        proxy.status = 0
+        wait(lambda: sequence(driver) == "1")
