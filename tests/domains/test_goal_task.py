@@ -179,7 +179,7 @@ def test_steps_are_counted_over_what_is_believed_in_and_end_at_a_goal() -> None:
 
 def test_an_unclear_tie_is_an_error_that_names_the_model() -> None:
     with pytest.raises(DomainError, match="ambiguous tie in the second"):
-        GoalTask.solve([choice(0), choice(1e-9)], ["the first", "the second"])
+        GoalTask.solve([choice(0), choice(3e-10)], ["the first", "the second"])
 
 
 def test_a_task_without_a_plan_is_an_error_that_names_the_model() -> None:

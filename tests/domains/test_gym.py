@@ -17,7 +17,7 @@ from xplain.learning.data.rollouts import sample_trace
 from xplain.randomness import stream
 
 gymnasium = pytest.importorskip("gymnasium", reason="pip install 'xplain-hri[gym]'")
-from xplain.domains.gym import Gymnasium  # noqa: E402
+from xplain.domains.gym import Gymnasium, read_model  # noqa: E402
 
 NAMES = ["taxi", "cliff_walking", "frozen_lake"]
 
@@ -236,6 +236,38 @@ def test_an_outcome_that_never_comes_ends_nothing(monkeypatch: pytest.MonkeyPatc
     parameters = {"x": {"inaccurate": change, "message": "No."}}
     made = Gymnasium("Two", {"place": 2}, ["go"], 0.9, parameters)
     assert not made.model({"x": []}).terminal.any()
+
+
+def test_only_listed_actions_are_available_and_a_state_without_a_row_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A corridor of three cells: left is not possible in the first; the last has no row."""
+    right = [[(1.0, s + 1, -1.0, s == 1)] for s in range(2)]
+    shown({0: {1: right[0]}, 1: {0: [(1.0, 0, -1.0, False)], 1: right[1]}}, monkeypatch)
+    model, _ = read_model("Corridor", {}, 0.9)
+    assert model.terminal.tolist() == [False, False, True]
+    assert model.probability.sum(axis=2).tolist() == [[0, 1], [1, 1], [0, 0]]
+    assert mdp.optimal_actions([model])[0].tolist() == [[False, True], [False, True], [False] * 2]
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"a": {0: [(1.0, "a", 0.0, True)]}},
+        {(0, 1): {0: [(1.0, (0, 1), 0.0, True)]}},
+        {-1: {0: [(1.0, 0, 0.0, True)]}},
+        {0: {0: [(1.0, 0, 0.0)]}},
+        {0: [(1.0, 0, 0.0, True)]},
+        {0: {0: [(1.0, 1, 0.0, False)]}},  # on to a state without a row, and not at its end
+    ],
+)
+def test_another_kind_of_model_is_refused_in_a_line(
+    table: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown(table, monkeypatch)
+    with pytest.raises(InputError, match=r"^domain\.id=") as caught:
+        read_model("Other", {}, 0.9)
+    assert "\n" not in str(caught.value)
 
 
 def test_an_end_that_depends_on_the_way_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +11,20 @@ import pytest
 from hydra.utils import instantiate
 
 from tests.domains.configs import given
+from tests.domains.downward import plan_cost
 from xplain.domains.pddl.domain import PDDL
-from xplain.domains.pddl.reading import read_text
+from xplain.domains.pddl.translator import Source
 from xplain.domains.users.setting import Setting, UserType
 from xplain.errors import XplainError
 from xplain.experiment.config import composed
 
-pytest.importorskip("unified_planning", reason="pip install 'xplain-hri[pddl]'")
+pytest.importorskip("fast_downward", reason="pip install 'xplain-hri[pddl]'")
 
 
 def edited(tmp_path: Path, key: str, old: str, new: str) -> dict[str, Any]:
     """The blocks world with one text replaced in one of its files."""
     own = given("blocks")
-    text = read_text(key, own[key])
+    text = Source.read(key, own[key]).text
     assert old in text
     del own["facts"]["top"]  # goals are edited here
     path = tmp_path / f"{key}.pddl"
@@ -32,8 +32,10 @@ def edited(tmp_path: Path, key: str, old: str, new: str) -> dict[str, Any]:
     return own | {key: str(path)}
 
 
-ACTIONS = "  (:action pick-up"
+ACTIONS = "(:action pick-up"
 DERIVED = f"(:derived (above ?x ?y - block) (on ?x ?y))\n{ACTIONS}"
+COST = "(increase (total-cost) 1)"
+EFFECT = f"(not (handempty))\n                 {COST}"
 REQUIRES = ":requirements :strips"
 PRECONDITION = "(clear ?x) (ontable ?x) (handempty))"
 
@@ -41,56 +43,42 @@ PRECONDITION = "(clear ?x) (ontable ?x) (handempty))"
 @pytest.mark.parametrize(
     ("key", "old", "new", "text"),
     [
+        ("file", PRECONDITION, "(clear ?x (ontable ?x) (handempty))", "file=.* line 21: brackets"),
         (
             "file",
-            PRECONDITION,
-            "(clear ?x (ontable ?x) (handempty))",
-            "domain.file=.* line 21, column",
+            "(ontable ?x) (handempty))\n",
+            "(ontabel ?x) (handempty))\n",
+            "17: .*ontabel",
         ),
-        ("file", "(ontable ?x) (handempty))\n", "(ontabel ?x) (handempty))\n", "line 17, column"),
-        ("file", "(?x - block)\n", "(?x - blok)\n", "line 16, column .*blok"),
-        ("file", "(define", "define", "line 4, column"),
-        ("problem", "(handempty)\n", "(handempty\n", "domain.problem=.* line 1"),
-        ("problem", "(ontable d)", "(ontable z)", "line 7, column .*z"),
+        ("file", "(?x - block)\n", "(?x - blok)\n", "line 16: unknown type blok"),
+        ("file", "(define", "define", "line 4: .*brackets"),
+        ("problem", "(handempty)\n", "(handempty\n", "domain.problem=.* line 10: brackets"),
+        ("problem", "(ontable d)", "(ontable z)", "line 7: Undefined object: z"),
         ("problem", "(:goal (and (on a b) (on b c) (on d a)))", "", "goal"),
-        ("file", REQUIRES, f"{REQUIRES} :durative-actions", "line 5: unsupported requirement :dur"),
-        ("file", REQUIRES, f"{REQUIRES} :adl", "unsupported requirement :adl; supported: :strips"),
-        ("file", REQUIRES, f"{REQUIRES} :derived-predicates", "requirement :derived-predicates"),
-        ("file", PRECONDITION, "(or (clear ?x) (ontable ?x)))", "unsupported: disjunctive cond"),
+        ("file", PRECONDITION, "(or (clear ?x) (ontable ?x)))", "line 17: a condition with or is"),
+        ("file", PRECONDITION, "(imply (clear ?x) (ontable ?x)))", "line 17: .* imply is not"),
+        ("file", PRECONDITION, "(forall (?y - block) (clear ?y)))", "line 17: .* forall is not"),
+        ("file", PRECONDITION, "(not (and (clear ?x) (ontable ?x))))", "line 17: .* and is not"),
+        ("file", PRECONDITION, "(>= (total-cost) 1))", "line 17: .*>="),
+        ("file", COST, "(increase (total-cost) -1)", "line 19: Negative numbers .*-1"),
+        ("file", COST, "(increase (fuel) 1)", "line 19: 'increase' expects .*fuel"),
+        ("file", COST, "(decrease (total-cost) 1)", "line 19: Undefined predicate: decrease"),
+        ("file", ACTIONS, "(:durative-action pick-up", "line 15: .*:durative-action pick-up"),
+        ("file", ACTIONS, DERIVED, "line 15: derived predicates are not supported"),
         (
             "file",
-            PRECONDITION,
-            "(forall (?y - block) (clear ?y)))",
-            "unsupported: universal conditions",
-        ),
-        (
-            "file",
-            "(not (handempty))\n                 (increase (total-cost) 1)",
-            "(forall (?y - block) (not (clear ?y))) (increase (total-cost) 1)",
-            "unsupported: forall effects",
-        ),
-        ("problem", "(:metric minimize (total-cost))", "", "unsupported: .*metric minimize"),
-        (
-            "file",
-            "(increase (total-cost) 1)",
-            "(increase (total-cost) 0)",
-            r"domain.file='[^']*file.pddl': the action pick-up costs 0; .* > 0",
-        ),
-        ("file", ACTIONS, DERIVED, r"line 15: unsupported derived predicates \(:derived\); supp"),
-        (
-            "file",
-            "(holding ?x - block)",
-            "(holding ?x - (either block object))",
-            r"line 11: unsupported either types \(either\); supported are STRIPS with types",
+            "(?x - block)\n",
+            "(?x - (either block object))\n",
+            "16: .*either block",
         ),
         (
             "problem",
             "a b c d - block",
             "a b c d - (either block object)",
-            "domain.problem=.* line 4: unsupported either types",
+            "line 4: .*either",
         ),
-        ("problem", "(on d a)", "(preference top (on d a))", "line 10: unsupported preferences"),
-        ("file", "(increase (total-cost) 1)", "", "costs (nothing|0)"),
+        ("problem", "(on d a)", "(preference top (on d a))", "line 10: .*preference"),
+        ("problem", "minimize", "maximize", "line 11: Invalid metric definition: .*maximize"),
         ("problem", "(on a b) (on b c) (on d a)", "(on a b) (on b a)", "unsolvable: the robot's"),
         ("problem", "(and (on a b) (on b c) (on d a))", "(clear c)", "does not hold yet"),
     ],
@@ -99,6 +87,35 @@ def test_a_bad_file_is_one_line(key: str, old: str, new: str, text: str, tmp_pat
     with pytest.raises(XplainError, match=text) as caught:
         PDDL(**edited(tmp_path, key, old, new))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "old", "new"),
+    [
+        ("file", REQUIRES, f"{REQUIRES} :durative-actions"),  # tags that nothing uses
+        ("file", REQUIRES, f"{REQUIRES} :adl :derived-predicates :fluents"),
+        ("problem", "(:metric minimize (total-cost))", ""),  # each action costs 1
+        ("file", COST, "(increase (total-cost) 0)"),
+        ("file", COST, ""),  # costs 0
+        ("file", EFFECT, f"(forall (?y - block) (not (holding ?y))) (holding ?x) {EFFECT}"),
+        ("file", EFFECT, f"(forall (?y - block) (when (on ?x ?y) (clear ?y))) {EFFECT}"),
+        ("file", "(holding ?x - block)", "(holding ?x - (either block object))"),
+        ("file", "(on ?x - block ?y - block)", "(on ?x - block ?x - block)"),
+        ("problem", "a b c d - block", "thing - object a b c d - block spare - object"),
+    ],
+)
+def test_what_fast_downward_reads_costs_what_it_says(
+    key: str, old: str, new: str, tmp_path: Path
+) -> None:
+    own = edited(tmp_path, key, old, new) | {"words": {}}
+    made = PDDL(**own)
+    files = []
+    for name in ("file", "problem"):
+        text = re.sub(r"\(:requirements.*?\)", "", Source.read(name, own[name]).text)
+        files.append(tmp_path / f"plain_{name}.pddl")
+        files[-1].write_text(text, encoding="utf-8")
+    robot = made.model({p.name: p.accurate for p in made.parameters})
+    assert robot.to_go[0] == plan_cost(*files, tmp_path)
 
 
 def test_an_argument_of_another_type_is_refused_but_not_one_of_a_wider_or_narrower(
@@ -145,19 +162,31 @@ HANDS = {"action": "pick-up", "drop_precondition": "(handempty)"}
         ({"facts": {"x": {"join": ["y"]}}}, "join='y': unknown difference; known: none"),
         (change(action="pick-up"), "action with one of drop_precondition"),
         (change(action="jump", cost=3), "unknown action; known: pick-up"),
-        (change(action="pick-up", cost=0), "a number > 0"),
-        (change(action="pick-up", cost="(weight ?x)"), "unknown function"),
+        (change(action="pick-up", cost=-1), "a number (≥|>=) 0"),
+        (
+            change(action="pick-up", cost="(weight ?x)"),
+            "predicate: weight; known: total",
+        ),
         (change(action="pick-up", drop_precondition="(holding ?x)"), "does not exist; known:"),
         (change(action="pick-up", add_precondition="(clear ?x)"), "exists already"),
-        (change(action="pick-up", add_precondition="(clear ?y)"), "unknown argument .y; known: .x"),
-        (change(action="pick-up", add_precondition="(clean ?x)"), "unknown predicate; known: on"),
-        (change(action="pick-up", add_precondition="(on ?x)"), "on has 2 arguments"),
-        (change(action="pick-up", add_precondition="clear ?x"), "an expression"),
-        (change(action="pick-up", add_precondition="(clear ?x"), "an expression"),
-        (change(action="pick-up", add_precondition="(not (clear ?x) (on ?x a))"), "a literal"),
-        (change(action="pick-up", add_effect="(when (clear a))"), "when condition literal"),
+        (change(action="pick-up", add_precondition="(clear ?y)"), "Undefined variable: .y"),
+        (
+            change(action="pick-up", add_precondition="(clean ?x)"),
+            "predicate: clean; known: on",
+        ),
+        (change(action="pick-up", add_precondition="(on ?x)"), "'on' of arity 2 used with 1"),
+        (change(action="pick-up", add_precondition="clear ?x"), "in brackets"),
+        (change(action="pick-up", add_precondition="(clear ?x"), "Missing '\\)'"),
+        (
+            change(action="pick-up", add_precondition="(not (clear ?x) (on ?x a))"),
+            "exactly one",
+        ),
+        (
+            change(action="pick-up", add_effect="(when (clear a))"),
+            "'when' .*exactly two",
+        ),
         (change(add_initial="(not (clear a))"), "an atom such as"),
-        (change(function="(weight a)", value=3), "unknown function"),
+        (change(function="(weight a)", value=3), "Undefined predicate: weight"),
         (change(drop_goal="(on c d)"), "does not exist"),
         (change(drop_action="jump"), "unknown action"),
         (
@@ -169,10 +198,10 @@ HANDS = {"action": "pick-up", "drop_precondition": "(handempty)"}
         ({"words": {"jump": "jumps"}}, "unknown name; known: .*pick-up"),
         ({"words": {"pick-up": "picks up {y}"}}, "y is none of x"),
         ({"words": {"pick-up": ""}}, "a line of text"),
-        ({"features": {"n": "(on ?x)"}}, "on has 2 arguments"),
-        ({"features": {"n": "(off ?x)"}}, "an atom of one of the predicates"),
+        ({"features": {"n": "(on ?x)"}}, "'on' of arity 2 used with 1"),
+        ({"features": {"n": "(off ?x)"}}, "Undefined predicate: off; known: on"),
         ({"features": {"n": []}}, "an atom such as"),
-        ({"features": {"n": "(on ?x z)"}}, "unknown object z"),
+        ({"features": {"n": "(on ?x z)"}}, "Undefined object: z"),
         ({"features": {"clear a": "(clear a)"}}, "names that no atom has"),
         ({"starts": "somewhere"}, "initial, reachable, or a number"),
         ({"starts": -1}, "initial, reachable, or a number"),
@@ -188,21 +217,13 @@ def test_a_bad_value_is_one_line(changes: dict[str, Any], text: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "text"),
-    [
-        ("(= (length office north) 5)", "(= (length office north) 0)", "which is 0; every cost"),
-        ("(= (length office north) 5)", "", "which is not given; every cost"),
-    ],
-)
-def test_a_function_that_is_no_cost_is_named_with_the_action(
-    old: str, new: str, text: str, tmp_path: Path
-) -> None:
+def test_an_action_without_a_cost_is_named(tmp_path: Path) -> None:
     own = given("logistics")
     path = tmp_path / "problem.pddl"
-    path.write_text(read_text("", own["problem"]).replace(old, new), encoding="utf-8")
-    begin = r"domain.problem: the action drive truck1 office north costs \(length office north\), "
-    with pytest.raises(XplainError, match=begin + text):
+    text = Source.read("", own["problem"]).text
+    path.write_text(text.replace("(= (length office north) 5)", ""), encoding="utf-8")
+    named = r"problem='drive truck1 office north': a value of its cost \(length \?from \?to\)"
+    with pytest.raises(XplainError, match=named):
         PDDL(**own | {"problem": str(path)})
 
 
@@ -250,7 +271,7 @@ def test_a_type_whose_beliefs_leave_no_plan_is_named() -> None:
         made.model({"dear": [], "far": [{"action": "stack", "cost": 3}]})
 
 
-def test_without_unified_planning_the_error_names_the_fix(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "unified_planning.io", None)
+def test_without_the_translator_the_error_names_the_fix(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("xplain.domains.pddl.translator.lifted", None)
     with pytest.raises(XplainError, match=r"pip install 'xplain-hri\[pddl\]'"):
         PDDL(**given("blocks"))

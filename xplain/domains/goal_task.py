@@ -1,5 +1,11 @@
-"""Deterministic undiscounted tasks that end at a goal: every action costs, the cheapest plan is
-best, and a state without a plan costs a given number (docs/method.md, section 1).
+"""Deterministic undiscounted tasks that end at a goal: the cheapest plan is best, and a state
+without a plan costs a given number (docs/method.md, section 1).
+
+Actions may cost nothing. Then some of them lead round in circles on cheapest plans, or do no good.
+So an action that costs nothing is best only if it lowers the number of such actions that a cheapest
+plan still needs at least. Actions that cost something are best if they are on a cheapest plan, as
+in tasks where everything costs. Each best action brings the goal nearer: either the cost to go or
+that number falls.
 
 A discount would prefer plans whose costs come late. Many beliefs about one task share its states
 and edges (:class:`StateSpace`). A belief says which edges exist, what they cost, and where the goal
@@ -76,7 +82,7 @@ class GoalTask:
     Attributes:
         space: shared by all beliefs about the task.
         chosen: [A] the variant of each action; −1 where the action is never available.
-        cost: [A] > 0, of each action.
+        cost: [A] ≥ 0, of each action.
         terminal: [S] bool, where the goal holds; nothing happens there.
         dead_end_cost: of a state without a plan. A plan that costs as much does not count.
         start: where the task starts; it must have a plan.
@@ -121,10 +127,32 @@ class GoalTask:
         found = dijkstra(graph, indices=np.flatnonzero(self.terminal), min_only=True)
         return np.where(found < self.dead_end_cost, found, np.inf)
 
+    @cached_property
+    def free_to_go(self) -> NDArray[np.float64]:
+        """[S] the fewest actions that cost nothing on a cheapest plan; ∞ in dead ends."""
+        if not (self.cost == 0).any():
+            return np.where(np.isfinite(self.to_go), 0.0, np.inf)
+        best = self._extra(np.arange(len(self.space.variant))) <= TIE
+        free = (self._variant_cost[self.space.variant[best]] == 0).astype(float)
+        ends = self.space.successor[best], self.space.source[best]
+        order = np.lexsort((free, *ends))
+        kept = order[np.r_[True, (np.diff(ends[0][order]) != 0) | (np.diff(ends[1][order]) != 0)]]
+        graph = csr_array(
+            coo_array((free[kept], (ends[0][kept], ends[1][kept])), shape=(self.n_states,) * 2)
+        )
+        return dijkstra(graph, indices=np.flatnonzero(self.terminal), min_only=True)
+
     def gap(self, edges: NDArray[np.int64]) -> NDArray[np.float64]:
         """The extra cost of each edge [T] and a best plan after it over a best plan from its start,
-        relative to the most expensive best plan. ∞ if this belief does not have the edge, or it
-        leads to a dead end or leaves a terminal state."""
+        relative to the most expensive best plan. ∞ if this belief does not have the edge, it leads
+        to a dead end, leaves a terminal state, or costs nothing and brings the goal no nearer."""
+        before, after = self.space.source[edges], self.space.successor[edges]
+        idle = self._variant_cost[self.space.variant[edges]] == 0
+        idle &= self.free_to_go[after] >= self.free_to_go[before]
+        return np.where(idle, np.inf, self._extra(edges))
+
+    def _extra(self, edges: NDArray[np.int64]) -> NDArray[np.float64]:
+        """As :meth:`gap`, for all edges that this belief has."""
         before, variant = self.space.source[edges], self.space.variant[edges]
         behind = self._variant_cost[variant] + self.to_go[self.space.successor[edges]]
         none = ~np.isfinite(behind) | ~np.isfinite(self.to_go[before]) | self.terminal[before]

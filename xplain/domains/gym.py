@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -231,11 +232,19 @@ def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
     return list(value)
 
 
+MODEL = (
+    "states 0 … n − 1 and actions 0 … m − 1 in env.unwrapped.P[s][a], a list of (probability, "
+    "next state, reward, terminated)"
+)
+"""What an environment has to show."""
+
+
 def read_model(
     id: str, arguments: Mapping[str, Any], discount: float
 ) -> tuple[MDP, NDArray[np.int64]]:
     """The model that an environment shows as ``env.unwrapped.P[s][a]``, a list of (probability,
-    next state, reward, terminated), and the states where episodes start.
+    next state, reward, terminated), and the states where episodes start. Actions that a state does
+    not list are not available there; a state without actions ends episodes.
 
     Raises:
         XplainError: gymnasium is not installed.
@@ -258,17 +267,34 @@ def read_model(
     environment.close()
     if not isinstance(table, Mapping):
         raise InputError("domain.id", id, "an environment with a tabular model (env.unwrapped.P)")
-    states, actions = len(table), len(table[0])
-    slots = max(len(outcomes) for row in table.values() for outcomes in row.values())
+    try:
+        rows = [
+            (
+                int(s),
+                int(a),
+                [(float(p), int(s2), float(r), bool(end)) for p, s2, r, end in outcomes],
+            )
+            for s, row in table.items()
+            for a, outcomes in row.items()
+        ]
+    except (TypeError, ValueError, AttributeError):
+        raise InputError("domain.id", id, MODEL) from None
+    listed = [{s, *(outcome[1] for outcome in outcomes)} for s, _, outcomes in rows]
+    every = set().union(*listed, map(index, table))
+    states = getattr(getattr(environment, "observation_space", None), "n", max(every) + 1)
+    used = {a for _, a, _ in rows}
+    actions = getattr(getattr(environment, "action_space", None), "n", max(used) + 1)
+    if not (every <= {*range(states)} and used <= {*range(actions)}):
+        raise InputError("domain.id", id, MODEL)
+    slots = max(len(outcomes) for _, _, outcomes in rows)
     successor = np.zeros((states, actions, slots), dtype=np.int64)
     probability, reward = np.zeros(successor.shape), np.zeros(successor.shape)
     ended = np.zeros(successor.shape, dtype=bool)
-    for s, row in table.items():
-        for a, outcomes in row.items():
-            for k, (p, after, r, terminated) in enumerate(outcomes):
-                successor[s, a, k], probability[s, a, k] = after, p
-                reward[s, a, k], ended[s, a, k] = r, terminated
-    terminal = np.zeros(states, dtype=bool)
+    for s, a, outcomes in rows:
+        for k, (p, after, r, terminated) in enumerate(outcomes):
+            successor[s, a, k], probability[s, a, k] = after, p
+            reward[s, a, k], ended[s, a, k] = r, terminated
+    terminal = (probability == 0).all(axis=(1, 2))  # what has no row
     terminal[successor[ended & (probability > 0)]] = True
     starts = np.flatnonzero(np.ones(states) if initial is None else np.asarray(initial) > 0)
     # Tables also hold states that no episode reaches, with outcomes that make no sense.

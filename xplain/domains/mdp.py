@@ -17,8 +17,9 @@ from xplain.errors import DomainError
 
 TIE = 1e-10
 """Two actions tie when their values differ by less than this, relative to the model's scale."""
-CLEAR = 1e-8
-"""They differ when the gap is at least this; a gap between TIE and CLEAR is ambiguous."""
+CLEAR = 2e-10
+"""They differ when the gap is at least this: ten times what :data:`SOLVED` leaves open in a gap.
+A gap between TIE and CLEAR is ambiguous."""
 SOLVED = 1e-11
 """Values are solved to within this of the optimum, relative to the model's scale."""
 MOST_SWEEPS = 20_000

@@ -1,8 +1,8 @@
 """Planning tasks in PDDL as domains: what the robot plans with, and what people believe about it.
 
-    reading ── Task ── changes ── grounding ── states ── domain.PDDL
+    translator ── Task ── facts ── beliefs ── domain.PDDL
 
-``reading`` parses files with unified-planning, which no other module here uses. A fact that
-people may hold wrong is a list of ``changes`` of the robot's task, written in YAML or found by
-comparing two tasks. Every believed task is grounded into the same actions and the same states.
+``translator`` reads files with Fast Downward's translator, which no other module here uses. A fact
+that people may believe incorrectly changes items of the robot's task; the changes are written in
+YAML or found by comparing two tasks. All beliefs share the ground actions and the states.
 """

@@ -1,173 +1,201 @@
-"""A task under every belief about it: the states and actions that all beliefs share, and the model
-of somebody who holds some of the facts wrong."""
+"""A task under every belief about it: the ground actions and the states that all beliefs share, and
+the model of somebody who believes some of the facts incorrectly."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import logging
+from array import array
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
 from functools import cache
+from time import monotonic
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xplain.domains.goal_task import GoalTask, StateSpace
-from xplain.domains.pddl.changes import Change
-from xplain.domains.pddl.grounding import Grounding, static_holds
-from xplain.domains.pddl.states import Bits, Compiled, Words, explore
-from xplain.domains.pddl.task import Action, Literal, Task
+from xplain.domains.pddl.grounding import Ground, Grounding, Masks, Wrong, meets
+from xplain.domains.pddl.task import Item, Items, Task
+from xplain.errors import InputError, TooLargeError
 
-Wrong = frozenset[int]
-"""The facts that somebody holds wrong."""
+log = logging.getLogger(__name__)
+
+EVERY = 5.0
+"""Seconds between two lines on how far the exploration is."""
 
 
 class BelievedTask:
-    """A task, and the facts about it that people may hold wrong.
+    """A task, and the facts about it that people may believe incorrectly.
 
     Args:
         task: the robot's.
-        facts: the changes of each.
-        more: actions that changes may add.
+        facts: what each changes.
         dead_end_cost: of a state without a plan.
         max_states: a task with more states is refused.
 
     Attributes:
-        task: as given.
-        bits: numbers the atoms that can change.
-        states: [S, W] those that the robot reaches, first the initial one; those that people who
-            believe in another start see instead; and all that can be reached from these by the
-            actions of any beliefs, in any mixture.
-        actions: A ground actions, (schema, object, …), those that occur between these states.
+        atoms: those that can change, in the order of their bits.
+        states: S sets of atoms: those that the robot reaches, first the initial one; those that
+            people who believe in another start see instead; and all that can be reached from these
+            by the actions of any beliefs, in any mixture.
+        n_robot: the number of states that the robot reaches.
+        actions: A ground actions, (name, object, …), those that occur between these states.
 
     Raises:
-        XplainError: a cost is not positive, or has no value.
-        TooLargeError: too many states or actions.
+        InputError: the problem gives no cost for an action of the robot.
+        TooLargeError: too many states, or too many facts about one action.
     """
 
     def __init__(
-        self,
-        task: Task,
-        facts: Sequence[Sequence[Change]],
-        more: Mapping[str, Action],
-        dead_end_cost: float,
-        max_states: int,
+        self, task: Task, facts: Sequence[Items], dead_end_cost: float, max_states: int
     ) -> None:
         """Grounds the task and explores its states."""
-        self.task, self._facts, self._dead_end_cost = task, facts, dead_end_cost
-        self._grounding = Grounding(task, facts, more)
-        self.bits = Bits(self._grounding.atoms)
-        self._number: dict[bytes, int] | None = None
-        self._imagined, self._terminal = cache(self._imagined_by), cache(self._terminal_to)
-        self._explore(max_states)
-
-    def _explore(self, max_states: int) -> None:
-        """States and edges; the robot's states first, from its initial one on."""
-        grounding, bits = self._grounding, self.bits
-        compiled = Compiled.of(bits, grounding.variants)
-        initial = bits.rows([self.task.initial])
-        robots = np.zeros(len(grounding.variants), dtype=bool)
-        own, _ = grounding.chosen(frozenset())
-        robots[own[own >= 0]] = True
-        everything = np.ones(len(robots), dtype=bool)
-        one_goal = self._ends([frozenset()])
-        seeds = explore(compiled, initial, robots, one_goal, max_states).states
-        self._robot_states = len(seeds)
-        about = [j for j in range(len(self._facts)) if self._believed_start(j)]
-        for j in about:
-            seeds = np.concatenate([seeds, self._imagine(seeds, j)])
-            _, kept = np.unique(seeds, axis=0, return_index=True)
-            seeds = seeds[np.sort(kept)]
-        goals = [
-            j for j in range(len(self._facts))
-            if any(kind.endswith("_goal") for change in self._facts[j] for kind in change)
-        ]  # fmt: skip
-        several = [
-            frozenset(j for i, j in enumerate(goals) if mask >> i & 1)
-            for mask in range(1 << len(goals))
-        ] if len(goals) <= 6 else []  # fmt: skip
-        reached = explore(compiled, seeds, everything, self._ends(several), max_states)
-        self.states = reached.states
-        used, variant = np.unique(reached.variant, return_inverse=True)
-        actions, action = np.unique(grounding.action[used], return_inverse=True)
+        self._dead_end_cost = dead_end_cost
+        self._ground = ground = Grounding(task, facts)
+        self.atoms = [(atom.predicate, *atom.args) for atom in ground.bits]
+        robot, nobody = ground.choose(frozenset()), frozenset[int]()
+        robots, costless = robot[robot >= 0], (robot >= 0) & np.isnan(ground.cost(nobody))
+        if costless.any():
+            first = ground.actions[int(costless.argmax())]
+            cost = task.items[Item("cost", first[0])]
+            raise InputError("domain.problem", " ".join(first), f"a value of its cost {cost}")
+        rest = ground.variants, max_states
+        self.states = explore([ground.start], robots, ground.goal(nobody), *rest)[0]
+        self.n_robot = len(self.states)
+        for start in ground.starts.values():
+            self.states += [_imagine(state, ground.start, start) for state in self.states]
+        self.states = [*dict.fromkeys(self.states)]
+        every = range(len(ground.variants))
+        self.states, edges = explore(self.states, every, ground.common_goal(), *rest)
+        used, variant = np.unique(edges[1], return_inverse=True)
+        action = ground.action[used]
+        self._kept, number = np.unique(action, return_inverse=True)
+        self.actions = [ground.actions[a] for a in self._kept]
         self._space = StateSpace(
-            n_states=len(reached.states),
-            n_actions=len(actions),
-            action=action.astype(np.int32),
-            first=reached.first,
+            n_states=len(self.states),
+            n_actions=len(self.actions),
+            action=number.astype(np.int32),
+            first=np.concatenate([[0], np.cumsum(edges[0])]).astype(np.int64),
             variant=variant.astype(np.int32),
-            successor=reached.successor,
+            successor=edges[2],
         )
-        self.actions = [grounding.actions[i] for i in actions]
-        self._kept = actions
-        self._variant_number = np.full(len(robots) + 1, -1)  # the last is for −1
-        self._variant_number[used] = np.arange(len(used))
-        self._about_start, self._about_goal = frozenset(about), frozenset(goals)
+        self._number = np.full(len(every) + 1, -1)  # the last is for −1
+        self._number[used] = np.arange(len(used))
+        self._state = {state: s for s, state in enumerate(self.states)}
+        self._imagined, self._terminal = cache(self._imagine_all), cache(self._end)
 
-    def _ends(self, wrongs: Sequence[Wrong]) -> tuple[Words, Words]:
-        """The goals of people with these facts wrong, to explore; none if one cannot be met."""
-        goals = [self._goal(wrong) for wrong in wrongs]
-        if any(goal is None for goal in goals):
-            goals = []
-        known = [goal for goal in goals if goal is not None]
-        return tuple(
-            self.bits.rows([x.atom for x in goal if x.positive == positive] for goal in known)
-            for positive in (True, False)
-        )  # type: ignore[return-value]
+    def table(self) -> NDArray[np.bool_]:
+        """[S, atoms] whether each atom holds in each state."""
+        width = len(self.atoms) // 8 + 1
+        rows = b"".join(state.to_bytes(width, "little") for state in self.states)
+        packed = np.frombuffer(rows, np.uint8).reshape(-1, width)
+        bits = np.unpackbits(packed, axis=1, bitorder="little", count=len(self.atoms))
+        return bits.astype(np.bool_)
 
-    def _goal(self, wrong: Wrong) -> list[Literal] | None:
-        """The part of the goal that can change; None if the rest is not met."""
-        task = self._grounding.task_of(wrong)
-        changing = self._grounding.changing
-        rest = [x for x in task.goal if x.atom[0] not in changing]
-        if not all(static_holds(task, x) for x in rest):
-            return None
-        return [x for x in task.goal if x.atom[0] in changing]
-
-    def _believed_start(self, fact: int) -> list[tuple[str, Literal]]:
-        """What a fact says about the start that the robot can change: (kind of change, atom)."""
-        task, other = self.task, self._grounding.task_of(frozenset({fact}))
-        return [
-            ("drop" if atom in task.initial else "add", Literal(atom))
-            for atom in sorted(task.initial ^ other.initial)
-            if atom[0] in self._grounding.changing
-        ]
-
-    def _imagine(self, rows: Words, fact: int) -> Words:
-        """The states [n, W] that people who hold a fact about the start wrong see instead of these;
-        the same states if the robot has changed anything that the fact is about."""
-        differing = self._believed_start(fact)
-        about = self.bits.row(x.atom for _, x in differing)
-        added = self.bits.row(x.atom for kind, x in differing if kind == "add")
-        untouched = ((rows & about) == (self.bits.row(self.task.initial) & about)).all(axis=1)
-        return np.where(untouched[:, None], (rows & ~about) | added, rows)
-
-    def _imagined_by(self, wrong: Wrong) -> NDArray[np.int64] | None:
+    def _imagine_all(self, wrong: Wrong) -> NDArray[np.int64] | None:
         """[S] the state that people see instead of each; itself if the robot never reaches it."""
-        if not wrong:
+        starts = [start for j, start in self._ground.starts.items() if j in wrong]
+        if not starts:
             return None
-        rows = self.states[: self._robot_states]
-        for j in sorted(wrong):
-            rows = self._imagine(rows, j)
-        if self._number is None:
-            self._number = {row.tobytes(): s for s, row in enumerate(self.states)}
-        number = self._number
         result = np.arange(len(self.states))
-        result[: len(rows)] = [number.get(row.tobytes(), -1) for row in rows]
+        for s, state in enumerate(self.states[: self.n_robot]):
+            for start in starts:
+                state = _imagine(state, self._ground.start, start)
+            result[s] = self._state.get(state, -1)
         return result
 
-    def _terminal_to(self, wrong: Wrong) -> NDArray[np.bool_]:
-        goal = self._goal(wrong)
-        if goal is None:
-            return np.zeros(len(self.states), dtype=bool)
-        return self.bits.meets(self.states, goal)
+    def _end(self, wrong: Wrong) -> NDArray[np.bool_]:
+        """[S] where these people think that the goal is met."""
+        goal = self._ground.goal(wrong)
+        return np.array([goal is not None and meets(state, goal) for state in self.states])
 
     def model(self, wrong: Wrong) -> GoalTask:
-        """The task of somebody who holds these facts wrong."""
-        chosen, cost = self._grounding.chosen(wrong)
+        """The task of somebody who believes these facts incorrectly."""
+        ground = self._ground
+        cost = ground.cost(wrong & ground.about_cost)[self._kept]
+        chosen = self._number[ground.choose(wrong)[self._kept]]
         return GoalTask(
             space=self._space,
-            chosen=self._variant_number[chosen[self._kept]],
-            cost=cost[self._kept],
-            terminal=self._terminal(wrong & self._about_goal),
+            chosen=np.where(np.isnan(cost), -1, chosen),
+            cost=np.nan_to_num(cost),
+            terminal=self._terminal(wrong & ground.about_goal),
             dead_end_cost=self._dead_end_cost,
             start=0,
-            imagined=self._imagined(wrong & self._about_start),
+            imagined=self._imagined(wrong & frozenset(ground.starts)),
         )
+
+
+def _imagine(state: int, initial: int, start: Masks) -> int:
+    """What people see who believe in another start: the atoms that differ there, as they believe
+    them to be, until the robot changes one of them."""
+    about, added = start
+    return state if (state ^ initial) & about else state & ~about | added
+
+
+def explore(
+    seeds: Sequence[int],
+    allowed: Iterable[int],
+    goal: Masks | None,
+    variants: Sequence[Ground],
+    limit: int,
+) -> tuple[list[int], tuple[array[int], NDArray[np.int32], NDArray[np.int32]]]:
+    """All states reached from the seeds, breadth first; the seeds come first, in their order.
+
+    Args:
+        seeds: distinct states.
+        allowed: the variants to use.
+        goal: a state that meets it has no edges.
+        variants: what ground actions ask for and do.
+        limit: largest number of states.
+
+    Returns:
+        The states, and their edges, rising by state and variant: the number of edges of each state,
+        [E] variants, [E] successors.
+
+    Raises:
+        TooLargeError: there are more states.
+    """
+    used = sorted(map(int, allowed))
+    often = Counter(bit for v in used for bit in split(variants[v][0]))
+    watched: dict[int, list[int]] = defaultdict(list)  # by the rarest atom that is asked for
+    for v in used:
+        watched[min(split(variants[v][0]), key=often.__getitem__, default=0)].append(v)
+    number = {state: s for s, state in enumerate(seeds)}
+    states, heard = [*seeds], monotonic()
+    degrees, edges, successors = array("q"), array("i"), array("i")
+    for done, state in enumerate(states):
+        before = len(edges)
+        if goal is None or not meets(state, goal):
+            able = [v for bit, own in watched.items() if state & bit == bit for v in own]
+            for v in sorted(v for v in able if meets(state, variants[v])):
+                after = _apply(state, variants[v][2])
+                edges.append(v)
+                successors.append(number.setdefault(after, len(states)))
+                if successors[-1] == len(states):
+                    states.append(after)
+        degrees.append(len(edges) - before)
+        if len(states) > limit:
+            raise TooLargeError(
+                f"domain.max_states={limit}: the robot's and the believed tasks reach more states; "
+                "use fewer objects, or allow more (memory and time grow with them)"
+            )
+        if monotonic() > heard + EVERY:
+            heard = monotonic()
+            log.info("PDDL: %s of %s states found so far are explored", done + 1, len(states))
+    arrays = np.array(edges, np.int32), np.array(successors, np.int32)
+    return states, (degrees, *arrays)
+
+
+def _apply(state: int, effects: Iterable[tuple[int, ...]]) -> int:
+    """The state after the effects, which all happen at once; what is added stays."""
+    adds = deletes = 0
+    for *condition, added, deleted in effects:
+        if meets(state, condition):
+            adds |= added
+            deletes |= deleted
+    return state & ~deletes | adds
+
+
+def split(atoms: int) -> list[int]:
+    """The bits of a set."""
+    return [1 << i for i in range(atoms.bit_length()) if atoms >> i & 1]

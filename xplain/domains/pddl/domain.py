@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from itertools import chain, combinations, islice
 from typing import Any
@@ -13,12 +14,12 @@ from numpy.typing import NDArray
 
 from xplain.domains.base import Parameter
 from xplain.domains.goal_task import GoalTask
-from xplain.domains.pddl.beliefs import BelievedTask, Wrong
-from xplain.domains.pddl.changes import Change, applied, checked
-from xplain.domains.pddl.differences import differences, told
-from xplain.domains.pddl.features import counts
-from xplain.domains.pddl.reading import read_task
-from xplain.domains.pddl.task import Action, pddl
+from xplain.domains.pddl.beliefs import BelievedTask
+from xplain.domains.pddl.facts import describe, find_differences, read_changes
+from xplain.domains.pddl.features import count
+from xplain.domains.pddl.grounding import Wrong
+from xplain.domains.pddl.task import Items
+from xplain.domains.pddl.translator import read_task
 from xplain.domains.pddl.words import Words
 from xplain.errors import (
     Count,
@@ -53,7 +54,7 @@ class PDDL:
         believed: what people believe, as the path of another domain file, or ``{file, problem}``
             (either may be missing): each difference becomes a parameter.
         facts: ``{name: {change, message, belief}}``. ``change`` is one change or a list of them
-            (:mod:`xplain.domains.pddl.changes`). Without it, the fact is the difference of this
+            (:mod:`xplain.domains.pddl.facts`). Without it, the fact is the difference of this
             name, or those that ``join`` lists, as one fact. Sentences that are not given are made
             from the change.
         words: see :class:`~xplain.domains.pddl.words.Words`.
@@ -68,7 +69,7 @@ class PDDL:
         name: of the domain; None: pddl.
 
     Raises:
-        XplainError: unified-planning is not installed.
+        XplainError: Fast Downward's translator is not installed.
         InputError: a file or a value is not allowed, or people with one fact wrong have no plan.
         DomainError: the robot has no plan, or its ties are ambiguous.
         TooLargeError: more than ``max_states`` states.
@@ -91,12 +92,15 @@ class PDDL:
         self.name = "pddl" if name is None else str(name)
         self.dead_end_cost = dead_end_cost
         self.task = read_task(file, problem, ("domain.file", "domain.problem"))
+        found, other = self._find_differences(file, problem, believed)
         self.words = Words(self.task, _mapping("words", words, "{predicate or action: its words}"))
-        found, more = self._differences(file, problem, believed)
         given = _mapping("facts", facts, "{name: {change, message, belief}}")
-        self.parameters = self._parameters(given, found, more)
-        facts_held = [parameter.inaccurate for parameter in self.parameters]
-        self._beliefs = BelievedTask(self.task, facts_held, more, self.dead_end_cost, max_states)
+        read = [*self._read_facts(given, found, other)]
+        if not read:
+            raise InputError("domain.facts", dict(given), "at least one fact, here or by believed")
+        self.parameters = tuple(parameter for parameter, _ in read)
+        changes = [change for _, change in read]
+        self._beliefs = BelievedTask(self.task, changes, self.dead_end_cost, max_states)
         self._model = cache(self._beliefs.model)
         self._name_states(_mapping("features", features, "{name: pattern, or a list of them}"))
         robot = self._model(frozenset())
@@ -104,51 +108,52 @@ class PDDL:
         self.starts = self._starts(starts, robot)
         self._try_facts(robot)
 
-    def _differences(
+    def _find_differences(
         self, file: str, problem: str, believed: Any
-    ) -> tuple[dict[str, list[Change]], Mapping[str, Action]]:
-        """The facts in which two tasks differ, by name, and the actions of the believed task."""
+    ) -> tuple[Mapping[str, Items], Items]:
+        """The differences to what people believe, by name; and the believed items.
+        The robot's task gets the predicates and functions that only people know."""
         if believed is None:
             return {}, {}
         both = {"file": believed} if isinstance(believed, str) else believed
         if not isinstance(both, Mapping) or not both or set(both) - {"file", "problem"}:
             raise InputError("domain.believed", believed, "a domain file, or {file, problem}")
         keys = ("domain.believed.file", "domain.believed.problem")
-        other = read_task(both.get("file", file), both.get("problem", problem), keys)
-        found = differences(self.task, other, "domain.believed")
-        return {one.name: [dict(one.change)] for one in found}, other.actions
+        robot, other = (
+            self.task,
+            read_task(both.get("file", file), both.get("problem", problem), keys),
+        )
+        self.task = replace(
+            robot,
+            predicates={**other.predicates, **robot.predicates},
+            functions={**other.functions, **robot.functions},
+        )
+        return find_differences(robot, other, "domain.believed"), other.items
 
-    def _parameters(
-        self,
-        given: Mapping[str, Any],
-        found: Mapping[str, list[Change]],
-        more: Mapping[str, Action],
-    ) -> tuple[Parameter, ...]:
-        """The facts found, then those given. The robot's value is: no change."""
-        result = []
+    def _read_facts(
+        self, given: Mapping[str, Any], found: Mapping[str, Items], other: Items
+    ) -> Iterator[tuple[Parameter, Items]]:
+        """The facts found, then those given, each with what it changes. The robot's value is: no
+        change."""
         joined = {name for fields in given.values() for name in _joined(fields)}
         for fact in dict.fromkeys([*(name for name in found if name not in joined), *given]):
             key, fields = f"domain.facts.{fact}", given.get(fact, {})
             for name in mapping(key, fields, "the fields change, message, belief"):
                 one_of(key, name, ("change", "join", "message", "belief"), "field")
-            own = found.get(fact)
-            if "join" in fields:
-                names = [one_of(f"{key}.join", n, found, "difference") for n in _joined(fields)]
-                own = [change for name in names for change in found[name]]
-            if "change" not in fields and own is None:
+            names = [one_of(f"{key}.join", n, found, "difference") for n in _joined(fields)]
+            every = (found.get(name, {}).items() for name in names or [fact])
+            change: Items = dict(chain.from_iterable(every))
+            if "change" in fields:
+                change = read_changes(f"{key}.change", fields["change"], self.task, other)
+            elif not change:
                 raise InputError(key, dict(fields), "lacks change")
-            changes = checked(f"{key}.change", fields.get("change", own))
-            applied(self.task, changes, more, f"{key}.change")
-            so, believed = told(self.task, changes, self.words)
-            texts = fields.get("message", so), fields.get("belief", believed)
+            true, believed = describe(self.task, change, self.words)
+            texts = fields.get("message", true), fields.get("belief", believed)
             for field, text in zip(("message", "belief"), texts, strict=True):
                 sentence(f"{key}.{field}", text)
             # Plain values: models of a type are distinguished by them.
-            plain = [dict(change) for change in changes]
-            result.append(Parameter(str(fact), [], plain, *texts))
-        if not result:
-            raise InputError("domain.facts", dict(given), "at least one fact, here or by believed")
-        return tuple(result)
+            plain = [f"{' '.join(item).strip()}: {value}" for item, value in change.items()]
+            yield Parameter(str(fact), [], plain, *texts), change
 
     def model(self, values: Mapping[str, Any]) -> GoalTask:
         """The task of somebody who holds these values.
@@ -168,18 +173,25 @@ class PDDL:
 
     def _name_states(self, given: Mapping[str, str | Sequence[str]]) -> None:
         """Names actions and features; features are the atoms that differ between states."""
+        self._table = self._beliefs.table()
+        atoms = [" ".join(atom) for atom in self._beliefs.atoms]
         self.actions = tuple(" ".join(action) for action in self._beliefs.actions)
-        table = self._beliefs.bits.table(self._beliefs.states)
-        varying = np.flatnonzero(table.any(axis=0) & ~table.all(axis=0))
-        names = [" ".join(self._beliefs.bits.atoms[i]) for i in varying]
+        varying = np.flatnonzero(self._table.any(axis=0) & ~self._table.all(axis=0))
+        names = [atoms[i] for i in varying]
         counted = [
-            counts(f"domain.features.{name}", patterns, self.task, self._beliefs.bits.number, table)
+            count(
+                f"domain.features.{name}",
+                patterns,
+                self.task,
+                [f"({x})" for x in atoms],
+                self._table,
+            )
             for name, patterns in given.items()
         ]
         self.feature_names = (*names, *map(str, given))
         if len(set(self.feature_names)) < len(self.feature_names):
             raise InputError("domain.features", list(given), "names that no atom has")
-        self.state_features = np.column_stack([table[:, varying], *counted]).astype(np.float64)
+        self.state_features = np.column_stack([self._table[:, varying], *counted]).astype(float)
 
     def _starts(self, starts: object, robot: GoalTask) -> NDArray[np.int64]:
         """See the class."""
@@ -240,16 +252,14 @@ class PDDL:
 
     def changes(self, transition: NDArray[np.int64]) -> tuple[str, ...]:
         """What a transition makes true and false: "now holding a", "no longer clear a"."""
-        before, after = self._beliefs.bits.table(self._beliefs.states[transition[[0, 2]]])
-        atoms = self._beliefs.bits.atoms
-        return self.words.changes(
-            *([atoms[i] for i in np.flatnonzero(row)] for row in (before, after))
-        )
+        return self.words.changes(*(self._atoms(int(state)) for state in transition[[0, 2]]))
 
     def state(self, number: int) -> tuple[str, ...]:
         """The changeable atoms that hold in a state, as PDDL writes them."""
-        row = self._beliefs.bits.table(self._beliefs.states[[number]])[0]
-        return tuple(pddl(self._beliefs.bits.atoms[i]) for i in np.flatnonzero(row))
+        return tuple(f"({' '.join(atom)})" for atom in self._atoms(number))
+
+    def _atoms(self, state: int) -> list[tuple[str, ...]]:
+        return [self._beliefs.atoms[i] for i in np.flatnonzero(self._table[state])]
 
     def position(self, state: int) -> None:
         """None: there is no map."""

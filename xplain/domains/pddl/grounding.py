@@ -1,270 +1,220 @@
-"""Ground actions of a task under every combination of the facts that affect them."""
+"""Ground actions as bit masks, under every combination of the facts that affect them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.domains.pddl.changes import Change, applied
-from xplain.domains.pddl.task import EQUAL, Action, Atom, Literal, Task, pddl, substituted
-from xplain.errors import TooLargeError, XplainError
+from xplain.domains.pddl.task import Item, Items, Task, changed, substitute, texts
+from xplain.domains.pddl.translator import Source, instantiate, lifted, reach, translate
+from xplain.errors import TooLargeError
 
-MAX_VARIANTS = 200_000
-"""Most ground actions, each counted once for every combination of facts about its schema."""
-Atoms = tuple[Atom, ...]
-
-
-@dataclass(frozen=True)
-class Ground:
-    """Preconditions and effects of a ground action; sorted, and only atoms that can change.
-
-    Attributes:
-        holds, lacks: atoms that must hold, or must not.
-        effects: (holds, lacks, adds, deletes) of each condition.
-    """
-
-    holds: Atoms
-    lacks: Atoms
-    effects: tuple[tuple[Atoms, Atoms, Atoms, Atoms], ...]
+Wrong = frozenset[int]
+"""The facts that somebody believes incorrectly."""
+Masks = tuple[int, int]
+"""Two sets of atoms, a bit each: those that hold, and those that do not."""
+Ground = tuple[int, int, tuple[tuple[int, ...], ...]]
+"""What a ground action asks for, as :data:`Masks`, and its effects: (holds, lacks, adds, deletes),
+the first two as a condition."""
+MOST_FACTS = 12
+"""Most facts about what one ground action asks for and does: all their combinations are tried."""
+SOURCE = Source("domain.facts", "", "")
+"""What was read without an error before."""
 
 
 class Grounding:
-    """A task and its facts, grounded.
+    """A task and the facts about it, grounded: actions that cannot be reached in any belief are
+    left out.
 
     Args:
         task: the robot's.
-        facts: the changes of each.
-        more: actions that changes may add.
+        facts: what each changes.
 
     Attributes:
-        actions: A ground actions, (schema, object, …), in the order of the files.
-        variants: V of them, an action as some belief has it; ``action`` [V] is the action of each.
-        atoms: those that can change, sorted.
-        changing: their predicates.
+        actions: (name, object, …) of each, in the order of the files.
+        variants: the distinct forms that some belief gives an action; ``action`` [V] says which.
+        bits: of the atoms that can change, sorted.
+        start: the robot's initial state.
+        starts: of each fact about the start that the robot can change: the atoms in which it
+            differs, and those of them that hold.
+        about_goal, about_cost: the facts that affect goals and costs.
 
     Raises:
-        XplainError: the function that is the cost of an action has no value, or not a positive one.
-        TooLargeError: more than MAX_VARIANTS.
+        TooLargeError: more than MOST_FACTS facts affect what one ground action asks for and does.
     """
 
-    def __init__(
-        self,
-        task: Task,
-        facts: Sequence[Sequence[Change]],
-        more: Mapping[str, Action],
-    ) -> None:
-        """Grounds every schema once for each combination of the facts that affect it."""
-        self._facts = facts
-        self.task_of = cache(lambda wrong: self._task_of(task, wrong, more))
-        tasks = [task, *(self.task_of(frozenset({j})) for j in range(len(facts)))]
-        self.changing = {
-            effect.literal.atom[0]
-            for some in tasks
-            for action in some.actions.values()
-            for effect in action.effects
+    def __init__(self, task: Task, facts: Sequence[Items]) -> None:
+        """Grounds the task."""
+        self._task, self._facts = task, facts
+        relaxed = translate(task, self._relax(), SOURCE)
+        self._names = {x.name: [y.name for y in x.parameters] for x in relaxed.actions}
+        self._things = instantiate.get_objects_by_type(relaxed.objects, relaxed.types)
+        changing = {effect.literal.predicate for x in relaxed.actions for effect in x.effects}
+        model = reach(relaxed)
+        order = {name: i for i, name in enumerate(self._names)}
+        actions = (
+            (x.predicate.name, *x.args) for x in model if isinstance(x.predicate, lifted.Action)
+        )
+        self.actions = sorted(actions, key=lambda action: (order[action[0]], action))
+        self.bits = {
+            atom: 1 << i
+            for i, atom in enumerate(sorted(x for x in model if x.predicate in changing))
         }
-        names = dict.fromkeys(name for some in tasks for name in some.actions)
-        self._relevant = {
-            name: [j for j in range(len(facts)) if self._bears(tasks, j, name)] for name in names
-        }
-        tables = {
-            (name, wrong): self._ground(self.task_of(wrong), name)
-            for name, own in self._relevant.items()
-            for wrong in _subsets(own)
-        }
-        possible = self._possible(tables, [some.initial for some in tasks])
-        self._number(tables, possible, tasks)
+        self.start = sum(self.bits.get(_atom(text), 0) for text in texts(task.items, "initial"))
+        self._static: dict[str, list[int]] = defaultdict(list)
+        self.starts: dict[int, Masks] = {}
+        for j, fact in enumerate(facts):
+            differing = added = 0
+            for item in (item for item in fact if item.kind == "initial"):
+                bit = self.bits.get(_atom(item.text))
+                if bit is None:
+                    self._static[item.text].append(j)
+                else:
+                    differing, added = differing | bit, added | bit * (fact[item] is not None)
+            if differing:
+                self.starts[j] = differing, added
+        self._about_static = frozenset[int]().union(*self._static.values())
+        self.about_goal = self._about("goal") | self._about_static
+        self.about_cost = self._about("cost", "function")
+        self._items = cache(lambda wrong: changed(task.items, *(facts[j] for j in sorted(wrong))))
+        self._initial, self._schema = cache(self._read_initial), cache(self._read_schema)
+        self.cost = cache(self._read_costs)
+        self._number_variants()
 
-    def _task_of(self, task: Task, wrong: frozenset[int], more: Mapping[str, Action]) -> Task:
-        for j in sorted(wrong):
-            task = applied(task, self._facts[j], more, "", strict=False)
-        return task
+    def _relax(self) -> Items:
+        """The items of a task in which all can happen that can happen in any belief."""
+        result, loose = dict(self._task.items), set()
+        for fact in self._facts:
+            for item, value in fact.items():
+                asks = item.kind in ("precondition", "cost")
+                if asks and Item("action", item.owner) not in fact:
+                    loose.add(item)
+                elif value is not None:
+                    result[item] = value
+        return {item: value for item, value in result.items() if item not in loose}
 
-    def _bears(self, tasks: Sequence[Task], fact: int, name: str) -> bool:
-        """Whether a fact changes the ground actions of a schema, their effects or their costs."""
-        before, after = tasks[0], tasks[fact + 1]
-        if before.actions.get(name) != after.actions.get(name):
-            return True
-        versions = [task.actions[name] for task in tasks if name in task.actions]
-        asked = {x.atom[0] for action in versions for x in action.conditions()} - self.changing
-        if any(atom[0] in asked for atom in before.initial ^ after.initial):
-            return True
-        functions = {action.cost[0] for action in versions if isinstance(action.cost, tuple)}
-        changed = before.values.items() ^ after.values.items()
-        return any(atom[0] in functions for atom, _ in changed)
+    def _about(self, *kinds: str, owner: str = "") -> Wrong:
+        """The facts that change an item of these kinds; of an action, if it is given."""
+        return frozenset(
+            j
+            for j, fact in enumerate(self._facts)
+            if any(item.kind in kinds and owner in ("", item.owner) for item in fact)
+        )
 
-    def _ground(self, task: Task, name: str) -> dict[tuple[str, ...], tuple[Ground, float]]:
-        """Preconditions, effects and cost of each ground action of a schema, by its objects."""
-        found: dict[tuple[str, ...], tuple[Ground, float]] = {}
-        action = task.actions.get(name)
-        if action is None:
-            return found
-        for binding in _bindings(task, action, self.changing):
-            made = self._made(task, action, binding)
-            if made is not None:
-                found[tuple(binding.values())] = made, _cost(task, action, binding)
-                if len(found) > MAX_VARIANTS:
-                    raise _too_many()
-        return found
+    def _read_initial(self, wrong: Wrong) -> Any:
+        """The initial atoms as these people believe them; each object equals itself."""
+        equal = {lifted.Atom("=", (name, name)) for name in self._task.objects}
+        return equal.union(map(_atom, texts(self._items(wrong), "initial")))
 
-    def _made(self, task: Task, action: Action, binding: Mapping[str, str]) -> Ground | None:
-        """None if its preconditions never hold."""
-        needs = self._split(task, (x.substituted(binding) for x in action.preconditions))
-        if needs is None:
-            return None
-        effects: dict[tuple[Atoms, Atoms], tuple[set[Atom], set[Atom]]] = {}
-        for effect in action.effects:
-            condition = self._split(task, (x.substituted(binding) for x in effect.condition))
-            if condition is not None:
-                literal = effect.literal.substituted(binding)
-                effects.setdefault(condition, (set(), set()))[0 if literal.positive else 1].add(
-                    literal.atom
+    def _read_schema(self, name: str, wrong: Wrong) -> Any:
+        """An action as these people believe it to be; None if it does not exist or does nothing."""
+        own = {item: value for item, value in self._items(wrong).items() if item.owner == name}
+        found = translate(self._task, own if Item("action", name) in own else {}, SOURCE).actions
+        return found[0] if found else None
+
+    def _number_variants(self) -> None:
+        """Grounds each action under all combinations of the facts about it."""
+        about = {x: self._about("action", "precondition", "effect", owner=x) for x in self._names}
+        asked = defaultdict(set)
+        for item in {item for items in (self._task.items, *self._facts) for item in items}:
+            asked[item.owner].update(re.findall(r"\([^()]+\)", item.text))
+        number: dict[tuple[int, Ground], int] = {}
+        groups: dict[tuple[int, ...], list[tuple[int, list[int]]]] = defaultdict(list)
+        for a, (name, *objects) in enumerate(self.actions):
+            binding = dict(zip(self._names[name], objects, strict=True))
+            own = set(about[name])
+            for pattern in (substitute(text, binding) for text in asked[name] if self._static):
+                any_object = re.sub(r"\\\?[^\s()]+", r"\\S+", re.escape(pattern))
+                own.update(*(j for x, j in self._static.items() if re.fullmatch(any_object, x)))
+            if len(own) > MOST_FACTS:
+                raise TooLargeError(
+                    f"domain: {len(own)} facts affect the action {' '.join(self.actions[a])}; at "
+                    f"most {MOST_FACTS} can be combined: join some of them into one fact"
                 )
-        done = tuple((*c, *(tuple(sorted(x)) for x in e)) for c, e in sorted(effects.items()))
-        return Ground(*needs, done)  # type: ignore[arg-type]
+            row, facts = [], tuple(sorted(own))
+            for subset in range(1 << len(facts)):
+                wrong = frozenset(j for i, j in enumerate(facts) if subset >> i & 1)
+                made = self._ground(name, binding, wrong)
+                row.append(-1 if made is None else number.setdefault((a, made), len(number)))
+            groups[facts].append((a, row))
+        self.variants = [made for _, made in number]
+        self.action = np.array([a for a, _ in number], dtype=np.int32)
+        self._choices = {
+            x: [np.array(y) for y in zip(*own, strict=True)] for x, own in groups.items()
+        }
 
-    def _split(self, task: Task, literals: Iterator[Literal]) -> tuple[Atoms, Atoms] | None:
-        """The atoms that must hold and must not, without those that never change. None if one of
-        these contradicts it, or two literals contradict each other."""
-        holds: set[Atom] = set()
-        lacks: set[Atom] = set()
+    def _ground(self, name: str, binding: Any, wrong: Wrong) -> Ground | None:
+        """An action for some objects, as these people believe it to be; None: it never happens."""
+        action = self._schema(
+            name, wrong & self._about("action", "precondition", "effect", owner=name)
+        )
+        initial = self._initial(wrong & self._about_static)
+        made = action and action.instantiate(binding, initial, {}, self.bits, self._things, False)
+        if made is None:
+            return None
+        effects: dict[Masks, list[int]] = defaultdict(lambda: [0, 0])
+        for i, part in enumerate((made.add_effects, made.del_effects)):
+            for condition, atom in part:
+                effects[self._masks(condition)][i] |= self.bits[atom]
+        done = tuple((*condition, *both) for condition, (*both,) in sorted(effects.items()))
+        return (*self._masks(made.precondition), done)
+
+    def _masks(self, literals: Iterable[Any]) -> Masks:
+        masks = [0, 0]
         for literal in literals:
-            if literal.atom[0] in self.changing:
-                (holds if literal.positive else lacks).add(literal.atom)
-            elif static_holds(task, literal) is False:
-                return None
-        return None if holds & lacks else (tuple(sorted(holds)), tuple(sorted(lacks)))
+            masks[literal.negated] |= self.bits[literal.positive()]
+        return masks[0], masks[1]
 
-    @staticmethod
-    def _possible(
-        tables: Mapping[tuple[str, frozenset[int]], Mapping[tuple[str, ...], tuple[Ground, float]]],
-        initial: Sequence[frozenset[Atom]],
-    ) -> dict[tuple[tuple[str, ...], Ground], None]:
-        """The (ground action, effects) that can happen if nothing is ever deleted."""
-        waiting = dict.fromkeys(
-            ((name, *objects), made)
-            for (name, _), table in tables.items()
-            for objects, (made, _) in table.items()
-        )
-        if len(waiting) > MAX_VARIANTS:
-            raise _too_many()
-        reached = {atom for atoms in initial for atom in atoms}
-        possible: dict[tuple[tuple[str, ...], Ground], None] = {}
-        while True:
-            before = len(reached), len(possible)
-            for one in list(waiting):
-                if reached.issuperset(one[1].holds):
-                    possible[one] = None
-                    del waiting[one]
-            for _, made in possible:
-                for holds, _, adds, _ in made.effects:
-                    if reached.issuperset(holds):
-                        reached.update(adds)
-            if (len(reached), len(possible)) == before:
-                return possible
+    def choose(self, wrong: Wrong) -> NDArray[np.int64]:
+        """[A] the variant of each action for these people; −1: none."""
+        result = np.full(len(self.actions), -1, dtype=np.int64)
+        for facts, (own, variants) in self._choices.items():
+            result[own] = variants[:, sum(1 << i for i, j in enumerate(facts) if j in wrong)]
+        return result
 
-    def _number(self, tables, possible, tasks) -> None:  # type: ignore[no-untyped-def]
-        """Numbers actions, variants and atoms."""
-        order = {name: i for i, name in enumerate(self._relevant)}
-        self.actions = tuple(
-            sorted({action for action, _ in possible}, key=lambda a: (order[a[0]], a))
-        )
-        number = {action: i for i, action in enumerate(self.actions)}
-        listed = sorted(possible, key=lambda one: number[one[0]])
-        variant = {one: i for i, one in enumerate(listed)}
-        self.variants = tuple(made for _, made in listed)
-        self.action = np.array([number[action] for action, _ in listed], dtype=np.int32)
-        self._choices = {}
-        for (name, wrong), table in tables.items():
-            rows = [
-                (number[action], variant[action, made], cost)
-                for objects, (made, cost) in table.items()
-                if ((action := (name, *objects)), made) in variant
-            ]
-            self._choices[name, wrong] = rows
-        atoms = {atom for task in tasks for atom in task.initial if atom[0] in self.changing}
-        for made in self.variants:
-            atoms.update(made.holds)
-            for _, _, adds, deletes in made.effects:
-                atoms.update(adds, deletes)
-        atoms.update(x.atom for task in tasks for x in task.goal if x.atom[0] in self.changing)
-        self.atoms = tuple(sorted(atoms))
+    def _read_costs(self, wrong: Wrong) -> NDArray[np.float64]:
+        """[A] the cost of each action for these people; NaN where it has none, so that the action
+        does not exist."""
+        items, result = self._items(wrong), []
+        for name, *objects in self.actions:
+            cost = items.get(Item("cost", name), np.nan)
+            if isinstance(cost, str):
+                function = substitute(cost, dict(zip(self._names[name], objects, strict=True)))
+                cost = items.get(Item("function", "", function), np.nan)
+            result.append(cost)
+        return np.array(result, dtype=np.float64)
 
-    def chosen(self, wrong: frozenset[int]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """For somebody who holds these facts wrong, [A] the variant of each action (−1: none) and
-        [A] its cost (1 where there is none)."""
-        variant = np.full(len(self.actions), -1, dtype=np.int64)
-        cost = np.ones(len(self.actions))
-        for name, own in self._relevant.items():
-            for action, number, price in self._choices[name, wrong & frozenset(own)]:
-                variant[action], cost[action] = number, price
-        return variant, cost
+    def goal(self, wrong: Wrong) -> Masks | None:
+        """What these people take for the goal; None if it cannot be met."""
+        return self._meet(texts(self._items(wrong), "goal"), wrong)
+
+    def common_goal(self) -> Masks | None:
+        """What meets the goals of all beliefs; None if nothing does."""
+        every = {
+            text for items in (self._task.items, *self._facts) for text in texts(items, "goal")
+        }
+        touched = any(atom in text for text in every for atom in self._static)
+        return None if touched else self._meet(every, frozenset())
+
+    def _meet(self, literals: Iterable[str], wrong: Wrong) -> Masks | None:
+        items = {Item("goal", "", text): True for text in literals}
+        goal = translate(self._task, items, SOURCE).goal
+        initial = self._initial(wrong & self._about_static)
+        found = instantiate.instantiate_goal(goal, initial, self.bits)
+        return None if found is None else self._masks(found)
 
 
-def static_holds(task: Task, literal: Literal) -> bool | None:
-    """Whether a literal that never changes holds; None while a parameter is not replaced."""
-    if any(argument.startswith("?") for argument in literal.atom[1:]):
-        return None
-    if literal.atom[0] == EQUAL:
-        return (literal.atom[1] == literal.atom[2]) == literal.positive
-    return (literal.atom in task.initial) == literal.positive
+def _atom(text: str) -> Any:
+    name, *arguments = text.strip("()").split()
+    return lifted.Atom(name, arguments)
 
 
-def _cost(task: Task, action: Action, binding: Mapping[str, str]) -> float:
-    """The cost of a ground action.
-
-    Raises:
-        XplainError: it is a function whose value is not positive, or not given.
-    """
-    if not isinstance(action.cost, tuple):
-        return action.cost
-    term = substituted(action.cost, binding)
-    cost = task.values.get(term, 0.0)
-    if cost <= 0:
-        value = f"{cost:g}" if term in task.values else "not given"
-        raise XplainError(
-            f"domain.problem: the action {' '.join([action.name, *binding.values()])} costs "
-            f"{pddl(term)}, which is {value}; every cost must be > 0"
-        )
-    return cost
-
-
-def _bindings(task: Task, action: Action, changing: set[str]) -> Iterator[dict[str, str]]:
-    """Objects for the parameters with which the preconditions that never change hold."""
-    static = [x for x in action.preconditions if x.atom[0] not in changing]
-    objects = [task.of_type(kind) for _, kind in action.parameters]
-    binding: dict[str, str] = {}
-
-    def extend(place: int) -> Iterator[dict[str, str]]:
-        if place == len(objects):
-            yield dict(binding)
-            return
-        name = action.parameters[place][0]
-        asked = [x for x in static if name in x.atom]
-        for candidate in objects[place]:
-            binding[name] = candidate
-            if all(static_holds(task, x.substituted(binding)) is not False for x in asked):
-                yield from extend(place + 1)
-        binding.pop(name, None)
-
-    if all(static_holds(task, x) is not False for x in static):
-        yield from extend(0)
-
-
-def _subsets(items: Sequence[int]) -> Iterator[frozenset[int]]:
-    if len(items) > 12:
-        raise TooLargeError(
-            f"domain: {len(items)} facts affect one action; at most 12 can be combined"
-        )
-    for mask in range(1 << len(items)):
-        yield frozenset(item for i, item in enumerate(items) if mask >> i & 1)
-
-
-def _too_many() -> TooLargeError:
-    return TooLargeError(
-        f"domain: more than {MAX_VARIANTS} ground actions; use fewer objects, or narrower types"
-    )
+def meets(state: int, masks: Sequence[Any]) -> bool:
+    """Whether a state has all atoms of the first set, and none of the second."""
+    return not (~state & masks[0] or state & masks[1])

@@ -1,76 +1,32 @@
-"""A lifted planning task: the content of its files, as plain values that can be compared."""
+"""A planning task as items of text, which can be compared and changed."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-
-Atom = tuple[str, ...]
-"""A predicate (or a function) and its arguments: objects, or parameters such as ``?x``."""
-EQUAL = "="
+from typing import Any, NamedTuple
 
 
-def pddl(atom: Atom) -> str:
-    """As PDDL writes it: "(on ?x b)"."""
-    return f"({' '.join(atom)})"
-
-
-def substituted(atom: Atom, binding: Mapping[str, str]) -> Atom:
-    """The atom with its parameters replaced."""
-    return (atom[0], *(binding.get(argument, argument) for argument in atom[1:]))
-
-
-@dataclass(frozen=True, order=True)
-class Literal:
-    """An atom that must hold, or must not hold."""
-
-    atom: Atom
-    positive: bool = True
-
-    def __str__(self) -> str:
-        return pddl(self.atom) if self.positive else f"(not {pddl(self.atom)})"
-
-    def substituted(self, binding: Mapping[str, str]) -> Literal:
-        """The literal with its parameters replaced."""
-        return Literal(substituted(self.atom, binding), self.positive)
-
-
-@dataclass(frozen=True, order=True)
-class Effect:
-    """What an action makes true or false if all of ``condition`` (sorted) held before."""
-
-    literal: Literal
-    condition: tuple[Literal, ...] = ()
-
-    def __str__(self) -> str:
-        if not self.condition:
-            return str(self.literal)
-        one = " ".join(map(str, self.condition))
-        return f"(when {one if len(self.condition) == 1 else f'(and {one})'} {self.literal})"
-
-
-@dataclass(frozen=True)
-class Action:
-    """An action schema.
+class Item(NamedTuple):
+    """One thing that a task says.
 
     Attributes:
-        parameters: (name, type) of each; names begin with ``?``.
-        preconditions: all must hold.
-        effects: all that apply happen at once; an atom that is added and deleted is added.
-        cost: a number, or a function (with arguments) whose initial value is the cost.
+        kind: ``action`` (its value: (name, type) of each parameter), ``precondition`` and
+            ``effect`` (of an action; True), ``cost`` (of an action; a number, or the text of a
+            function), ``initial`` and ``goal`` (True), ``function`` (a number).
+        owner: the action's name; empty for items of the problem.
+        text: the literal, the effect or the function as :func:`write` has it; empty for ``action``
+            and ``cost``.
     """
 
-    name: str
-    parameters: tuple[tuple[str, str], ...]
-    preconditions: frozenset[Literal]
-    effects: frozenset[Effect]
-    cost: float | Atom
+    kind: str
+    owner: str = ""
+    text: str = ""
 
-    def conditions(self) -> Iterator[Literal]:
-        """Preconditions and conditions of effects."""
-        yield from self.preconditions
-        for effect in self.effects:
-            yield from effect.condition
+
+Items = Mapping[Item, Any]
+"""Items with their values. As a change of a task, None says that there is no such item."""
 
 
 @dataclass(frozen=True)
@@ -78,31 +34,50 @@ class Task:
     """A domain and a problem.
 
     Attributes:
-        parents: each type's supertype; "" for those that have none.
+        types: the domain's section of types.
+        parents: the supertypes of each type.
         objects: each object's type, constants included.
-        predicates: each predicate's parameters, (name, type).
-        functions: the number of arguments of each function that a cost may use.
-        actions: by name.
-        initial: the atoms that hold at the start.
-        values: of functions; they never change.
-        goal: all must hold.
+        predicates, functions: the parameters of each, (name, type).
+        items: all else.
     """
 
-    parents: Mapping[str, str]
+    types: str
+    parents: Mapping[str, tuple[str, ...]]
     objects: Mapping[str, str]
-    predicates: Mapping[str, tuple[tuple[str, str], ...]]
-    functions: Mapping[str, int]
-    actions: Mapping[str, Action]
-    initial: frozenset[Atom]
-    values: Mapping[Atom, float]
-    goal: frozenset[Literal]
+    predicates: Mapping[str, tuple[tuple[str, Any], ...]]
+    functions: Mapping[str, tuple[tuple[str, Any], ...]]
+    items: Items
 
-    def is_a(self, object_type: str, wanted: str) -> bool:
+    def is_a(self, kind: str, wanted: str) -> bool:
         """Whether a type is another, or a subtype of it."""
-        while object_type and object_type != wanted:
-            object_type = self.parents.get(object_type, "")
-        return object_type == wanted or wanted == "object"
+        return wanted in (kind, "object", *self.parents[kind])
 
-    def of_type(self, wanted: str) -> tuple[str, ...]:
-        """The objects of a type, in the order of the files."""
-        return tuple(name for name, own in self.objects.items() if self.is_a(own, wanted))
+
+def changed(items: Items, *changes: Items) -> dict[Item, Any]:
+    """The items after all changes; the last one holds."""
+    result = dict(items)
+    for change in changes:
+        result |= change
+    return {item: value for item, value in result.items() if value is not None}
+
+
+def texts(items: Items, kind: str, owner: str = "") -> Iterator[str]:
+    """The texts of the items of a kind that are there."""
+    for item, value in items.items():
+        if item[:2] == (kind, owner) and value is not None:
+            yield item.text
+
+
+def write(node: Any) -> str:
+    """Nested lists as PDDL, such as (not (on ?x b)); conjuncts and sides of "=" are sorted."""
+    if isinstance(node, str):
+        return node
+    parts = [write(part) for part in node]
+    if parts and parts[0] in ("and", "="):
+        parts[1:] = sorted(parts[1:])
+    return f"({' '.join(parts)})"
+
+
+def substitute(text: str, binding: Mapping[str, str]) -> str:
+    """The text with its variables replaced."""
+    return re.sub(r"\?[^\s()]+", lambda found: binding.get(found[0], found[0]), text)

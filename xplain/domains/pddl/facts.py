@@ -1,0 +1,173 @@
+"""Facts that people may believe incorrectly: changes that lead from the robot's task to what they
+believe, their names, and what they say.
+
+A change is a mapping as YAML has it, such as ``{action: pick-up, drop_precondition: (handempty)}``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from xplain.domains.pddl.task import Item, Items, Task, changed, substitute
+from xplain.domains.pddl.translator import Source, read_text, tidy
+from xplain.domains.pddl.words import Words
+from xplain.errors import InputError, Range, number, one_of
+
+Change = Mapping[str, Any]
+OF_ACTIONS = ("drop_precondition", "add_precondition", "drop_effect", "add_effect", "cost")
+"""What a change can do to the action that it names; one at a time."""
+OF_TASKS = ("drop_initial", "add_initial", "drop_goal", "add_goal", "drop_action", "add_action")
+"""What else a change can do; one at a time. Another one is ``function`` with its ``value``."""
+NAMES = {
+    "action": "can_{0}",
+    "precondition": "{0}_needs_{1}",
+    "effect": "{0}_makes_{1}",
+    "cost": "{0}_cost",
+    "initial": "start_{1}",
+    "goal": "goal_{1}",
+    "function": "value_{1}",
+}
+"""The names of differences, from the action and the expression; in the order of facts."""
+
+
+def read_changes(key: str, value: Any, task: Task, other: Items) -> Items:
+    """What the changes of a fact, one or a list of them, make of the task's items.
+
+    Args:
+        key, value: as in the configuration.
+        task: the robot's.
+        other: the items of a believed task, whose actions ``add_action`` may name.
+
+    Raises:
+        InputError: a change has no such form, or does not fit the task.
+    """
+    listed = [value] if isinstance(value, Mapping) else value
+    if isinstance(listed, str) or not isinstance(listed, Sequence) or not listed:
+        raise InputError(key, value, "a change or a list of changes")
+    made: dict[Item, Any] = {}
+    for change in listed:
+        fields = set(change) if isinstance(change, Mapping) else set()
+        kind = next(iter(fields - {"action", "value"}), "")
+        beside = {"action"} if kind in OF_ACTIONS else {"value"} if kind == "function" else set()
+        if kind not in (*OF_ACTIONS, *OF_TASKS, "function") or fields != {kind, *beside}:
+            allowed = (
+                f"action with one of {', '.join(OF_ACTIONS)}; or one of {', '.join(OF_TASKS)}; or "
+                "function with value"
+            )
+            raise InputError(key, change, allowed)
+        present = replace(task, items=changed(task.items, made))
+        made |= _read_change(key, kind, change, present, other)
+    return made
+
+
+def _read_change(key: str, kind: str, change: Change, task: Task, other: Items) -> Items:
+    """What one change makes of the items of a task."""
+    source = Source(f"{key}.{kind}", change[kind], str(change[kind]).lower())
+    owner = str(change.get("action", "")).lower()
+    if owner:
+        one_of(f"{key}.action", owner, _actions(task.items), "action")
+    does, _, what = kind.partition("_")
+    if what == "action":
+        there = task.items if does == "drop" else other
+        name = one_of(source.key, source.text, _actions(there), "action")
+        own = {Item("action", name): None} if does == "drop" else there.items()
+        return {item: value for item, value in dict(own).items() if item.owner == name}
+    signature = task.items.get(Item("action", owner), ())
+    functions = replace(task, predicates=task.functions)
+    if kind == "cost" and not isinstance(change[kind], str):
+        return {Item(kind, owner): number(source.key, change[kind], Range(0))}
+    of_values = kind in ("cost", "function")
+    text = read_text(functions if of_values else task, signature, source, what == "effect")
+    if kind == "cost":
+        return {Item(kind, owner): text}
+    if kind == "function":
+        value = change["value"]
+        return {Item(kind, "", text): value if value is None else number(key, value, Range(0))}
+    item = Item(what, owner, text)
+    if what == "initial" and item.text.startswith("(not"):
+        raise InputError(source.key, source.value, "an atom such as (on a b)")
+    if (item in task.items) == (does == "add"):
+        known = sorted(x.text for x in task.items if x[:2] == item[:2])
+        absent = f"does not exist; known: {', '.join(known) or 'none'}"
+        raise InputError(source.key, item.text, "exists already" if does == "add" else absent)
+    return {item: True if does == "add" else None}
+
+
+def _actions(items: Items) -> list[str]:
+    return [item.owner for item in items if item.kind == "action"]
+
+
+def find_differences(robot: Task, believed: Task, key: str) -> Mapping[str, Items]:
+    """Each item in which two tasks differ, by a name of its own, such as pick_up_needs_handempty,
+    with what people believe.
+
+    Parameters of actions are compared by position. Items that name a predicate that only one task
+    has are one difference. A function's value that only one task has belongs to an initial atom
+    with the same arguments that only this task has, if there is one.
+
+    Raises:
+        InputError: they differ in objects, types, or the parameters of an action.
+    """
+    for ours, theirs in ((robot.objects, believed.objects), (robot.parents, believed.parents)):
+        if other := sorted(name for name, _ in ours.items() ^ theirs.items()):
+            raise InputError(key, other[0], "objects and types must be the same")
+    items = _rename(robot, believed, key)
+    unknown = {*robot.predicates} ^ {*believed.predicates}
+    both = {*_actions(robot.items)} & {*_actions(items)} | {""}
+    found: dict[str, dict[Item, Any]] = {}
+    names: dict[Any, str] = {}
+    order = [*NAMES]
+    every = sorted({*robot.items, *items}, key=lambda x: (not x.owner, x[1], order.index(x[0]), x))
+    for item in every:
+        old, new = robot.items.get(item), items.get(item)
+        if old == new or (item.owner not in both and item.kind != "action"):
+            continue
+        more = {x: v for x, v in items.items() if old is None and x.owner == item.owner}
+        made = {item: new} | (more if item.kind == "action" else {})
+        name = _name(item, found)
+        words = set(re.findall(r"[^\s()]+", " ".join(x.text for x in made)))
+        keys = [*sorted(words & unknown), (item.text.partition(" ")[2], old is None, new is None)]
+        if item.kind == "function" or len(keys) > 1:
+            name = next((names[key] for key in keys if key in names), name)
+        names |= dict.fromkeys(keys if item.kind == "initial" else keys[:-1], name)
+        found.setdefault(name, {}).update(made)
+    return found
+
+
+def _rename(robot: Task, believed: Task, key: str) -> dict[Item, Any]:
+    """The believed items with the robot's names of the parameters of actions."""
+    result: dict[Item, Any] = {}
+    for item, value in believed.items.items():
+        signature = believed.items.get(Item("action", item.owner), ())
+        own = robot.items.get(Item("action", item.owner), signature)
+        if [kind for _, kind in own] != [kind for _, kind in signature]:
+            raise InputError(f"{key}.{item.owner}", signature, f"parameters as {own}")
+        names = dict(zip(dict(signature), dict(own), strict=True))
+        if item.kind == "action":
+            value = own
+        elif isinstance(value, str):
+            value = tidy(substitute(value, names))
+        result[item._replace(text=tidy(substitute(item.text, names)))] = value
+    return result
+
+
+def _name(item: Item, taken: Mapping[str, Any]) -> str:
+    """A name for a difference that no other has."""
+    parts = (re.sub(r"[^a-z0-9]+", "_", text).strip("_") for text in (item.owner, item.text))
+    owner, text = parts
+    name = NAMES[item.kind].format(owner, text.removeprefix("when_"))
+    others = sum(re.fullmatch(rf"{name}(_\d+)?", x) is not None for x in taken)
+    return f"{name}_{others + 1}" if others else name
+
+
+def describe(task: Task, fact: Items, words: Words) -> tuple[str, str]:
+    """Two texts: what is true, and what somebody who believes a fact incorrectly believes."""
+    pairs = [
+        words.describe(item, task.items.get(item), value)
+        for item, value in fact.items()
+        if item.kind == "action" or Item("action", item.owner) not in fact
+    ]
+    return " ".join(true for true, _ in pairs), " ".join(believed for _, believed in pairs)
