@@ -167,7 +167,9 @@ def test_a_file_takes_their_place(setting: Setting, tmp_path: Path) -> None:
     assert (again.label == dataset.label).all()
 
 
-def test_a_file_may_hold_more_than_the_domain_asks_for(setting: Setting, tmp_path: Path) -> None:
+def test_a_file_may_hold_more_than_the_domain_asks_for(
+    setting: Setting, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     dataset, _ = labelled(setting, Independent())
     path = tmp_path / "people.csv"
     write_table(dataset, path)
@@ -178,6 +180,12 @@ def test_a_file_may_hold_more_than_the_domain_asks_for(setting: Setting, tmp_pat
         again = FileObservers(str(path), **options).collect(setting, Shared(), 0).dataset  # type: ignore[arg-type]
         assert again.feature_names == names
         assert (again.label == dataset.label).all()
+    # One age a person is no feature of a step, and left out with a line.
+    again = FileObservers(str(path)).collect(setting, Shared(), 0).dataset
+    assert again.feature_names == names
+    assert "left out: age (the same in all rows of a person)" in caplog.text
+    changing = pd.read_csv(path).assign(age=np.arange(len(dataset)) % 7)
+    changing.to_csv(path, index=False)
     with pytest.raises(InputError, match="age") as caught:
         FileObservers(str(path)).collect(setting, Shared(), 0)
     assert caught.value.key == "observers.path"

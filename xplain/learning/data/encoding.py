@@ -47,13 +47,6 @@ def encoded(
     return tuple(row[name] for name in feature_names)
 
 
-def one_hot(column: str, values: Sequence[str]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """A column of text [P] as one 0/1 feature for each of its values, in alphabetical order:
-    [P, values], and their names."""
-    different, which = np.unique(values, return_inverse=True)
-    return np.eye(len(different))[which], tuple(f"{column}={one}" for one in different)
-
-
 def align(dataset: Dataset, names: tuple[str, ...]) -> Dataset:
     """The same labels with exactly these features, in this order.
 

@@ -1,9 +1,10 @@
 """Tables of labels, CSV or Parquet: one row for each label (docs/your-own-data.md).
 
 Columns: ``observer``; ``messages``, names joined by ``;``, empty for none (no such column: nobody
-was told anything); ``label``, 0 or 1; every other column is a feature of the transition unless a
-list names them. Numbers stay numbers, text becomes one 0/1 feature for each value
-(``action=left``). Rows with equal features are the same transition.
+was told anything); ``label``, 0 or 1; the other columns are features of the transition
+(:func:`read_table`). Numbers stay numbers, text becomes one 0/1 feature for each value
+(``action=left``; :mod:`xplain.learning.data.cells`). Rows with equal features are the same
+transition.
 
 The rules: an observer with few labels, even one, is kept, with a warning. An observer who answers
 the same question in both ways is kept too, and both labels count, because people err.
@@ -14,7 +15,7 @@ or fewer than four distinct (transition, message set) is an error.
 from __future__ import annotations
 
 import logging
-import zlib
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,8 +25,17 @@ from numpy.typing import NDArray
 
 from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of, names_of
+from xplain.learning.data.cells import (
+    MISSING,
+    as_numbers,
+    as_words,
+    check_format,
+    one_hot,
+    option,
+    read_cells,
+)
 from xplain.learning.data.dataset import Dataset, query_index
-from xplain.learning.data.encoding import columns_of, encoded
+from xplain.learning.data.encoding import align, columns_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,7 +43,9 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 COLUMNS = ("observer", "messages", "label")
-MISSING = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "<NA>", "#N/A"]
+NEARLY_ALL = 0.9
+"""A column with more different values than this share of the rows tells no step from another."""
+TRUTH = {"TRUE": "1", "True": "1", "true": "1", "FALSE": "0", "False": "0", "false": "0"}
 MAX_MASK = 62
 """Most messages in a table; a message set is the bits of one integer."""
 MIN_QUERIES = 4
@@ -46,23 +58,27 @@ def read_table(
     features: Sequence[str] | None = None,
     ignore: Sequence[str] = (),
     under_way: bool = False,
+    like: Sequence[str] = (),
 ) -> Dataset:
     """Reads a table of labels.
 
     Args:
         path: ends in ``.csv``, ``.csv.gz`` or ``.parquet``.
         messages: the allowed names, in order; None: those that occur, sorted.
-        features: columns that describe the transition; None: all other columns.
+        features: columns that describe the transition; None: those that can. A column that is the
+            same in all rows of a person, or different in nearly every row, cannot.
         ignore: columns to leave out, if ``features`` is None.
         under_way: accept a table that is too small to learn types from, because more will come.
+        like: names of the features that the table shall have, in their order; they say what is
+            number and what text.
 
     Raises:
         InputError: a rule of this module is broken; the line gives the column, the first bad value
             and its row (1 is the first row of data).
     """
-    table = _load(Path(path), features, ignore)
+    table = _load(Path(path), features, ignore, like)
     told = _told(table, messages)
-    described, names = _features(table.drop(columns=list(COLUMNS)))
+    described, names = read_features(table.drop(columns=list(COLUMNS)), like)
     distinct, transition = _distinct(described)
     dataset = Dataset(
         features=distinct,
@@ -73,47 +89,41 @@ def read_table(
     )
     if not under_way:
         _check(dataset)
+    if like:
+        dataset = align(dataset, tuple(like))
+    nothing = int((dataset.message_set == 0).sum())
+    log.info("data: nothing was told in %d of %d rows", nothing, len(dataset))
     return dataset
 
 
-def read_questions(
-    path: str | Path,
-    like: Dataset,
-    features: Sequence[str] | None = None,
-    ignore: Sequence[str] = (),
-) -> Dataset:
+def read_questions(path: str | Path, like: Dataset) -> tuple[pd.DataFrame, Dataset]:
     """Reads questions whose answers are to be predicted, a row each: a table as of
     :func:`read_table`, in which labels may be missing and observers be new.
 
     Args:
-        path, features, ignore: as of :func:`read_table`.
+        path: of the table.
         like: the labels that predictions are made from; its features and messages may occur.
 
     Returns:
-        The rows, in their order; all labels are 0, and mean nothing.
+        The table as it is, and its rows in their order; all labels are 0, and mean nothing.
 
     Raises:
         InputError: the rows do not fit ``like``.
     """
-    table = _load(Path(path), features, ignore, key="predict")
-    told = _told(table, like.messages)
-    described = table.drop(columns=list(COLUMNS)).reset_index(drop=True)
-    group = described.groupby(list(described.columns), sort=False, dropna=False)
-    first = described.drop_duplicates()  # in the order of the groups
-    rows: list[dict[str, Any]] = [
-        dict(zip(first.columns, row, strict=True)) for row in first.itertuples(index=False)
-    ]
+    table = read_cells(Path(path), "predict")
+    columns = dict.fromkeys(name.partition("=")[0] for name in like.feature_names)
     try:
-        distinct = np.array([encoded(row, like.feature_names) for row in rows])
+        for name in ("observer", *columns):
+            if name not in table.columns:
+                raise InputError("data", str(path), f"lacks the column {name}")
+        told = _told(table.assign(messages=table.get("messages", "")), like.messages)
+        distinct, names = read_features(table[[*columns]], like.feature_names, "predict")
+        distinct, transition = _distinct(distinct)
+        label = np.zeros(len(table), dtype=np.uint8)
+        questions = Dataset(distinct, names, transition=transition, label=label, **told)
+        return table, align(questions, like.feature_names)
     except InputError as error:
         raise InputError("predict", error.value, error.allowed) from None
-    return Dataset(
-        features=distinct,
-        feature_names=like.feature_names,
-        transition=np.asarray(group.ngroup(), dtype=np.int64),
-        label=np.zeros(len(table), dtype=np.uint8),
-        **told,
-    )
 
 
 def write_table(dataset: Dataset, path: str | Path) -> None:
@@ -137,86 +147,64 @@ def write_table(dataset: Dataset, path: str | Path) -> None:
         table.to_csv(path, index=False)
 
 
-def check_format(path: Path, key: str) -> str:
-    """``csv`` or ``parquet``, by the end of the name; ``key`` is the key that the user set.
+def _load(
+    path: Path, features: Sequence[str] | None, ignore: Sequence[str], like: Sequence[str]
+) -> pd.DataFrame:
+    """The columns that count, :data:`COLUMNS` first; without the column of messages nobody was told
+    anything."""
+    table = read_cells(path, "data")
+    columns = [str(name) for name in table.columns]
+    for name in ("observer", "label", *(features or ()), *ignore):
+        if name not in columns:
+            raise InputError("data", str(path), f"lacks the column {name}; it has {columns}")
+    if "messages" not in columns:
+        table["messages"] = ""
+    if features is not None and len({*COLUMNS, *features}) < len(COLUMNS) + len(features):
+        raise InputError("data", [*COLUMNS, *features], "each column once")
+    wanted = features
+    if wanted is None:
+        others = [name for name in columns if name not in {*COLUMNS, *ignore}]
+        wanted = _choose_features(table, others, {name.partition("=")[0] for name in like})
+    if not wanted:
+        raise InputError("data", str(path), "needs a column that describes the transition")
+    return table[[*COLUMNS, *wanted]]
+
+
+def _choose_features(table: pd.DataFrame, columns: Sequence[str], sure: set[str]) -> list[str]:
+    """The columns that can describe a transition; a line says which are left out, and why.
+
+    Args:
+        table: all of it.
+        columns: those to choose from.
+        sure: columns that do.
 
     Raises:
-        InputError: another ending.
+        InputError: none can.
     """
-    name = path.name.lower()
-    if name.endswith((".csv", ".csv.gz")):
-        return "csv"
-    if name.endswith(".parquet"):
-        return "parquet"
-    raise InputError(key, str(path), "a file that ends in .csv, .csv.gz or .parquet")
-
-
-def _load(
-    path: Path, features: Sequence[str] | None, ignore: Sequence[str], key: str = "data"
-) -> pd.DataFrame:
-    """The columns that count, :data:`COLUMNS` first. Of questions (``predict``) labels may be
-    missing; without the column of messages nobody was told anything."""
-    import pandas as pd
-
-    kind = check_format(path, key)
-    if not path.is_file():
-        raise InputError(key, str(path), "no such file")
-    repeated: list[str] = []
-    try:
-        if kind == "parquet":
-            table = pd.read_parquet(path)
-        else:
-            header = pd.read_csv(path, nrows=0).columns
-            # pandas would number the second of two columns of one name.
-            first = pd.read_csv(path, header=None, nrows=1, dtype=str, keep_default_na=False)
-            repeated = [name for name in first.iloc[0][first.iloc[0].duplicated()] if name]
-            # An observer may be called "NA"; a feature that says so is missing.
-            missing = {name: [""] if name in COLUMNS[:2] else MISSING for name in header}
-            text = dict.fromkeys(COLUMNS[:2], str)
-            table = pd.read_csv(path, keep_default_na=False, na_values=missing, dtype=text)
-    except (OSError, EOFError, zlib.error, ValueError, pd.errors.ParserError) as error:
-        reason = str(error).strip().splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(key, str(path), f"not a readable table ({reason})") from None
-    if repeated:
-        raise InputError(key, repeated[0], "two columns have this name")
-    if "messages" not in table.columns:
-        table["messages"] = ""
-    if key == "predict":
-        table["label"] = 0
-    columns = [str(name) for name in table.columns]
-    for name in (*COLUMNS, *(features or ()), *ignore):
-        if name not in columns:
-            raise InputError(key, str(path), f"lacks the column {name}; it has {columns}")
-    if features is not None:
-        wanted = [*COLUMNS, *features]
-    else:
-        wanted = [name for name in columns if name not in set(ignore) - set(COLUMNS)]
-    if len(wanted) == len(COLUMNS):
-        raise InputError(key, str(path), "needs a column that describes the transition")
-    if len(set(wanted)) < len(wanted):
-        raise InputError(key, wanted, "each column once")
-    if not len(table):
-        raise InputError(key, str(path), "has no rows")
-    return table[wanted]
+    people, left = table["observer"].nunique(), {}
+    for name in (name for name in columns if name not in sure):
+        if people < len(table) and len(table[["observer", name]].drop_duplicates()) == people:
+            left[name] = "the same in all rows of a person"
+        elif table[name].nunique() > NEARLY_ALL * len(table):
+            left[name] = "another value in nearly every row"
+    taken = [name for name in columns if name not in left]
+    reasons = ", ".join(f"{name} ({why})" for name, why in left.items())
+    if columns and not taken:
+        name, why = next(iter(left.items()))
+        raise InputError("data", name, f"{why}; if it is a feature: {option('features', [name])}")
+    if left:
+        log.warning(
+            "data: features of a step are %s; left out: %s; to take all: %s",
+            ", ".join(taken),
+            reasons,
+            option("features", columns),
+        )
+    return taken
 
 
 def _row(bad: Any) -> int:
     """The number of the first bad row, from 1."""
     return int(np.flatnonzero(np.asarray(bad))[0]) + 1
-
-
-def _complete(column: pd.Series[Any], mend: str = "") -> pd.Series[Any]:
-    """A column without missing values.
-
-    Raises:
-        InputError: one is missing; ``mend`` says what can be done.
-    """
-    missing = column.isna()
-    if missing.any():
-        count, first = int(missing.sum()), _row(missing)
-        name = str(column.name)
-        raise InputError("data", name, f"missing in {count} rows, first in row {first}{mend}")
-    return column
 
 
 def _factorized(column: pd.Series[Any]) -> tuple[NDArray[np.int64], tuple[str, ...]]:
@@ -228,7 +216,9 @@ def _factorized(column: pd.Series[Any]) -> tuple[NDArray[np.int64], tuple[str, .
 
 def _told(table: pd.DataFrame, messages: Sequence[str] | None) -> dict[str, Any]:
     """Who was asked, and what they were told before: these attributes of a dataset."""
-    observer, observers = _factorized(_complete(table["observer"]).astype(str).str.strip())
+    who = as_words(table["observer"])
+    _refuse_missing("observer", who == "")
+    observer, observers = _factorized(who)
     message_set, known = _message_sets(table["messages"], messages)
     return {
         "observer": observer,
@@ -238,12 +228,23 @@ def _told(table: pd.DataFrame, messages: Sequence[str] | None) -> dict[str, Any]
     }
 
 
+def _refuse_missing(name: str, missing: Any, mend: str = "", key: str = "data") -> None:
+    """Raises InputError if a value is missing in some row; ``mend`` says what can be done."""
+    if missing.any():
+        allowed = f"missing in {missing.sum()} rows, first in row {_row(missing)}{mend}"
+        raise InputError(key, name, allowed)
+
+
 def _message_sets(
     column: pd.Series[Any], messages: Sequence[str] | None
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    code, cells = _factorized(column.fillna("").astype(str))
-    given = [[name.strip() for name in cell.split(";") if name.strip()] for cell in cells]
+    code, cells = _factorized(as_words(column))
+    absent = {*MISSING} - {*(messages or ())}
+    given = [[name for name in map(str.strip, cell.split(";")) if name] for cell in cells]
+    given = [[] if len(names) == 1 and names[0] in absent else names for names in given]
     found = sorted({name for names in given for name in names})
+    if messages is None:
+        _ask_about_names(found)
     known = tuple(messages) if messages is not None else tuple(found)
     if len(known) > MAX_MASK:
         raise InputError("data", len(known), f"at most {MAX_MASK} different messages")
@@ -255,37 +256,76 @@ def _message_sets(
     return masks[code], known
 
 
+def _ask_about_names(names: Sequence[str]) -> None:
+    """Raises InputError for a name that looks like several, or like another."""
+    one = f"if it is one message: {option('messages', names)}"
+    for name in names:
+        parts = [part.strip() for part in re.split(r"[,|+&/\\]", name)]
+        single = not any(" " in part for part in parts)
+        if len(parts) > 1 and all(parts) and (single or {*parts} & {*names}):
+            allowed = f"looks like messages joined by something else than a semicolon; {one}"
+            raise InputError("data", name, allowed)
+        if len(name.split()) > 1 and {*name.split()} <= {*names}:
+            raise InputError("data", name, f"looks like messages joined by spaces; {one}")
+        for other in names:
+            if name < other and name.casefold() == other.casefold():
+                raise InputError("data", name, f"differs from {other} by case alone; {one}")
+
+
 def _labels(column: pd.Series[Any]) -> NDArray[np.uint8]:
     import pandas as pd
 
-    numbers = pd.to_numeric(_complete(column).astype(object), errors="coerce")
+    words = as_words(column)
+    _refuse_missing("label", words.isin(MISSING))
+    numbers = pd.to_numeric(words.replace(TRUTH), errors="coerce")
     bad = ~numbers.isin([0, 1])
     if bad.any():
-        first = column.astype(object)[bad].iloc[0]
+        first = words[bad].iloc[0]
         raise InputError("data", first, f"label in row {_row(bad)}: a label is 0 or 1")
     return np.asarray(numbers, dtype=np.uint8)
 
 
-def _features(table: pd.DataFrame) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """[P, F], text columns one-hot in alphabetical order of their values."""
-    from pandas.api.types import is_bool_dtype, is_numeric_dtype
+def read_features(
+    table: pd.DataFrame, like: Sequence[str] = (), key: str = "data"
+) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """The features [P, F] in all columns of a table, and their names; text columns are one-hot in
+    alphabetical order of their values.
+
+    Args:
+        table: as of :func:`~xplain.learning.data.cells.read_cells`.
+        like: names of features; a column that they have as numbers, or as text, is one here.
+        key: that the user set, for errors.
+
+    Raises:
+        InputError: a value is missing, infinite, or no number where ``like`` has numbers.
+    """
+    import pandas as pd
 
     columns: list[NDArray[np.float64]] = []
     names: list[str] = []
-    for name in table.columns:
-        mend = f"; leave those rows out, or the column by ignore=[{name}]"
-        column = _complete(table[name], mend)
-        if is_numeric_dtype(column) or is_bool_dtype(column):
-            number = column.to_numpy(dtype=np.float64)
-            if not np.isfinite(number).all():
-                raise InputError("data", str(name), f"infinite in row {_row(~np.isfinite(number))}")
-            columns.append(number)
-            names.append(str(name))
+    for name in map(str, table.columns):
+        words = as_words(table[name])
+        numbers = as_numbers(table[name])
+        if name in like and numbers is None:
+            numbers = pd.to_numeric(words, errors="coerce").to_numpy(dtype=float)
+            bad = np.isnan(numbers) & ~words.isin(MISSING)
+            if bad.any():
+                raise InputError(key, words[bad].iloc[0], f"a number in row {_row(bad)} of {name}")
+        mend = "; leave those rows out"
+        mend += f", or the column by {option('ignore', [name])}" if key == "data" else ""
+        if numbers is None or any(other.startswith(f"{name}=") for other in like):
+            _refuse_missing(name, words == "", mend, key)
+            if (absent := words[words.isin(MISSING)]).any():
+                log.warning("%s: %s in the column %s is a text", key, absent.iloc[0], name)
+            own, named = one_hot(name, words)
         else:
-            code, values = _factorized(column.astype(str))
-            columns.extend((code == at).astype(np.float64) for at in range(len(values)))
-            names.extend(f"{name}={value}" for value in values)
-    return np.stack(columns, axis=1), tuple(names)
+            _refuse_missing(name, np.isnan(numbers), mend, key)
+            if np.isinf(numbers).any():
+                raise InputError(key, name, f"infinite in row {_row(np.isinf(numbers))}")
+            own, named = numbers[:, None], (name,)
+        columns.append(own)
+        names += named
+    return np.hstack(columns), tuple(names)
 
 
 def _distinct(

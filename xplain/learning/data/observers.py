@@ -17,7 +17,6 @@ from xplain.domains.users.hypotheses import Hypotheses, hypotheses_of
 from xplain.domains.users.setting import Setting
 from xplain.errors import InputError, Range, checks
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.encoding import align
 from xplain.learning.data.label_file import read_table
 from xplain.learning.data.queries import Queries
 from xplain.randomness import stream
@@ -201,8 +200,8 @@ class FileObservers:
             InputError: the file cannot be read, or its messages or features are not the domain's.
         """
         try:
-            dataset = read_table(self.path, setting.message_names, self.features, self.ignore)
-            dataset = align(dataset, transition_feature_names(setting.domain))
+            like, own = transition_feature_names(setting.domain), (self.features, self.ignore)
+            dataset = read_table(self.path, setting.message_names, *own, like=like)
             return Observed(dataset, setting=setting)
         except InputError as error:
             if error.key != "data":  # what the command that finds types calls its table

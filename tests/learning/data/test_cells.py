@@ -1,0 +1,182 @@
+"""Tables as people have them: what is read is what was written, or one line says what to do."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.learning.data.test_label_file import table
+from xplain.errors import InputError
+from xplain.learning.data.cells import option, read_cells
+from xplain.learning.data.label_file import read_questions, read_table, write_table
+
+WORDS = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs", "Zl", "Zp")))
+ROWS = st.lists(st.tuples(WORDS, WORDS, WORDS), min_size=1, max_size=6)
+
+
+def quoted(cell: str) -> str:
+    return '"' + cell.replace('"', '""') + '"'
+
+
+@given(
+    rows=ROWS,
+    separator=st.sampled_from(",;\t"),
+    encoding=st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]),
+    end=st.sampled_from(["\n", "\r\n"]),
+)
+def test_cells_come_out_as_they_went_in(
+    rows: list[tuple[str, ...]],
+    separator: str,
+    encoding: str,
+    end: str,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    path = tmp_path_factory.mktemp("cells") / "table.csv"
+    lines = ["one", "two", "three"], *[map(quoted, row) for row in rows]
+    path.write_bytes(end.join(separator.join(line) for line in lines).encode(encoding))
+    assert read_cells(path, "data").to_numpy().tolist() == [[*row] for row in rows]
+
+
+NAMES = ["007", "7", "1.10", "1.1", "1E2", "NA", "null", "true", "a=b", "ü, ö", "x"]
+
+
+@given(
+    items=st.lists(st.sampled_from(NAMES), min_size=6, max_size=6),
+    loads=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=6, max_size=6),
+    people=st.lists(st.sampled_from(["01", "1", "NA", "1e3"]), min_size=6, max_size=6),
+    told=st.lists(st.sets(st.sampled_from(["m0", "m1", "Fire, run"])), min_size=6, max_size=6),
+    ending=st.sampled_from([".csv", ".csv.gz", ".parquet", ".PARQUET"]),
+)
+def test_a_random_table_is_the_same_after_writing_and_reading(
+    items: list[str],
+    loads: list[float],
+    people: list[str],
+    told: list[set[str]],
+    ending: str,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    folder = tmp_path_factory.mktemp("tables")
+    own: dict[str, Any] = {
+        "observer": people,
+        "messages": [";".join(sorted(names)) for names in told],
+        "item": items,
+        "load": loads,
+        "label": [0, 1] * 3,
+        "row": None,
+        "action": None,
+    }
+    how: dict[str, Any] = {"features": ["item", "load"], "under_way": True}
+    how["messages"] = ["m0", "m1", "Fire, run"]
+    given_ = {*items} - {"NA", "null"}
+    are_numbers = given_ <= {"7", "1.10", "1.1"} and not given_ >= {"1.10", "1.1"}
+    if (are_numbers or given_ <= {"true"}) and given_ != {*items}:  # a number is missing
+        with pytest.raises(InputError, match=r"item.*missing in"):
+            read_table(table(folder, **own), **how)
+        return
+    dataset = read_table(table(folder, **own), **how)
+    assert [dataset.observers[i] for i in dataset.observer] == people
+    write_table(dataset, folder / f"again{ending}")
+    again = read_table(folder / f"again{ending}", like=dataset.feature_names, **how)
+    assert again.feature_names == dataset.feature_names
+    assert again.observers == dataset.observers
+    shown, expected = again.features[again.transition], dataset.features[dataset.transition]
+    assert np.array_equal(shown, expected)
+    for field in ("observer", "message_set", "label"):
+        assert np.array_equal(getattr(again, field), getattr(dataset, field))
+
+
+@given(st.lists(st.text(st.characters(exclude_categories=("Cc", "Cs"))), min_size=1))
+def test_what_to_write_reaches_the_configuration_as_it_is(values: list[str]) -> None:
+    (word,) = shlex.split(option("ignore", values))
+    (override,) = OverridesParser.create().parse_overrides([word])
+    assert override.value() == values
+
+
+def test_columns_that_cannot_be_features_are_named_and_the_advice_works(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    extra = {"age": [30] * 3 + [40] * 3, "Duration (s)": [7, 9, 2, 4, 5, 8]}
+    path = table(tmp_path, **extra)
+    assert read_table(path).feature_names == ("row", "action=left", "action=up")
+    assert "age (the same in all rows of a person)" in caplog.text
+    assert "Duration (s) (another value in nearly every row)" in caplog.text
+    advice, _, _ = caplog.text.partition("to take all: ")[2].partition("\n")
+    (word,) = shlex.split(advice)
+    advised = OverridesParser.create().parse_overrides([word])[0].value()
+    assert len(read_table(path, features=advised).feature_names) == 5
+
+
+def test_where_no_column_can_be_a_feature_it_is_asked_and_the_advice_works(tmp_path: Path) -> None:
+    path = table(tmp_path, row=[1, 1, 1, 2, 2, 2], action=None)
+    with pytest.raises(InputError, match="the same in all rows of a person") as caught:
+        read_table(path)
+    (word,) = shlex.split(str(caught.value).partition("if it is a feature: ")[2])
+    advised = OverridesParser.create().parse_overrides([word])[0].value()
+    assert read_table(path, features=advised).feature_names == ("row",)
+
+
+@pytest.mark.parametrize(
+    ("told", "said"),
+    [
+        (["", "m0", "m1", "m0,m1", "", "m0"], "data='m0,m1': looks like messages joined"),
+        (
+            ["", "go on", "m1", "go on + m1", "", ""],
+            "data='go on . m1': looks like messages",
+        ),
+        (["", "m0", "m1", "m0 m1", "", "m0"], "joined by spaces"),
+        (["", "m0", "M0", "m1", "", "m0"], "differs from m0 by case alone"),
+    ],
+)
+def test_odd_messages_are_asked_about_and_the_advice_works(
+    told: list[str], said: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path, messages=told)
+    with pytest.raises(InputError, match=said) as caught:
+        read_table(path)
+    (word,) = shlex.split(str(caught.value).partition("if it is one message: ")[2])
+    advised = OverridesParser.create().parse_overrides([word])[0].value()
+    assert set(read_table(path, messages=advised).messages) == {*told} - {""}
+
+
+def test_missing_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    dataset = read_table(table(tmp_path, messages=["NA", "m0", "N/A", "null", "", "m0"]))
+    assert dataset.messages == ("m0",)
+    assert "nothing was told in 4 of 6 rows" in caplog.text
+
+
+@pytest.mark.parametrize(("cells", "said"), [("a,m0,1", "8 has 3"), ("a,,1,up,0,9", "8 has 6")])
+def test_a_row_of_another_length_is_named_by_its_line(
+    cells: str, said: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path)
+    path.write_text(path.read_text() + cells + "\n")
+    with pytest.raises(InputError, match=f"line {said} cells, the header has 5"):
+        read_table(path)
+
+
+def test_the_further_header_rows_of_qualtrics_are_left_out(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    header, rest = path.read_text().split("\n", 1)
+    texts = ",".join(["Who?"] * 5), ",".join([quoted('{"ImportId":"QID1"}')] * 5)
+    expected = read_table(path)
+    path.write_text("\n".join([header, *texts, rest]))
+    again = read_table(path)
+    assert np.array_equal(again.features, expected.features)
+    assert again.observers == expected.observers
+
+
+def test_questions_keep_their_cells(tmp_path: Path) -> None:
+    like = read_table(table(tmp_path, observer=["001", "1", "NA"] * 2))
+    asked = tmp_path / "asked.csv"
+    asked.write_text("observer,row,action,note\n001,1,up,007\nNA,2,left,1.10\n")
+    rows, questions = read_questions(asked, like)
+    assert rows.to_numpy().tolist() == [["001", "1", "up", "007"], ["NA", "2", "left", "1.10"]]
+    assert questions.feature_names == like.feature_names

@@ -1,0 +1,171 @@
+"""Tables of people's own, CSV or Parquet: every cell is a text first, as it stands in the file.
+
+A column is read as numbers once, if nothing of its texts gets lost: ``007``, ``1E2``, and ``1.1``
+beside ``1.10`` stay texts.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import gzip
+import io
+import logging
+import re
+import shlex
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.errors import InputError, quoted
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+log = logging.getLogger(__name__)
+
+MISSING = ("", "NA", "N/A", "NaN", "nan", "null", "NULL", "<NA>", "#N/A")
+NUMBER = r"[+-]?(?:(?:(?:0|[1-9]\d*)(?:\.\d*)?|\.\d+)(?:e[+-]?\d+|E[+-]\d+)?|inf)"
+"""A number as programs write it. R and spreadsheets write a sign in 1E+05, so 1E2 is a name."""
+SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab"}
+
+
+def check_format(path: Path, key: str) -> str:
+    """``csv`` or ``parquet``, by the end of the name; ``key`` is the key that the user set.
+
+    Raises:
+        InputError: another ending.
+    """
+    name = path.name.lower()
+    if name.endswith((".csv", ".csv.gz")):
+        return "csv"
+    if name.endswith(".parquet"):
+        return "parquet"
+    raise InputError(key, str(path), "a file that ends in .csv, .csv.gz or .parquet")
+
+
+def read_cells(path: Path, key: str) -> pd.DataFrame:
+    """A table of texts; a Parquet file's numbers and truth values keep their types. A column
+    without a name is called as pandas calls it, such as "Unnamed: 0".
+
+    Args:
+        path: a CSV file (comma, semicolon or tab; UTF-8 or UTF-16), or a Parquet file.
+        key: that the user set, for errors.
+
+    Raises:
+        InputError: it cannot be read, two columns have one name, a row has more or fewer cells than
+            the header, or there are no rows.
+    """
+    import pandas as pd
+    from pandas.api.types import is_numeric_dtype
+
+    kind = check_format(path, key)
+    if not path.is_file():
+        raise InputError(key, str(path), "no such file")
+    try:
+        table = pd.read_parquet(path) if kind == "parquet" else _read_csv(path, key)
+    except UnicodeDecodeError:
+        raise InputError(key, str(path), 'not in UTF-8; save it as "CSV UTF-8"') from None
+    except (OSError, EOFError, zlib.error, ValueError, csv.Error, pd.errors.ParserError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = str(error).strip().splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(key, str(path), f"not a readable table ({reason})") from None
+    if not len(table):
+        raise InputError(key, str(path), "has no rows")
+    for name in table.columns:
+        if not is_numeric_dtype(table[name]):  # truth values are numeric here
+            table[name] = table[name].astype(object).fillna("").astype(str).astype(object)
+    return table
+
+
+def _read_csv(path: Path, key: str) -> pd.DataFrame:
+    import pandas as pd
+
+    content = path.read_bytes()
+    content = gzip.decompress(content) if path.name.lower().endswith(".gz") else content
+    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    text = content.decode("utf-16" if wide else "utf-8-sig")
+    if not text.strip():
+        raise ValueError("it is empty")
+    first = re.sub('"[^"]*"', "", text.lstrip().partition("\n")[0])
+    separator = max(SEPARATORS, key=first.count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
+    header = [name.strip() or f"Unnamed: {i}" for i, name in enumerate(next(reader))]
+    if len({*header}) < len(header):
+        repeated = next(name for name in header if header.count(name) > 1)
+        raise InputError(key, repeated, "two columns have this name")
+    rows = []
+    for row in reader:
+        if len(row) == len(header):
+            rows.append(row)
+        elif row:
+            allowed = (
+                f"line {reader.line_num} has {len(row)} cells, the header has {len(header)}; write "
+                f'a text that holds a {SEPARATORS[separator]} in double quotes, "like this"'
+            )
+            raise InputError(key, str(path), allowed)
+    if len(rows) > 1 and rows[1][0].startswith('{"ImportId"'):
+        log.warning("%s: the second and third row of the header (Qualtrics) are left out", key)
+        del rows[:2]
+    return pd.DataFrame(rows, columns=header, dtype=object)
+
+
+def as_numbers(column: pd.Series[Any]) -> NDArray[np.float64] | None:
+    """[rows] the numbers in a column, true and false as 1 and 0, NaN where one is missing; None if
+    it is text."""
+    if column.dtype.kind != "O":
+        return column.to_numpy(dtype=np.float64, na_value=np.nan)
+    cells = column.drop_duplicates()
+    words = cells.str.strip()
+    given = words[~words.isin(MISSING)].drop_duplicates()
+    small = given.str.lower()
+    if small.isin(["true", "false"]).all():
+        numbers = (small == "true").astype(float)
+    elif given.str.fullmatch(NUMBER).all():
+        numbers = given.astype(float)
+        if (twice := given[numbers.duplicated(keep=False)]).any():
+            alike = " and ".join(twice[numbers[twice.index] == numbers[twice.index[0]]][:2])
+            log.warning("the column %s is text: %s would be one number", column.name, alike)
+            return None
+    else:
+        if given.str.fullmatch(rf"{NUMBER}|\d+,\d+").all():
+            log.warning("the column %s is text: a number is written 1.5, not 1,5", column.name)
+        return None
+    number = words.map(dict(zip(given, numbers, strict=True)))
+    read = column.map(dict(zip(cells, number, strict=True)))
+    return np.asarray(read, dtype=np.float64)
+
+
+def as_words(column: pd.Series[Any]) -> pd.Series[Any]:
+    """The cells of a column as texts without spaces around them."""
+    import pandas as pd
+
+    return pd.Series([str(cell).strip() for cell in column], dtype=object, name=column.name)
+
+
+def one_hot(column: str, values: Any) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """A column of texts [P] as one 0/1 feature for each of its values, in alphabetical order:
+    [P, values], and their names."""
+    import pandas as pd
+
+    code, different = pd.factorize(np.asarray(values, dtype=object), sort=True)
+    return np.eye(len(different))[code], tuple(f"{column}={one}" for one in different)
+
+
+def option(key: str, values: Iterable[str]) -> str:
+    """What to write on a command line so that a key is this list of texts."""
+    return shlex.quote(f"{key}=[{','.join(map(_quote, values))}]")
+
+
+def _quote(value: str) -> str:
+    """A text as Hydra reads it; a word needs no quotation marks."""
+    word = re.fullmatch(r"[A-Za-z_]\w*", value, re.ASCII) and value.lower() not in _WORDS
+    return value if word else quoted(value, '"')
+
+
+_WORDS = ("null", "true", "false", "nan", "inf")
