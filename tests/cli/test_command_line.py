@@ -71,6 +71,15 @@ BAD = [
     (["solver=true"], ["solver", "true", "qmdp"]),
     (["observers=file", "observers.path=absent.csv"], ["absent.csv"]),
     (["resume=maybe"], ["resume", "maybe", "missing, failed, none"]),
+    (["lambda=1,2"], ["lambda", "1,2", "add -m"]),
+    (["tracking=null"], ["tracking", "null", "none"]),
+    (["solver=null"], ["solver", "null", "a choice"]),
+    (["certify=null"], ["certify", "traces, gap"]),
+    (["+again.foo=1"], ["again.foo", "price, most"]),
+    (["--config-name=nowhere"], ["nowhere"]),
+    (["--config-path=nowhere"], ["--config-path", "nowhere", "--config-dir"]),
+    (["lambda=0.5;1"], ["lambda=0.5;1", "commas"]),
+    (["-m", "lambda=1,2", "hydra.sweeper.params=3"], ["hydra.sweeper.params", "3"]),
     (["sweeps=tabel1"], ["sweeps=tabel1", "did you mean table1?", "type_counts"]),
 ]
 
@@ -116,6 +125,11 @@ def test_a_key_within_a_components_key_says_what_there_is_and_how_to_add_one(xpl
     assert err.endswith("+domain.facts.jam=… adds this one\n")
     _, _, err = xplain("domain=blocks", "domain.facts.towr.message=Yes")
     assert "did you mean domain.facts.tower?" in err
+
+
+def test_a_value_that_is_missing_is_told_how_it_is_given(xplain):
+    code, _, err = xplain("discover")
+    assert (code, err) == (2, "xplain: data: has to be given: data=VALUE\n")
 
 
 def test_prices_of_messages_come_all_by_name(xplain):

@@ -1,4 +1,4 @@
-"""What the command line says of itself: help, choices with their options, completion."""
+"""What the command line says of itself: help, choices with their options."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from hydra.utils import instantiate
 from tests.configurations import composed
 from tests.conftest import ROOT
 from xplain.cli.commands import COMMANDS
-from xplain.cli.completion import completions
 from xplain.cli.main import main
 from xplain.experiment.config import CONF
 
@@ -137,29 +136,6 @@ def test_every_command_has_help_of_its_own(name, capsys):
 def test_the_version_is_ours(capsys):
     main(["--version"])
     assert capsys.readouterr().out == f"xplain {version('xplain-hri')}\n"
-
-
-@pytest.mark.parametrize(
-    ("line", "among", "not_among"),
-    [
-        ("xplain dis", {"discover", "discount=", "discount_per="}, {"observe"}),
-        ("xplain solver=q", {"solver=qmdp", "solver=qhr"}, {"solver=pomcp"}),
-        ("xplain sweeps=table1_", {"sweeps=table1_many"}, {"sweeps=smoke"}),
-        ("xplain solver=pomcp solver.simu", {"solver.simulations="}, {"simulations="}),
-        ("xplain discover held", {"held_out="}, {"lambda="}),
-        ("xplain plan solver=cert", {"solver=certified"}, {"solver=qmdp"}),
-        ("xplain study re", {"replay"}, {"report", "bots"}),
-        ("xplain study po", {"power", "port=", "points="}, {"bots"}),
-        ("xplain report ", set(), {"lambda="}),
-    ],
-)
-def test_completion_knows_commands_keys_and_choices(line, among, not_among):
-    GlobalHydra.instance().clear()
-    found = {word.partition("=")[0] + "=" if "=" in word and word.count("=") == 1
-             and not line.rpartition(" ")[2].count("=") else word
-             for word in completions(line)}  # fmt: skip
-    assert among <= found
-    assert not not_among & found
 
 
 def test_other_programs_of_hydra_get_none_of_our_plugins(tmp_path):

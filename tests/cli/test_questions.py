@@ -64,7 +64,7 @@ def test_a_file_of_hypotheses_takes_the_domains_place(tmp_path):
     ("text", "said"),
     [
         ("text\nhello\n", "inexplicable_if"),
-        ("text,inexplicable_if\n,cable\n", "row 2"),
+        ("text,inexplicable_if\n,cable\n", "missing in row 1"),
         ("text,inexplicable_if\n", "no rows"),
         ("text,inexplicable_if\nhello,\n", "a fact in some row"),
     ],

@@ -1,26 +1,23 @@
-"""The demo plays what the experiments play, asks a person, and makes a page that needs nothing."""
+"""The demo plays what the experiments play, and makes a page that needs nothing."""
 
 from __future__ import annotations
 
-import io
 import json
 import re
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hydra.core.global_hydra import GlobalHydra
 
+from tests.chromium import missing
 from xplain.cli.main import main
 from xplain.demo.page import content, page
-from xplain.demo.play import SimulatedListener, play, stage
-from xplain.demo.terminal import Terminal
+from xplain.demo.play import play, stage
 from xplain.explanation.belief import Independent
 from xplain.explanation.message_sets import mask_of
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.people.simulation.chromium import missing
 from xplain.solvers.qmdp import QMDP
 
 QUICK = ["points=150", "lambda=1.5", "clusterer=dirichlet", "labeler=tree"]
@@ -34,11 +31,10 @@ def rescue():
 
 @pytest.fixture
 def demo(tmp_path, monkeypatch, capsys):
-    """``demo("--me", typed="1\\n")``: exit code, standard output, standard error."""
+    """``demo("--html", "mine.html")``: exit code, standard output, standard error."""
 
-    def run(*arguments, typed=""):
+    def run(*arguments):
         monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
         GlobalHydra.instance().clear()
         code = 0
         try:
@@ -58,7 +54,7 @@ def test_it_plays_the_experiments_episode(rescue, user):
     labels = case.labels.of_types([prepared.types.index(user)])
     policy = QMDP().plan(problem)
     episode = explain(problem, policy, SimulatedUser(labels), Independent())
-    played = play(rescue, SimulatedListener(rescue, user))
+    played = play(rescue, user)
     said = [mask_of(step.said, prepared.messages) for step in played.steps]
     assert said == episode.messages.tolist()
     assert played.steps[-1].cost == pytest.approx(episode.cost)
@@ -71,7 +67,7 @@ def test_by_default_it_tells_of_a_type_that_is_found_with_few_messages(rescue):
     """No user of any type is found on this trace with fewer messages, unless nothing is said."""
     found = {}
     for user in rescue.prepared.types:
-        played = play(rescue, SimulatedListener(rescue, user))
+        played = play(rescue, user)
         said = sum(len(step.said) for step in played.steps)
         if sum(played.steps[-1].belief[name] for name in rescue.right(user)) > 0.9 and said:
             found[user] = said
@@ -86,28 +82,8 @@ def test_a_learned_type_is_called_by_the_true_one_that_it_stands_for(rescue):
     assert rescue.title("none of these") == "none of these"
 
 
-class Keyboard(io.StringIO):
-    """A person who presses keys at a terminal."""
-
-    def isatty(self):
-        return True
-
-
-@pytest.mark.parametrize(("typed", "asked"), [("\n\nq\n", 3), ("", 1)])
-def test_a_terminal_waits_a_step_at_a_time_until_it_is_told_not_to(
-    rescue, monkeypatch, typed, asked
-):
-    """The end of the input is such a word, too."""
-    monkeypatch.setattr(sys, "stdin", Keyboard(typed))
-    monkeypatch.setattr(sys, "stdout", Keyboard())
-    play(rescue, Terminal(rescue, SimulatedListener(rescue, "A")))
-    text = sys.stdout.getvalue()
-    assert text.count("the next step") == asked
-    assert re.search(r"cost", text)
-
-
 def test_the_page_holds_the_session_and_loads_nothing(rescue):
-    played = play(rescue, SimulatedListener(rescue, "A"))
+    played = play(rescue, "A")
     html = page(rescue, played)
     data = re.search(r"^const D = (.*);$", html, re.MULTILINE)
     assert json.loads(data.group(1)) == json.loads(json.dumps(content(rescue, played)))
@@ -120,34 +96,20 @@ def test_words_of_a_domain_cannot_end_the_script(rescue):
     evil = "</script><script>alert(1)</script><!--"
     sentences = tuple(evil for _ in rescue.prepared.sentences)
     scene = replace(rescue, prepared=replace(rescue.prepared, sentences=sentences))
-    html = page(scene, play(scene, SimulatedListener(scene, "A")))
+    html = page(scene, play(scene, "A"))
     assert html.count("</script>") == 1
     assert "<!--" not in html
 
 
-def test_a_terminal_shows_what_happens(demo):
-    code, out, err = demo("--user", "B", *QUICK)
-    assert (code, err) == (0, "")
-    assert "type B" in out
-    assert re.search(r"Trace \d: of the first 5, the one where", out)
-    assert out.count("step ") >= 3
-    assert "robot" in out
-    assert re.search(r"cost \d", out)
-
-
-def test_a_person_can_answer_and_is_asked_again_after_a_slip(demo):
-    code, out, err = demo("--me", *QUICK, typed="7\nno\n1\n" + "\n" * 60)
-    assert (code, err) == (0, "")
-    assert out.count("numbers between 1 and 1, please") == 2
-    assert re.search(r"cost \d", out)
-
-
-def test_the_page_is_written_where_it_was_asked_for(demo, tmp_path):
-    code, out, err = demo("--html", "session.html", *QUICK)
-    assert (code, out) == (0, "")
-    assert err.strip() == "session.html"
-    assert "of the first 5, the one" in (tmp_path / "session.html").read_text(encoding="utf-8")
-    assert "const D = {" in (tmp_path / "session.html").read_text(encoding="utf-8")
+@pytest.mark.parametrize("flags", [(), ("--html", "mine.html")])
+def test_the_page_is_written_where_it_was_asked_for(demo, tmp_path, flags):
+    code, out, err = demo(*flags, "--user", "B", *QUICK)
+    name = "mine.html" if flags else "demo.html"
+    assert (code, out, err) == (0, f"{name}\n", "")
+    text = (tmp_path / name).read_text(encoding="utf-8")
+    assert "of the first 5, the one" in text
+    assert "const D = {" in text
+    assert '"user": "B"' in text
 
 
 @pytest.mark.parametrize(
@@ -156,7 +118,6 @@ def test_the_page_is_written_where_it_was_asked_for(demo, tmp_path):
         (["--trace", "-1"], ["--trace", "-1"]),
         (["--trace", "x"], ["--trace", "x"]),
         (["--bogus"], ["--bogus"]),
-        (["--me", "--user", "A"], ["--user", "--me"]),
         (["--user", "Q", *QUICK], ["--user", "Q", "A, B"]),
         (["lamda=2"], ["lamda", "lambda"]),
         (["lambda=-1"], ["lambda", "-1"]),
@@ -164,7 +125,7 @@ def test_the_page_is_written_where_it_was_asked_for(demo, tmp_path):
         (["solver=oracle"], ["solver", "oracle"]),
         (["domain=mars"], ["domain", "mars", "rescue"]),
         (["--html", "absent/session.html"], ["--html", "absent"]),
-        (["--me", *QUICK], ["--me", "end of input"]),
+        (["--me"], ["--me"]),
     ],
     ids=lambda value: " ".join(value)[:30],
 )
@@ -185,7 +146,7 @@ def test_the_page_can_be_stepped_through(rescue, tmp_path):
     from selenium.webdriver.common.by import By
     from selenium.webdriver.common.keys import Keys
 
-    played = play(rescue, SimulatedListener(rescue, "A"))
+    played = play(rescue, "A")
     (tmp_path / "session.html").write_text(page(rescue, played), encoding="utf-8")
     options = webdriver.ChromeOptions()
     for flag in ("--headless=new", "--no-sandbox", f"--user-data-dir={tmp_path / 'profile'}"):

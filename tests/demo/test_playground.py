@@ -12,9 +12,9 @@ import pytest
 from flask.testing import FlaskClient
 from werkzeug.serving import make_server
 
+from tests.chromium import browser, missing
 from tests.runs.sweeps import ROOT
 from xplain.demo.serve import create_app
-from xplain.people.simulation.chromium import browser, missing
 
 QUICK = ("domain=rescue", "points=20", "queries=adaptive", "labeler=hypotheses", "seed=0")
 SCREENSHOTS = Path(os.environ.get("XPLAIN_SCREENSHOTS", ROOT / "outputs/screenshots"))
@@ -145,12 +145,22 @@ def test_a_question_is_answered_in_a_browser(asking: Any, width: int) -> None:
         ("/begin", {"task": "rescue", "solvers": ["qmdp", "oracle"], "wrong": []}, "two of qmdp"),
         ("/begin", {"task": "rescue", "solvers": ["qmdp"] * 2, "wrong": ["lava"]}, "first_aid"),
         ("/answer", {"game": 99, "labels": []}, "begin again"),
+        ("/answer", {"game": [1], "labels": []}, "game=[1]: int"),
+        ("/begin", ["rescue"], "in a JSON object"),
+        ("/begin", {"task": "rescue", "solvers": ["qmdp"] * 2}, "wrong=None"),
+        ("/begin", {"task": "rescue", "solvers": [["qmdp"], {}], "wrong": []}, "two of qmdp"),
     ],
 )
 def test_what_is_wrong_is_told(client: FlaskClient, path: str, asked: Any, said: str) -> None:
     answer = client.post(path, json=asked)
     assert answer.status_code == 400
     assert said in answer.json["error"]
+
+
+def test_what_is_no_json_is_told(client: FlaskClient) -> None:
+    answer = client.post("/begin", data="{oops", content_type="application/json")
+    assert answer.status_code == 400
+    assert "in a JSON object" in answer.json["error"]
 
 
 def test_pages_from_elsewhere_are_refused(client: FlaskClient) -> None:

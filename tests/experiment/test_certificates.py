@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -17,18 +18,22 @@ from xplain.experiment.certificates import Certify
 from xplain.experiment.explanations import Costs, trace_seed
 from xplain.experiment.pipeline import Case, Prepared
 from xplain.explanation.again import Again
-from xplain.explanation.belief import Independent
+from xplain.explanation.belief import BeliefUpdate, Independent, Persistent, update
 from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import literal_optimal_value, reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers import policy_evaluation as policy_value
+from xplain.solvers.base import Policy
 from xplain.solvers.known_type import Baseline, KnownType
+from xplain.solvers.memory import GIB
+from xplain.solvers.model import table_bytes
+from xplain.solvers.open_loop import Silent
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
 
 COSTS = Costs(0.8, 0.6, 1.5, 0.9, "action", "observers")
 PREPARED = a_prepared(steps=(2, 3))
-EFFORT = composed().certify
+EFFORT = {**composed().certify, "traces": 3}
 
 
 def problem_of(case: Case) -> Problem:
@@ -230,3 +235,74 @@ def test_where_messages_may_be_missed_all_is_of_that_model(solver):
     assert found["policy_cost"] == pytest.approx(cost)
     assert found["known_type_value"] >= optimum
     assert found["price_of_approximation_high"] >= optimum - value - 1e-9
+
+
+def test_nothing_is_certified_of_a_policy_whose_belief_takes_labels_to_be_repeated():
+    effort = Certify(**EFFORT)
+    fresh = effort.certificates(PREPARED, COSTS, QMDP(), Independent(), 4)
+    repeated = effort.certificates(PREPARED, COSTS, QMDP(), Persistent(), 4)
+    assert "fresh_labels" not in fresh
+    assert repeated["fresh_labels"] == 0
+    assert not any(name.startswith(("policy", "price_of_approx")) for name in repeated)
+    for name in ("optimal_lower", "optimal_upper", "known_type_value"):
+        assert repeated[name] == fresh[name]
+
+
+def test_a_trace_whose_certificate_takes_too_much_memory_has_none(caplog):
+    """The longer of two traces: of the shorter all is certified, as if it were alone."""
+    sizes = sorted(table_bytes(problem) / GIB for problem in PROBLEMS)
+    little = Certify(**EFFORT, memory_gib=sum(sizes) / 2)
+    solver = Silent()
+    found = little.certificates(PREPARED, COSTS, solver, Independent(), 4)
+    assert "no certificate of trace 1" in caplog.text
+    assert "GiB" in caplog.text
+    alone = little.certificates(
+        with_cases(PREPARED, PREPARED.cases[0]), COSTS, solver, Independent(), 4
+    )
+    assert found == alone
+    assert found["traces"] == 1
+    least = Certify(**EFFORT, memory_gib=1e-9)
+    assert least.certificates(PREPARED, COSTS, solver, Independent(), 4) == {}
+
+
+def worth_to_users(problem: Problem, policy: Policy, belief: BeliefUpdate, repeat: bool) -> float:
+    """The policy's discounted return over every label that users draw; who repeats themselves
+    draws again only what is new: the last transition, or after a message all."""
+    per_message = problem.discount if problem.discount_per == "action" else 1.0
+
+    def ahead(step: int, given: int, b, chances, before: tuple[int, ...]) -> float:
+        """From a step on: ``chances`` [N] of the types with the labels so far."""
+        if step == problem.n_steps:
+            return 0.0
+        new, value, factor = policy.messages(step, given, b), 0.0, 1.0
+        costs = problem.trade_off * problem.message_cost
+        for price in sorted(costs[j] for j in range(problem.n_messages) if new >> j & 1):
+            value -= factor * price * chances.sum()
+            factor *= per_message
+        kept = before if repeat and not new else ()
+        p = problem.table.label_probabilities(step + 1, given | new)[:, len(kept) :]
+        for drawn in product((0, 1), repeat=p.shape[1]):
+            labels = np.array([*kept, *drawn], np.uint8)
+            then = chances * np.where(drawn, p, 1 - p).prod(axis=1)
+            cost = problem.inexplicability_cost * (labels == 0).sum()
+            evidence = belief.evidence(given | new, given if step else None, step + 1)
+            after = update(problem, b, given | new, labels, evidence)
+            later = ahead(step + 1, given | new, after, then, tuple(labels))
+            value += factor * (problem.discount * later - cost * then.sum())
+        return value
+
+    return ahead(0, 0, problem.prior, problem.prior, ())
+
+
+@pytest.mark.parametrize(("belief", "repeat"), [(Independent(), False), (Persistent(), True)])
+def test_what_is_said_of_a_policy_holds_for_users_as_its_belief_takes_them(belief, repeat):
+    found = Certify(**EFFORT).certificates(PREPARED, COSTS, QMDP(), belief, 4)
+    worth = np.mean([worth_to_users(one, QMDP().plan(one), belief, repeat) for one in PROBLEMS])
+    assert found.get("policy_value", worth) == pytest.approx(worth)
+    lost = np.mean(OPTIMA) - worth
+    assert found.get("price_of_approximation_low", lost) <= lost + 1e-9
+    assert (found.get("fresh_labels") == 0) == repeat != ("policy_value" in found)
+    assert found["optimal_lower"] - 1e-9 <= np.mean(OPTIMA) <= found["optimal_upper"] + 1e-9
+    if repeat:  # or it would matter to nobody
+        assert abs(worth - found_for(QMDP())["policy_value"]) > 1e-3
+        assert not any(name.startswith(("policy", "price_of_approx")) for name in found)

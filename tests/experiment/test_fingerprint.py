@@ -17,6 +17,7 @@ from tests.configurations import CHOICES, composed, dotted, each_changed
 from xplain.experiment import fingerprint as fingerprints
 from xplain.experiment.fingerprint import (
     NOT_IN_NUMBERS,
+    clear_caches,
     component_code,
     configuration,
     fingerprint,
@@ -116,6 +117,21 @@ def test_an_installed_plugin_counts_by_the_hashes_of_its_files(plugin):
         assert component_code(CONFIG).keys() == {"their_solver"}
         found.add(fingerprint(CONFIG))
     assert len(found) == 2
+
+
+def test_a_file_beside_the_code_counts(plugin):
+    """A map that the component reads, say; what Python keeps for itself does not count."""
+    data = plugin / "their_solver" / "maps" / "floor.txt"
+    data.parent.mkdir()
+    data.write_text("#..#")
+    before = fingerprint(CONFIG)
+    (plugin / "their_solver" / "__pycache__").mkdir(exist_ok=True)
+    (plugin / "their_solver" / "__pycache__" / "best.pyc").write_text("compiled")
+    clear_caches()
+    assert fingerprint(CONFIG) == before
+    data.write_text("#.##")
+    clear_caches()
+    assert fingerprint(CONFIG) != before
 
 
 def test_plugged_in_code_is_not_run(plugin):

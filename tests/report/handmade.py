@@ -77,7 +77,8 @@ def sweep(
     written = []
     for values in jobs:
         name = ",".join(f"{key}={value}" for key, value in values.items())
-        written.append({"name": name, "label": name, "values": dict(values)})
+        job = {"name": name, "label": name, "values": dict(values), "overrides": name.split(",")}
+        written.append(job)
         own = folder / "jobs" / name
         own.mkdir(parents=True)
         episodes = [

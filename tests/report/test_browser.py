@@ -1,4 +1,4 @@
-"""A real Chromium: MLflow shows a sweep's curves and compares its runs; the report page renders.
+"""A real Chromium: MLflow shows a sweep and compares its runs; the report page renders.
 
 Screenshots are left in ``outputs/screenshots`` (``XPLAIN_SCREENSHOTS`` names another folder).
 """
@@ -19,8 +19,8 @@ from pathlib import Path
 import pytest
 
 from tests import processes
+from tests.chromium import browser, missing
 from tests.runs import sweeps
-from xplain.people.simulation.chromium import browser, missing
 
 pytestmark = pytest.mark.browser
 
@@ -154,46 +154,17 @@ def test_the_printed_link_shows_the_answer_without_a_click(driver, sweep, server
     screenshot(driver, "mlflow-sweep.png")
 
 
-def test_from_the_first_page_two_clicks_lead_there(driver, sweep, server):
-    driver.get(server)
-    shown(driver, "[...document.querySelectorAll('a')].some(a => a.innerText.trim() == 'xplain')")
-    driver.find_element("link text", "xplain").click()
-    shown(driver, "document.body.innerText.includes('Newest sweep')")
-    close_notice(driver)
-    driver.find_element("partial link text", "Newest sweep").click()
-    first, *others = driver.window_handles
-    assert len(others) == 1  # MLflow opens what a description links in a new tab
-    driver.switch_to.window(others[0])
-    try:
-        assert_the_answer_is_seen(driver, sweep[0])
-    finally:
-        driver.close()
-        driver.switch_to.window(first)
-
-
-def close_notice(driver):
-    """MLflow greets a new browser with a notice over its own page."""
-    time.sleep(3)
-    for button in driver.find_elements("xpath", "//button[normalize-space()='Got it']"):
-        button.click()
-        time.sleep(1)
-
-
-def test_the_chart_has_a_line_a_solver_and_setting(driver, sweep, server):
-    driver.get(link(sweep[1], server, "  regret against λ"))
-    shown(driver, "document.body.innerText.includes('regret against 10 λ')")
-    # Two solvers and two numbers of types, means of one job at each λ.
-    lines = "document.querySelectorAll('.js-plotly-plot .scatterlayer .trace path.js-line').length"
-    shown(driver, f"{lines} >= 4")
-    screenshot(driver, "mlflow-chart.png")
-
-
-def test_all_sweeps_are_listed_with_what_they_answered(driver, sweep, server):
-    view = "workflowType=machine_learning&viewStateShareKey=sweeps"
-    driver.get(f"{server}/#/experiments/1/runs?{view}")
-    shown(driver, "document.body.innerText.includes('Least cost: ')")
-    shown(driver, "document.body.innerText.includes('multirun-')")
-    screenshot(driver, "mlflow-sweeps.png")
+def test_comparing_runs_draws_the_regret_first(driver, sweep, server):
+    with sweeps.database(sweep[0]) as database:
+        found = database.execute(
+            "select run_uuid from tags where key = 'mlflow.parentRunId' order by run_uuid limit 3"
+        )
+        ids = [run_id for (run_id,) in found]
+    runs = json.dumps(ids, separators=(",", ":"))
+    driver.get(f'{server}/#/compare-runs?runs={runs}&experiments=["1"]')
+    shown(driver, "document.querySelector('.js-plotly-plot')")
+    shown(driver, "document.querySelector('.js-plotly-plot').innerText.includes('regret')")
+    screenshot(driver, "mlflow-compare.png")
 
 
 LOOKS = list(itertools.product((1440, 390), ("light", "dark")))
@@ -208,7 +179,6 @@ def test_the_report_page_renders(driver, sweep, width, colours):
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
     try:
         driver.get(page.as_uri())
-        shown(driver, "document.querySelector('iframe').srcdoc")
         broken = "[...document.images].some(i => !i.complete || i.naturalWidth == 0)"
         assert not driver.execute_script(f"return {broken}")
         # Nothing sticks out of the page, and nothing was fetched from elsewhere.
@@ -219,50 +189,8 @@ def test_the_report_page_renders(driver, sweep, width, colours):
         ground = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
         bright = sum(map(int, re.findall(r"\d+", ground)[:3])) > 380
         assert bright == (colours == "light")
-        assert driver.execute_script("return document.querySelectorAll('.panels svg').length") >= 6
+        assert driver.execute_script("return document.images.length") >= 6
         screenshot(driver, f"report-{width}-{colours}.png")
-        use_filters_and_player(driver)
     finally:
         driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
-
-
-def use_filters_and_player(driver):
-    """Without one solver its column and lines are gone; an episode is played to its end."""
-    heads = (
-        "return [...document.querySelectorAll('#answer-table th')]"
-        ".filter(e => e.offsetParent).map(e => e.innerText)"
-    )
-    drawn = "return document.querySelectorAll('#main-plot polyline').length"
-    before = driver.execute_script(heads), driver.execute_script(drawn)
-    assert "QHR" in before[0]
-    toggle = driver.find_element("xpath", "//div[@id='filters']//label[text()='QHR']")
-    toggle.click()
-    assert driver.execute_script(heads) == [head for head in before[0] if head != "QHR"]
-    assert driver.execute_script(drawn) == before[1] / 2
-    toggle.click()
-    assert (driver.execute_script(heads), driver.execute_script(drawn)) == before
-    driver.find_element("xpath", "//div[@id='filters']//label[text()='3']").click()
-    rows = "#answer-table tbody tr:not(.out)"
-    assert len(driver.find_elements("css selector", rows)) == 3
-    job = driver.find_element("css selector", "#choose select")
-    label = job.find_elements("tag name", "option")[-1].text
-    driver.execute_script(
-        "arguments[0].selectedIndex = arguments[0].options.length - 1;"
-        "arguments[0].dispatchEvent(new Event('change'))",
-        job,
-    )
-    solver = "QHR" if "qhr" in label else "QMDP"
-    driver.switch_to.frame(driver.find_element("tag name", "iframe"))
-    try:
-        shown(driver, f"document.getElementById('about')?.textContent.includes('{solver}')")
-        steps = driver.execute_script("return D.steps.length")
-        for step in range(1, steps + 1):
-            driver.execute_script("document.getElementById('next').click()")
-            shown(driver, f"where.textContent == 'step {step} of {steps}'")
-        cost = driver.execute_script("return [D.cost, D.steps[D.steps.length - 1].cost]")
-        assert cost[0] == pytest.approx(cost[1])
-        width = driver.execute_script("return document.documentElement.scrollWidth - innerWidth")
-        assert width <= 0
-    finally:
-        driver.switch_to.default_content()

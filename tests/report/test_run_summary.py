@@ -56,3 +56,12 @@ def test_a_negative_regret_is_explained_where_it_is_shown(capsys, regret: float)
     print_summary(replace(made, metrics=metrics, config={**made.config, "traces": 4}))
     out = " ".join(capsys.readouterr().out.split())
     assert (NEGATIVE in out) == (regret < 0)
+
+
+def test_what_certificates_are_not_about_is_said(capsys) -> None:
+    print_certificates({**BOUNDS, "fresh_labels": 0.0})
+    out = " ".join(capsys.readouterr().out.split())
+    assert "which this belief does not assume: nothing is certified of this policy" in out
+    assert "this policy -" not in out
+    print_certificates(BOUNDS)
+    assert "not assume" not in capsys.readouterr().out

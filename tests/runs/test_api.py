@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import datetime
 import json
+import logging
+import os
+import sys
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pytest
 from hydra.core.global_hydra import GlobalHydra
@@ -17,7 +23,9 @@ from tests.conftest import ROOT
 from tests.runs import sweeps
 from xplain.domains.base import Item
 from xplain.errors import InputError, XplainError
+from xplain.explanation.problem import Problem
 from xplain.runs.api import _words
+from xplain.solvers.base import Policy
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
 
@@ -60,6 +68,34 @@ def test_a_run_is_that_of_the_command_line(here: Path, capsys: pytest.CaptureFix
     # What is finished is taken into a sweep.
     one = xplain.sweep("solver=qhr", *SMALL, SERIAL, trade_off=[1.5])
     assert one.runs[0].results.started == run.results.started
+
+
+@dataclass(frozen=True)
+class Talkative(QHR):
+    """A solver that prints."""
+
+    def plan(self, problem: Problem, seed: int = 0) -> Policy:
+        print("planning")
+        return super().plan(problem, seed)
+
+
+def test_what_a_component_prints_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    xplain.run(*SMALL, solver=Talkative())
+    assert set(capsys.readouterr().out.split()) == {"planning"}
+
+
+def test_runs_within_a_second_have_folders_of_their_own(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Still(datetime.datetime):
+        @classmethod
+        def now(cls, tz: datetime.tzinfo | None = None) -> Still:
+            return cls(2026, 1, 1, 12, 0, 0, tzinfo=tz)
+
+    monkeypatch.setattr("hydra.core.utils.datetime", Still)
+    runs = [xplain.run("solver=silent", *SMALL, trade_off=asked) for asked in (0.5, 1.0)]
+    assert len({run.folder for run in runs}) == 2
+    assert [run.results.trade_off for run in runs] == [0.5, 1.0]
 
 
 def test_a_sweep_takes_lists_and_objects_and_gives_frames_and_axes(here: Path) -> None:
@@ -119,6 +155,16 @@ def test_values_are_written_as_the_command_line_has_them() -> None:
         "dry_run=true",
         "prior=null",
     ]
+    assert _words({"seed": range(2), "trade_off": np.linspace(0.5, 1, 2)}) == [
+        "seed=0,1",
+        "lambda=0.5,1.0",
+    ]
+    assert _words({"seed": [np.int64(1)], "outputs": Path("else where")}) == [
+        "seed=1",
+        "outputs='else where'",
+    ]
+    assert _words({"users_count": 2, "max_steps": 3}) == ["users.count=2", "max_steps=3"]
+    assert _words({"cells": [[[6, 2]]]}) == ["cells=[[6,2]]"]
     assert _words({"domain.map": "S.'\n", "message_cost": {"fire": 2}}) == [
         "domain.map='S.\\'\n'",
         "message_cost={fire: 2}",
@@ -138,6 +184,34 @@ def test_equal_objects_are_one_value_and_others_another() -> None:
     assert _words({"domain": one}) == _words({"domain": same})
     others = [Fees({"fire": 1.0, "smoke": 2.0}), Fees({"fire": 2.0}), Fees({})]
     assert len({*_words({"domain": one}), *(_words({"domain": o})[0] for o in others)}) == 4
+
+
+class Tee:
+    """Standard error as a program may replace it."""
+
+    def write(self, text: str) -> int:
+        return len(text)
+
+    def flush(self) -> None:
+        pass
+
+
+def test_a_program_keeps_its_own_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    before, level = dict(matplotlib.rcParams), logging.getLogger("mlflow").level
+    variables = {name for name in os.environ if name.startswith("MLFLOW")}
+    monkeypatch.setattr(sys, "stderr", Tee())
+    xplain.run(*SMALL).plot()
+    assert dict(matplotlib.rcParams) == before
+    assert logging.getLogger("mlflow").level == level
+    assert {name for name in os.environ if name.startswith("MLFLOW")} == variables
+
+
+def test_two_threads_have_the_runs_that_each_asked_for() -> None:
+    def started(solver: str) -> str:
+        return xplain.sweep(*SMALL, SERIAL, solver=solver, trade_off=[1, 2]).runs[1].results.solver
+
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(started, ("qhr", "silent"))) == ["qhr", "silent"]
 
 
 def test_a_program_that_uses_hydra_itself_keeps_its_own() -> None:

@@ -36,7 +36,8 @@ def disturb(folder: Path, whom: str, moment: float) -> None:
     else:
         for worker in sweeps.workers(process)[:1]:
             sweeps.kill(worker)
-        complete(folder, process)
+        code, output = sweeps.wait(folder, process)
+        assert code in (0, 1), output
 
 
 def complete(folder: Path, process: subprocess.Popen[str]) -> None:
@@ -71,9 +72,9 @@ def seed() -> int:
 
 
 def test_a_sweep_killed_again_and_again_completes(tmp_path, finished):
-    """The last one is that of a worker, after which the sweep completes by itself."""
     for whom, share in rounds(1, seed=seed()):
         disturb(tmp_path, whom, share * finished.seconds)
+    complete(tmp_path, sweeps.start(tmp_path, *sweeps.TINY))
     check(tmp_path, finished.folder)
 
 

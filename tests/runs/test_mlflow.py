@@ -1,208 +1,297 @@
-"""What a run says in MLflow, noted by a client that keeps what it is sent."""
+"""What MLflow holds of runs and sweeps, asked of its own client."""
 
 from __future__ import annotations
 
-import itertools
+import json
 import logging
-import re
-import sqlite3
-from contextlib import closing
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+from mlflow import MlflowClient
+from mlflow.entities import Run
 
-from xplain.experiment.results import ElbowFigures, Figure, Results, TypeNames
+from tests.report import handmade
+from tests.runs.sweeps import planned, put
+from xplain.cli.sync import sync
+from xplain.errors import InputError, XplainError
+from xplain.experiment.results import ElbowFigures, Figure, save_results
 from xplain.report.summary import Summary
-from xplain.runs.mlflow import MLflow, refuse_unusable
-from xplain.runs.mlflow_run import MOST_PARAMETERS, fill, parameters
-from xplain.runs.mlflow_views import main_key, sweep_view
+from xplain.runs import mlflow
+from xplain.runs.folder import FAILURE, STARTED, SweepFolder
+from xplain.runs.mlflow import MLflow, view
 from xplain.runs.plan import Job
+from xplain.runs.terminal import without_passwords
 
-RESULTS = Results(
-    name="by hand",
-    xplain="0",
-    code="c0de",
-    git={},
-    started=1000.5,
-    seconds={"learn": 2.0, "explain": 3.5},
-    choices={"solver": "qmdp", "domain": "rescue"},
-    config={"seed": 4, "lambda": 0.5, "solver": {"memory": {"limit": 2}}},
-    metrics={"regret": Figure(1.25, 1.0, 1.5), "types": Figure(3.0, None, None)},
-    bounds={"gap": 0.01},
-    learning={"adjusted_rand_index": 0.9},
-    elbow=ElbowFigures("kneedle", (40.0, 7.0, 1.0)),
-    messages={},
-    scene=None,
-    types=TypeNames((), (), (), ()),
-    steps={"belief_in_true_type": (0.2, 0.6, 0.9)},
-    episodes=(),
-)
+PARENT = "mlflow.parentRunId"
 
 
-class Notebook:
-    """Takes what a client of MLflow is told."""
-
-    def __init__(self) -> None:
-        self.metrics: list[tuple[str, float, int]] = []
-        self.params: dict[str, str] = {}
-        self.tags: dict[str, str] = {}
-        self.times: set[int] = set()
-        self.files: list[str] = []
-        self.ended: list[tuple[str, str, int]] = []
-
-    def log_batch(self, run: str, metrics: Any, params: Any, tags: Any) -> None:
-        self.metrics += [(one.key, one.value, one.step) for one in metrics]
-        self.times |= {one.timestamp for one in metrics}
-        self.params |= {one.key: one.value for one in params}
-        self.tags |= {one.key: one.value for one in tags}
-
-    def log_artifact(self, run: str, path: str) -> None:
-        self.files.append(Path(path).name)
-
-    def set_terminated(self, run: str, status: str, end: int) -> None:
-        self.ended.append((run, status, end))
+@pytest.fixture
+def outputs(tmp_path: Path, empty_store: Path) -> Path:
+    """With a database in which nothing is."""
+    shutil.copy(empty_store, tmp_path / "mlflow.db")
+    return tmp_path
 
 
-def noted(folder: Path) -> Notebook:
-    notebook = Notebook()
-    fill(notebook, "run", folder, RESULTS)  # type: ignore[arg-type]
-    return notebook
+@pytest.fixture
+def client(outputs: Path) -> MlflowClient:
+    return MlflowClient(f"sqlite:///{outputs / 'mlflow.db'}")
 
 
-def curve(notebook: Notebook, name: str) -> dict[int, float]:
-    return {step: value for key, value, step in notebook.metrics if key == name}
+@pytest.fixture
+def folder(outputs: Path) -> SweepFolder:
+    """A sweep of three jobs."""
+    return planned(outputs, 3)[1]
 
 
-def test_curves_stand_at_the_numbers_they_belong_to(tmp_path: Path) -> None:
-    notebook = noted(tmp_path)
-    # Disagreements with one type, two, three; beliefs before the first step, after it, …
-    assert curve(notebook, "disagreements") == {1: 40.0, 2: 7.0, 3: 1.0}
-    assert curve(notebook, "belief_in_true_type") == {0: 0.2, 1: 0.6, 2: 0.9}
+def runs(client: MlflowClient) -> list[Run]:
+    experiment = client.get_experiment_by_name("xplain")
+    assert experiment is not None
+    return list(client.search_runs([experiment.experiment_id]))
 
 
-def test_each_figure_is_logged_once_under_its_name(tmp_path: Path) -> None:
-    notebook = noted(tmp_path)
-    single = {key: value for key, value, _ in notebook.metrics if "belief" not in key}
-    del single["disagreements"]
-    assert single == {
-        "regret": 1.25,
-        "regret.low": 1.0,
-        "regret.high": 1.5,
-        "adjusted_rand_index": 0.9,
-        "seconds": 5.5,
+def parent(client: MlflowClient) -> Run:
+    (found,) = (run for run in runs(client) if PARENT not in run.data.tags)
+    return found
+
+
+def children(client: MlflowClient) -> dict[str, str]:
+    """``{name: status}``"""
+    below = {PARENT: parent(client).info.run_id}.items()
+    return {
+        str(run.info.run_name): str(run.info.status)
+        for run in runs(client)
+        if below <= run.data.tags.items()
     }
-    assert len(notebook.metrics) == len(single) + 3 + 3
-    assert notebook.params == {"solver": "qmdp", "domain": "rescue", "seed": "4", "lambda": "0.5"}
-    assert notebook.tags["xplain.rule"] == "kneedle"
-    assert "regret 1.250" in notebook.tags["mlflow.note.content"]
 
 
-def test_swept_keys_are_parameters_and_few_others_are(tmp_path: Path) -> None:
-    many = {f"key{i}": i for i in range(40)}
-    swept = {"users.count": "3", "solver": "qmdp", "solver.memory.limit": "2"}
-    found = parameters(replace(RESULTS, config=many), swept)
-    assert len(found) == MOST_PARAMETERS
-    assert {"users.count": "3", "solver.memory.limit": "2", "solver": "qmdp"}.items() <= (
-        found.items()
+def fail(folder: SweepFolder, job: Job) -> None:
+    put(folder, job, FAILURE, json.dumps({"error": "no memory", "traceback": "line 1"}))
+
+
+def finish(folder: SweepFolder, job: Job, started: float = 1e9) -> None:
+    folder.of(job).mkdir(parents=True, exist_ok=True)
+    episodes = tuple(handmade.episode(name, 0, "A", 1.0) for name in ("oracle", "solver"))
+    own = handmade.results(job.label, {}, episodes)
+    save_results(
+        folder.of(job), replace(own, started=started, name=job.label, id=folder.result_id(job))
     )
 
 
-def test_the_main_key_is_the_one_with_most_numbers_and_its_steps_are_whole() -> None:
-    def jobs(**values: list[str]) -> list[Job]:
-        keys = list(values)
-        return [
-            Job(str(found), "", (), dict(zip(keys, found, strict=True)), str(found), "")
-            for found in itertools.product(*values.values())
-        ]
+def send(folder: SweepFolder) -> None:
+    sync([folder.path], folder.path.parent, MLflow())
 
-    main = main_key(
-        jobs(trade=["0", ".02", ".125"], solver=["a", "b", "c", "d"], seed=list("0123"))
+
+def test_a_run_has_its_figures_curves_choices_and_files(
+    outputs: Path, client: MlflowClient
+) -> None:
+    own = replace(
+        handmade.results("by hand", {}, (handmade.episode("solver", 0, "A", 1.0),)),
+        started=1000.5,
+        seconds={"learn": 2.0, "explain": 3.5},
+        config={"seed": 4, "lambda": 0.5, "solver": {"memory": {"limit": 2}}},
+        metrics={"regret": Figure(1.25, 1.0, 1.5), "cost": Figure(3.0, None, None)},
+        learning={"adjusted_rand_index": 0.9},
+        elbow=ElbowFigures("kneedle", (40.0, 7.0, 1.0)),
+        steps={"belief_in_true_type": (0.2, 0.6, 0.9)},
+        id="one",
     )
-    assert (main.key, main.scale) == ("trade", 1000)
-    assert main.step({"trade": ".125", "solver": "a"}) == 125
-    both = {"count": ["2", "3"], "lambda": ["0.5", "1"]}
-    assert main_key(jobs(**both)).key == "lambda"
-    assert main_key(jobs(solver=["a", "b"])).key == ""
-    assert main_key(jobs(solver=["a", "b"])).step({"solver": "a"}) == 0
+    place = outputs / "runs" / "mine"
+    place.mkdir(parents=True)
+    save_results(place, own)
+    (place / "config.yaml").touch()
+    for _ in range(2):  # sent twice, it is there once
+        lines = MLflow().log(place, outputs)
+        assert lines[0].startswith("MLflow: http://127.0.0.1:5000/#/experiments/")
+        (run,) = runs(client)
+    assert run.info.status == "FINISHED"
+    # Milliseconds: 1000.5 s, and 2 s + 3.5 s more.
+    assert (run.info.start_time, run.info.end_time) == (1_000_500, 1_006_000)
+    assert sorted(run.data.metrics)[0] == "regret"  # what a comparison draws
+    single = {key: value for key, value in run.data.metrics.items() if "/" not in key}
+    assert single == {"regret": 1.25, "regret_low": 1.0, "regret_high": 1.5}
+    assert run.data.metrics["solver/seconds"] == 5.5
+    assert run.data.metrics["types/adjusted_rand_index"] == 0.9
+    for name, curve in (
+        ("types/disagreements", {1: 40.0, 2: 7.0, 3: 1.0}),
+        ("solver/belief_in_true_type", {0: 0.2, 1: 0.6, 2: 0.9}),
+    ):
+        history = client.get_metric_history(run.info.run_id, name)
+        assert {point.step: point.value for point in history} == curve
+    assert run.data.params == {**own.choices, "seed": "4", "lambda": "0.5"}
+    files = {file.path for file in client.list_artifacts(run.info.run_id)}
+    assert files == {"config.yaml", "results.json"}
 
 
-def test_a_run_ends_when_its_work_did_and_hides_no_file(tmp_path: Path) -> None:
-    for name in ("results.json", ".lock", "elbow.svg"):
-        (tmp_path / name).touch()
-    (tmp_path / "folder").mkdir()
-    notebook = noted(tmp_path)
-    # Milliseconds: 1000.5 s + 2 s + 3.5 s.
-    assert notebook.ended == [("run", "FINISHED", 1_006_000)]
-    assert notebook.times == {1_006_000}
-    assert notebook.files == ["elbow.svg", "results.json"]
-
-
-@pytest.mark.parametrize(
-    ("error", "said"),
-    [
-        (OSError("no space left\nsecond line"), "(no space left)"),
-        (OSError("  \n"), "(OSError)"),
-        (ValueError("x" * 300), "(" + "x" * 200 + ")"),
-    ],
-)
-def test_what_mlflow_does_not_take_costs_a_warning_that_says_why(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    error: Exception,
-    said: str,
+def test_a_sweep_is_a_parent_with_a_child_for_each_job_that_ended(
+    client: MlflowClient, folder: SweepFolder
 ) -> None:
-    def fails(self: MLflow, outputs: Path) -> Any:
-        raise error
-
-    monkeypatch.setattr(MLflow, "store", fails)
-    with caplog.at_level(logging.WARNING):
-        assert MLflow().log(tmp_path / "run", tmp_path) == []
-    assert said in caplog.text
-    assert f"xplain sync {tmp_path / 'run'}" in caplog.text
-
-
-def test_a_database_that_another_process_holds_is_refused_and_none_is_made(tmp_path: Path) -> None:
-    path = tmp_path / "mlflow.db"
-    refuse_unusable(f"sqlite:///{path}")
-    assert not path.exists()
-    with closing(sqlite3.connect(path, isolation_level=None)) as other:
-        other.execute("CREATE TABLE t (x)")
-        refuse_unusable(f"sqlite:///{path}")
-        other.execute("BEGIN IMMEDIATE")
-        with pytest.raises(sqlite3.OperationalError, match="locked"):
-            refuse_unusable(f"sqlite:///{path}", patience=0.1)
-    refuse_unusable("postgresql://somewhere/else")  # not for us to try
+    first, second, third = folder.jobs()
+    put(folder, first, STARTED, "here 1")
+    fail(folder, second)
+    send(folder)
+    assert parent(client).data.params == {"seed": "0, 1, 2", "jobs": "3"}
+    assert children(client) == {second.label: "FAILED"}
+    (failed,) = (run for run in runs(client) if PARENT in run.data.tags)
+    assert failed.data.tags["xplain.error"] == "no memory"
+    assert [file.path for file in client.list_artifacts(failed.info.run_id)] == [FAILURE]
+    finish(folder, third)
+    for _ in range(2):
+        send(folder)
+        assert children(client) == {second.label: "FAILED", third.label: "FINISHED"}
+        assert parent(client).info.status == "FAILED"
 
 
-def test_the_command_that_opens_the_pages_names_the_runs_database(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_sweep_that_goes_on_keeps_its_parent_and_what_was_sent(
+    client: MlflowClient, folder: SweepFolder
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    shows = "mlflow ui --backend-store-uri "
-    own, far = tmp_path / "outputs", tmp_path / "far"
-    assert MLflow().how_to_open(own) == shows + "sqlite:///outputs/mlflow.db"
-    assert MLflow().how_to_open(far) == shows + f"sqlite:///{far}/mlflow.db"
-    elsewhere = MLflow(uri="sqlite:////data/all.db")
-    assert elsewhere.how_to_open(own) == elsewhere.how_to_open(far) == shows + elsewhere.uri
-    assert MLflow(uri="http://lab:5000").how_to_open(own) is None
+    first, *others = folder.jobs()
+    send(folder)
+    assert (parent(client).info.status, children(client)) == ("KILLED", {})
+    finish(folder, first)
+    send(folder)
+    assert parent(client).info.status == "KILLED"
+    before = {run.info.run_id for run in runs(client)}
+    for job in others:
+        finish(folder, job)
+    send(folder)
+    assert before < {run.info.run_id for run in runs(client)}
+    assert parent(client).info.status == "FINISHED"
+    assert children(client) == {job.label: "FINISHED" for job in folder.jobs()}
 
 
-def test_the_view_of_a_sweep_begins_with_its_measure_and_has_what_was_swept() -> None:
+def test_what_a_dead_sender_left_open_is_sent_again(
+    client: MlflowClient, folder: SweepFolder
+) -> None:
+    for job in folder.jobs():
+        finish(folder, job)
+    send(folder)
+    child = next(run.info.run_id for run in runs(client) if PARENT in run.data.tags)
+    for run_id in (child, parent(client).info.run_id):
+        client.update_run(run_id, "RUNNING")
+    send(folder)
+    assert child not in {run.info.run_id for run in runs(client)}
+    assert {run.info.status for run in runs(client)} == {"FINISHED"}
+    assert len(children(client)) == 3
+
+
+def test_what_ran_again_takes_the_place_of_what_was_sent(
+    client: MlflowClient, folder: SweepFolder
+) -> None:
+    first, second, _ = folder.jobs()
+    finish(folder, first)
+    fail(folder, second)
+    send(folder)
+    before = {run.info.run_id for run in runs(client)}
+    finish(folder, first, started=2e9)
+    folder.clear(second)
+    finish(folder, second)
+    send(folder)
+    assert children(client) == {first.label: "FINISHED", second.label: "FINISHED"}
+    assert before & {run.info.run_id for run in runs(client)} == {parent(client).info.run_id}
+
+
+def test_runs_beyond_the_first_page_are_known(
+    client: MlflowClient, folder: SweepFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = MlflowClient.search_runs
+    monkeypatch.setattr(
+        MlflowClient,
+        "search_runs",
+        lambda self, *at, max_results, **how: whole(self, *at, max_results=2, **how),
+    )
+    for job in folder.jobs():
+        finish(folder, job)
+    for _ in range(2):
+        send(folder)
+    monkeypatch.setattr(MlflowClient, "search_runs", whole)
+    assert len(runs(client)) == 1 + 3
+
+
+def test_a_view_of_the_sweep_shows_what_was_swept_and_the_measure(
+    client: MlflowClient, folder: SweepFolder
+) -> None:
+    finish(folder, folder.jobs()[0])
+    send(folder)
+    experiment = client.get_experiment_by_name("xplain")
+    assert experiment is not None
+    (shared,) = (
+        json.loads(value)
+        for key, value in experiment.tags.items()
+        if key.startswith("mlflow.sharedViewState.")
+    )
+    assert set(shared) == {"name", "createdAt", "updatedAt", "state"}
+    state = json.loads(shared["state"])
+    assert parent(client).info.run_id in state["searchFilter"]
+    assert state["selectedColumns"][0] == "metrics.`regret`"
     swept = {"lambda": ["1", "2"], "users.count": ["2", "3"], "solver": ["qmdp"]}
     summary = SimpleNamespace(
         keys=tuple(swept),
         values=swept.__getitem__,
-        seeds=3,
-        measure=SimpleNamespace(name="above_floor", title="cost above the clairvoyant's"),
-        counted=("messages", "inexplicable labels", "questions"),
+        results=[1],
+        measure=SimpleNamespace(name="above_floor"),
     )
-    jobs = tuple(Job(value, "", (), {"lambda": value}, value, "") for value in ("1", "2"))
-    view = sweep_view("parent", cast("Summary", summary), main_key(jobs))
-    columns = [re.sub(r"`|params\.|metrics\.", "", column) for column in view["columnOrder"]]
-    ends = ["above_floor.low", "above_floor.high", "messages", "inexplicable_labels", "questions"]
-    assert columns == ["above_floor", "cost", "lambda", "users.count", "seed", *ends]
-    assert view["selectedColumns"] == view["columnOrder"] == list(view["columnWidths"])
+    columns = view("parent", cast("Summary", summary))["columnOrder"]
+    assert columns[0] == "metrics.`regret_to_clairvoyant`"
+    assert {"params.`lambda`", "params.`users.count`", "params.`seed`"} < set(columns)
+    assert "params.`solver`" not in columns  # one value
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_server_that_is_away_costs_a_line_without_its_password(
+    folder: SweepFolder, caplog: pytest.LogCaptureFixture
+) -> None:
+    finish(folder, folder.jobs()[0])
+    away = MLflow("http://lab:secret@127.0.0.1:9")
+    with caplog.at_level(logging.WARNING, "xplain"):
+        assert away.log(folder.path, folder.path.parent) == []
+    (said,) = (one.getMessage() for one in caplog.records if one.name.startswith("xplain"))
+    assert f"xplain sync {folder.path}" in said
+    assert "\n" not in said
+    with pytest.raises(XplainError, match=r"tracking\.uri: MLflow does not take"):
+        sync([folder.path], folder.path.parent, away)
+    assert "secret" not in caplog.text
+    assert without_passwords("to http://lab:secret@host/x?y") == "to http://***@host/x?y"
+
+
+def test_a_deleted_experiment_and_what_is_no_database_are_one_line(
+    client: MlflowClient, folder: SweepFolder
+) -> None:
+    finish(folder, folder.jobs()[0])
+    send(folder)
+    client.delete_experiment(parent(client).info.experiment_id)
+    with pytest.raises(InputError, match=r"tracking\.experiment='xplain': an experiment that"):
+        send(folder)
+    other = folder.path.parent / "other.db"
+    other.write_text("no database")
+    with pytest.raises(XplainError, match=r"^tracking\.uri: MLflow does not take .*$"):
+        sync([folder.path], folder.path.parent, MLflow(f"sqlite:///{other}"))
+
+
+def test_what_mlflow_raises_costs_a_warning_that_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fails(*_: Any) -> Any:
+        raise OSError("no space left\nsecond line")
+
+    monkeypatch.setattr(mlflow, "_make_database", fails)
+    with caplog.at_level(logging.WARNING):
+        assert MLflow().log(tmp_path / "run", tmp_path) == []
+    assert "(no space left)" in caplog.text
+
+
+def test_the_command_that_opens_the_pages_names_the_database(
+    folder: SweepFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder.path.parents[1])
+    shows = "  once this runs: mlflow ui --backend-store-uri sqlite:///"
+    outputs = folder.path.parent
+    assert MLflow().log(folder.path, outputs)[-1] == f"{shows}{outputs.name}/mlflow.db"

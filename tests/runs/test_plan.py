@@ -31,6 +31,15 @@ def plan(settings=SETTINGS, arguments=(), name="sweep", fingerprints=fingerprint
     return make_plan(name, settings, list(arguments), compose, fingerprints)
 
 
+def test_keys_that_are_forced_are_the_same_keys():
+    forced = plan([{}], ["++seed=0,1", "++lambda=0.5,1"]).jobs
+    assert [job.values for job in forced] == [
+        job.values for job in plan([{}], ["seed=0,1", "lambda=0.5,1"]).jobs
+    ]
+    with pytest.raises(InputError, match=r"a list, choice\(...\) or range\(...\)"):
+        plan([{}], ["solver=glob(q*)"])
+
+
 def test_jobs_are_the_union_of_the_settings_products():
     jobs = plan().jobs
     values = {tuple(sorted(job.values.items())) for job in jobs}

@@ -48,5 +48,4 @@ COMMANDS = {
     "study preregister": Command("study:preregister", "a document of the plan, to register"),
     "study analyse": Command("study:analyse", "the paper's Table 2 of its data"),
     "study habits": Command("people:habits", "how participants listened and answered", of="study"),
-    "study power": Command("study:power", "how many participants it needs"),
 }

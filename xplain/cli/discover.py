@@ -28,10 +28,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from hydra.utils import instantiate
-from numpy.typing import NDArray
 from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Table
@@ -42,7 +40,6 @@ from xplain.errors import InputError, TooLargeError, one_of
 from xplain.experiment.config import composed
 from xplain.explanation.message_sets import names_of
 from xplain.learning.data.dataset import Dataset
-from xplain.learning.data.encoding import align
 from xplain.learning.data.label_file import read_questions, read_table
 from xplain.learning.data.observers import Observed
 from xplain.learning.known_types import learn
@@ -69,12 +66,12 @@ def main(arguments: list[str]) -> Row:
         dataset = read_table(cfg.data, cfg.messages, cfg.features, cfg.ignore)
     else:
         known = Hypotheses.load(cfg.hypotheses)
-        dataset = read_table(cfg.data, known.messages, cfg.features, cfg.ignore)
-        dataset = align(dataset, known.feature_names or dataset.feature_names)
+        like = known.feature_names
+        dataset = read_table(cfg.data, known.messages, cfg.features, cfg.ignore, like=like)
     said = sentences_of(cfg.sentences, dataset.messages)
     asked = None
     if cfg.predict is not None:
-        asked = read_questions(cfg.predict, dataset, cfg.features, cfg.ignore)
+        asked = read_questions(cfg.predict, dataset)
     types = learn(Observed(dataset), trainer, clusterer, cfg.seed)
     types = with_none_of_these(types, dataset, cfg.none_of_these)
     clustering = types.clustering
@@ -95,7 +92,9 @@ def main(arguments: list[str]) -> Row:
     }
     _write(folder, dataset, types, row, said, tenths)
     if asked is not None:
-        _write_predictions(cfg.predict, predicted(dataset, types, asked), folder)
+        table, questions = asked
+        table["p"] = predicted(dataset, types, questions)
+        table.to_csv(folder / "predictions.csv", index=False)
     return row
 
 
@@ -175,15 +174,6 @@ def _write(
     text = json.dumps(summary, indent=2)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     _show(row, known, folder, tenths)
-
-
-def _write_predictions(path: str, one: NDArray[np.float64], folder: Path) -> None:
-    """``predictions.csv``: the rows of the file, and ``p``."""
-
-    kind = pd.read_parquet if path.endswith(".parquet") else pd.read_csv
-    table = kind(path)
-    table["p"] = one
-    table.to_csv(folder / "predictions.csv", index=False)
 
 
 def summarised(dataset: Dataset, types: UserTypes) -> list[Row]:

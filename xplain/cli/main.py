@@ -6,20 +6,17 @@ Nothing heavy is imported before it is known what to do.
 from __future__ import annotations
 
 import ast
-import atexit
-import gc
 import json
 import logging
+import os
 import sys
 from importlib import import_module
 from pathlib import Path
 
 from xplain import __version__
 from xplain.cli.commands import COMMANDS
-from xplain.errors import InputError, left_at_once
-
-COLLECT = 1_000_000, 20, 20
-"""Objects made between two looks for garbage, and looks between two deeper ones."""
+from xplain.errors import InputError, left_at_once, quoted
+from xplain.experiment.progress import is_terminal
 
 HELP = """\
 xplain: personalized explanations of a robot's decisions, as experiments.
@@ -32,7 +29,7 @@ xplain: personalized explanations of a robot's decisions, as experiments.
 {commands}
 
 All keys with their defaults and choices: xplain --keys, docs/config.md. Of a run: --cfg job.
-Completion in bash: eval "$(xplain -sc install=bash)". `python -m xplain` is the same as `xplain`.
+`python -m xplain` is the same as `xplain`.
 """
 
 
@@ -43,10 +40,6 @@ def main(arguments: list[str] | None = None) -> None:
         arguments: of the command line; None takes those of the process.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    # Imports make a million objects that stay: to look for garbage among them as often as Python
-    # does by default takes a third of their time; and a second to take them apart at the end.
-    gc.set_threshold(*COLLECT)
-    atexit.register(gc.freeze)
     _tell(given, "loading …")
     with left_at_once():
         from xplain.experiment.config import report_errors
@@ -56,17 +49,13 @@ def main(arguments: list[str] | None = None) -> None:
             print(HELP.format(commands="\n".join(_commands(""))), end="")
         elif given == ["--version"]:
             print(f"xplain {__version__}")
-        elif given and given[0] in ("-sc", "--shell-completion"):
-            from xplain.cli import completion
-
-            completion.main(given[1:])
         else:
             _run(given)
 
 
 def _tell(given: list[str], what: str) -> None:
     """On a terminal, what an experiment is at before its first stage, whose line covers this."""
-    if all("=" in word or word == "-m" for word in given) and sys.stderr.isatty():
+    if all("=" in word or word == "-m" for word in given) and is_terminal(sys.stderr):
         print(what, end="\r", file=sys.stderr, flush=True)
 
 
@@ -77,6 +66,10 @@ def _run(given: list[str]) -> None:
             from xplain.cli import run
 
         _tell(given, "composing …")
+        # A person waits: MLflow would try a server that is away for minutes.
+        os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
+        os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "ERROR")  # read when MLflow is imported
+        logging.getLogger("mlflow").setLevel(logging.ERROR)  # where it is imported already
         run.main(given)
         return
     from xplain.experiment.config import CONF
@@ -120,7 +113,7 @@ def _with_own_choices(words: list[str]) -> list[str]:
             own = Path(folder if equals else "".join(words[i + 1 : end])).absolute()
             if not own.is_dir():
                 raise InputError(flag, str(own), "a folder with choices of your own")
-            return [*words[:i], *words[end:], f"hydra.searchpath=['file://{own}']"]
+            return [*words[:i], *words[end:], f"hydra.searchpath=[{quoted(f'file://{own}')}]"]
     return words
 
 

@@ -17,7 +17,8 @@ from hydra.utils import instantiate
 from xplain.errors import InputError
 from xplain.experiment import pipeline
 from xplain.experiment.config import composed
-from xplain.learning.data.label_file import check_format, write_table
+from xplain.learning.data.cells import check_format
+from xplain.learning.data.label_file import write_table
 from xplain.randomness import run_seed
 
 

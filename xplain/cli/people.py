@@ -94,7 +94,7 @@ def server_of(cfg: DictConfig) -> Server:
 
 def running(name: str, cfg: DictConfig, path: Path, kind: type[Site[Any]]) -> Any:
     """The plan in the database, or a new one. Names the keys of ``cfg`` that it does not follow."""
-    from xplain.people.analysis.stored import read_plan, renamed
+    from xplain.people.analysis.stored import read_plan
     from xplain.people.wording import fixed
 
     plan = read_plan(path, kind.PLAN)
@@ -105,7 +105,7 @@ def running(name: str, cfg: DictConfig, path: Path, kind: type[Site[Any]]) -> An
     now = fixed(cfg)
     if now["seed"] is None:
         del now["seed"]  # drawn once, at the first start
-    ignored = [key for key in now if now[key] != renamed(plan.config.get(key))]
+    ignored = [key for key in now if now[key] != plan.config.get(key)]
     if ignored:
         print(
             f"{name}: goes on as it was started; these keys differ now and are ignored: "
@@ -164,11 +164,11 @@ def run_server(site: Site[Any], name: str, server: Server, path: Path, cfg: Dict
 
 
 def bots(name: str, arguments: list[str]) -> None:
-    """Lets simulated people take part in what a server runs, over HTTP or in a real browser. They
-    are marked as bots in the data for ever, take nobody's place, and are never mixed with people.
+    """Lets simulated people take part in what a server runs, over HTTP. They are marked as bots in
+    the data for ever, take nobody's place, and are never mixed with people.
 
         xplain NAME bots --key KEY [--url http://127.0.0.1:8080] [--count 40] [--at-once 8]
-            [--pace 0] [--leaving 0] [--chromium] [--seed 0] [--save FILE]
+            [--pace 0] [--leaving 0] [--seed 0] [--save FILE]
 
     ``--key``: the researcher's key, which the server prints; ``--pace``: 1 is real time;
     ``--leaving``: chance to leave, a page; ``--save``: where the export (ZIP) goes afterwards.
@@ -178,23 +178,20 @@ def bots(name: str, arguments: list[str]) -> None:
     """
     from requests import RequestException
 
-    from xplain.people.simulation import chromium
     from xplain.people.simulation.bots import Researcher, crowd
 
     own = import_module(f"xplain.people.{name}.bot")
     habits = {one.name: one.default for one in fields(own.Habits)}
-    server = {"url": "http://127.0.0.1:8080", "key": ..., "chromium": False, "save": Path}
+    server = {"url": "http://127.0.0.1:8080", "key": ..., "save": Path}
     numbers = {"count": 40, "at_once": 8, "pace": 0.0, "seed": 0}
     given = parsed(f"xplain {name} bots", arguments, **server, **numbers, **habits)
     for flag, value in (("--count", given.count), ("--at-once", given.at_once)):
         whole_number(flag, value, 1, 10_000)
-    if given.chromium and (what := chromium.missing()):
-        raise InputError("--chromium", "not here", f"install {what}")
     habits = own.Habits(**{habit: getattr(given, habit) for habit in habits})
     try:
         researcher = Researcher(given.url, given.key)
         person = partial(own.bot, researcher.plan(site(name).PLAN), habits, given.seed)
-        stages = crowd(researcher, given.count, given.at_once, given.pace, person, given.chromium)
+        stages = crowd(researcher, given.count, given.at_once, given.pace, person)
         archive = researcher.archive() if given.save else b""
     except (RequestException, ConnectionError, TimeoutError) as error:
         raise XplainError(f"--url={given.url}: the server went away ({error})") from None
@@ -210,8 +207,8 @@ def export(name: str, arguments: list[str]) -> None:
         xplain NAME export DATABASE FOLDER
     """
     given = parsed(f"xplain {name} export", arguments, "database", "folder")
-    head = site(name).export(given.database, given.folder)
-    print(f"tables and codebook in {given.folder}\nhead of the log: {head}")
+    digest = site(name).export(given.database, given.folder)
+    print(f"tables and codebook in {given.folder}\nSHA-256 of events.csv: {digest}")
 
 
 def erase(name: str, arguments: list[str]) -> None:
@@ -220,7 +217,7 @@ def erase(name: str, arguments: list[str]) -> None:
         xplain NAME erase DATABASE REFERENCE
 
     The database is one that no server has open; a running server's page can do the same. The
-    erasure is written to the log, which can still be checked. Exports and backups made before keep
+    erasure is an event. Exports and backups made before keep
     the data.
 
     What was learned from their answers to a collection before, about which questions tell most of
@@ -238,36 +235,27 @@ def erase(name: str, arguments: list[str]) -> None:
 
 
 def replay(name: str, arguments: list[str]) -> None:
-    """Recomputes everything that followed from the answers (beliefs and messages of a study,
-    questions and posteriors of a collection) from the log, and compares.
+    """Says whether the plan would decide all of it again: beliefs and messages of a study,
+    questions and posteriors of a collection.
 
-        xplain NAME replay DATABASE [--head DIGEST]
+        xplain NAME replay DATABASE
 
-    ``--head`` is the head of the log that an earlier export printed: everything up to it must be as
-    it was then. The database is one that no server has open. Exit code 1 where anything differs.
+    The database is one that no server has open. Exit code 1 where anything differs.
     """
-    given = parsed(f"xplain {name} replay", arguments, "database", head="")
-    from xplain.people.analysis.log import head_of
+    given = parsed(f"xplain {name} replay", arguments, "database")
     from xplain.people.analysis.stored import plan_of, reading
 
     kind = site(name)
     with reading(given.database) as connection:
         plan = plan_of(connection, kind.PLAN)
-        found = kind.as_planned(plan).replay(connection, given.head)
-        head = head_of(connection)
-    if found.differences and found.whole:
-        kind.of(plan)  # raises where another version decided
+        found = kind.as_planned(plan).replay(connection)
     for difference in found.differences:
         print(difference, file=sys.stderr)
     verdict = f"{len(found.differences)} differences" if found.differences else "all equal"
-    if found.rounded:
-        verdict += f", {found.rounded} values but for rounding, as another version computes them"
-    print(
-        f"{found.participants} participants, {found.events} answers, {found.steps} steps "
-        f"replayed{f', {found.erased} erased' if found.erased else ''}: {verdict}\n"
-        f"head of the log: {head}"
-    )
+    erased = f", {found.erased} erased" if found.erased else ""
+    print(f"{found.participants} participants, {found.events} events replayed{erased}: {verdict}")
     if found.differences:
+        kind.of(plan)  # raises where another version decided
         sys.exit(1)
 
 

@@ -7,9 +7,11 @@ import sys
 import hydra
 from hydra._internal.utils import get_args_parser
 
-from xplain.errors import XplainError
+from xplain.errors import InputError, XplainError
 from xplain.experiment.config import CONF, named
+from xplain.report.summary import SWEEP
 from xplain.runs import hydra_plugins
+from xplain.runs.folder import SweepFolder
 from xplain.runs.start import job, start
 
 
@@ -35,9 +37,15 @@ def main(arguments: list[str]) -> None:
     if known.help or known.hydra_help or known.cfg or known.info or known.shell_completion:
         _show([*overrides, *(word for word in words if word not in overrides)])
         return
-    folder = start(overrides, known.multirun or None, known.config_dir)
-    if folder is not None and any((folder / "jobs").glob("*/failure.json")):
-        raise SystemExit(1)
+    for flag in ("config_path", "package", "experimental_rerun"):
+        if (value := getattr(known, flag)) is not None:
+            raise InputError(f"--{flag.replace('_', '-')}", value, "--config-dir or --config-name")
+    name = known.config_name
+    folder = start(overrides, known.multirun or None, known.config_dir, config_name=name)
+    if folder is not None and (folder / SWEEP).exists():
+        sweep = SweepFolder(folder)
+        if any(sweep.state(job) != "finished" for job in sweep.jobs()):
+            raise SystemExit(1)
 
 
 def _show(words: list[str]) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from xplain.cli.parser import parsed
-from xplain.errors import InputError, whole_number
-from xplain.experiment.config import composed
+from xplain.errors import InputError
 
 
 def preregister(arguments: list[str]) -> None:
@@ -58,37 +57,3 @@ def analyse(arguments: list[str]) -> None:
         files += save(analysis, out, name)
         show(analysis, Console(width=None if Console().is_terminal else 150))
     print(f"{', '.join(dict.fromkeys(files))} in {out}")
-
-
-def power(arguments: list[str]) -> None:
-    """Power curves for the planned study, and what they hang on, from simulated participants; with
-    ask=clips also of the condition that asks against the personalized one.
-
-        xplain study power [--out FOLDER] [--people 200] [--studies 2000] [--n 50] [key=value ...]
-
-    ``--people``: simulated ones a cell; ``--studies``: planned studies a point; ``--n``:
-    participants a condition, for the sensitivity. Keys are those of conf/study.yaml.
-    """
-    numbers = {"people": 200, "studies": 2000, "n": 50}
-    out = Path("outputs/study/power")
-    given = parsed("xplain study power", arguments, "overrides", out=out, **numbers)
-    for key in numbers:
-        whole_number(f"--{key}", getattr(given, key), 2)
-    from xplain.people.study import power as curves
-    from xplain.people.study.policies import at_work
-    from xplain.people.study.prepare import study_plan
-    from xplain.people.study.table2 import COMPARED
-
-    study = at_work(study_plan(composed("study", given.overrides)))
-    rows = curves.write(study, given.out, given.people, given.studies, given.n)
-    for name, own in rows.groupby("comparison", sort=False):
-        between = " − ".join(COMPARED[str(name)])
-        for key, whose in (
-            ("simulated_holm", "simulated people"),
-            ("paper_effect_holm", "the paper"),
-        ):
-            figures = own.pivot(index="n_per_condition", columns="measure", values=key)
-            if figures.notna().all(axis=None):
-                said = f"{between}: power, corrected for three tests; effects of {whose}"
-                print(f"{said}\n{figures.round(2)}\n")
-    print(f"power.csv, sensitivity.csv and their plots in {given.out}")

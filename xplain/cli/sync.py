@@ -11,13 +11,14 @@ from pathlib import Path
 
 from hydra.utils import instantiate
 
-from xplain.errors import InputError
+from xplain.errors import InputError, XplainError, first_line
 from xplain.experiment.config import composed
 from xplain.experiment.results import RESULTS
 from xplain.report.summary import SWEEP, load_sweep
 from xplain.runs.folder import SweepFolder
 from xplain.runs.mlflow import MLflow
 from xplain.runs.reuse import runs_and_sweeps
+from xplain.runs.terminal import without_passwords
 
 log = logging.getLogger(__name__)
 
@@ -27,7 +28,7 @@ def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
 
     Raises:
         InputError: a folder is not there, or holds no results.
-        OSError, sqlite3.Error, MlflowException: the store cannot be reached.
+        XplainError: MLflow cannot take them.
     """
     count = 0
     for folder in folders:
@@ -37,7 +38,7 @@ def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
             raise InputError("folder", str(folder), f"a folder with {RESULTS} in it or below")
         for one in below:
             if not (one / SWEEP).exists():
-                tracking.send(one, outputs)
+                _send(tracking, one, outputs)
                 count += 1
                 continue
             sweep = SweepFolder(one)
@@ -47,9 +48,19 @@ def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
                 log.warning("left out: %s", error)
                 continue
             with sweep.alone(f"{one.name}: it is running; waiting for its end"):
-                tracking.send(one, outputs)
+                _send(tracking, one, outputs)
             count += sum(sweep.state(job) == "finished" for job in sweep.jobs())
     return count
+
+
+def _send(tracking: MLflow, folder: Path, outputs: Path) -> None:
+    try:
+        tracking.send(folder, outputs)
+    except XplainError:
+        raise
+    except Exception as error:  # MLflow raises what SQLAlchemy, requests, the OS do
+        text = without_passwords(first_line(error))
+        raise XplainError(f"tracking.uri: MLflow does not take the results ({text})") from error
 
 
 def main(arguments: list[str]) -> None:

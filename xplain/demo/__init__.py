@@ -1,1 +1,1 @@
-"""One explanation, played: ``xplain demo`` (terminal), ``--html FILE`` (a page), ``--serve``."""
+"""One explanation, played: ``xplain demo`` writes a page, ``--serve`` opens a playground."""

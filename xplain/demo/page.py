@@ -17,7 +17,7 @@ SHOWN = 6
 
 def page(stage: DemoSetup, played: Played) -> str:
     """The HTML of the page, with the session's data in it."""
-    template = files("xplain.report").joinpath("player.html").read_text(encoding="utf-8")
+    template = files("xplain.demo").joinpath("player.html").read_text(encoding="utf-8")
     # Inside a script element only "</" and "<!--" could end or change what follows.
     data = json.dumps(content(stage, played), ensure_ascii=False).replace("<", "\\u003c")
     return template.replace("/*DATA*/null", data)
@@ -34,7 +34,7 @@ def content(stage: DemoSetup, played: Played) -> dict[str, Any]:
         "user": played.user,
         "right": stage.right(played.user),
         "titles": {name: stage.title(name) for name in played.prior},
-        "believes": list(stage.beliefs.get(played.user or "", ())),
+        "believes": list(stage.beliefs[played.user]),
         "sentences": dict(zip(prepared.messages, prepared.sentences, strict=True)),
         "scene": encode(prepared.scene),
         "positions": case.positions if len(case.positions) == len(case.transitions) + 1 else [],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from hydra.utils import instantiate
 
@@ -18,7 +17,7 @@ from xplain.explanation.asking import Question
 from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.label_table import joined
 from xplain.explanation.message_sets import mask_of
-from xplain.interaction.explainees import Explainee, respondent
+from xplain.interaction.explainees import Explainee, Person, respondent
 from xplain.interaction.explainer import Explainer, GivenTypes
 from xplain.interaction.moves import Candidate, Say, Why
 from xplain.interaction.session import Session
@@ -71,10 +70,10 @@ class DemoSetup:
         """
         return self.suggested if name is None else one_of("--user", name, self.beliefs)
 
-    def right(self, user: str | None) -> list[str]:
-        """The learned types that match a true one; none for a person, or if there is one type."""
+    def right(self, user: str) -> list[str]:
+        """The learned types that match a true one; none if there is one type."""
         prepared, found = self.prepared, self.explainer.types.names
-        if user is None or len(found) < 2:
+        if len(found) < 2:
             return []
         alike = prepared.distinct[prepared.types.index(user)]
         return [
@@ -117,36 +116,14 @@ class Played:
     """A session from beginning to end.
 
     Attributes:
-        user: the true type of the user; None for a person.
+        user: the true type of the user.
         prior: the belief before the first step.
         steps: one for each transition.
     """
 
-    user: str | None
+    user: str
     prior: dict[str, float]
     steps: tuple[Step, ...]
-
-
-class User(Protocol):
-    """Whoever the trace is explained to.
-
-    Attributes:
-        user: the true type of a simulated user; None for a person.
-    """
-
-    user: str | None
-
-    def labels(self, session: Session) -> Sequence[int]:
-        """Of the transitions that a session shows, after its messages."""
-        ...
-
-    def reply(self, session: Session, question: Question) -> int:
-        """The answer, 0 or 1, to a question."""
-        ...
-
-    def heard(self, step: Step) -> None:
-        """What came of the labels; only who shows the session needs it."""
-        return
 
 
 TRIED = 5
@@ -210,7 +187,7 @@ def _rule(prepared: Prepared, best: DemoSetup) -> str:
 def _tells(scene: DemoSetup) -> tuple[bool, bool, int, float]:
     """How much a session shows of the method (larger is more): the type is found, with at least one
     message, and with few."""
-    played = play(scene, SimulatedListener(scene, scene.suggested))
+    played = play(scene, scene.suggested)
     belief = sum(played.steps[-1].belief[name] for name in scene.right(scene.suggested))
     messages = sum(len(step.said) for step in played.steps)
     return belief > SURE, messages > 0, -messages, belief
@@ -253,45 +230,31 @@ def _explainer(
     )
 
 
-def play(scene: DemoSetup, user: User) -> Played:
-    """Plays the session to its end."""
-    session = scene.session()
-    prior, steps = session.belief, list[Step]()
-    asked: list[tuple[Question, int]] = []
+def play(scene: DemoSetup, user: str) -> Played:
+    """Plays the session to its end with a simulated user of a true type."""
+    session, steps = scene.session(), list[Step]()
+    prior, asked = session.belief, list[tuple[Question, int]]()
+    person, messages = _simulated(scene, user), scene.prepared.messages
     while not session.finished:
-        move = session.next()
+        move, given = session.next(), mask_of(session.said, messages)
         if isinstance(move, Question):
-            asked.append((move, user.reply(session, move)))
+            about = len(scene.case.transitions) + move.number
+            asked.append((move, respondent(person).answer(about, given)))
             session.answer(asked[-1][1])
         elif not isinstance(move, Say):
             said = session.messages()
-            labels = tuple(map(int, user.labels(session)))
+            person.hear(mask_of(said, messages))
+            given = mask_of(session.said, messages)
+            labels = tuple(map(int, person.react(given, session.shown).answers))
             session.observe(labels)
             belief, cost = session.belief, session.cost
             steps.append(Step(said, session.why(), labels, belief, cost, tuple(asked)))
             asked = []
-            user.heard(steps[-1])
-    return Played(user.user, prior, tuple(steps))
+    return Played(user, prior, tuple(steps))
 
 
-class SimulatedListener(User):
-    """Answers as a simulated user of a true type; of ``explainee``'s kind."""
-
-    def __init__(self, scene: DemoSetup, user: str) -> None:
-        self.user, self._messages = user, scene.prepared.messages
-        truth, same = what_is_thought(scene.case)
-        labels = truth.of_types([scene.prepared.types.index(user)])
-        seed = derived_seed(scene.explainer.seed, "explainee", user)
-        self._person = scene.explainee.meet(labels, same, seed)
-        self._steps = len(scene.case.transitions)
-
-    def labels(self, session: Session) -> Sequence[int]:
-        """As a user of the type has them."""
-        self._person.hear(mask_of(session.messages(), self._messages))
-        given = mask_of(session.said, self._messages)
-        return self._person.react(given, session.shown).answers.tolist()
-
-    def reply(self, session: Session, question: Question) -> int:
-        """As a user of the type has it."""
-        given = mask_of(session.said, self._messages)
-        return respondent(self._person).answer(self._steps + question.number, given)
+def _simulated(scene: DemoSetup, user: str) -> Person:
+    truth, same = what_is_thought(scene.case)
+    labels = truth.of_types([scene.prepared.types.index(user)])
+    seed = derived_seed(scene.explainer.seed, "explainee", user)
+    return scene.explainee.meet(labels, same, seed)

@@ -56,7 +56,7 @@ class Game:
         solvers: Sequence[str],
         wrong: Sequence[str],
     ) -> None:
-        if len(solvers) != 2 or not set(solvers) <= set(SOLVERS):
+        if len(solvers) != 2 or any(name not in SOLVERS for name in solvers):
             raise InputError("solvers", list(solvers), f"two of {', '.join(SOLVERS)}")
         domain = instantiate(composed("config", overrides).domain)
         values = {fact.name: fact.inaccurate for fact in domain.parameters}
@@ -189,28 +189,36 @@ def create_app(overrides: Sequence[str], host: str = HOST) -> Flask:
     def offered() -> Response:
         return jsonify(tasks=tasks, solvers=SOLVERS)
 
+    def given(name: str, kind: type, default: Any = None) -> Any:
+        """What the request's JSON object has under this name."""
+        body = request.get_json(silent=True)
+        value = body.get(name, default) if isinstance(body, dict) else None
+        if not isinstance(value, kind):
+            raise InputError(name, value, f"{kind.__name__}, in a JSON object")
+        return value
+
     @app.post("/facts")
     def facts() -> Response:
-        task = request.get_json()["task"]
+        task = given("task", str)
         domain = instantiate(composed("config", words(task)).domain)
         scene_of(task)
         return jsonify([{"name": p.name, "belief": p.belief or p.name} for p in domain.parameters])
 
     @app.post("/begin")
     def begin() -> Response:
-        asked, number = request.get_json(), next(numbers)
-        task = asked["task"]
-        games[number] = Game(scene_of(task), words(task), asked["solvers"], asked["wrong"])
+        task, solvers, wrong = given("task", str), given("solvers", list), given("wrong", list)
+        number = next(numbers)
+        games[number] = Game(scene_of(task), words(task), solvers, wrong)
         games.pop(number - MOST, None)
         return jsonify(game=number, **games[number].state())
 
     @app.post("/answer")
     def answer() -> Response:
-        asked = request.get_json()
-        if asked["game"] not in games:
-            raise InputError("game", asked["game"], "one that was begun; begin again")
-        games[asked["game"]].answer(asked["labels"], asked.get("replies", ()))
-        return jsonify(game=asked["game"], **games[asked["game"]].state())
+        number = given("game", int)
+        if number not in games:
+            raise InputError("game", number, "one that was begun; begin again")
+        games[number].answer(given("labels", list), given("replies", list, []))
+        return jsonify(game=number, **games[number].state())
 
     return app
 

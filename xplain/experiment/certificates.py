@@ -3,6 +3,7 @@ one that ran is, and what knowing the type would be worth (all under the learned
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,9 +19,11 @@ from xplain.explanation.belief import BeliefUpdate
 from xplain.explanation.problem import Problem
 from xplain.interaction.statistics import half_width
 from xplain.solvers.base import Solver
-from xplain.solvers.bounds import bounds
+from xplain.solvers.bounds import Bounds, bounds
 from xplain.solvers.hsvi.explore import Effort
 from xplain.solvers.policy_evaluation import evaluate
+
+log = logging.getLogger(__name__)
 
 
 @checks("certify")
@@ -34,6 +37,7 @@ class Certify:
         nodes: it opens at most so many beliefs a trace.
         beliefs: a policy's value is exact where it reaches no more beliefs than this.
         episodes: and from so many simulated episodes otherwise.
+        memory_gib: most memory that one certificate may take: what the solver may.
     """
 
     traces: Whole
@@ -41,6 +45,7 @@ class Certify:
     nodes: Count
     beliefs: Whole
     episodes: Annotated[int, Range(2)]
+    memory_gib: Positive = 8.0
 
     def certificates(
         self,
@@ -63,10 +68,15 @@ class Certify:
         ``_low`` and a ``_high`` end, 95 % limits where the value is simulated. A solver that is
         told the user's type has no value of its own here. docs/method.md, section 7.
 
-        Traces that pose the same problem are simulated once: their errors are one error.
+        Where the belief update does not take labels to be drawn afresh, the bounds are still those
+        of the POMDP that does; the policy decides by another belief, so that nothing is said of
+        its value, and ``fresh_labels`` is 0.
+
+        Traces that pose the same problem are simulated once: their errors are one error. A trace
+        whose certificate would take more memory than allowed has none, and is not in ``traces``.
         """
         times: Counter[tuple[bytes, bytes]] = Counter()
-        found: dict[tuple[bytes, bytes], dict[str, float]] = {}
+        found: dict[tuple[bytes, bytes], dict[str, float] | None] = {}
         cases = prepared.cases[: self.traces]
         tracked = progress.track(enumerate(cases), "certificates", len(cases))
         for index, case in tracked:
@@ -74,12 +84,22 @@ class Certify:
             own = problem_for(prepared, case, costs, solver, belief_update, 0)
             key = _table_key(problem), _table_key(own)
             if key not in found:
-                found[key] = self._one(problem, own, solver, trace_seed(seed, index), progress)
+                found[key] = None
+                try:
+                    enclosing, row = self._bounds(problem, progress)
+                    if belief_update.fresh_labels and solver.knows not in ("type", "labels"):
+                        own_seed = trace_seed(seed, index)
+                        row |= self._worth(enclosing, problem, own, solver, own_seed, progress)
+                    found[key] = row
+                except TooLargeError as error:
+                    log.warning("no certificate of trace %d: %s", index, error)
             times[key] += 1
-        if not found:
+        rows = [row for row in found.values() if row is not None]
+        if not rows:
             return {}
-        rows = list(found.values())
-        shares = np.array([times[key] / len(cases) for key in found])
+        certified = [times[key] for key, row in found.items() if row is not None]
+        traces = sum(certified)
+        shares = np.array(certified) / traces
         means = {name: float(shares @ [row[name] for row in rows]) for name in rows[0]}
         if "policy_value_se" in means:
             errors = shares * [row["policy_value_se"] for row in rows]
@@ -87,24 +107,32 @@ class Certify:
             margin = half_width(means["policy_value_se"], self.episodes - 1)
             means["policy_value_low"] = means["policy_value"] - margin
             means["policy_value_high"] = means["policy_value"] + margin
-        return means | {"traces": float(len(cases))}
+        if not belief_update.fresh_labels:
+            means["fresh_labels"] = 0.0
+        return means | {"traces": float(traces)}
 
-    def _one(
-        self, problem: Problem, own: Problem, solver: Solver, seed: int, progress: Progress
-    ) -> dict[str, float]:
+    def _bounds(self, problem: Problem, progress: Progress) -> tuple[Bounds, dict[str, float]]:
         with progress.stage("bounds of the optimum"):
-            effort = Effort(gap=self.gap, nodes=self.nodes, memory_gib=2.0)
+            effort = Effort(gap=self.gap, nodes=self.nodes, memory_gib=self.memory_gib)
             found = bounds(problem, effort, lambda gap: progress.note(f"gap {gap:.4f} so far"))
         low, high = found.value_of_perfect_information
-        row = {
+        return found, {
             "optimal_lower": found.lower,
             "optimal_upper": found.upper,
             "known_type_value": found.known_type,
             "price_of_not_knowing_low": low,
             "price_of_not_knowing_high": high,
         }
-        if solver.knows in ("type", "labels"):
-            return row
+
+    def _worth(
+        self,
+        found: Bounds,
+        problem: Problem,
+        own: Problem,
+        solver: Solver,
+        seed: int,
+        progress: Progress,
+    ) -> dict[str, float]:
         # A policy of a one-type problem has no belief to look at: in a world of several types it
         # earns what it earns against their mixture, if all of them take all messages in.
         world = problem
@@ -116,7 +144,7 @@ class Certify:
         margin = half_width(worth.value_se, self.episodes - 1)
         low, _ = found.suboptimality(worth.value + margin)
         _, high = found.suboptimality(worth.value - margin)
-        return row | {
+        return {
             "policy_value": worth.value,
             "policy_value_se": worth.value_se,
             "policy_value_exact": float(worth.value_is == "exact"),

@@ -13,7 +13,12 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from hydra.core.config_store import ConfigStore
-from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException
+from hydra.errors import (
+    ConfigCompositionException,
+    HydraException,
+    MissingConfigException,
+    OverrideParseException,
+)
 from omegaconf import (
     AnyNode,
     BooleanNode,
@@ -23,10 +28,15 @@ from omegaconf import (
     OmegaConf,
     StringNode,
 )
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from omegaconf.errors import (
+    ConfigAttributeError,
+    ConfigKeyError,
+    MissingMandatoryValue,
+    OmegaConfBaseException,
+)
 from yaml import MarkedYAMLError, YAMLError
 
-from xplain.errors import InputError, XplainError, first_line, one_of
+from xplain.errors import InputError, XplainError, first_line, one_of, quoted
 
 _INSIDE = Path(__file__).parents[1] / "conf"
 CONF = _INSIDE if _INSIDE.is_dir() else _INSIDE.parents[1] / "conf"
@@ -51,8 +61,6 @@ NO_PACKAGE = (
     "sets keys beside domain"
 )
 
-_unique = secrets.token_hex(3)
-
 
 def schema() -> DictConfig:
     """Types of the top-level keys: 1 and 1.0 are the same λ, text is refused at once. Values are in
@@ -72,7 +80,10 @@ def schema() -> DictConfig:
 def register() -> None:
     """Registers what the configs refer to. Safe to call twice (workers import this module)."""
     ConfigStore.instance().store("base", schema())
-    OmegaConf.register_new_resolver("unique", lambda: _unique, replace=True)
+    # Drawn once a configuration: no two runs share a folder.
+    OmegaConf.register_new_resolver(
+        "unique", lambda: secrets.token_hex(3), replace=True, use_cache=True
+    )
     # Hydra prints errors over several lines and exits; with this it raises, and we print one.
     os.environ.setdefault("HYDRA_FULL_ERROR", "1")
 
@@ -109,11 +120,12 @@ def named(overrides: Sequence[str]) -> list[str]:
     """Overrides whose choice of a group is a name to Hydra too: it reads ``labeler=true`` as a
     truth value, where only text can name a file."""
 
-    def quoted(override: str) -> str:
+    def as_name(override: str) -> str:
         key, _, value = override.partition("=")
-        return f"{key}='{value}'" if key in GROUPS and value in ("true", "false") else override
+        is_name = key in GROUPS and value in ("true", "false")
+        return f"{key}={quoted(value)}" if is_name else override
 
-    return [quoted(override) for override in overrides]
+    return [as_name(override) for override in overrides]
 
 
 def require_usable(cfg: DictConfig) -> None:
@@ -164,10 +176,17 @@ def one_line(error: BaseException) -> str | None:
             return str(cause)
         if isinstance(cause, MissingConfigException):
             return _unknown_choice(cause)
+        if isinstance(cause, OverrideParseException):
+            return (
+                f"{cause.override}: cannot be read; several values have commas between them "
+                "(lambda=0.5,1), and text with special letters has quotes"
+            )
         if isinstance(cause, ConfigCompositionException):
             return _composition(cause)
         if isinstance(cause, OmegaConfBaseException):
             key = getattr(cause, "full_key", None) or "config"
+            if isinstance(cause, MissingMandatoryValue):
+                return f"{key}: has to be given: {key}=VALUE"
             return f"{key}: {first_line(cause)}"
         if isinstance(cause, MarkedYAMLError) and (mark := cause.problem_mark) is not None:
             return f"{mark.name}: line {mark.line + 1}: {cause.problem}"

@@ -12,6 +12,7 @@ import ast
 import hashlib
 import importlib.util
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -103,7 +104,7 @@ def component_code(config: Any) -> dict[str, str]:
     what that imports, without running any of it.
 
     An installed distribution counts by its list of files with their hashes; any other package
-    or module (a checkout, a script beside the experiment) by its sources.
+    (a checkout) by all of its files, data included; a module by its source.
     """
     found: dict[str, str] = {}
     targets = (text for key, text in _texts(config) if key == "_target_")
@@ -159,16 +160,25 @@ def _package(name: str) -> tuple[str, tuple[str, ...]]:
     origin = Path(spec.origin or "")
     if spec.submodule_search_locations:
         roots = map(Path, spec.submodule_search_locations)
-        sources = [source for root in roots for source in _sources(root)]
+        sources = [source for root in roots for source in _sources(root, "*")]
     else:
         sources = [(origin.name, origin.read_bytes())] if origin.is_file() else []
-    imported = set[str]().union(*(_imports(text) for _, text in sources))
+    code = (text for name, text in sources if name.endswith(".py"))
+    imported = set[str]().union(*map(_imports, code))
     return _digest_of(sources), tuple(sorted(imported))
 
 
-def _sources(root: Path) -> list[tuple[str, bytes]]:
-    """(path below the folder, content) of its Python files."""
-    files = sorted(root.rglob("*.py"))
+_IGNORED = re.compile(r"__pycache__$|\.").match
+"""Folders inside a package that hold neither code nor data."""
+
+
+def _sources(root: Path, kind: str = "*.py") -> list[tuple[str, bytes]]:
+    """(path below the folder, content) of its Python files, or of files of another kind."""
+    files = [
+        path
+        for path in sorted(root.rglob(kind))
+        if path.is_file() and not any(map(_IGNORED, path.relative_to(root).parts[:-1]))
+    ]
     return [(path.relative_to(root).as_posix(), path.read_bytes()) for path in files]
 
 
@@ -195,6 +205,11 @@ def _imports(source: bytes) -> set[str]:
 def _distributions() -> dict[str, list[str]]:
     """Installed distributions by the top-level names that they bring (0.1 s: only on need)."""
     return dict(metadata.packages_distributions())
+
+
+def clear_caches() -> None:
+    """Code is read again: in a program that lives on it may have been edited."""
+    _package.cache_clear()
 
 
 def _digest(content: bytes) -> str:

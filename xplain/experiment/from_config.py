@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from dataclasses import fields, replace
 from functools import partial
-from typing import Any
+from importlib import import_module
+from typing import Any, TypeVar
 
+from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain.domains.base import Domain
 from xplain.domains.users.setting import Setting
+from xplain.errors import InputError, mapping, one_of
 from xplain.experiment.cache import SOURCE
 from xplain.experiment.certificates import Certify
 from xplain.experiment.experiment import Experiment
@@ -20,6 +24,66 @@ from xplain.experiment.pipeline import Components
 from xplain.explanation.again import Again
 from xplain.explanation.asking import Limits, Pool
 from xplain.randomness import stream
+from xplain.solvers.base import Solver
+
+T = TypeVar("T")
+
+KINDS: dict[str, type] = {"domain": Domain, "solver": Solver}
+"""Groups whose components are looked at before any work: what all else needs of them is theirs."""
+
+
+def component(cfg: DictConfig, group: str) -> Any:
+    """The component that a configuration chooses in a group.
+
+    Raises:
+        XplainError, HydraException: its class is not there or lacks something, or it refuses a
+            value.
+    """
+    try:
+        made = instantiate(cfg[group])
+    except InstantiationException as error:
+        if isinstance(error.__cause__, ImportError):
+            _require_class(f"{group}._target_", str(cfg[group].get("_target_")))
+        raise
+    kind = KINDS.get(group, object)
+    if not isinstance(made, kind):
+        wanted = {*dir(kind), *kind.__annotations__}
+        lacks = sorted(n for n in wanted if not n.startswith("_") and not hasattr(made, n))
+        allowed = f"a {group}; this class lacks {', '.join(lacks)} (xplain.testing tests a class)"
+        raise InputError(group, type(made).__qualname__, allowed)
+    return made
+
+
+def _require_class(key: str, target: str) -> None:
+    """Says what there is, where a dotted name leads to nothing.
+
+    Raises:
+        InputError: it is so.
+    """
+    module, _, name = target.rpartition(".")
+    try:
+        found = vars(import_module(module))
+    except ModuleNotFoundError as error:
+        allowed = f"a class; Python finds no module {error.name!r}"
+        raise InputError(key, target, allowed) from None
+    except (ImportError, ValueError):
+        return  # a class inside a class, or an error inside the module
+    if name not in found:
+        own = (n for n, one in found.items() if getattr(one, "__module__", None) == module)
+        allowed = f"a class; {module} has {', '.join(own) or 'none'}"
+        raise InputError(key, target, allowed) from None
+
+
+def _section(cfg: DictConfig, key: str, kind: type[T]) -> T:
+    """A group of keys as the value that they make.
+
+    Raises:
+        InputError: it is no mapping, or has a key that there is not.
+    """
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    for name in mapping(key, cfg[key], f"keys: {', '.join(names)}"):
+        one_of(f"{key}.{name}", name, names, "key")
+    return kind(**cfg[key])
 
 
 def experiment_of(cfg: DictConfig) -> Experiment:
@@ -31,12 +95,22 @@ def experiment_of(cfg: DictConfig) -> Experiment:
     return Experiment(
         components=partial(components_of, cfg),
         costs=costs_of(cfg),
-        solver=instantiate(cfg.solver),
-        belief=instantiate(cfg.belief),
-        explainee=instantiate(cfg.explainee),
-        certify=Certify(**cfg.certify),
+        solver=component(cfg, "solver"),
+        belief=component(cfg, "belief"),
+        explainee=component(cfg, "explainee"),
+        certify=certify_of(cfg),
         seed=cfg.seed,
     )
+
+
+def certify_of(cfg: DictConfig) -> Certify:
+    """How much work the certificates may be; they may take the memory that the solver may.
+
+    Raises:
+        InputError: a number out of its range, or a key that there is not.
+    """
+    certify = _section(cfg, "certify", Certify)
+    return replace(certify, memory_gib=cfg.solver.get("memory_gib", 8.0))
 
 
 def components_of(cfg: DictConfig) -> Components:
@@ -46,12 +120,12 @@ def components_of(cfg: DictConfig) -> Components:
         XplainError, HydraException: a value that one of them refuses.
     """
     return Components(
-        domain=instantiate(cfg.domain),
-        users=instantiate(cfg.users),
-        observers=instantiate(cfg.observers),
-        queries=instantiate(cfg.queries),
-        labeler=instantiate(cfg.labeler),
-        clusterer=instantiate(cfg.clusterer),
+        domain=component(cfg, "domain"),
+        users=component(cfg, "users"),
+        observers=component(cfg, "observers"),
+        queries=component(cfg, "queries"),
+        labeler=component(cfg, "labeler"),
+        clusterer=component(cfg, "clusterer"),
         traces=cfg.traces,
         max_steps=cfg.max_steps,
         seed=cfg.seed,
@@ -76,10 +150,10 @@ def costs_of(cfg: DictConfig) -> Costs:
         discount_per=cfg.discount_per,
         prior=cfg.prior,
         asking=Limits(cfg.ask.cost, cfg.ask.most, cfg.ask.when),
-        again=Again(**cfg.again),
+        again=_section(cfg, "again", Again),
     )
     if by_name:  # before anything is learned
-        costs.message_costs(tuple(p.name for p in instantiate(cfg.domain).parameters))
+        costs.message_costs(tuple(p.name for p in component(cfg, "domain").parameters))
     return costs
 
 
@@ -108,10 +182,10 @@ def check(configurations: Iterable[Mapping[str, Any]]) -> None:
     for config in configurations:
         for part, make in (
             ((*SOURCE, "ask"), components_of),
-            (("solver",), lambda cfg: instantiate(cfg.solver)),
-            (("belief",), lambda cfg: instantiate(cfg.belief)),
-            (("explainee",), lambda cfg: instantiate(cfg.explainee)),
-            (("certify",), lambda cfg: Certify(**cfg.certify)),
+            (("solver",), lambda cfg: component(cfg, "solver")),
+            (("belief",), lambda cfg: component(cfg, "belief")),
+            (("explainee",), lambda cfg: component(cfg, "explainee")),
+            (("certify", "solver"), certify_of),
             (("domain", *COSTS), costs_of),
             (("domain", "users"), _solve),
         ):
@@ -122,5 +196,5 @@ def check(configurations: Iterable[Mapping[str, Any]]) -> None:
 
 
 def _solve(cfg: DictConfig) -> None:
-    domain: Domain = instantiate(cfg.domain)
-    Setting.build(domain, instantiate(cfg.users).types(domain, stream(cfg.seed, "users")))
+    domain: Domain = component(cfg, "domain")
+    Setting.build(domain, component(cfg, "users").types(domain, stream(cfg.seed, "users")))

@@ -29,3 +29,9 @@ class Progress:
 
 
 SILENT = Progress()
+
+
+def is_terminal(stream: object) -> bool:
+    """Whether a stream is a terminal: not one that is closed, or that a program put in place."""
+    asked = getattr(stream, "isatty", None)
+    return asked is not None and bool(asked())

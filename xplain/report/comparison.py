@@ -49,14 +49,24 @@ class Ranked:
     @property
     def decided(self) -> bool:
         """Whether it can be told from the best: the interval leaves out 0."""
-        return self.behind is not None and (self.behind.low > 0 or self.behind.high < 0)
+        return self.behind is not None and self.behind.low > 0
+
+
+def shared(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
+    """The episodes on traces and users that every way in the frame was tried on: where jobs are
+    missing, means over all episodes would compare unlike problems."""
+    known = frame.dropna(subset=[summary.measure.name])
+    ways = known.groupby(list(by), sort=False).ngroup()
+    problem = [known[key] for key in (*summary.pool, "seed", "trace", "type")]
+    return known[ways.groupby(problem).transform("nunique") == ways.nunique()]
 
 
 def ranked(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> list[Ranked]:
     """Ways to solve the problem of these episodes, the one that costs least first; an order where
-    the sweep's measure is fair."""
-    measure = summary.measure.name
-    groups: Any = frame.dropna(subset=[measure]).groupby(list(by), sort=False)
+    the sweep's measure is fair. Order and differences are taken from the same episodes
+    (:func:`shared`); no way is ranked where there are none."""
+    measure, frame = summary.measure.name, shared(summary, frame, by)
+    groups: Any = frame.groupby(list(by), sort=False)
     means = {way: summary.mean(own, measure) for way, own in groups}
     order = sorted(means, key=lambda way: round(means[way].mean, 9))
     return [
@@ -83,6 +93,7 @@ def table(summary: Summary) -> Table:
     known = measure.reference
     rows = []
     for values, frame in grouped(summary, layout.down):
+        frame = _comparable(summary, frame, layout.across)
         own = _marked(summary, frame, layout.across)
         cells = [own.get(way, Cell()) for way in columns]
         if known:
@@ -99,16 +110,24 @@ def _list(summary: Summary, keys: tuple[str, ...], compete: bool) -> Table:
     measure = summary.measure
     names = dict.fromkeys((measure.name, "cost", measure.reference or "cost"))
     shown = [*names, *summary.counted]
-    frames = {tuple(values.values()): frame for values, frame in grouped(summary, keys)}
-    marks = _marked(summary, summary.episodes, keys) if compete else {}
+    episodes = _comparable(summary, summary.episodes, keys) if compete else summary.episodes
+    ways = [tuple(values.values()) for values, _ in grouped(summary, keys)]
+    marks = _marked(summary, episodes, keys) if compete else {}
     rows = []
-    for way in [*marks, *(way for way in frames if way not in marks)]:
-        cells = [Cell(estimate=summary.estimate(frames[way], name)) for name in shown]
+    for way in dict.fromkeys([*marks, *ways]):
+        own = where(episodes, dict(zip(keys, way, strict=True)))
+        cells = [Cell(estimate=summary.estimate(own, name)) for name in shown]
         if way in marks:
             cells[0] = Cell(estimate=marks[way].estimate, mark=marks[way].mark)
         rows.append((*_headings(dict(zip(keys, way, strict=True))), *cells))
     heads = [*map(heading, keys), *(TITLES[name] for name in shown)]
     return _table(summary, heads, rows, len(keys), compete)
+
+
+def _comparable(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
+    """What a row shows: episodes that can be compared, or all where none can."""
+    found = shared(summary, frame, by)
+    return found if len(found) else frame
 
 
 def _headings(values: dict[str, Value]) -> list[Cell]:
@@ -126,7 +145,9 @@ def _marked(summary: Summary, frame: pd.DataFrame, by: Sequence[str]) -> dict[Wa
         cost = where(frame, dict(zip(by, one.way, strict=True)))["cost"].mean()
         note = "" if summary.measure.name == "cost" else f"cost {number(cost)}"
         cells[one.way] = Cell(estimate=one.estimate, mark=mark, note=note)
-    return cells
+    groups: Any = frame.groupby(list(by), sort=False)
+    measure = summary.measure.name
+    return cells or {way: Cell(estimate=summary.estimate(own, measure)) for way, own in groups}
 
 
 def _table(
@@ -162,10 +183,14 @@ def _caption(summary: Summary, cells: Sequence[Cell], marked: bool) -> str:
         text.append("One trace and one seed: no intervals.")
         if marked:
             text.append(f"{BEST} costs least in its row.")
-    if summary.measure.name == "regret" and summary.episodes["regret"].mean() < 0:
-        text.append(NEGATIVE)
+    if summary.measure.name == "regret":
+        if any(cell.estimate and cell.estimate.mean < 0 for cell in cells):
+            text.append(NEGATIVE)
+        text.append(summary.warning)
     if summary.pool:
         text.append(f"Means over {', '.join(summary.pool)}, as the sweep's file asks.")
+    if marked and summary.missing:
+        text.append("Ways are compared on the traces and users for which all of them have results.")
     return " ".join(filter(None, text)) + summary.told_missing
 
 

@@ -6,6 +6,7 @@ import sys
 
 from rich.console import Console
 
+from xplain.experiment.progress import is_terminal
 from xplain.report.comparison import answer, main_table
 from xplain.report.summary import Summary
 
@@ -20,6 +21,6 @@ def print_sweep(summary: Summary) -> None:
     needed = Console(width=10_000).measure(shown).maximum
     below = ((answer(summary), WIDTH), (table.caption, WIDTH))
     for text, width in ((table.about, needed), (shown, needed), *below):
-        columns = None if sys.stdout.isatty() else max(WIDTH, width)
+        columns = None if is_terminal(sys.stdout) else max(WIDTH, width)
         if text:
             Console(highlight=False, markup=False, width=columns).print(text)

@@ -7,7 +7,7 @@ labelers learn from the labels and in the way that each job has.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -52,6 +52,10 @@ NEGATIVE = (
     "err, and can cost more than a plan without it."
 )
 
+RIGHT = 0.98
+"""The paper's oracle has right labels. Where labelers are right on a smaller share of fresh labels,
+the oracle's cost is no reference."""
+
 _WHAT = {
     "regret": "Regret is cost minus the oracle's on the same trace and user.",
     "above_floor": "The clairvoyant knows the true labels: nothing can cost less.",
@@ -64,6 +68,21 @@ _SOURCE = {*SOURCE, "points"} - {"seed"}
 
 _WORDS = {"users.count": "{} types", "users.index": "completion {}"}
 """What people call settings."""
+
+
+def warning_about_oracle(learning: Mapping[str, float]) -> str:
+    """A sentence where the oracle's labelers err too often; "" where they do not.
+
+    Args:
+        learning: figures of the learning stage, of one run.
+    """
+    share = learning.get("fresh_accuracy", 1.0)
+    if share >= RIGHT:
+        return ""
+    return (
+        f"The oracle is no reference: the labelers are right on {share:.1%} of fresh labels, less "
+        f"than {RIGHT:.0%}. Compare costs with the clairvoyant's instead."
+    )
 
 
 @dataclass(frozen=True)

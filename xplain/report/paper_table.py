@@ -6,14 +6,13 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from xplain.interaction.statistics import Estimate
 from xplain.report.combinations import csv_text
 from xplain.report.paper import table1, title
 from xplain.report.summary import Summary
-from xplain.report.table import Cell, Table, number
+from xplain.report.table import Cell, Table
 
 REFERENCES = ("oracle", "clairvoyant")
 """Whose costs stand before the solvers' regrets."""
@@ -109,33 +108,3 @@ def _caption(summary: Summary, measure: str) -> str:
         f"{summary.unit} in brackets{paper if measure == 'regret' else ''}.{summary.told_missing}"
         + "".join(pooled)
     )
-
-
-def ranges(summary: Summary) -> list[Table]:
-    """Least, median and greatest mean over a domain's settings, where it has several."""
-    keys = _columns(summary)
-    found: Any = numbers(summary, by_setting=True).groupby("domain", sort=False)
-    tables = []
-    for domain, own in found:
-        settings = summary.settings[domain]
-        if len(settings) > 1:
-            rows = [
-                (Cell(trade_off), *(_range(part[part["column"] == key]) for key in keys))
-                for trade_off, part in own.groupby("lambda", sort=False)
-            ]
-            named = f" ({'; '.join(settings)})" if len(settings) <= 6 else ""
-            caption = f"Least, median and greatest mean over the settings{named}."
-            about = f"Range over {len(settings)} settings: {title(domain)}"
-            heads = ("λ", *map(title, keys))
-            tables.append(Table(heads, tuple(rows), 1, caption, about))
-    return tables
-
-
-def _range(own: pd.DataFrame) -> Cell:
-    if not len(own):
-        return Cell()
-    means, paper = own["mean"], own["paper"].iloc[0]
-    low, middle, high = (number(q) for q in np.quantile(means, (0, 0.5, 1)))
-    where = "below" if paper < means.min() else "above" if paper > means.max() else "inside"
-    note = "" if math.isnan(paper) else f"paper {paper:.2f}, {where}"
-    return Cell(f"{low} … {middle} … {high}", note=note)

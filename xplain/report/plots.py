@@ -36,19 +36,18 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 CLUSTERS, DISAGREEMENTS = "number of clusters k", "disagreements (pairs of labels)"
 STYLES = ("-", "--", "-.", ":", "-", "--", "-.", ":")
 
-matplotlib.rcParams.update(
-    {
-        "figure.dpi": 150,
-        "savefig.bbox": "tight",
-        "font.size": 10,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.grid": True,
-        "grid.alpha": 0.25,
-        "legend.frameon": False,
-        "svg.hashsalt": "xplain",
-    }
-)
+STYLE: dict[Any, Any] = {
+    "figure.dpi": 150,
+    "savefig.bbox": "tight",
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "legend.frameon": False,
+    "svg.hashsalt": "xplain",
+}
+"""How plots look. It holds while one is drawn: a program's own figures stay as they are."""
 
 
 def series_style(index: int) -> dict[str, Any]:
@@ -60,6 +59,7 @@ def series_style(index: int) -> dict[str, Any]:
     }
 
 
+@matplotlib.rc_context(STYLE)
 def disagreements(curve: Sequence[float], found: int, rule: str) -> Figure:
     """Disagreements against the number of clusters, with the number that was chosen."""
     figure = Figure(figsize=(5, 3.2))
@@ -80,6 +80,7 @@ def _draw_rings(
     axes.plot(chosen, heights, "o", ms=13, mfc="none", mec=colour, mew=2, label=name)
 
 
+@matplotlib.rc_context(STYLE)
 def elbows(summary: Summary) -> Figure | None:
     """Disagreements against k, one line a setting (mean over seeds), with the k chosen."""
     domains = [domain for domain in summary.domains if curves_of(summary, domain)]
@@ -119,6 +120,7 @@ def figure_of_panels(count: int) -> tuple[Figure, list[Axes]]:
     return figure, axes[:count]
 
 
+@matplotlib.rc_context(STYLE)
 def save(figure: Figure, path: Path) -> None:
     """Writes a figure in the format of the path's suffix, whole or not at all.
 

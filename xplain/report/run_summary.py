@@ -7,8 +7,9 @@ from collections.abc import Mapping
 
 from rich.console import Console
 
+from xplain.experiment.progress import is_terminal
 from xplain.experiment.results import Figure, Results
-from xplain.report.measure import NEGATIVE
+from xplain.report.measure import NEGATIVE, warning_about_oracle
 from xplain.report.paper import table1
 from xplain.report.story import counted
 from xplain.report.table import Cell, Table
@@ -35,7 +36,7 @@ BY_CHANCE = ", above the optimum by sampling error"
 
 def print_summary(results: Results) -> None:
     """The run's figures as a table on standard output, the paper's beside them."""
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 100)
+    console = Console(highlight=False, width=None if is_terminal(sys.stdout) else 100)
     console.print(_headline(results))
     as_paper = results.choices["explainee"] == "exact" and not _asks(results)
     setting = results.choices["domain"], results.trade_off
@@ -54,11 +55,13 @@ def print_summary(results: Results) -> None:
     console.print(Table(heads, tuple(rows), 1).shown())
     if "regret" in results.metrics and results.metrics["regret"].mean < 0:
         console.print(NEGATIVE)
+    if "regret" in results.metrics and (warning := warning_about_oracle(results.learning)):
+        console.print(warning)
 
 
 def print_certificates(bounds: Mapping[str, float]) -> None:
     """The certified figures on standard output; nothing where none were asked for."""
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 100)
+    console = Console(highlight=False, width=None if is_terminal(sys.stdout) else 100)
     for line in _bounds(bounds):
         console.print(line)
 
@@ -114,6 +117,11 @@ def _bounds(bounds: Mapping[str, float]) -> list[str]:
         f"  optimum between {bounds['optimal_lower']:.4f} and {bounds['optimal_upper']:.4f}; "
         f"expected value of perfect information {_range(bounds, 'price_of_not_knowing')}",
     ]
+    if bounds.get("fresh_labels") == 0:
+        lines.append(
+            "  labels drawn anew at each step, which this belief does not assume: nothing is "
+            "certified of this policy"
+        )
     if "policy_value" in bounds:
         lines += [
             f"  this policy {bounds['policy_value']:.4f} ({_how_known(bounds)}), suboptimality "

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from xplain.experiment.progress import Progress
+from xplain.experiment.progress import Progress, is_terminal
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -28,7 +28,7 @@ EVERY = 10.0
 
 def stages() -> TerminalStages | Lines:
     """Those for the standard error that there is."""
-    return TerminalStages() if sys.stderr.isatty() else Lines()
+    return TerminalStages() if is_terminal(sys.stderr) else Lines()
 
 
 class Lines(Progress):

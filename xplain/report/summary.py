@@ -20,7 +20,7 @@ from xplain.errors import InputError
 from xplain.experiment.results import RESULTS, Results, load_results
 from xplain.interaction.metrics import possible
 from xplain.interaction.statistics import Estimate, clustered_mean
-from xplain.report.measure import Measure, is_setting, measure_of, setting_of
+from xplain.report.measure import Measure, is_setting, measure_of, setting_of, warning_about_oracle
 
 ORDER = (
     "qmdp",
@@ -203,6 +203,12 @@ class Summary:
     def measure(self) -> Measure:
         """What its jobs are compared by."""
         return measure_of(self.episodes, self.keys, self._asked)
+
+    @cached_property
+    def warning(self) -> str:
+        """What is to be known of the oracle whose labelers err most."""
+        every = [results.learning for _, results in self.results]
+        return warning_about_oracle(min(every, key=lambda own: own.get("fresh_accuracy", 1.0)))
 
     @cached_property
     def domains(self) -> list[str]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -23,7 +24,7 @@ from xplain.report.combinations import (
 )
 from xplain.report.layout import PlotLayout, plot_layout
 from xplain.report.paper import table1
-from xplain.report.plots import figure_of_panels, series_style
+from xplain.report.plots import STYLE, figure_of_panels, series_style
 from xplain.report.summary import Summary, Value
 
 AXES = {
@@ -36,10 +37,9 @@ AXES = {
 """What a key means, on its axis; any other stands there by its name."""
 
 MOST_PANELS = 24
-WIDE_RANGE = 8.0
-"""Means whose largest is so many times their median are drawn on an axis of square roots."""
 
 
+@matplotlib.rc_context(STYLE)
 def against_main_key(summary: Summary, measure: str, title: str) -> Figure | None:
     """A measure against the main swept key, with intervals; None where nothing was swept.
 
@@ -71,7 +71,10 @@ def against_main_key(summary: Summary, measure: str, title: str) -> Figure | Non
         _name_axes(panel, layout, ticks, place)
         panel.set_title(label(values), loc="left", weight="bold", fontsize=10)
     for panel in axes:
-        _scale(panel, measure, measure == summary.measure.name and has_roots(summary))
+        if measure == "regret":
+            panel.axhline(0, color="#222222", lw=0.8)
+        else:
+            panel.set_ylim(bottom=0)
     _share_scale(axes, layout)
     axes[0].set_ylabel(title)
     if summary.report == "table1" and measure == "regret":
@@ -80,17 +83,7 @@ def against_main_key(summary: Summary, measure: str, title: str) -> Figure | Non
     return figure
 
 
-def has_roots(summary: Summary) -> bool:
-    """Whether the sweep's measure is drawn on an axis of square roots."""
-    layout, measure = plot_layout(summary), summary.measure.name
-    keys = [*([layout.x] if layout.x else []), *layout.lines, *layout.panels]
-    found = [summary.estimate(frame, measure) for _, frame in grouped(summary, keys)]
-    means = [one.mean for one in found if one is not None and one.mean > 0]
-    # A linear axis would press most of them together.
-    wide = bool(means) and max(means) > WIDE_RANGE * float(np.median(means))
-    return wide or summary.report == "table1"
-
-
+@matplotlib.rc_context(STYLE)
 def belief_over_steps(summary: Summary) -> Figure | None:
     """Belief in the user's true type after each step, mean over the episodes that last so long,
     at the middle of the main key."""
@@ -189,19 +182,6 @@ def _draw_paper(
     if paper:
         look: dict[str, Any] = {"color": style["color"], "marker": style["marker"], "mfc": "white"}
         panel.plot(*zip(*paper, strict=True), ls="none", ms=5, **look)
-
-
-def _scale(axes: Axes, measure: str, roots: bool) -> None:
-    """What the baseline and the others cost differs tenfold: square roots show both."""
-    if measure == "regret":
-        axes.axhline(0, color="#222222", lw=0.8)
-    else:
-        axes.set_ylim(bottom=0)
-    if roots:
-        axes.set_yscale(
-            "function",
-            functions=(lambda y: np.sign(y) * np.abs(y) ** 0.5, lambda y: np.sign(y) * y**2),
-        )
 
 
 def _share_scale(axes: list[Axes], layout: PlotLayout) -> None:

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
 BEST, TIE = "*", "≈"
 
+CUT = 0.01
+"""Halves of an interval that differ by more than this are unequal: numbers have two decimals."""
+
+
 _TEX = str.maketrans(
     {sign: rf"\{sign}" for sign in "_%&#${}"}
     | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
@@ -54,8 +58,13 @@ class Cell:
 
     @property
     def half(self) -> str:
-        """Half of the interval, such as ``± 0.21``."""
-        half = "" if self.estimate is None else number(self.estimate.high - self.estimate.mean)
+        """Half of the interval, such as ``± 0.21``; its ends where a bound cuts one half."""
+        if self.estimate is None:
+            return ""
+        above = self.estimate.high - self.estimate.mean
+        if above - (self.estimate.mean - self.estimate.low) > CUT:
+            return self.ends
+        half = number(above)
         return half and f"± {half}"
 
     @property

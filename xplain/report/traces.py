@@ -7,12 +7,13 @@ import itertools
 import textwrap
 from pathlib import Path
 
+import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from xplain.domains.base import Scene
-from xplain.report.plots import COLOURS
+from xplain.report.plots import COLOURS, STYLE
 from xplain.report.story import Story, counted, stories, typical, which
 
 ITEM_COLOURS = (*COLOURS[:6], "#F0E442", "#777777")
@@ -27,6 +28,7 @@ LISTED = 6
 EXPLICABLE, INEXPLICABLE = "#CFE8F5", "#F5C4A1"
 
 
+@matplotlib.rc_context(STYLE)
 def draw_trace(scene: Scene | None, story: Story, caption: str) -> Figure:
     """Map and path at the left; at the right one row a transition, one column a step. Without a
     map, what each transition changes is told below it. The caption is above the steps."""
@@ -52,12 +54,12 @@ def draw_trace(scene: Scene | None, story: Story, caption: str) -> Figure:
     return figure
 
 
-def draw_typical(folder: Path, scene: Scene | None) -> tuple[Figure, str]:
-    """The typical episode of a run's folder, and which it is."""
+def draw_typical(folder: Path, scene: Scene | None) -> tuple[Figure, Story, str]:
+    """The typical episode of a run's folder, drawn; and which it is, in words."""
     found = list(stories(folder, "solver"))
     story = typical(found)
     caption = which(story, len(found))
-    return draw_trace(scene, story, caption), caption
+    return draw_trace(scene, story, caption), story, caption
 
 
 def draw_map(axes: Axes, scene: Scene, positions: tuple[tuple[int, int], ...]) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from xplain.experiment.results import Results
 from xplain.report import claims, comparison, decomposition, learning, paper_table
-from xplain.report.combinations import differences_csv, regret_csv
+from xplain.report.combinations import differences_csv, heading, regret_csv
+from xplain.report.layout import plot_layout
+from xplain.report.measure import TITLES
 from xplain.report.page import CaptionedImage, Pictures, page
 from xplain.report.paper import title
 from xplain.report.summary import Summary, rank
@@ -58,43 +61,40 @@ def _tables(summary: Summary) -> Iterator[tuple[str, str]]:
 
 def draw(summary: Summary, report: Path) -> Pictures:
     """Draws every plot and picture into the folder."""
-    from xplain.report import plots, sweep_plots
+    from xplain.report import plots, sweep_plots, traces
 
-    pictures, measure = Pictures(), summary.measure
-    drawn = {
-        "regret": sweep_plots.against_main_key(summary, measure.name, measure.title),
-        "messages": sweep_plots.against_main_key(summary, "messages", "messages an episode"),
-        "inexplicable": sweep_plots.against_main_key(
-            summary, "inexplicable labels", "inexplicable labels an episode"
-        ),
-        "belief": sweep_plots.belief_over_steps(summary),
-        "disagreements": plots.elbows(summary),
-    }
-    for name, figure in drawn.items():
+    pictures, key = Pictures(), heading(plot_layout(summary).x or "")
+    drawn = []
+    for name in (summary.measure.name, "messages", "inexplicable labels"):
+        file = "regret" if name == summary.measure.name else name.partition(" ")[0]
+        caption = f"{TITLES[name][0].upper()}{TITLES[name][1:]} against {key}"
+        figure = sweep_plots.against_main_key(summary, name, TITLES[name])
+        drawn.append((file, caption, figure))
+    caption = "Belief in the user's true type over steps"
+    drawn.append(("belief", caption, sweep_plots.belief_over_steps(summary)))
+    for file, caption, figure in drawn:
         if figure is not None:
-            plots.save(figure, report / f"{name}.svg")
-    if drawn["disagreements"] is not None:
+            plots.save(figure, report / f"{file}.svg")
+            pictures.plots.append(CaptionedImage(report / f"{file}.svg", caption))
+    disagreements = plots.elbows(summary)
+    if disagreements is not None:
+        plots.save(disagreements, report / "disagreements.svg")
         caption = (
             "Disagreements of labels within clusters against the number of clusters; rings mark "
             "the numbers of user types that were chosen."
         )
         pictures.types.append(CaptionedImage(report / "disagreements.svg", caption))
-    for domain, path, caption in _trace_pictures(summary, report):
-        pictures.traces.setdefault(domain, []).append(CaptionedImage(path, caption))
-    return pictures
-
-
-def _trace_pictures(summary: Summary, report: Path) -> Iterator[tuple[str, Path, str]]:
-    """(domain, picture, caption): one typical explanation a domain."""
-    from xplain.report import plots, traces
-
     for domain in summary.domains:
         job, results = _example(summary, domain)
-        path = report / f"trace_{domain}.png"
-        figure, drawn = traces.draw_typical(summary.folder_of(job), results.scene)
+        folder, path = summary.folder_of(job), report / f"trace_{domain}.png"
+        figure, story, which = traces.draw_typical(folder, results.scene)
         plots.save(figure, path)
-        which = f"{title(results.solver)}, λ = {results.trade_off:g} (job “{job['label']}”)"
-        yield domain, path, f"{title(domain)}, {which}: {drawn}."
+        whose = f"{title(results.solver)}, λ = {results.trade_off:g} (job “{job['label']}”)"
+        caption = f"{title(domain)}, {whose}: {which}."
+        pictures.traces[domain] = [CaptionedImage(path, caption)]
+        words = [*job["overrides"], "--trace", str(story.trace), "--user", story.user_type]
+        pictures.commands[domain] = shlex.join(["python", "-m", "xplain", "demo", *words])
+    return pictures
 
 
 def _example(summary: Summary, domain: str) -> tuple[dict[str, Any], Results]:

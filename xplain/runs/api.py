@@ -11,32 +11,35 @@ See docs/python.md.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import logging
 import re
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
 from pathlib import Path
 from pydoc import locate
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 from hydra.core.config_store import ConfigStore
 from hydra.errors import HydraException
+from joblib.externals.loky import get_reusable_executor
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from xplain.errors import InputError, XplainError, one_of
-from xplain.experiment.config import one_line
+from xplain.errors import InputError, XplainError, one_of, quoted
+from xplain.experiment.config import known_keys, one_line
 from xplain.experiment.results import Results, load_results
 from xplain.report.comparison import answer, main_table
 from xplain.report.measure import TITLES
 from xplain.report.summary import Summary
 from xplain.runs.start import start
+from xplain.runs.terminal import without_tables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,7 +71,7 @@ class Run:
         """Draws the episode of median cost; returns the axes, whose ``figure`` is the drawing."""
         from xplain.report.traces import draw_typical
 
-        figure, _ = draw_typical(self.folder, self.results.scene)
+        figure, _, _ = draw_typical(self.folder, self.results.scene)
         return figure.axes
 
     def _repr_html_(self) -> str:
@@ -155,8 +158,8 @@ def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
     Args:
         overrides: ``key=value`` each, as on the command line.
         config_dir: a folder with choices of one's own.
-        keys: the same keys; ``trade_off`` is λ. A component may be an object of its class instead
-            of a name.
+        keys: the same keys; ``trade_off`` is λ, ``users_count`` is ``users.count``. A component
+            may be an object of its class instead of a name.
 
     Raises:
         XplainError: a key or value that is not allowed, in one line.
@@ -194,11 +197,19 @@ def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
     raise InputError("folder", str(folder), "of a run or a sweep, below outputs/")
 
 
+_ONE_AT_A_TIME = threading.RLock()
+"""Hydra keeps what runs in globals of the process: a second thread waits."""
+
+
 def _started(words: list[str], multirun: bool, config_dir: str | None) -> Path:
     """The folder; tables, which the result shows itself, are not printed."""
     try:
-        with _told(), redirect_stdout(io.StringIO()):
-            folder = start(words, multirun, config_dir, logs=False)
+        with _ONE_AT_A_TIME, _told(), without_tables():
+            try:
+                folder = start(words, multirun, config_dir, logs=False)
+            finally:
+                if multirun:  # a worker has the code of its first job
+                    get_reusable_executor().shutdown()
         if folder is None:
             raise InputError("dry_run", True, "false: nothing ran")
         return folder
@@ -230,24 +241,42 @@ def _told() -> Iterator[None]:
 
 def _words(keys: Mapping[str, Any]) -> list[str]:
     """``key=value`` of keywords."""
+    plain = {
+        key: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        for key, value in keys.items()
+    }
     several = {
-        key: value if isinstance(value, list | tuple) else [value] for key, value in keys.items()
+        key: value if isinstance(value, list | tuple | range) else [value]
+        for key, value in plain.items()
     }
     return [
-        f"{PYTHON.get(key, key)}={','.join(_text(key, one) for one in values)}"
+        f"{_key(key)}={','.join(_text(key, one) for one in values)}"
         for key, values in several.items()
     ]
 
 
+def _key(key: str) -> str:
+    """A keyword as a key of the configuration: ``users_count`` is ``users.count``."""
+    group, _, inside = key.partition("_")
+    known = known_keys()
+    if key not in known and inside in known.get(group, {}):
+        return f"{group}.{inside}"
+    return PYTHON.get(key, key)
+
+
 def _text(key: str, value: Any) -> str:
     """A value as it is written on the command line."""
+    if isinstance(value, np.generic):
+        value = value.item()
     if value is None or isinstance(value, bool | int | float):
         return json.dumps(value)
-    if isinstance(value, str):
+    if isinstance(value, str | Path):
+        value = str(value)
         if re.fullmatch(r"[\w.@/+-]+", value):
             return value
-        escaped = value.replace("\\", "\\\\").replace("'", "\\'")
-        return f"'{escaped}'"
+        return quoted(value)
+    if isinstance(value, list | tuple) and not any(map(is_dataclass, value)):
+        return f"[{','.join(_text(key, one) for one in value)}]"
     if isinstance(value, Mapping):
         inside = ", ".join(f"{name}: {_text(key, own)}" for name, own in value.items())
         return f"{{{inside}}}"

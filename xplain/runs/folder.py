@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import socket
 import traceback
 from collections.abc import Iterator
@@ -23,6 +22,7 @@ from xplain.errors import InputError
 from xplain.experiment.results import RESULTS, load_results
 from xplain.report.summary import SWEEP, load_sweep
 from xplain.runs.plan import Job, Plan
+from xplain.runs.terminal import without_passwords
 from xplain.storage import write_text
 
 FAILURE = "failure.json"
@@ -66,7 +66,8 @@ class SweepFolder:
             load_sweep(self.path)
         except (OSError, InputError):
             content = {"name": plan.name, **about, "jobs": [asdict(job) for job in plan.jobs]}
-            write_text(self.path / SWEEP, json.dumps(content, indent=1) + "\n")
+            text = json.dumps(content, indent=1) + "\n"
+            write_text(self.path / SWEEP, without_passwords(text))
 
     def jobs(self) -> tuple[Job, ...]:
         """The jobs in the order in which the sweep runs them."""
@@ -110,8 +111,9 @@ class SweepFolder:
         return json.loads((self.of(job) / FAILURE).read_text(encoding="utf-8"))
 
     def clear(self, job: Job) -> None:
-        """Forgets all that the job left."""
-        shutil.rmtree(self.of(job), ignore_errors=True)
+        """Forgets how far the job was; the other files are written over."""
+        for name in (RESULTS, FAILURE, STARTED):
+            (self.of(job) / name).unlink(missing_ok=True)
 
 
 def job_of(folder: Path) -> tuple[SweepFolder, Job] | None:

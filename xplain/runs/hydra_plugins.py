@@ -13,7 +13,7 @@ from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
-from xplain.errors import checks
+from xplain.errors import checks, mapping
 from xplain.experiment.config import register as register_keys
 
 
@@ -38,7 +38,7 @@ class ResumingSweeper(Sweeper):
         pool: list[str] | None = None,
         report: Literal["table1"] | None = None,
     ) -> None:
-        self.params = params or {}
+        self.params = {**mapping("hydra.sweeper.params", params or {}, "key: values")}
         self.settings = settings or [{}]
         self.shown = {"pool": list(pool or ()), "report": report}
 

@@ -6,27 +6,28 @@ import hashlib
 import json
 import logging
 import os
-import shutil
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from xplain import __version__
+from xplain.errors import InputError, XplainError
 from xplain.experiment.cache import source_fingerprint
-from xplain.experiment.config import GROUPS, one_line, require_usable
+from xplain.experiment.config import GROUPS, require_usable
 from xplain.experiment.fingerprint import code_version, configuration, fingerprint, git_state
-from xplain.experiment.from_config import experiment_of
+from xplain.experiment.from_config import check, experiment_of
 from xplain.experiment.pipeline import Prepared
 from xplain.experiment.progress import SILENT, Progress
 from xplain.experiment.results import (
     EPISODES,
+    RESULTS,
     Provenance,
     Results,
     domain_name,
@@ -38,10 +39,10 @@ from xplain.numba_kernels import tell_when_compiling
 from xplain.report.run_summary import print_certificates, print_summary
 from xplain.report.stages import stages
 from xplain.runs.folder import SweepFolder, is_ours, job_of, mark_failed, mark_started
-from xplain.runs.forecast import print_dry_job
 from xplain.runs.launch import end_with_parent
 from xplain.runs.mlflow import Disk
 from xplain.runs.plan import Job
+from xplain.runs.terminal import attempted, logged_to, tables_are_shown, without_passwords
 from xplain.storage import write_text
 
 log = logging.getLogger(__name__)
@@ -50,8 +51,11 @@ log = logging.getLogger(__name__)
 def run_job(cfg: DictConfig) -> float | None:
     """Runs the experiment that ``cfg`` describes; returns the mean regret (for sweepers).
 
-    A job of a sweep never raises: the others go on, and what went wrong is in its folder. Where
-    the configuration or the data of a single run cannot be used, its folder is removed.
+    A job of a sweep never raises: the others go on, and what went wrong is in its folder. A single
+    run never writes into the folder of another run.
+
+    Raises:
+        XplainError: the configuration or the data of a single run cannot be used.
     """
     folder = Path(HydraConfig.get().runtime.output_dir)
     job = job_of(folder)
@@ -60,14 +64,24 @@ def run_job(cfg: DictConfig) -> float | None:
     try:
         require_usable(cfg)
         if cfg.dry_run:
-            print_dry_job(configuration(cfg), _outputs(cfg))
-            shutil.rmtree(folder, ignore_errors=True)
+            check([configuration(cfg)])
+            print("1 job")
             return None
+        if (folder / RESULTS).exists():
+            allowed = "another folder: this one holds the results of an earlier run"
+            raise InputError("hydra.run.dir", os.path.relpath(folder), allowed)
         return _run_alone(cfg, folder)
-    except Exception as error:  # whatever it is: it is raised again
-        if HydraConfig.get().mode == RunMode.RUN and one_line(error) is not None:
-            shutil.rmtree(folder, ignore_errors=True)
-        raise
+    except SystemExit as error:
+        raise XplainError(_ended_by(error)) from error
+    finally:
+        # A folder with a token drawn for this run is no one else's.
+        if "${unique:}" in OmegaConf.to_yaml(HydraConfig.get().run):
+            with suppress(OSError):  # it is not empty
+                folder.rmdir()
+
+
+def _ended_by(error: SystemExit) -> str:
+    return f"a component ended the program (sys.exit({error.code!r})) while the experiment ran"
 
 
 def _outputs(cfg: DictConfig) -> Path:
@@ -79,17 +93,30 @@ def _run_alone(cfg: DictConfig, folder: Path) -> float | None:
     tell_when_compiling(progress.compiling)
     tracking: Disk = instantiate(cfg.tracking)
     config = configuration(cfg)
-    results, prepared = run_experiment(cfg, config, folder, progress, print_summary)
-    print_certificates(results.bounds)
     stamp = fingerprint(config)
+
+    def save(results: Results) -> None:
+        """Results without certificates are nobody else's."""
+        save_results(folder, replace(results, id=result_id(results, folder)))
+        if tables_are_shown():
+            with attempted("the summary was not printed"):
+                print_summary(results)
+
+    results, prepared, whole = run_experiment(cfg, config, folder, progress, save)
+    stamp = stamp if whole else ""
     results = replace(results, id=result_id(results, folder), stamp=stamp)
-    with progress.stage("drawing one explanation"):
-        drawn = _draw(folder, prepared)
     save_results(folder, results)
+    if tables_are_shown():
+        with attempted("the certificates were not printed"):
+            print_certificates(results.bounds)
+    drawn = None
+    with progress.stage("drawing one explanation"), attempted("there is no picture"):
+        drawn = _draw(folder, prepared)
     with progress.stage("sending the run to MLflow"):
         lines = tracking.log(folder, _outputs(cfg))
     log.info("folder: %s", os.path.relpath(folder))
-    log.info("  trace.png is one explanation: %s", drawn)
+    if drawn is not None:
+        log.info("  trace.png is one explanation: %s", drawn)
     log.info("  results.json has all figures")
     for line in lines:
         log.info(line)
@@ -107,11 +134,12 @@ def _run_in_sweep(cfg: DictConfig, sweep: SweepFolder, job: Job) -> float | None
                 "this worker runs other code, libraries or data than the process that started "
                 "the sweep; install the same versions on every machine"
             )
-        results, _ = run_experiment(cfg, config, folder, SILENT)
-    except Exception as error:  # any failure of a job is a result of the sweep
+        with logged_to(folder / "xplain.log"):
+            results, _, _ = run_experiment(cfg, config, folder, SILENT)
+    except (Exception, SystemExit) as error:  # noqa: BLE001  (a failure is a result of the sweep)
         if is_ours(folder):
-            log.exception("failed")
-            mark_failed(folder, error)
+            failure = RuntimeError(_ended_by(error)) if isinstance(error, SystemExit) else error
+            mark_failed(folder, failure)
         return None
     results = replace(results, id=sweep.result_id(job), name=job.label, stamp=job.fingerprint)
     save_results(folder, results)
@@ -123,16 +151,17 @@ def run_experiment(
     config: dict[str, Any],
     folder: Path,
     progress: Progress,
-    tell: Callable[[Results], None] | None = None,
-) -> tuple[Results, Prepared]:
-    """The experiment itself: writes its episodes into the folder, returns the results.
+    save: Callable[[Results], None] | None = None,
+) -> tuple[Results, Prepared, bool]:
+    """The experiment itself: writes its episodes into the folder; returns the results, what was
+    prepared, and whether the results have all the certificates that were asked for.
 
     Args:
         cfg: as Hydra composed it.
         config: all of it that decides a number, resolved.
         folder: of the run.
         progress: hears how far it is.
-        tell: hears the results before the certificates, which take as long again, are sought.
+        save: is given the results before the certificates, which take as long again, are sought.
     """
     started, begun = time.time(), time.perf_counter()
     experiment = experiment_of(cfg)
@@ -155,13 +184,16 @@ def run_experiment(
         config=config,
     )
     write_text(folder / EPISODES, episode_lines(prepared, records))
-    write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
+    write_text(folder / "config.yaml", without_passwords(OmegaConf.to_yaml(cfg, resolve=True)))
     results = results_of(prepared, records, {}, provenance)
-    if tell is not None:
-        tell(results)
-    bounds = experiment.certificates(prepared, progress)
+    if save is not None:
+        save(results)
+    bounds: dict[str, float] | None = None
+    with attempted("there are no certificates"):
+        bounds = experiment.certificates(prepared, progress)
     seconds = seconds | {"bounds": time.perf_counter() - explained}
-    return replace(results, bounds=bounds, seconds=seconds), prepared
+    results = replace(results, bounds=bounds or {}, seconds=seconds)
+    return results, prepared, bounds is not None
 
 
 def result_id(results: Provenance, folder: Path) -> str:
@@ -174,7 +206,7 @@ def _draw(folder: Path, prepared: Prepared) -> str:
     """Draws the run's pictures; returns which episode is drawn."""
     from xplain.report import plots, traces
 
-    figure, drawn = traces.draw_typical(folder, prepared.scene)
+    figure, _, drawn = traces.draw_typical(folder, prepared.scene)
     plots.save(figure, folder / "trace.png")
     if len(prepared.curve):
         figure = plots.disagreements(

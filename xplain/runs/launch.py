@@ -17,6 +17,7 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, open_dict
 
+from xplain.errors import quoted
 from xplain.runs.folder import SweepFolder, mark_failed
 from xplain.runs.plan import Job
 
@@ -37,10 +38,9 @@ def launch(
     overrides = [
         [
             *job.overrides,
-            f"hydra.sweep.dir='{folder.path}'",
+            f"hydra.sweep.dir={quoted(str(folder.path))}",
             f"hydra.sweep.subdir='jobs/{job.name}'",
-            # On the terminal the sweep speaks as a whole; what a job says is in its folder.
-            "hydra.job_logging.root.handlers=[file]",
+            "hydra/job_logging=none",  # a job in this process would take the sweep's words
             "hydra.output_subdir=null",  # config.yaml is beside the results
         ]
         for job in jobs

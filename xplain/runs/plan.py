@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Glob
 from hydra.errors import ConfigCompositionException
 
 from xplain.errors import InputError
@@ -98,7 +99,7 @@ def make_plan(
         fingerprint, source = fingerprints(resolved)
         if fingerprint in jobs:
             continue
-        varied = {key: values[key] for key in swept if key in values}
+        varied = {key.lstrip("+"): values[key] for key in swept if key in values}
         folder = _folder(varied)
         if folder in names:
             folder = f"{folder[:100]},{fingerprint[:8]}"
@@ -170,9 +171,11 @@ def _parse(overrides: list[str]) -> dict[str, list[str]]:
     parsed: dict[str, list[str]] = {}
     for override in OverridesParser.create().parse_overrides(overrides):
         key = override.get_key_element()
+        if "." not in key:
+            key = key.removeprefix("++")  # the keys at the top are all there
         if not override.is_sweep_override():
             values = [override.get_value_element_as_str()]
-        elif override.is_discrete_sweep():
+        elif override.is_discrete_sweep() and not isinstance(override.value(), Glob):
             values = [str(value) for value in override.sweep_string_iterator()]
         else:
             asked = (override.input_line or "").partition("=")[2]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from xplain.report.stages import stages
@@ -19,15 +19,12 @@ POLL = 1.0
 
 
 @contextmanager
-def watched(
-    folder: SweepFolder, jobs: Sequence[Job], ended: Callable[[Job], None], done: int
-) -> Iterator[None]:
+def watched(folder: SweepFolder, jobs: Sequence[Job], done: int) -> Iterator[None]:
     """A thread looks at the jobs' folders for the time of the context, and once more at its end.
 
     Args:
         folder: of the sweep.
         jobs: those to watch.
-        ended: hears of every job that is finished or failed, in one thread at a time.
         done: how many other jobs of the sweep are finished already.
     """
     waiting, failed, every = list(jobs), 0, done + len(jobs)
@@ -48,8 +45,6 @@ def watched(
             left = (time.monotonic() - started) / count * len(waiting)
             words += f", about {duration(left)} left"
         progress.note(words)
-        for job in over:  # last: it may take long
-            ended(job)
 
     def watch() -> None:
         while not stop.wait(POLL):

@@ -111,7 +111,7 @@ def copy_results(source: Path, sweep: SweepFolder, job: Job) -> bool:
         results = load_results(source)
         if results.stamp != job.fingerprint:
             return False
-        target.mkdir(parents=True)
+        target.mkdir(parents=True, exist_ok=True)
         for path in source.iterdir():
             if path.is_file() and path.name not in (RESULTS, STARTED, FAILURE):
                 shutil.copy2(path, target / path.name)

@@ -5,6 +5,7 @@ Nothing heavy is imported before the configuration is known to be one.
 
 from __future__ import annotations
 
+import itertools
 import sys
 from contextlib import nullcontext
 from pathlib import Path
@@ -15,11 +16,14 @@ from hydra._internal.utils import create_config_search_path
 from hydra.core.config_search_path import SearchPathQuery
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from xplain.errors import InputError, left_at_once
-from xplain.experiment.config import CONF, named
+from xplain.experiment.config import CONF, GROUPS, named
+from xplain.experiment.fingerprint import clear_caches
+from xplain.experiment.progress import is_terminal
 from xplain.runs import hydra_plugins
 
 
@@ -28,6 +32,7 @@ def start(
     multirun: bool | None = None,
     config_dir: str | None = None,
     logs: bool = True,
+    config_name: str | None = None,
 ) -> Path | None:
     """Runs the experiment, or the sweep.
 
@@ -36,9 +41,11 @@ def start(
         multirun: whether it is a sweep; None lets the configuration decide (``sweeps=NAME``).
         config_dir: a folder with choices of one's own.
         logs: whether to set up logging, on the terminal and into the folders.
+        config_name: of a primary configuration of one's own; None is conf/config.yaml.
 
     Returns:
-        The folder of the run or sweep; None where nothing ran (``dry_run=true``).
+        The folder of the run or sweep; None where nothing ran (``dry_run=true``), or another
+        sweeper than ours knows it.
 
     Raises:
         XplainError, HydraException, OmegaConfBaseException: the configuration is wrong.
@@ -53,16 +60,32 @@ def start(
     theirs = GlobalHydra.instance().hydra  # of a program that uses Hydra itself
     GlobalHydra.instance().clear()
     hydra = Hydra.create_main_hydra2("xplain", path)
-    words = named(overrides)
+    words, name = named(overrides), config_name or "config"
+    parsed = OverridesParser.create().parse_overrides(words)
+    for given in parsed:
+        if given.key_or_group in (*GROUPS, "tracking") and given.value() is None:
+            allowed = "none" if given.key_or_group == "tracking" else "the name of a choice"
+            raise InputError(given.key_or_group, "null", allowed)
+    clear_caches()
     try:
         if multirun is None:
             # It is composed for the answer; nothing else than these can make it a sweep.
-            asked = config_dir is not None or any("sweeps" in w or "hydra" in w for w in words)
-            multirun = asked and hydra.get_mode("config", words) == RunMode.MULTIRUN
+            asked = bool(config_dir or config_name) or any(
+                "sweeps" in w or "hydra" in w for w in words
+            )
+            multirun = bool(asked) and hydra.get_mode(name, words) == RunMode.MULTIRUN
         if multirun:
-            folder: Path | None = hydra.multirun("config", job, words, logs)
-            return folder
-        done = hydra.run("config", job, words, logs)
+            done = hydra.multirun(name, job, words, logs)
+            if isinstance(done, list):  # of Hydra's own sweeper
+                for one in itertools.chain(*done):
+                    _ = one.return_value  # raises what the job raised
+            return done if isinstance(done, Path) else None
+        for given in parsed:
+            if given.is_sweep_override():
+                allowed = "one value; to run one job for each of several, add -m (xplain.sweep)"
+                several = (given.input_line or "").partition("=")[2]
+                raise InputError(given.key_or_group, several, allowed)
+        done = hydra.run(name, job, words, logs)
         if isinstance(done.return_value, BaseException):
             raise done.return_value
         assert done.hydra_cfg is not None
@@ -79,7 +102,7 @@ def job(cfg: DictConfig) -> Any:
 
     alone = HydraConfig.get().mode == RunMode.RUN
     try:
-        shown = stages().stage("loading") if alone and sys.stderr.isatty() else nullcontext()
+        shown = stages().stage("loading") if alone and is_terminal(sys.stderr) else nullcontext()
         with shown, left_at_once():
             from xplain.runs.job import run_job
 

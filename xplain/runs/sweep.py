@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 from hydra.types import HydraContext, TaskFunction
@@ -22,13 +21,13 @@ from xplain.experiment.fingerprint import code_version, fingerprint, git_state
 from xplain.experiment.from_config import check
 from xplain.experiment.results import load_results
 from xplain.runs.compose import Composer
-from xplain.runs.folder import SweepFolder, mark_failed
-from xplain.runs.forecast import print_dry_run
+from xplain.runs.folder import SweepFolder
 from xplain.runs.launch import interruptible, launch
 from xplain.runs.mlflow import Disk
 from xplain.runs.plan import Job, Plan, in_launch_order, make_plan
 from xplain.runs.progress import duration, watched
 from xplain.runs.reuse import Todo, copy_results, todo_of
+from xplain.runs.terminal import attempted, tables_are_shown
 
 log = logging.getLogger(__name__)
 
@@ -72,8 +71,7 @@ def run_sweep(
     missing = [job for job in plan.jobs if folder.state(job) != "finished"]
     check([configurations[job.fingerprint] for job in missing])
     if config.dry_run:
-        todo = todo_of(plan, folder, outputs, config.resume)
-        print_dry_run(plan, todo, outputs, config, configurations)
+        _print_jobs(plan, folder, todo_of(plan, folder, outputs, config.resume))
         return None
     with folder.alone(f"{plan.identity}: another process runs this sweep; waiting for it"):
         made = {"command": _command(config), "code": code_version(), "git": git_state()}
@@ -118,27 +116,28 @@ def carry_out(
         folder.clear(jobs[key])  # also what is left alone may hold half of a result
     run = [job for key, job in jobs.items() if key in {*todo.run, *todo.copied} - copied]
     _announce(plan, folder, run, len(todo.finished), len(copied))
-    ended = tracking.follow(folder.path, outputs)
     try:
-        with (
-            interruptible() as interrupted,
-            watched(folder, run, ended, len(todo.finished) + len(copied)),
-        ):
-            _launch_all(run, folder, launch, interrupted)
-    except BaseException as error:
+        with interruptible() as interrupted, watched(folder, run, len(todo.finished) + len(copied)):
+            try:
+                if run:
+                    launch(in_launch_order(run))
+            except Exception as error:  # noqa: BLE001  (launchers raise what they like)
+                log.warning("the launcher gave up (%s)", first_line(error)[:160])
+            if interrupted.is_set():  # what was interrupted made another error of it
+                raise KeyboardInterrupt
+    except KeyboardInterrupt:
         tracking.log(folder.path, outputs)
-        if isinstance(error, KeyboardInterrupt):
-            finished = sum(folder.state(job) == "finished" for job in plan.jobs)
-            words = f"{finished} of {len(plan.jobs)} jobs are finished; the same command goes on"
-            raise KeyboardInterrupt(words) from None
-        raise
+        finished = sum(folder.state(job) == "finished" for job in plan.jobs)
+        words = f"{finished} of {len(plan.jobs)} jobs are finished; the same command goes on"
+        raise KeyboardInterrupt(words) from None
     from xplain.report.console import print_sweep
     from xplain.report.write import write_report
 
     summary, report = write_report(folder.path)
     lines = tracking.log(folder.path, outputs)
-    if summary.results:
-        print_sweep(summary)
+    if summary.results and tables_are_shown():
+        with attempted("the table was not printed"):
+            print_sweep(summary)
     _tell(plan, folder, run)
     log.info("folder: %s", os.path.relpath(folder.path))
     log.info("report: %s (regret.csv beside it)", os.path.relpath(report / "index.html"))
@@ -155,47 +154,22 @@ def _announce(plan: Plan, folder: SweepFolder, run: list[Job], finished: int, co
         log.info("folder: %s", folder.path)
 
 
-def _launch_all(
-    jobs: list[Job],
-    folder: SweepFolder,
-    launch: Callable[[list[Job]], None],
-    interrupted: Event,
-) -> None:
-    """Launches until every job has ended. When a worker dies, launchers give up on all jobs:
-    those not begun are launched again, those it may have died of each on its own.
-
-    Raises:
-        KeyboardInterrupt: also where what was interrupted made another error of it, as the
-            composition of a configuration does.
-    """
-    fresh, suspects, idle = in_launch_order(jobs), list[Job](), 0
-    while fresh or suspects:
-        alone = not fresh
-        batch = [suspects.pop(0)] if alone else fresh
-        error: Exception | None = None
-        try:
-            launch(batch)
-        except Exception as raised:  # noqa: BLE001  (launchers raise what they like)
-            error = raised
-        if interrupted.is_set():
-            raise KeyboardInterrupt
-        fresh = [job for job in batch if folder.state(job) == "waiting"]
-        lost = [job for job in batch if folder.state(job) == "running"]
-        # A worker may die before it begins a job; when it happens again and again the
-        # launcher itself is at fault.
-        idle = idle + 1 if len(fresh) == len(batch) else 0
-        if idle == 3:
-            raise error or RuntimeError("the launcher ran none of the jobs")
-        for job in lost:
-            folder.clear(job)
-            if alone:
-                words = f"its worker died, twice ({_short(error)})"
-                mark_failed(folder.of(job), RuntimeError(words))
-        if not alone:
-            suspects += lost
-        if fresh or (lost and not alone):
-            again = len(fresh) + len(suspects)
-            log.warning("a worker died (%s); %d jobs are launched again", _short(error), again)
+def _print_jobs(plan: Plan, folder: SweepFolder, todo: Todo) -> None:
+    """What ``dry_run=true`` prints: the jobs, those already done, and the time to expect."""
+    done = {*todo.finished, *todo.copied}
+    for job in plan.jobs:
+        if job.fingerprint in {*done, *todo.run}:  # resume=failed leaves some
+            print(f"{'done' if job.fingerprint in done else 'to run':8}{job.label}")
+    print(
+        f"{len(plan.jobs)} jobs: {len(todo.finished)} done, {len(todo.copied)} done elsewhere (to "
+        f"be copied), {len(todo.run)} to run"
+    )
+    own = [job for job in plan.jobs if job.fingerprint in todo.finished]
+    if own and todo.run:
+        seconds = [sum(load_results(folder.of(job)).seconds.values()) for job in own]
+        workers = len({folder.worker(job) for job in own})
+        left = sum(seconds) / len(own) * len(todo.run) / workers
+        print(f"time to expect: about {duration(left)}, as its finished jobs took")
 
 
 def _tell(plan: Plan, folder: SweepFolder, ran: list[Job]) -> None:
@@ -236,7 +210,3 @@ def age() -> float:
 
 
 _IMPORTED = time.time()
-
-
-def _short(error: BaseException | None) -> str:
-    return "no word from it" if error is None else first_line(error)[:160]
