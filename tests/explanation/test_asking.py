@@ -75,10 +75,16 @@ def test_the_nearest_of_those_alike_is_open_then_the_next() -> None:
 
 def test_what_is_alike_depends_on_the_messages() -> None:
     """Two clips that only a message tells apart."""
-    p = np.array([[[0, 0], [0, 1]], [[1, 1], [1, 1]]], dtype=float)
+    p = np.array([[[0, 0], [0, 1]], [[1, 1], [1, 0]]], dtype=float)
     questions = Questions(LabelTable.dense(p), Limits())
     assert questions.open(0, 0, 0) == [0]
     assert questions.open(0, 1, 0) == [0, 1]
+
+
+def test_what_all_answer_alike_is_no_question_and_hides_none() -> None:
+    p = np.array([[0.6, 0.7], [0.6, 0.9]])  # of one kind
+    questions = Questions(LabelTable.dense(p[:, :, None]), Limits())
+    assert questions.open(0, 0, 0) == questions.open(0, None, 0) == [1]
 
 
 def test_second_opinions_come_after_every_kind() -> None:

@@ -43,7 +43,7 @@ def test_problems_made_of_it_are_those_made_of_the_dense_one(both: tuple[Problem
     n, types = both[1].n_messages, both[1].n_types
     made = [
         (problem.with_messages(tuple(range(0, n, 2))), problem.only_types([types - 1]),
-         problem.mixture(problem.prior), problem.with_types(problem.table.worst(), ("worst",)))
+         problem.mixture(problem.prior))
         for problem in both
     ]  # fmt: skip
     for mine, other in zip(*made, strict=True):
@@ -123,7 +123,7 @@ def test_twenty_relevant_messages_are_the_most(many: int) -> None:
             LabelTable.by_type(*table)
         with pytest.raises(TooLargeError, match="at most 20"):
             joined(parts)
-        for refused in (both.table.worst, lambda: both.mixture(both.prior), both.dense):
+        for refused in (lambda: both.mixture(both.prior), both.dense):
             with pytest.raises(TooLargeError, match="at most 20"):
                 refused()
 

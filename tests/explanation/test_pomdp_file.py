@@ -101,7 +101,7 @@ def test_rewards_are_one_line_a_state_and_action(problem: Problem) -> None:
             expected -= chance * problem.inexplicability_cost * labels.count(0)
         assert flat.reward[0, here] == pytest.approx(expected, abs=1e-12)
         for j in range(n):
-            if not shown >> j & 1:
+            if j in problem.messages_with_effect and not shown >> j & 1:
                 price = problem.trade_off * problem.message_cost[j]
                 assert flat.reward[j + 1, here] == pytest.approx(-price, abs=1e-12)
             else:  # worse than all that could still follow, so nobody says a message twice

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -222,16 +221,6 @@ def test_a_belief_is_asked_by_its_two_sentences_in_their_order() -> None:
     assert question.replies == (("It needs fuel.", 0), ("It needs none.", 1))
     with pytest.raises(InputError, match="two sentences"):
         ASKING.session([0], clips=[replace(clip, text="one")])
-
-
-def test_a_session_of_before_there_were_questions_opens() -> None:
-    session = Explainer(TYPES).session([0, 1])
-    session.messages()
-    text = session.to_json()
-    state = json.loads(text)
-    assert state["format"] == 1
-    assert not {"clips", "questions", "open", "told"} & state.keys()
-    assert ASKING.from_json(text).said == session.said
 
 
 def test_a_trace_that_grows_keeps_what_was_asked() -> None:

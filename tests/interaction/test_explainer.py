@@ -21,6 +21,7 @@ from xplain.explanation.listening import learned_habits
 from xplain.explanation.message_sets import mask_of
 from xplain.interaction.episode import explain
 from xplain.interaction.explainees import SimulatedUser
+from xplain.interaction.moves import Show
 from xplain.solvers.known_type import Conformant, KnownType
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
@@ -100,6 +101,23 @@ def test_a_session_goes_on_in_another_process_as_if_nothing_had_happened(situati
     assert play(here, answers) == play(there, answers)
     assert here.belief == there.belief
     assert here.to_json() == there.to_json()
+
+
+def test_a_restore_before_each_request_changes_no_move():
+    table = np.array([[[0.05, 0.95], [0.05, 0.9]]])
+    explainer = Explainer(GivenTypes(table, ("fuel",), ("novice",)), trade_off=0.2)
+
+    def moves(restored):
+        session, seen = explainer.session([0, 1]), []
+        while not session.finished and len(seen) < 9:
+            if restored:
+                session = explainer.from_json(session.to_json())
+            seen.append(session.next())
+            if isinstance(seen[-1], Show):
+                session.observe([1] * seen[-1].steps)
+        return seen
+
+    assert moves(restored=True) == moves(restored=False)
 
 
 @given(situations())

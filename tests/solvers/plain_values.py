@@ -7,8 +7,16 @@ from functools import cache
 from xplain.explanation.problem import Problem
 
 
-def plain_optimal_value(problem: Problem, t: int, step: int = 0, given: int = 0) -> float:
-    """The Bellman recursion over single actions, as docs/method.md, section 5 states it."""
+def plain_optimal_value(
+    problem: Problem,
+    t: int,
+    step: int = 0,
+    given: int = 0,
+    messages: tuple[int, ...] | None = None,
+) -> float:
+    """The Bellman recursion over single actions, as docs/method.md, section 5 states it: with these
+    messages, or those that have an effect on type t."""
+    actions = messages if messages is not None else problem.table.effective()[t]
     per_message = problem.discount if problem.discount_per == "action" else 1.0
 
     @cache
@@ -17,7 +25,7 @@ def plain_optimal_value(problem: Problem, t: int, step: int = 0, given: int = 0)
             return 0.0
         zeros = sum(1 - problem.p_explicable[t, i, shown] for i in range(k + 1))
         best = -problem.inexplicability_cost * zeros + problem.discount * value(k + 1, shown)
-        for j in range(problem.n_messages):
+        for j in actions:
             if not shown >> j & 1:
                 price = problem.trade_off * problem.message_cost[j]
                 best = max(best, -price + per_message * value(k, shown | 1 << j))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -235,3 +236,45 @@ def test_of_equally_good_questions_the_nearest() -> None:
     assert best_question({0: -1.0, ~3: -0.5, ~1: -0.5}) == 1
     assert best_question({0: -0.5, ~3: -0.5}) == NO_QUESTION
     assert best_question({0: -0.5}) == NO_QUESTION
+
+
+class AsksWhere:
+    """Says nothing, and asks all questions where it is told to."""
+
+    def __init__(self, questions: int, where: Callable[[int, np.ndarray], bool]) -> None:
+        self.questions, self.where = questions, where
+
+    def messages(self, step: int, given: int, belief: np.ndarray, asked: int = 0) -> int:
+        return 0
+
+    def values(self, step: int, given: int, belief: np.ndarray, asked: int = 0) -> dict[int, float]:
+        return {}
+
+    def question(self, step: int, given: int, belief: np.ndarray, asked: int = 0) -> int:
+        left = [q for q in range(self.questions) if not asked >> q & 1]
+        return left[0] if left and self.where(step, belief) else NO_QUESTION
+
+
+def test_beliefs_between_questions_count_against_the_limit_of_a_walk() -> None:
+    """Six equal questions: 28 beliefs on the way, 7 after them."""
+    table = LabelTable.dense(np.full((2, 1, 2), 0.5))
+    answers = np.tile(np.array([0.2, 0.8])[:, None, None], (1, 6, 2))
+    questions = Questions(LabelTable.dense(answers), Limits(0.1, 6, "anytime"))
+    problem = Problem(table, np.ones(1), questions=questions)
+    policy = AsksWhere(6, lambda step, belief: True)
+    assert evaluate(problem, policy, beliefs=20, episodes=2).value_is == "simulated"
+    assert evaluate(problem, policy, beliefs=1000).value_is == "exact"
+
+
+def test_a_question_is_part_of_what_an_unlikely_belief_may_cost() -> None:
+    """One user in 2,000 is asked, at a high price."""
+    table = np.repeat(np.array([[1.0, 1.0], [0.0, 1.0]])[:, :, None], 2, axis=2)
+    answers = np.array([0.0, 1.0])[:, None, None].repeat(2, axis=2)
+    questions = Questions(LabelTable.dense(answers), Limits(1000.0, 1, "anytime"))
+    prior = np.array([0.9995, 0.0005])
+    problem = Problem(LabelTable.dense(table), np.ones(1), prior=prior, questions=questions)
+    policy = AsksWhere(1, lambda step, belief: step == 1 and belief[1] > 0.5)
+    found, true = evaluate(problem, policy, precision=0.01), plain_value(problem, policy)
+    assert true < -0.4
+    assert found.value_is == "exact"
+    assert found.value == pytest.approx(true, abs=0.01 * (1 - true))

@@ -64,7 +64,7 @@ def test_equal_beliefs_are_one_question() -> None:
     rng = np.random.default_rng(4)
     for number in range(20):
         problem = Problem(rng.random((4, 5, 8)), np.ones(3), trade_off=0.3)
-        policy = POMCP(simulations=40, rollout="random").plan(problem, number)
+        policy = POMCP(simulations=40).plan(problem, number)
         belief = np.array([*rng.dirichlet(np.ones(3)), 0.0])
         other = belief * (1 + 1e-15)
         other[3] = -0.0

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import logging
+import tracemalloc
 
+import numpy as np
 import pytest
 
 from xplain.errors import InputError, TooLargeError
+from xplain.explanation.label_table import LabelTable
+from xplain.explanation.problem import Problem
 from xplain.solvers.memory import GIB, check_memory
 from xplain.solvers.qmdp import QMDP
 
@@ -30,3 +34,17 @@ def test_more_than_a_quarter_of_a_gibibyte_is_told(
 def test_a_limit_is_a_positive_number(value: float) -> None:
     with pytest.raises(InputError, match=r"solver\.memory_gib"):
         QMDP(memory_gib=value)
+
+
+def test_planning_type_by_type_takes_what_the_types_take() -> None:
+    """One message of 21 changes nothing; no table is over all sets of the 20 others."""
+    types, steps, each = 10, 20, 3
+    rng = np.random.default_rng(0)
+    relevant = np.array([np.sort(rng.choice(20, each, replace=False)) for _ in range(types)])
+    table = LabelTable.by_type(relevant, rng.random((types, steps, 1 << each)))
+    problem = Problem(table, np.full(21, 0.01))
+    tracemalloc.start()
+    QMDP().plan(problem)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 20e6  # bytes; a number for each set is 8e6 a step

@@ -14,8 +14,10 @@ from hypothesis.strategies import composite
 from tests.explanation.problems import tiny_problems
 from tests.solvers.plain_values import plain_optimal_value
 from xplain.errors import InputError, TooLargeError
+from xplain.explanation.asking import Limits, Questions
 from xplain.explanation.habits import habits_of
-from xplain.explanation.literal_pomdp import reduced_optimal_value
+from xplain.explanation.label_table import LabelTable
+from xplain.explanation.literal_pomdp import literal_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.solvers import restriction
 from xplain.solvers.base import Solver
@@ -23,10 +25,11 @@ from xplain.solvers.hsvi.solver import Certified
 from xplain.solvers.known_type import Baseline, Conformant, KnownType
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.model import best_set, explain_cost_at, explain_costs, model_of, optimal_values
+from xplain.solvers.policy_evaluation import evaluate
 from xplain.solvers.pomcp.solver import POMCP
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
-from xplain.solvers.restriction import coupled, messages_worth_giving, restricted
+from xplain.solvers.restriction import coupled, restricted
 
 
 @settings(deadline=None, max_examples=60)
@@ -53,16 +56,6 @@ def test_explain_costs_are_the_expected_zeros(problem: Problem) -> None:
             assert explain_cost_at(model, k, shown) == pytest.approx(expected, abs=1e-12)
 
 
-@settings(deadline=None, max_examples=40)
-@given(tiny_problems())
-def test_messages_left_out_would_not_have_paid(problem: Problem) -> None:
-    kept = messages_worth_giving(problem)
-    small = problem.with_messages(kept)
-    assert optimal_values(model_of(small))[0, 0] == pytest.approx(
-        optimal_values(model_of(problem))[0, 0], abs=1e-9
-    )
-
-
 def idle_problem(**changes: object) -> Problem:
     """Three messages; the middle one changes nothing."""
     rng = np.random.default_rng(3)
@@ -71,41 +64,45 @@ def idle_problem(**changes: object) -> Problem:
     return Problem(**(values | changes))  # type: ignore[arg-type]
 
 
-def test_a_message_without_effect_is_never_given_at_the_usual_price() -> None:
-    problem = idle_problem()
-    assert problem.table.effective_of_any() == (0, 2)
-    assert messages_worth_giving(problem) == (0, 2)
-    for solver in (QMDP(), QHR(), Conformant(), Baseline()):
+@pytest.mark.parametrize("trade_off", [0.0, 0.001, 1.0])
+def test_a_message_without_effect_is_no_action(trade_off: float) -> None:
+    """Not even free of charge, though it would put off later costs."""
+    problem = idle_problem(trade_off=trade_off, discount=0.5)
+    assert problem.messages_with_effect == (0, 2)
+    for solver in (QMDP(), QHR(), Conformant(), Baseline(), Certified(), Lookahead(), POMCP()):
         policy = solver.plan(problem)
         for step in range(4):
             assert not policy.messages(step, 0, problem.prior) & 0b010
 
 
-def test_a_message_without_effect_is_kept_where_delay_pays() -> None:
-    """Free of charge it puts off later costs, which per-action discounting rewards."""
-    assert 1 in messages_worth_giving(idle_problem(trade_off=0.0))
-    assert 1 not in messages_worth_giving(idle_problem(trade_off=0.0, discount_per="step"))
-    assert 1 not in messages_worth_giving(idle_problem(trade_off=0.0, discount=1.0))
+@pytest.mark.parametrize("solver", [QMDP(), KnownType(), Lookahead(), POMCP()])
+def test_whoever_no_message_can_help_is_told_nothing(solver: Solver) -> None:
+    """Each of two types needs a message of its own, cheap enough to pay as a mere delay: the other
+    type, once it is certain, is not told it."""
+    p = np.full((2, 12, 4), 0.5)
+    p[0, :, 1::2], p[1, :, 2:] = 0.9, 0.9
+    policy = solver.plan(Problem(p, np.full(2, 0.1)))
+    for t in range(2):
+        for step in range(12):
+            assert policy.messages(step, 0, np.eye(2)[t]) == 1 << t
+            assert not policy.messages(step, 1 << t, np.eye(2)[t])
 
 
-@pytest.mark.parametrize("share", [0.99, 1.01])
-@pytest.mark.parametrize("dear", [(), (5.0,)])
-def test_a_delay_pays_up_to_its_share_of_all_that_is_still_to_be_paid(
-    share: float, dear: tuple[float, ...]
-) -> None:
-    """It puts off the most at the step from which on the most is to be paid. A dear message that
-    has an effect never pays: all of that is the cost of labels."""
-    p, left, most = np.full((1, 4, 2 << len(dear)), 0.5), 0.0, 0.0
-    p[:, :, 2:] = 0.51
-    for k in reversed(range(4)):
-        left = 0.5 * (k + 1) + 0.9 * left
-        most = max(most, left)
-    problem = Problem(p, np.array([share * 0.1 * most, *dear]), discount=0.9)
-    others = tuple(range(1, problem.n_messages))
-    pays = share < 1
-    assert messages_worth_giving(problem) == ((0, *others) if pays else others)
-    without = reduced_optimal_value(problem.with_messages(others))
-    assert (reduced_optimal_value(problem) > without + 1e-9) == pays
+def test_a_message_that_changes_an_answer_alone_is_an_action() -> None:
+    """Told it before the first step, one of two types answers a question unlike the other before
+    the second; by brute force that saves more than a third of the cost."""
+    p = np.ones((2, 2, 8))
+    p[0, 1, [0, 2, 4, 6]], p[1, 1, [0, 1, 4, 5]] = 0, 0  # they need messages 0 and 1
+    clip = np.full((2, 1, 8), 0.9)
+    clip[1, :, 4:] = 0.1
+    problem = Problem(p, np.array([5.0, 5.0, 0.1]), 10.0, discount=1.0)
+    problem = replace(problem, questions=Questions(LabelTable.dense(clip), Limits(0.1)))
+    assert problem.table.effective_of_any() == (0, 1)
+    optimum = literal_optimal_value(problem)
+    assert optimum == pytest.approx(-(0.1 + 0.1 + 5 + 0.1 * 10))
+    policy = Certified(gap=1e-9).plan(problem)
+    assert (policy.lower, policy.upper) == pytest.approx((optimum, optimum))
+    assert evaluate(problem, policy).value == pytest.approx(optimum)
 
 
 def test_one_message_more_than_sets_are_weighed_for_is_refused(
@@ -115,7 +112,7 @@ def test_one_message_more_than_sets_are_weighed_for_is_refused(
     monkeypatch.setattr(restriction, "MAX_RELEVANT", 3)
     assert coupled(problem, "certified") == restricted(problem)
     monkeypatch.setattr(restriction, "MAX_RELEVANT", 2)
-    with pytest.raises(TooLargeError, match=r"certified.*3 are worth giving.*at most 2"):
+    with pytest.raises(TooLargeError, match=r"certified.*3 matter on.*at most 2"):
         coupled(problem, "certified")
 
 

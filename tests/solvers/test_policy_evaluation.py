@@ -99,7 +99,7 @@ def test_a_value_called_exact_is_of_this_policy_where_answers_rule_types_out() -
     for number in range(30):
         p = rng.choice([0.0, 0.1, 0.8, 1.0], size=(3, 3, 4))
         problem = Problem(p, np.array([0.3, 0.2]), discount=0.9)
-        search = POMCP(simulations=12, rollout="random").plan(problem, number)
+        search = POMCP(simulations=12).plan(problem, number)
         asked = Bytes(2)
         for policy in (search, asked):
             worth = evaluate(problem, policy)

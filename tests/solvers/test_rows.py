@@ -19,7 +19,7 @@ IDLE = [[0, 2, 3, 5], [2, 6, 3]]
 
 
 def by_type() -> LabelTable:
-    return LabelTable.by_type(RELEVANT, np.full((2, 3, 4), 0.5))
+    return LabelTable.by_type(RELEVANT, np.random.default_rng(0).random((2, 3, 4)))
 
 
 def classes(t: int) -> list[list[int]]:

@@ -9,8 +9,9 @@ asked before the messages of a step, once at most. There are two kinds:
 - a *belief*: "which do you think?", of the two sentences of a fact. The answer is 1 where the user
   has it right.
 
-Clips are alike where their columns, thresholded, are. The one nearest to the trace stands for
-them; once it was asked, the next nearest does: a second opinion, where answers err.
+Clips are alike where their columns, thresholded, are. Of these only the one nearest to the trace
+may be asked; once it was, the next nearest: a second opinion, where answers err. What all hidden
+types answer alike is no question.
 """
 
 from __future__ import annotations
@@ -153,12 +154,14 @@ class Questions:
             return []
         if self.limits.when == "first" and (step or given):
             return []
-        columns = self.table.p
+        count, labels, answers = len(self), self.table.p, self.table.answered
         if given is not None:
-            columns = self.table.label_probabilities(len(self), given).T
+            labels = self.table.label_probabilities(count, given).T
+            answers = self.table.answer_probabilities(count, given).T
+        tells = np.ptp(answers.reshape(count, -1), axis=1) > 0
         found: dict[bytes, int] = {}
-        for q, column in enumerate(columns >= 0.5):
-            if not asked >> q & 1:
+        for q, column in enumerate(labels >= 0.5):
+            if tells[q] and not asked >> q & 1:
                 found.setdefault(column.tobytes(), q)
         return list(found.values())
 

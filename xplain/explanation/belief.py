@@ -7,7 +7,7 @@ shown and answered; which labels count as evidence is the choice made here.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,14 @@ Evidence = slice | NDArray[np.bool_]
 
 
 class BeliefUpdate(Protocol):
-    """How labels change the belief."""
+    """How labels change the belief.
+
+    Attributes:
+        fresh_labels: whether it takes each label of each step to be drawn afresh, as the POMDP
+            does whose optimum and policies certificates are about.
+    """
+
+    fresh_labels: ClassVar[bool]
 
     def habits(self, learned: Habits | None) -> Habits:
         """How users are taken to listen and to answer.
@@ -72,6 +79,8 @@ class Assuming:
 class Independent(Assuming):
     """The paper: at every step all labels of the prefix are drawn afresh, all are evidence."""
 
+    fresh_labels: ClassVar[bool] = True
+
     def evidence(self, message_set: int, previous: int | None, count: int) -> slice:
         """All labels of an answer are evidence."""
         return slice(0, count)
@@ -82,6 +91,8 @@ class Persistent(Assuming):
     """A label of (transition, message set) given before is no new evidence: people who learned
     nothing new repeat themselves. Messages only accumulate, so only the newest transition's
     label is news unless something was said. Asked again, users err again."""
+
+    fresh_labels: ClassVar[bool] = False
 
     def evidence(self, message_set: int, previous: int | None, count: int) -> slice:
         """Every label after a message, the newest otherwise."""

@@ -271,21 +271,10 @@ class LabelTable:
         Raises:
             TooLargeError: more than MAX_RELEVANT messages matter to some type.
         """
+        together = self.over([self.effective_of_any()] * self.n_types)
         # Weights may sum to a hair more than 1.
-        return self._as_one(lambda p: (p * weights).sum(axis=-1, keepdims=True).clip(0, 1))
-
-    def worst(self) -> LabelTable:
-        """One type in the place of all, to whom each transition is as inexplicable as to any.
-
-        Raises:
-            TooLargeError: as :meth:`mixed`.
-        """
-        return self._as_one(lambda p: p.min(axis=-1, keepdims=True))
-
-    def _as_one(self, merge: Change) -> LabelTable:
-        union = self.effective_of_any()
-        together = self.over([union] * self.n_types)
-        return LabelTable(together.relevant[:1], merge(together.p))
+        p = (together.p * weights).sum(axis=-1, keepdims=True).clip(0, 1)
+        return LabelTable(together.relevant[:1], p)
 
 
 def joined(parts: Sequence[LabelTable]) -> LabelTable:

@@ -2,8 +2,9 @@
 
 States ⟨k, L, E_given, E_next, t⟩ with three corrections (docs/choices.md, slips): messages already
 given or pending are no actions, label probabilities use E_given ∪ E_next and depend on τ_i, and the
-label that costs is 0. Where users fail, L are their answers, t is a hidden type, and the facts that
-they have right now belong to the state. Nothing here knows of the reduction to (k, H, belief);
+label that costs is 0. Messages that change no label and no answer of anybody are no actions either.
+Where users fail, L are their answers, t is a hidden type, and the facts that they have right now
+belong to the state. Nothing here knows of the reduction to (k, H, belief);
 optimal values come from the definition, by trying every action and every observation.
 """
 
@@ -56,16 +57,18 @@ class LiteralPOMDP:
         }
 
     def actions(self, state: LiteralState) -> list[int]:
-        """*Explain*, and the messages neither given nor pending (where they may be missed or
-        forgotten, all that are not pending, and were not said as often as they may be), and
-        questions while nothing is pending; none at the end of the trace."""
+        """*Explain*, and the messages with effect, neither given nor pending (where they may be
+        missed or forgotten, all that are not pending, and were not said as often as they may be),
+        and questions while nothing is pending; none at the end of the trace."""
         if state.step == self.problem.n_steps:
             return []
+        messages = self.problem.messages_with_effect
         used = state.given | state.pending
         if self.problem.tracks_knowledge:
+            messages = tuple(range(self.problem.n_messages))
             most = self.problem.again.most or self.problem.n_steps
             used = state.pending | {j for j in state.heard if state.heard.count(j) >= most}
-        free = [EXPLAIN, *(j for j in range(self.problem.n_messages) if j not in used)]
+        free = [EXPLAIN, *(j for j in messages if j not in used)]
         if self.problem.questions is not None and not state.pending:
             given = None if self.problem.tracks_knowledge else bitmask(state.given)
             may = self.problem.questions.open(state.step, given, bitmask(state.asked))
@@ -201,7 +204,7 @@ def reduced_optimal_value(
             later += total * reduced_optimal_value(problem, step + 1, given, posterior)
     best = -problem.inexplicability_cost * expected_zeros + problem.discount * later
     per_message = problem.discount if problem.discount_per == "action" else 1.0
-    for j in range(problem.n_messages):
+    for j in problem.messages_with_effect:
         if not given >> j & 1:
             after = reduced_optimal_value(problem, step, given | 1 << j, belief)
             price = problem.trade_off * float(problem.message_cost[j])

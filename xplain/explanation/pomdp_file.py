@@ -5,8 +5,8 @@ the n messages; observations are "nothing" and the distinguishable answers at ea
 Explicit and numeric, without names: parsers are fast on that. Rewards alone have wildcards, one
 line a (state, action): SARSOP refuses rewards that name an end state and an observation.
 
-A message already given is no action of the problem, but the format knows no such thing: here it
-leads to the end at a price above any cost, so no optimal policy takes it.
+A message already given, or without effect, is no action of the problem. The format knows no such
+thing: here it leads to the end at a price above any cost, so no optimal policy takes it.
 """
 
 from __future__ import annotations
@@ -63,6 +63,7 @@ def lines(problem: Problem) -> Iterator[str]:
     yield "start: " + " ".join(repr(float(p)) for p in start)
 
     prices = problem.trade_off * problem.message_cost
+    effective = problem.messages_with_effect
     forbidden = -1.0 - float(prices.sum()) - problem.inexplicability_cost * steps * (steps + 1) / 2
     for k, shown, t in product(range(steps), range(sets), range(types)):
         here, after = state(k, shown, t), state(k + 1, shown, t)
@@ -76,9 +77,9 @@ def lines(problem: Problem) -> Iterator[str]:
         if k == 0:
             yield f"O: {EXPLAIN} : {here} : {NOTHING} 1.0"
         for j in range(n):
-            given = shown >> j & 1
-            reward = forbidden if given else -float(prices[j])
-            after = end if given else state(k, shown | 1 << j, t)
+            may_be_said = j in effective and not shown >> j & 1
+            reward = -float(prices[j]) if may_be_said else forbidden
+            after = state(k, shown | 1 << j, t) if may_be_said else end
             yield f"T: {j + 1} : {here} : {after} 1.0"
             yield f"R: {j + 1} : {here} : * : * {reward!r}"
             yield f"O: {j + 1} : {here} : {NOTHING} 1.0"

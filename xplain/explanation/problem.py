@@ -7,8 +7,9 @@ probabilities (:mod:`xplain.explanation.label_table`) is the whole model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -101,18 +102,6 @@ class Problem:
         for key, value in checked.items():
             object.__setattr__(self, key, value)
 
-    @classmethod
-    def of_before(cls, content: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Stored with ``p_explicable`` or with ``relevant`` and ``p_relevant``, as before there was
-        one form of table (:class:`~xplain.storage.WasOtherwise`)."""
-        rest = dict(content)
-        dense, relevant, p = (rest.pop(k, ()) for k in ("p_explicable", "relevant", "p_relevant"))
-        if "table" in rest:
-            return rest
-        own = np.size(p) or np.size(relevant)
-        table = LabelTable.by_type(relevant, p) if own else LabelTable.dense(dense)
-        return rest | {"table": {"relevant": table.relevant, "p": table.p}}
-
     @property
     def n_types(self) -> int:
         """N, the number of hidden types."""
@@ -132,6 +121,13 @@ class Problem:
     def n_messages(self) -> int:
         """n, the number of messages."""
         return len(self.message_cost)
+
+    @cached_property
+    def messages_with_effect(self) -> tuple[int, ...]:
+        """The messages that change some label of the trace, or some answer to a question, of some
+        hidden type, ascending: those worth an action."""
+        tables = (self.table, self.questions.table) if self.questions else (self.table,)
+        return tuple(sorted({j for table in tables for j in table.effective_of_any()}))
 
     @property
     def is_dense(self) -> bool:

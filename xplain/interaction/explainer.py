@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xplain.errors import InputError, whole_number
-from xplain.explanation.asking import NO_QUESTION
 from xplain.explanation.habits import Habits
 from xplain.explanation.label_table import LabelTable
 from xplain.interaction.moves import Candidate, candidates, check_texts
 from xplain.interaction.planner import Planner
-from xplain.interaction.session import FORMATS, Session
+from xplain.interaction.session import FORMAT, Session
 
 
 @dataclass(frozen=True)
@@ -71,11 +70,15 @@ class GivenTypes:
             InputError: an index outside the table.
         """
         if callable(self.table):
-            return self._fitting(self.table(transitions))
+            made = self._fitting(self.table(transitions))
+            if len(made.p) != len(transitions):
+                raise InputError("table", len(made.p), f"{len(transitions)} rows, one a transition")
+            return made
         table = self._fitting(self.table)
         last = len(table.p) - 1
         for index in transitions:
-            if not isinstance(index, (int, np.integer)) or not 0 <= index <= last:
+            number = isinstance(index, (int, np.integer)) and not isinstance(index, bool)
+            if not number or not 0 <= index <= last:
                 raise InputError("trace", index, f"indices 0 … {last} of the table")
         return table.of_steps(transitions)
 
@@ -134,13 +137,13 @@ class Explainer(Planner):
             known = {key: tuple(state[key]) for key in ("messages", "types")}
             trace, said, answers = (list(state[key]) for key in ("trace", "said", "answers"))
             expected = int(state["expected_steps"])
-            clips = [Candidate(*clip) for clip in state.get("clips", ())]
-            asked = [[int(n) for n in one] for one in state.get("questions", ())]
-            unanswered = int(state.get("open", NO_QUESTION))
+            clips = [Candidate(*clip) for clip in state["clips"]]
+            asked = [[int(n) for n in one] for one in state["questions"]]
+            unanswered, told = int(state["open"]), bool(state["told"])
         except (ValueError, KeyError, TypeError) as error:
             raise InputError("session", text, f"JSON of Session.to_json ({error!r})") from None
-        if written not in FORMATS:
-            raise InputError("session.format", written, " or ".join(map(str, FORMATS)))
+        if written != FORMAT:
+            raise InputError("session.format", written, str(FORMAT))
         for key, mine in (("messages", self.types.messages), ("types", self.types.names)):
             if known[key] != tuple(mine):
                 raise InputError(f"session.{key}", known[key], f"must be {', '.join(mine)}")
@@ -149,5 +152,5 @@ class Explainer(Planner):
         if not all(len(one) == 3 and 0 <= one[0] <= len(answers) for one in asked):
             raise InputError("session.questions", asked, "(step, number, answer) of each")
         session = self.session(trace, expected, clips)
-        session.take_up(asked, said, answers, unanswered, bool(state.get("told", False)))
+        session.take_up(asked, said, answers, unanswered, told)
         return session

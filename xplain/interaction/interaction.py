@@ -92,7 +92,7 @@ class Interaction:
     def no_news(self) -> int:
         """Bitmask of the questions asked, and of those whose answers were heard as labels."""
         questions = self.problem.questions
-        if questions is None or self._answered is None or not self._repeat:
+        if questions is None or self._answered is None or self.belief_update.fresh_labels:
             return self.asked
         heard = questions.shows[:, : self.step].any(axis=1)
         return self.asked | bitmask(np.flatnonzero(heard).tolist())
@@ -102,11 +102,6 @@ class Interaction:
         self.belief = answered(self.problem, self.belief, self.given, question, answer)
         self.asked |= 1 << question
         self._clips |= 1 << question
-
-    @property
-    def _repeat(self) -> bool:
-        """Whether people who learned nothing new are taken to repeat themselves."""
-        return 0 not in range(2)[self.belief_update.evidence(0, 0, 2)]
 
     def values(self) -> Mapping[int, float]:
         """The values behind what is asked or said now: by bitmask of messages, by ``~q`` of
@@ -149,7 +144,7 @@ class Interaction:
         """*Explain* showed the first ``step + 1`` transitions; these are the user's labels."""
         count = self.step + 1
         evidence: Evidence = self.belief_update.evidence(self.given, self._answered, count)
-        if self._clips and self._repeat and self.problem.questions:
+        if self._clips and not self.belief_update.fresh_labels and self.problem.questions:
             shows = self.problem.questions.shows[indices(self._clips), :count]
             evidence = ~shows.any(axis=0) & np.isin(np.arange(count), np.arange(count)[evidence])
         self.belief = update(self.problem, self.belief, self.given, labels, evidence)

@@ -20,8 +20,8 @@ from xplain.interaction.moves import Candidate, Move, Say, Show, Why, in_order, 
 from xplain.interaction.planner import Planner
 from xplain.solvers.base import Policy, asking
 
-FORMATS = (1, 2)
-"""Versions of a session's JSON: where nothing may be asked, and where something may."""
+FORMAT = 3
+"""Version of a session's JSON."""
 
 
 class Session:
@@ -293,17 +293,18 @@ class Session:
             InputError: a transition is nothing that JSON can hold.
         """
         state = {
-            "format": FORMATS[bool(self._clips)],
+            "format": FORMAT,
             "messages": self._planner.types.messages,
             "types": self._planner.types.names,
             "trace": self._trace,
             "expected_steps": self._expected_steps,
             "said": [self._names(mask) for mask in self._said],
             "answers": [answer.tolist() for answer in self._answers],
+            "clips": [[clip.transition, clip.text, clip.right] for clip in self._clips],
+            "questions": self._questions,
+            "open": self._open,
+            "told": self._told,
         }
-        if self._clips:
-            state["clips"] = [[clip.transition, clip.text, clip.right] for clip in self._clips]
-            state |= {"questions": self._questions, "open": self._open, "told": self._told}
         try:
             return json.dumps(state)
         except TypeError as error:

@@ -20,7 +20,6 @@ from xplain.explanation.problem import Problem
 from xplain.solvers.base import Knowledge, Policy
 from xplain.solvers.inquiry import Inquiry, look, make_inquiry, make_room
 from xplain.solvers.qmdp import greedy_policy
-from xplain.solvers.restriction import messages_worth_giving
 
 
 @checks("solver")
@@ -38,7 +37,7 @@ class AskFirst:
         policy = greedy_policy(problem, "ask_first", self.memory_gib, "qhr plans without tables")
         if problem.questions is None:
             return policy
-        kept = messages_worth_giving(problem)
+        kept = problem.messages_with_effect
         return Curious(policy, make_inquiry(problem.with_messages(kept)), kept)
 
 

@@ -25,8 +25,9 @@ class Bounds:
 
     Attributes:
         lower, upper: the optimal value lies between them.
-        known_type: Σ_t prior(t) V*_t, the value if the type were told at the start; where messages
-            may be missed or forgotten, if after each action the user's knowledge were told, too.
+        known_type: Σ_t prior(t) V*_t, the value if the type were told at the start, with the same
+            messages as actions; where messages may be missed or forgotten, if after each action
+            the user's knowledge were told, too.
     """
 
     lower: float
@@ -84,7 +85,7 @@ def bounds(
         # What is asked may tell everything.
         upper = known if small.questions else lookahead.upper
         return Bounds(lookahead.lower, upper, known)
-    found = explore(tables, Start(0, 0, small.prior), effort, small, told)
+    found = explore(tables, Start(0, 0, small.prior), effort, told)
     known = float(small.prior @ tables.optimal[0, 0])
     return Bounds(found.lower, found.upper, known)
 
@@ -93,12 +94,17 @@ def _simple_bounds(small: Problem, memory_gib: float) -> Bounds:
     check_memory("knowing the type", table_bytes(small), memory_gib, "no other solver can")
     model = model_of(small)
     optimal = optimal_values(model)
-    known = float(small.prior @ take(model, optimal[0], 0))
+    # A message for the sake of others puts off what a type costs, if it is cheap enough.
+    idle = (1 << np.arange(small.n_messages)[:, None] & ~model.rows.relevant) != 0
+    ahead = -optimal.min(axis=(0, 1))
+    delays = (idle & (model.price[:, None] < (1 - model.message_discount) * ahead)).sum(axis=0)
+    known = float(small.prior @ (model.message_discount**delays * take(model, optimal[0], 0)))
     return Bounds(min(best_plan_value(model, optimal, small.prior), known), known, known)
 
 
 def known_type_value(problem: Problem, memory_gib: float = 8.0) -> float:
-    """Σ_t prior(t) V*_t: the value of whoever is told the type at the start.
+    """Σ_t prior(t) V*_t: what the policy earns that is told the type at the start, and gives only
+    messages with an effect on it.
 
     Raises:
         TooLargeError: the tables take more than ``memory_gib``.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, lean_kernel, shared_kernel
-from xplain.solvers.rows import make_rows, row
+from xplain.solvers.rows import parts_of, places_of, row
 
 NO_NEWS = 1e-12
 """Nats below which an answer tells nothing."""
@@ -51,7 +51,7 @@ def make_inquiry(problem: Problem) -> Inquiry:
         none = np.empty((0, 1, types))
         return Inquiry(none, none > 0, np.zeros((1, 1, types), np.int64), 0.0, 0, False, 0)
     table = asking.table
-    part = make_rows(table, problem.trade_off * problem.message_cost).part
+    part = parts_of(places_of(table, problem.n_messages))
     certain = bool(np.isin(table.answered, (0, 1)).all())
     matters = not certain or asking.limits.most < min(len(asking), types - 1)
     return Inquiry(
@@ -115,7 +115,7 @@ class Room(NamedTuple):
         asked: [Q] bool, is told which were asked.
         found: [room] questions, the most telling first; those that tell least are left out.
         news: [room] what they tell, in nats.
-        kinds: [Q] the nearest of each kind.
+        kinds: [Q] the nearest of each kind; as ~q while it is known to tell nothing.
     """
 
     asked: NDArray[np.bool_]
@@ -139,25 +139,33 @@ def make_room(inquiry: Inquiry, asked: int = 0, most: int | None = None) -> Room
 @shared_kernel
 def open_questions(inquiry, step, given, belief, room):  # type: ignore[no-untyped-def]
     """Fills ``room.found`` with the questions that may be asked at (k, H) and tell something at a
-    belief [N] that sums to 1. Returns how many."""
+    belief [N] that sums to 1. Returns how many.
+
+    A question that tells nothing is among them where another of its kind does, which may be asked
+    after it alone; ``room.news`` then has what that one tells.
+    """
     left, count, kinds = inquiry.most, 0, 0
     for q in range(len(room.asked)):
         left -= room.asked[q]
     if left <= 0 or (inquiry.first and (step > 0 or given > 0)):
         return 0
     for q in range(len(room.asked)):
-        if room.asked[q] or _alike_any(inquiry, q, given, room.kinds, kinds):
+        if room.asked[q] or _answered_alike(inquiry, q, given):
             continue
-        room.kinds[kinds] = q
-        kinds += 1
-        told = _news(inquiry, q, given, belief)
-        if told <= NO_NEWS or (count == len(room.found) and told <= room.news[count - 1]):
+        kind = _kind(inquiry, q, given, room.kinds, kinds)
+        if kind < kinds and room.kinds[kind] >= 0:
+            continue
+        news = _news(inquiry, q, given, belief)
+        nearest = q if kind == kinds else ~room.kinds[kind]
+        room.kinds[kind] = nearest if news > NO_NEWS else ~nearest
+        kinds = max(kinds, kind + 1)
+        if news <= NO_NEWS or (count == len(room.found) and news <= room.news[count - 1]):
             continue
         at = min(count, len(room.found) - 1)
-        while at > 0 and told > room.news[at - 1]:
+        while at > 0 and news > room.news[at - 1]:
             room.found[at], room.news[at] = room.found[at - 1], room.news[at - 1]
             at -= 1
-        room.found[at], room.news[at] = q, told
+        room.found[at], room.news[at] = nearest, news
         count = min(count + 1, len(room.found))
     return count
 
@@ -169,18 +177,27 @@ def look(inquiry, step, given, belief, room):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _alike_any(inquiry, q, given, kinds, count):  # type: ignore[no-untyped-def]
-    """Whether a question's column, thresholded, is that of one of the first so many kinds."""
+def _answered_alike(inquiry, q, given):  # type: ignore[no-untyped-def]
+    """Whether all hidden types answer a question alike, with H given."""
+    first, alike = answer_probability(inquiry, q, given, 0), True
+    for t in range(inquiry.answered.shape[2]):
+        alike &= answer_probability(inquiry, q, given, t) == first
+    return alike
+
+
+@inlined
+def _kind(inquiry, q, given, kinds, count):  # type: ignore[no-untyped-def]
+    """Which of the first so many kinds has a question's column, thresholded; ``count`` for none."""
     for i in range(count):
-        differs = False
+        other, differs = max(kinds[i], ~kinds[i]), False
         for t in range(inquiry.yes.shape[2]):
             at = row(inquiry.part, given, t)
-            if inquiry.yes[q, at, t] != inquiry.yes[kinds[i], at, t]:
+            if inquiry.yes[q, at, t] != inquiry.yes[other, at, t]:
                 differs = True
                 break
         if not differs:
-            return True
-    return False
+            return i
+    return count
 
 
 @inlined

@@ -39,6 +39,8 @@ def walk(
     answers, steps, known = Answering(problem), problem.n_steps, Reminding(problem)
     worst = problem.inexplicability_cost * steps * (steps + 1) / 2
     worst += steps * float(problem.prices(0).sum()) * max(1.0, problem.again.price)
+    if problem.questions is not None:
+        worst += problem.questions.limits.cost * problem.questions.limits.most
     negligible = precision / (4 * limit * max(worst, 1) + 1)
     value, cost, left_out, beliefs = 0.0, 0.0, 0.0, 0
     layer: Layer = {}
@@ -46,8 +48,11 @@ def walk(
     for k in range(steps):
         if beliefs + (steps - k) * len(layer) > limit:
             return None
-        layer, plain, discounted = _ask(problem, policy, answers, k, layer)
-        cost, value, beliefs = cost + plain, value - discounted, beliefs + len(layer)
+        questioned = _ask(problem, policy, answers, k, layer, limit - beliefs)
+        if questioned is None:
+            return None
+        layer, plain, discounted, count = questioned
+        cost, value, beliefs = cost + plain, value - discounted, beliefs + count
         later: Layer = {}
         for (past, _), weight in layer.items():
             mass = float(weight.sum())
@@ -78,17 +83,26 @@ def _add(layer: Layer, past: Past, weight: NDArray[np.float64]) -> None:
 
 
 def _ask(
-    problem: Problem, policy: CachedPolicy, answers: Answering, step: int, layer: Layer
-) -> tuple[Layer, float, float]:
-    """The beliefs from which nothing is asked any more before a step's messages, and the expected
-    price of the questions, plain and discounted."""
+    problem: Problem,
+    policy: CachedPolicy,
+    answers: Answering,
+    step: int,
+    layer: Layer,
+    limit: int,
+) -> tuple[Layer, float, float, int] | None:
+    """The beliefs from which nothing is asked any more before a step's messages, the expected price
+    of the questions, plain and discounted, and how many beliefs were on the way, themselves
+    counted; None where they are more than ``limit``."""
     if problem.questions is None:
-        return layer, 0.0, 0.0
+        return layer, 0.0, 0.0, len(layer)
     settled: Layer = {}
-    plain, discounted, price = 0.0, 0.0, problem.questions.limits.cost
+    plain, discounted, count, price = 0.0, 0.0, 0, problem.questions.limits.cost
     open_ = [(past, weight) for (past, _), weight in layer.items()]
     while open_:
         past, weight = open_.pop()
+        count += 1
+        if count > limit:
+            return None
         mass = float(weight.sum())
         belief = weight / mass
         q = policy.question(step, past.said, belief, past.asked)
@@ -99,4 +113,4 @@ def _ask(
         after = past._replace(asked=past.asked | 1 << q)
         for answer, share in answers.to_question(q, belief):
             open_.append((after, mass * share * answered(problem, belief, 0, q, answer)))
-    return settled, plain, discounted
+    return settled, plain, discounted, count

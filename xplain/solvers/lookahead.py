@@ -33,6 +33,7 @@ from xplain.solvers.model import (
     model_of,
     optimal_values,
     set_prices,
+    with_all_messages,
 )
 from xplain.solvers.qmdp import Greedy
 from xplain.solvers.reminding import reminding_policy
@@ -70,7 +71,7 @@ class Lookahead:
         check_memory(
             "lookahead", dense_table_bytes(small), self.memory_gib, "qhr plans without tables"
         )
-        model = model_of(small.dense())
+        model = with_all_messages(model_of(small.dense()))
         tables = LookaheadTables(model, optimal_values(model), set_prices(model))
         return LookaheadPolicy(
             Expectimax(tables, self.candidates, self.answers), kept, problem.prior
@@ -118,10 +119,12 @@ class Expectimax:
     ) -> tuple[dict[int, float], float]:
         """Upper bounds of the sets looked into, and one that holds for all others."""
         model = self.tables.model
+        matters = int(np.bitwise_or.reduce(model.rows.relevant[belief > 0]))
         sets, scores, rest = _look(
             self.tables,
             step,
             given,
+            matters & ~given,
             belief.copy(),
             self.candidates,
             make_answers(self.answers, model.n_steps, model.n_types),
@@ -188,11 +191,12 @@ def _plan_value(model: Model, prior: NDArray[np.float64], plan: list[int]) -> fl
 
 
 @kernel
-def _look(tables, step, given, belief, candidates, answers):  # type: ignore[no-untyped-def]
-    """The best sets by QMDP, their scores after a look at the answers, the best other score."""
+def _look(tables, step, given, free, belief, candidates, answers):  # type: ignore[no-untyped-def]
+    """The best sets of ``free`` messages by QMDP, their scores after a look at the answers, the
+    best other score."""
     model, optimal = tables.model, tables.optimal
     scores = np.full(len(tables.sets.price), -np.inf)
-    _score_by_qmdp(tables, step, given, belief, scores)
+    _score_by_qmdp(tables, step, given, free, belief, scores)
     count = 0
     sets = np.empty(candidates, dtype=np.int64)
     best = np.empty(candidates)
@@ -221,10 +225,9 @@ def _look(tables, step, given, belief, candidates, answers):  # type: ignore[no-
 
 
 @inlined
-def _score_by_qmdp(tables, step, given, belief, scores):  # type: ignore[no-untyped-def]
-    """Fills in ``scores`` [2^n], Σ_t b(t) Q*_t of every set of messages not given."""
+def _score_by_qmdp(tables, step, given, free, belief, scores):  # type: ignore[no-untyped-def]
+    """Fills in ``scores`` [2^n], Σ_t b(t) Q*_t of every set of ``free`` messages."""
     model = tables.model
-    free = (len(tables.sets.price) - 1) & ~given
     chosen = 0
     while True:
         shown = given | chosen

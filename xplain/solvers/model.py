@@ -27,7 +27,7 @@ from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, lean_kernel, tell_when_compiling
 from xplain.solvers.base import TIE
 from xplain.solvers.inquiry import Inquiry, make_inquiry
-from xplain.solvers.rows import Rows, delaying, make_rows, row, rows_at
+from xplain.solvers.rows import Rows, make_rows, row, rows_at
 
 BATCH = 1 << 20
 """Entries of a table that one call of a kernel fills, about: some hundredths of a second."""
@@ -37,8 +37,7 @@ class Model(NamedTuple):
     """N types, m steps, n messages. Making one takes little time and memory: tables are asked for.
 
     Attributes:
-        p: [m, rows, N] P(label 1), but for idle messages the problem's own. Costs are made of it,
-            in this module alone.
+        p: [m, rows, N] P(label 1). Costs are made of it, in this module alone.
         answered: [m, rows, N] P(answer 1), the evidence; ``p`` itself where users do not err.
         price: [n] λ C_e(j) of each message.
         inexplicability: C_inexp.
@@ -87,7 +86,7 @@ def model_of(problem: Problem) -> Model:
             "solver=qmdp, lookahead, pomcp or certified; or 1 and 0",
         )
     table, price = problem.table, problem.trade_off * problem.message_cost
-    model = Model(
+    return Model(
         table.p,
         table.answered,
         price,
@@ -97,17 +96,14 @@ def model_of(problem: Problem) -> Model:
         make_rows(table, price),
         make_inquiry(problem),
     )
-    delay = 1 - model.message_discount
-    if problem.is_dense or delay <= 0:
-        return model
-    idle = delaying(table, price, delay, optimal_values(model))
-    if not any(idle):
-        return model
-    rows = make_rows(table, price, idle)
-    times = rows.number // model.n_rows
-    p = np.tile(table.p, (1, times, 1))
-    answered = np.tile(table.answers, (1, times, 1)) if table.answers.size else p
-    return model._replace(p=p, answered=answered, rows=rows)
+
+
+def with_all_messages(model: Model) -> Model:
+    """The model of a dense problem in which a known type may be given every message. One that
+    changes nothing for this type, given for the sake of others, still puts off this type's costs:
+    only so Σ_t b(t) V*_t bounds the optimum from above."""
+    price = np.tile(model.price[:, None, None], (1, 1, model.n_types))
+    return model._replace(rows=model.rows._replace(price=price))
 
 
 def table_bytes(problem: Problem) -> int:

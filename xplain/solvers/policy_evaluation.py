@@ -82,12 +82,16 @@ def _walk(
     for k in range(problem.n_steps):
         if asked + (problem.n_steps - k) * len(layer.given) > limit:
             return None
+        beliefs = len(layer.given)
         if words:
-            layer, plain, price = _ask(model, policy, k, layer)
+            questioned = _ask(model, policy, k, layer, limit - asked)
+            if questioned is None:
+                return None
+            layer, plain, price, beliefs = questioned
             cost += plain
             value -= price
         given, weight, evidence = layer
-        asked += len(given)
+        asked += beliefs
         mass = weight.sum(axis=1)
         for b in range(len(given)):
             no_news = mask_of(evidence[b, problem.n_types :])
@@ -112,15 +116,21 @@ def _walk(
     return PolicyValue(float(value), float(cost), "exact", 0.0, 0.0, asked)
 
 
-def _ask(model: Model, policy: CachedPolicy, step: int, layer: Layer) -> tuple[Layer, float, float]:
-    """The beliefs from which nothing is asked any more before a step's messages, and the expected
-    price of the questions, plain and discounted."""
+def _ask(
+    model: Model, policy: CachedPolicy, step: int, layer: Layer, limit: int
+) -> tuple[Layer, float, float, int] | None:
+    """The beliefs from which nothing is asked any more before a step's messages, the expected price
+    of the questions, plain and discounted, and how many beliefs were on the way, themselves
+    counted; None where they are more than ``limit``."""
     types, inquiry = model.n_types, model.inquiry
     open_ = list(zip(*layer, strict=True))
     settled: dict[tuple[int, bytes], list[Any]] = {}
-    plain, discounted = 0.0, 0.0
+    plain, discounted, beliefs = 0.0, 0.0, 0
     while open_:
         given, weight, evidence = open_.pop()
+        beliefs += 1
+        if beliefs > limit:
+            return None
         mass, asked = weight.sum(), mask_of(evidence[types:])
         q = policy.question(step, int(given), weight / mass, asked)
         if q == NO_QUESTION:
@@ -139,7 +149,8 @@ def _ask(model: Model, policy: CachedPolicy, step: int, layer: Layer) -> tuple[L
                 after[types:] = words_of(asked | 1 << q, len(after) - types)
                 open_.append((given, joint, after))
     rows = [*zip(*settled.values(), strict=True)]
-    return Layer(np.array(rows[0]), np.array(rows[1]), np.array(rows[2])), plain, discounted
+    after = Layer(np.array(rows[0]), np.array(rows[1]), np.array(rows[2]))
+    return after, plain, discounted, beliefs
 
 
 def _likely(layer: Layer, budget: float) -> tuple[Layer, float]:
@@ -154,9 +165,10 @@ def _likely(layer: Layer, budget: float) -> tuple[Layer, float]:
 
 
 def _worst_remaining(model: Model) -> float:
-    """No policy can cost more than every label 0 and every message given."""
-    m = model.n_steps
-    return model.inexplicability * m * (m + 1) / 2 + float(model.price.sum())
+    """No policy can cost more than every label 0, every message given and every question asked."""
+    m, inquiry = model.n_steps, model.inquiry
+    questions = inquiry.cost * min(inquiry.most, len(inquiry.answered))
+    return model.inexplicability * m * (m + 1) / 2 + float(model.price.sum()) + questions
 
 
 def _next_layer(

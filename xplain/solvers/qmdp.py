@@ -1,8 +1,9 @@
 """QMDP: act as if the type became known after the next action.
 
 Q(b, a) = Σ_t b(t) Q*_t(k, H, a), Q*_t by exact dynamic programming (Littman, Cassandra &
-Kaelbling 1995; the paper, "Myopic Approximation: QMDP"). Never asks for a label's sake; its value
-bounds the optimum from above.
+Kaelbling 1995; the paper, "Myopic Approximation: QMDP"). Never asks for a label's sake. A known
+type is given only messages with an effect on it: its values bound the optimum from above where
+messages given for the sake of others put off no costs (``discount_per=step``).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from xplain.solvers.model import (
     table_bytes,
 )
 from xplain.solvers.reminding import reminding_policy
-from xplain.solvers.restriction import Restricted, messages_worth_giving
+from xplain.solvers.restriction import Restricted
 from xplain.solvers.rows import rows_at
 from xplain.solvers.value_of_information import asks_by_value
 
@@ -51,7 +52,7 @@ class QMDP:
 @dataclass(frozen=True)
 class Greedy:
     """Gives the message with the largest Σ_t b(t) Q*_t(k, H, a), again and again, until
-    *explain* is the best action.
+    *explain* is the best action. A message that changes nothing for a type with belief is none.
 
     Attributes:
         model: of N types.
@@ -72,7 +73,7 @@ class Greedy:
         """Σ_t b(t) Q*_t(k, H, a) of *explain* (0) and of each message (its bit)."""
         values = self._values(step, given, belief).tolist()
         actions = zip(self._actions.tolist(), values, strict=True)
-        return {action: value for action, value in actions if not action & given}
+        return {action: value for action, value in actions if value > -np.inf}
 
     @cached_property
     def _actions(self) -> NDArray[np.int64]:
@@ -85,7 +86,7 @@ class Greedy:
         return np.arange(self.model.n_types)
 
     def _values(self, step: int, given: int, belief: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[n + 1] values of the actions; −inf of the messages already given."""
+        """[n + 1] values of the actions; −inf of messages given, or without effect."""
         model = self.model
         cells = rows_at(model.rows, given | self._actions) * model.n_types + self._types
         later = self.optimal[step + 1].reshape(-1).take(cells[0])
@@ -96,19 +97,20 @@ class Greedy:
         )
         values[1:] -= model.price
         values[0] = belief @ (model.discount * later - model.inexplicability * zeros)
-        values[self._actions & given != 0] = -np.inf
+        matters = np.bitwise_or.reduce(model.rows.relevant[belief > 0])
+        values[(self._actions & given != 0) | (self._actions & ~matters != 0)] = -np.inf
         return values
 
 
 def greedy_policy(problem: Problem, what: str, memory_gib: float, instead: str) -> Policy:
-    """The greedy policy, planned with the messages worth giving.
+    """The greedy policy, planned with the messages that have an effect.
 
     Raises:
         TooLargeError: its tables would take more than ``memory_gib``.
     """
     if problem.tracks_knowledge:
         return reminding_policy(problem, what, memory_gib)
-    kept = messages_worth_giving(problem)
+    kept = problem.messages_with_effect
     small = problem.with_messages(kept)
     if len(kept) <= small.table.relevant.shape[1]:
         small = small.dense()  # no larger than a type's own table

@@ -31,13 +31,14 @@ class Rows(NamedTuple):
     """For N types and C digits, of up to s messages each.
 
     Attributes:
-        relevant: [N] bitmask of the messages that a type's row counts.
+        relevant: [N] bitmask of the messages with an effect on a type, or counted by a digit.
         place: [n, N] what giving a message adds to a type's row.
         part: [⌈n / CHUNK⌉, 2^CHUNK, N] what each set of CHUNK messages adds.
         bits: so many digits, the first, are single messages: bits of the row.
         stride: [C] what one more message of a digit adds.
         size: [C] how many it may count.
-        price: [C, s, N] λ C_e of one more, where so many are given; inf where a type has no more.
+        price: [C, s, N] λ C_e of one more, where so many are given; inf where a type has no more,
+            or it changes nothing for this type.
     """
 
     relevant: NDArray[np.int64]
@@ -101,6 +102,7 @@ def make_rows(
     """
     types, bits = table.relevant.shape
     others = idle or []
+    effective = table.effective()
     values = sorted({float(price[j]) for messages in others for j in messages})
     alike = [[[j for j in one if price[j] == value] for one in others] for value in values]
     size = np.array([1] * bits + [max(map(len, digit)) for digit in alike], np.int64)
@@ -112,17 +114,27 @@ def make_rows(
             "of it"
         )
     stride = np.cumprod(np.concatenate([[1], size + 1]))[:-1]
-    place = np.zeros((len(price), types), np.int64)
+    place = places_of(table, len(price))
     prices = np.full((len(size), size.max(initial=1), types), np.inf)
-    whose, digit = np.nonzero(table.relevant != NONE)
-    own = table.relevant[whose, digit]
-    place[own, whose], prices[digit, 0, whose] = stride[digit], price[own]
+    relevant = np.zeros(types, np.int64)
+    for t, own in enumerate(effective):
+        digits = [table.rows[t].index(j) for j in own]
+        prices[digits, 0, t] = price[list(own)]
+        relevant[t] = sum(1 << j for j in own)
     for c, of_price in enumerate(alike, bits):
         for t, messages in enumerate(of_price):
             place[messages, t] = stride[c]
             prices[c, : len(messages), t] = price[messages]
-    relevant = (1 << np.arange(len(place))) @ (place != 0)
+            relevant[t] |= sum(1 << j for j in messages)
     return Rows(relevant, place, parts_of(place), bits, stride, size, prices)
+
+
+def places_of(table: LabelTable, messages: int) -> NDArray[np.int64]:
+    """[n, N] what giving each of so many messages adds to the row of a table."""
+    place = np.zeros((messages, table.n_types), np.int64)
+    whose, digit = np.nonzero(table.relevant != NONE)
+    place[table.relevant[whose, digit], whose] = 1 << digit
+    return place
 
 
 def parts_of(place: NDArray[np.int64]) -> NDArray[np.int64]:

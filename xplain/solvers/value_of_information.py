@@ -28,7 +28,7 @@ from xplain.solvers.inquiry import Inquiry, Room, hear_answer, make_room, open_q
 from xplain.solvers.knowing import Knowing, expected_loss, make_knowing
 from xplain.solvers.memory import check_memory
 from xplain.solvers.pomcp.rollout import roll_qmdp
-from xplain.solvers.pomcp.search_model import SearchModel, model_bytes, model_of
+from xplain.solvers.pomcp.search_model import CodedRooms, model_bytes, model_of
 from xplain.solvers.pomcp.tree import SearchRoot, Tree
 from xplain.solvers.reminding import Reminding
 from xplain.solvers.restriction import restricted
@@ -57,7 +57,7 @@ def asks_by_value(policy: Policy, problem: Problem, seed: int, memory_gib: float
         return Inquiring(policy, SimulatedKnowing(make_knowing(known), stream))
     small, kept = restricted(problem)
     check_memory("asking", model_bytes(small), memory_gib, "ask=never needs no such tables")
-    return Inquiring(policy, Simulated(model_of(small), kept, stream))
+    return Inquiring(policy, Simulated(CodedRooms(model_of(small)), kept, stream))
 
 
 @dataclass(frozen=True)
@@ -65,45 +65,34 @@ class Simulated:
     """What QMDP's decisions earn.
 
     Attributes:
-        model: of the restricted problem.
+        rooms: the model of the restricted problem, for each call at the same time.
         kept: its messages.
         stream: of the simulations.
     """
 
-    model: SearchModel
+    rooms: CodedRooms
     kept: tuple[int, ...]
     stream: int
 
     @property
     def inquiry(self) -> Inquiry:
         """The problem's questions."""
-        return self.model.reduced.inquiry
-
-    @cached_property
-    def _tree(self) -> Tree:
-        """Room for simulations."""
-        steps, types = self.model.reduced.n_steps, self.model.reduced.n_types
-        return Tree.rooted(1, len(self.kept), steps, SearchRoot(0, 0, np.zeros(types)), 0)
+        return self.rooms.model.reduced.inquiry
 
     @cached_property
     def _rolls(self) -> int:
         """One a type where answers are certain: what happens to it then is no chance."""
-        return ROLLS if (self.model.reduced.answered % 1).any() else 1
+        return ROLLS if (self.rooms.model.reduced.answered % 1).any() else 1
 
     def gains(self, step: int, given: int, belief: NDArray[np.float64], asked: int) -> Room:
         """``found`` [count] the questions looked into, and ``news`` what each is worth."""
         room, after = make_room(self.inquiry, asked, LOOKED_INTO), np.empty_like(belief)
-        count = _look(
-            self.model,
-            self._tree,
-            step,
-            compress(given, self.kept),
-            np.ascontiguousarray(belief),
-            after,
-            room,
-            self._rolls,
-            self.stream,
-        )
+        steps, root = self.rooms.model.reduced.n_steps, SearchRoot(0, 0, np.zeros(len(belief)))
+        tree = Tree.rooted(1, len(self.kept), steps, root, 0)
+        given, sure = compress(given, self.kept), np.ascontiguousarray(belief)
+        with self.rooms.borrow() as model:
+            where = model, tree, step, given, sure
+            count = _look(*where, after, room, self._rolls, self.stream)
         return room._replace(found=room.found[:count], news=room.news[:count])
 
 

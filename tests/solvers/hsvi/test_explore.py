@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import logging
-import math
 
 import numpy as np
 import pytest
@@ -79,23 +78,6 @@ def test_whoever_listens_hears_the_gap_of_the_root_shrink(monkeypatch: pytest.Mo
     assert heard[-1] == gap_of(found) <= 1e-6 < heard[0]
 
 
-@pytest.mark.parametrize(
-    ("seconds", "share", "made"),
-    [(math.inf, 4.1, True), (math.inf, 3.9, False), (1e-9, 4.1, False)],
-)
-def test_tables_of_pairs_take_a_quarter_of_the_memory_at_most_and_a_fifth_of_the_time(
-    seconds: float, share: float, made: bool
-) -> None:
-    small, tables = tables_within(HARD, 8.0)
-    needed = module.PairTables(small).bytes
-    effort = Effort(seconds=seconds, memory_gib=share * needed / GIB)
-    search = module._Search(tables, Start(0, 0, small.prior), effort, small)
-    search.store.used[module.WORK] = 10**12  # they are worth it
-    assert search._make_pairs() == made
-    assert (len(search.tables.pairs.cell) > 0) == made
-    assert not search._make_pairs()  # once
-
-
 @pytest.mark.parametrize("questions", [False, True])
 def test_one_pass_brings_all_that_was_learned_to_the_root(
     monkeypatch: pytest.MonkeyPatch, questions: bool
@@ -108,7 +90,7 @@ def test_one_pass_brings_all_that_was_learned_to_the_root(
         if questions:
             problem = with_questions(np.random.default_rng(seed), problem)
         small, tables = tables_within(problem, 8.0)
-        search = _Search(tables, Start(0, 0, small.prior), Effort(gap=1e-9, nodes=5000), None)
+        search = _Search(tables, Start(0, 0, small.prior), Effort(gap=1e-9, nodes=5000))
         search.sample()
         search.sample()
         gaps = [search.gap]

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from xplain.errors import InputError, TooLargeError
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import lean_kernel
@@ -225,3 +226,18 @@ def test_a_store_that_grew_finds_all_that_it_held() -> None:
     assert len(larger.hash_table) >= len(store.hash_table)
     assert len(larger.nodes) > len(store.nodes) or len(larger.actions) > len(store.actions)
     assert _found(larger)
+
+
+def test_rounding_rules_no_optimal_set_out() -> None:
+    """Two sets of messages bounded alike but for 2e-18: the policy of one earned 0.004 less than
+    what was certified of the other."""
+    table = np.full((4, 3, 4), 0.9)
+    table[2, 1:, :2] = 0.3
+    table[3, 1, ::2] = 0.3
+    price = np.array([1.1770440751780757, 0.24035167248673944])
+    prior = np.array([0.08413891498025429, 0.41300560113035323, 0.1358649199773414])
+    prior = np.append(prior, 0.36699056391205115)
+    problem = Problem(LabelTable.dense(table), price, 2.0, 0.1, 0.95, prior, "action")
+    for gap in (1e-3, 1e-7):
+        policy = planned(problem, gap=gap)
+        assert evaluate(problem, policy).value >= policy.lower - 1e-9

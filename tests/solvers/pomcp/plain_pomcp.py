@@ -13,7 +13,6 @@ from functools import cache
 
 import numpy as np
 
-from xplain.explanation.message_sets import indices
 from xplain.explanation.problem import Problem
 from xplain.solvers.pomcp.solver import POMCP
 
@@ -224,35 +223,23 @@ class PlainPOMCP:
         )
 
     def leaf(self, node: Node) -> float:
-        if self.solver.leaf == "max_of_mean":
-            return self.qmdp(node.step, node.given, node.belief)[0]
-        return sum(b * self.optimal(node.step, node.given, t) for t, b in enumerate(node.belief))
+        return self.qmdp(node.step, node.given, node.belief)[0]
 
     def roll(self, node: Node, user_type: int) -> float:
         step, given, belief = node.step, node.given, node.belief
         value, scale = 0.0, 1.0
         while step < self.m:
-            action = self.n
-            if self.solver.rollout == "random":
-                free = indices(((1 << self.n) - 1) & ~given)
-                if not free:
-                    return value + scale * self.optimal(step, given, user_type)
-                action = self.choice([*free, self.n])
-            elif self.solver.rollout == "qmdp":
-                if belief[user_type] > 1 - 1e-6 or self.settled(step, given):
-                    return value + scale * self.optimal(step, given, user_type)
-                action = self.qmdp(step, given, belief)[1]
+            if belief[user_type] > 1 - 1e-6 or self.settled(step, given):
+                return value + scale * self.optimal(step, given, user_type)
+            action = self.qmdp(step, given, belief)[1]
             if action < self.n:
                 value -= scale * self.price[action]
                 scale *= self.message_discount
                 given |= 1 << action
                 continue
-            if self.solver.rollout == "silent":
-                value += scale * self.explain_reward(Node(step, given, belief))
-            else:
-                value -= scale * self.explain_cost(step, given, user_type)
+            value -= scale * self.explain_cost(step, given, user_type)
             scale *= self.discount
-            if self.solver.rollout == "qmdp" and step + 1 < self.m:
+            if step + 1 < self.m:
                 labels = self.draw(step, given, user_type)
                 belief = self.posterior(step, given, belief, labels)
             step += 1

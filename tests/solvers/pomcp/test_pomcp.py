@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,18 +23,21 @@ from tests.explanation.problems import misleading_problem
 from tests.solvers.plain_values import plain_optimal_value
 from tests.solvers.pomcp.plain_pomcp import PlainPOMCP
 from xplain.errors import InputError, TooLargeError
+from xplain.explanation.asking import Limits, Questions
+from xplain.explanation.habits import Habits
+from xplain.explanation.label_table import LabelTable
 from xplain.explanation.literal_pomdp import reduced_optimal_value
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import kernel
 from xplain.solvers.model import best_set
 from xplain.solvers.policy_evaluation import evaluate
-from xplain.solvers.pomcp import forest, search_model
-from xplain.solvers.pomcp.forest import make_roots
+from xplain.solvers.pomcp import search_model
+from xplain.solvers.pomcp import solver as pomcp
 from xplain.solvers.pomcp.kernel import simulate
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
 from xplain.solvers.pomcp.search_model import model_bytes, model_of
 from xplain.solvers.pomcp.solver import POMCP, Search
-from xplain.solvers.pomcp.tree import FIRST_TABLE, SearchRoot, Tree, tree_bytes
+from xplain.solvers.pomcp.tree import FIRST_TABLE, SearchRoot, Tree, make_roots, tree_bytes
 from xplain.testing.problems import random_problem
 
 
@@ -56,23 +61,17 @@ def first_values(solver: POMCP, problem: Problem, seed: int = 0) -> dict[int, fl
 
 
 @pytest.mark.parametrize("backup", ["mean", "max"])
-@pytest.mark.parametrize("rollout", ["random", "qmdp", "silent"])
 @pytest.mark.parametrize(
-    ("depth", "depth_unit", "leaf"),
-    [(1, "steps", "max_of_mean"), (2, "actions", "mean_of_max"), (3, "actions", "max_of_mean"),
-     (None, "actions", "max_of_mean")],
-)  # fmt: skip
-def test_is_the_plain_search(
-    backup: Any, rollout: Any, depth: int | None, depth_unit: Any, leaf: Any
-) -> None:
+    ("depth", "depth_unit"), [(1, "steps"), (2, "actions"), (3, "actions"), (None, "actions")]
+)
+def test_is_the_plain_search(backup: Any, depth: int | None, depth_unit: Any) -> None:
     """Same words, same visits and values, from the start and in the middle, for random tables and
     one with exchangeable and uninformative labels, for every discounting, where a 0 is the dearest
     and where a message is. (Where messages do not discount, their orders tie, and rounding decides:
     one message then.)"""
     solver = POMCP(
-        simulations=700, depth=depth, depth_unit=depth_unit, exploration=1.5, leaf=leaf,
-        rollout=rollout, backup=backup,
-    )  # fmt: skip
+        simulations=700, depth=depth, depth_unit=depth_unit, exploration=1.5, backup=backup
+    )
     repeated = soft_problem(3)
     p = repeated.p_explicable.copy()
     p[:, 2], p[:, 1] = p[:, 0], p[:1, 1]
@@ -84,7 +83,7 @@ def test_is_the_plain_search(
         replace(repeated, table=p),
     ]
     # Each problem from the start in some settings, from the middle in the others.
-    turn = len(backup) + len(rollout) + (depth or 0)
+    turn = len(backup) + (depth or 0)
     for number, problem in enumerate(problems):
         middle = (number + turn) % 2 == 1
         step, given = (2, 4 if problem.n_messages > 1 else 0) if middle else (0, 0)
@@ -104,7 +103,7 @@ def test_approaches_the_optimum() -> None:
     """Full depth and many simulations: the value of the root, and the exact worth of the policy,
     come close to brute force on problems of every kind."""
     rng = np.random.default_rng(5)
-    solver = POMCP(simulations=20_000, depth=None, exploration=4.0, rollout="random")
+    solver = POMCP(simulations=20_000, depth=None, exploration=4.0)
     for _ in range(25):
         problem = random_problem(rng)
         optimum = reduced_optimal_value(problem)
@@ -127,35 +126,9 @@ def test_the_mean_approaches_the_optimum_too() -> None:
     for _ in range(8):
         problem = random_problem(rng)
         optimum = reduced_optimal_value(problem)
-        solver = POMCP(simulations=200_000, depth=None, rollout="random", backup="mean",
-                       exploration=1.0)  # fmt: skip
+        solver = POMCP(simulations=200_000, depth=None, backup="mean", exploration=1.0)
         best = max(first_values(solver, problem).values())
         assert best == pytest.approx(optimum, abs=0.05 * (0.1 + abs(optimum)))
-
-
-@pytest.mark.parametrize("leaf", ["max_of_mean", "mean_of_max"])
-@pytest.mark.parametrize("discount_per", ["action", "step"])
-def test_a_history_at_the_depth_is_rolled_out_once_then_worth_qmdp(
-    leaf: Any, discount_per: Any
-) -> None:
-    """d = 1, a message: the mean is that of one rollout and N − 1 values of QMDP."""
-    problem = soft_problem(8, steps=3, n=2, discount_per=discount_per)
-    solver = POMCP(simulations=500, depth=1, leaf=leaf, rollout="silent", backup="mean")
-    search = search_of(solver, problem)
-    value, visits = search.search(0, 0, problem.prior)
-    plain = PlainPOMCP(solver, problem, 0, 0, 0, problem.prior)
-    per_message = problem.discount if discount_per == "action" else 1.0
-    for j in range(2):
-        belief, after = plain.root.belief, 1 << j
-        silent = sum(
-            problem.discount**k * -problem.prior @ (1 - problem.p_explicable[:, : k + 1, after])
-            .sum(axis=1) for k in range(3)
-        )  # fmt: skip
-        each = [plain.optimal(0, after, t) for t in range(3)]
-        known = float(problem.prior @ each)
-        qmdp = plain.qmdp(0, after, belief)[0] if leaf == "max_of_mean" else known
-        future = (silent + (visits[j] - 1) * qmdp) / visits[j]
-        assert value[j] == pytest.approx(per_message * future - plain.price[j], rel=1e-9)
 
 
 def test_steps_do_not_count_messages() -> None:
@@ -163,7 +136,7 @@ def test_steps_do_not_count_messages() -> None:
     problem = soft_problem(9, steps=2, n=2)
     opened = {}
     for unit in ("actions", "steps"):
-        search = search_of(POMCP(depth=1, depth_unit=unit, rollout="silent"), problem)
+        search = search_of(POMCP(depth=1, depth_unit=unit), problem)
         tree = Tree.rooted(2000, 2, 2, SearchRoot(0, 0, problem.prior), 1)
         simulate(2000, search.model, search.options, tree, *make_roots(2002))
         nodes = tree.nodes[: tree.used[0]]
@@ -259,7 +232,7 @@ def test_a_certain_type_is_worth_its_optimum_and_a_search_would_find_it(seed: in
             known = policy.values(k, given, belief)
             best = plain_optimal_value(problem, t, k, given)
             assert max(known.values()) == pytest.approx(best)
-            value, visits = search.search(k, given, belief)
+            value, visits = search.search(SearchRoot(k, given, belief))
             assert set(known) == {0 if a == 3 else 1 << a for a in np.flatnonzero(visits)}
             searched = value[-1 if best_set(known) == 0 else best_set(known).bit_length() - 1]
             assert searched >= value[visits > 0].max() - 1e-9
@@ -269,12 +242,11 @@ def test_a_certain_type_is_worth_its_optimum_and_a_search_would_find_it(seed: in
 
 def test_a_certain_type_is_searched_for_where_the_limit_is_another() -> None:
     problem = soft_problem(1)
-    for other in (POMCP(backup="mean", simulations=50), POMCP(rollout="silent", simulations=50)):
-        search = search_of(other, problem)
-        value, _ = search.search(1, 0, np.eye(3)[0])
-        assert search.values(1, 0, np.eye(3)[0])[0] == value[-1]
+    search = search_of(POMCP(backup="mean", simulations=50), problem)
+    value, _ = search.search(SearchRoot(1, 0, np.eye(3)[0]))
+    assert search.values(1, 0, np.eye(3)[0])[0] == value[-1]
     nearly, search = np.array([0.995, 0.005, 0.0]), search_of(POMCP(simulations=50), problem)
-    value, _ = search.search(1, 0, nearly)
+    value, _ = search.search(SearchRoot(1, 0, nearly))
     assert search.values(1, 0, nearly)[0] == value[-1]
 
 
@@ -282,29 +254,11 @@ def test_the_unit_of_cost_does_not_matter() -> None:
     """All costs times 2^7: the same visits, values times 2^7, exactly."""
     problem = soft_problem(12)
     dear = replace(problem, message_cost=problem.message_cost * 128, inexplicability_cost=128.0)
-    value, visits = search_of(POMCP(), problem).search(0, 0, problem.prior)
-    dear_value, dear_visits = search_of(POMCP(), dear).search(0, 0, problem.prior)
+    root = SearchRoot(0, 0, problem.prior)
+    value, visits = search_of(POMCP(), problem).search(root)
+    dear_value, dear_visits = search_of(POMCP(), dear).search(root)
     assert np.array_equal(visits, dear_visits)
     assert np.array_equal(value * 128, dear_value)
-
-
-def test_merged_trees_are_weighted_by_visits_and_have_own_streams(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Of 1,000 simulations three trees have 334, 333 and 333: what plain searches on the three
-    streams give, a mean over all visits."""
-    problem = soft_problem(13)
-    whole = search_of(POMCP(simulations=1000, trees=3), problem)
-    monkeypatch.setattr(forest, "derived_seed", lambda *key: key[-1])
-    value, visits = whole.search(0, 0, problem.prior)
-    total = np.zeros((problem.n_messages + 1, 2))
-    for number, simulations in enumerate((334, 333, 333)):
-        solver = POMCP(simulations=simulations)
-        found = PlainPOMCP(solver, problem, number, 0, 0, problem.prior).run()
-        for action, (count, worth) in found.items():
-            total[action] += count, count * worth
-    assert visits.tolist() == total[:, 0].tolist()
-    assert value == pytest.approx(total[:, 1] / total[:, 0], rel=1e-9)
 
 
 def test_many_simulations_are_one_search_however_often_ctrl_c_is_looked_for(
@@ -313,9 +267,10 @@ def test_many_simulations_are_one_search_however_often_ctrl_c_is_looked_for(
     """700 in parts of 300 are 700 at once."""
     problem = soft_problem(16)
     search = search_of(POMCP(simulations=700), problem)
-    whole = search.search(0, 0, problem.prior)
-    monkeypatch.setattr(forest, "CHUNK", 300)
-    value, visits = search.search(0, 0, problem.prior)
+    root = SearchRoot(0, 0, problem.prior)
+    whole = search.search(root)
+    monkeypatch.setattr(pomcp, "CHUNK", 300)
+    value, visits = search.search(root)
     assert visits.sum() == 700
     assert (value.tolist(), visits.tolist()) == (whole[0].tolist(), whole[1].tolist())
 
@@ -329,7 +284,8 @@ def test_more_message_sets_than_are_kept_coded_are_searched_alike(
     for cache in (search_model.CACHE, 1):
         monkeypatch.setattr(search_model, "CACHE", cache)
         search = search_of(POMCP(simulations=3000, depth=None), problem)
-        found.append((len(search.model.coded), *search.search(0, 0, problem.prior)))
+        root = SearchRoot(0, 0, problem.prior)
+        found.append((len(search.model.coded), *search.search(root)))
     (many, value, visits), (few, *again) = found
     assert (many, few) == (64, 16)
     assert [each.tolist() for each in again] == [value.tolist(), visits.tolist()]
@@ -345,41 +301,34 @@ def test_a_nodes_masks_hold_every_action(messages: int) -> None:
 
 
 PRINT_SEARCH = """
-import json, sys, numpy as np
+import json, numpy as np
 from xplain.explanation.problem import Problem
 from xplain.solvers.pomcp.solver import POMCP
 rng = np.random.default_rng(1)
 problem = Problem(rng.random((3, 4, 8)), np.ones(3), trade_off=0.3)
-policy = POMCP(simulations=3000, trees=4, threads=int(sys.argv[1])).plan(problem, 5)
+policy = POMCP(simulations=3000).plan(problem, 5)
 values = policy.values(1, 2, problem.prior)
 print(json.dumps([[*values.items()], policy.messages(0, 0, problem.prior)]))
 """
 
 
-def test_the_same_on_one_and_two_threads_and_in_another_process() -> None:
+def test_the_same_in_another_process() -> None:
     """Seed, step, given and belief alone decide."""
-    outputs = [
-        subprocess.run(
-            [sys.executable, "-c", PRINT_SEARCH, threads],
-            check=True, capture_output=True, text=True,
-        ).stdout
-        for threads in ("1", "2")
-    ]  # fmt: skip
-    assert outputs[0] == outputs[1]
+    command = [sys.executable, "-c", PRINT_SEARCH]
+    output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     rng = np.random.default_rng(1)
     problem = Problem(rng.random((3, 4, 8)), np.ones(3), trade_off=0.3)
-    policies = [POMCP(simulations=3000, trees=4, threads=2).plan(problem, s) for s in (5, 6)]
+    policies = [POMCP(simulations=3000).plan(problem, s) for s in (5, 6)]
     values = [policy.values(1, 2, problem.prior) for policy in policies]
     here = [[[k, v] for k, v in values[0].items()], policies[0].messages(0, 0, problem.prior)]
-    assert json.loads(outputs[0]) == here
+    assert json.loads(output) == here
     assert values[0] != values[1]
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_ctrl_c_ends_the_search_and_breaks_nothing(threads: int) -> None:
+def test_ctrl_c_ends_the_search_and_breaks_nothing() -> None:
     """KeyboardInterrupt reaches the caller; the same policy answers afterwards as before."""
     problem = soft_problem(14, types=5, steps=12, n=6)
-    policy = POMCP(simulations=8_000_000, depth=None, trees=2, threads=threads).plan(problem)
+    policy = POMCP(simulations=8_000_000, depth=None).plan(problem)
     short = POMCP(simulations=500).plan(problem)
     before = short.values(0, 0, problem.prior)
     timer = threading.Timer(0.3, os.kill, [os.getpid(), signal.SIGINT])
@@ -387,13 +336,44 @@ def test_ctrl_c_ends_the_search_and_breaks_nothing(threads: int) -> None:
     with pytest.raises(KeyboardInterrupt):
         policy.values(0, 0, problem.prior)
     timer.join()
-    assert threading.active_count() == 1
     assert short.values(0, 0, problem.prior) == before
+
+
+def asking_problem(accept: float) -> Problem:
+    """Three messages, two noisy questions; messages may be missed."""
+    rng = np.random.default_rng(4)
+    asked = Questions(LabelTable.dense(rng.uniform(0.1, 0.9, (3, 2, 8))), Limits(0.01, 2))
+    problem = soft_problem(1, steps=3, questions=asked)
+    habits = Habits(np.zeros(1), np.array([accept]), np.zeros(1), np.ones(1))
+    return problem if accept == 1.0 else problem.with_habits(habits)
+
+
+@pytest.mark.parametrize("accept", [1.0, 0.7])
+def test_each_action_is_tried_where_there_are_fewer_simulations(accept: float) -> None:
+    """A question, a message and *explain* are never weighed against nothing."""
+    problem = asking_problem(accept)
+    for seed in range(20):
+        policy: Any = POMCP(simulations=1).plan(problem, seed)
+        policy.question(0, 0, problem.start)
+        assert policy.values(0, 0, problem.start).keys() == {0, 1, 2, 4, ~0, ~1}
+
+
+def test_threads_that_share_a_plan_decide_as_one_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a server's do. With few places, observations are coded anew all the time."""
+    monkeypatch.setattr(search_model, "CACHE", 1)
+    solver = POMCP(simulations=4000, depth=None)
+    for seed in range(3):
+        problem = soft_problem(17 + seed, types=4, steps=8, n=8, trade_off=0.1)
+        beliefs = np.random.default_rng(3).dirichlet(np.ones(4), 12)
+        alone = [solver.plan(problem).values(0, 0, belief) for belief in beliefs]
+        decide = partial(solver.plan(problem).values, 0, 0)
+        with ThreadPoolExecutor(4) as pool:
+            assert list(pool.map(decide, beliefs)) == alone
 
 
 def test_too_large_is_refused_with_the_size_before_memory_is_taken() -> None:
     """For tables and for trees."""
-    wide = Problem(np.repeat([[[0.5, 0.6]]], 1 << 15, axis=2).reshape(1, 1, -1), np.zeros(16))
+    wide = Problem(np.random.default_rng(0).random((1, 1, 1 << 16)), np.zeros(16))
     with pytest.raises(TooLargeError, match=r"pomcp needs 0.\d+ GiB .* qhr"):
         POMCP(memory_gib=0.001).plan(wide)
     with pytest.raises(TooLargeError, match=r"pomcp needs \d+.\d+ GiB"):
@@ -404,8 +384,7 @@ def test_too_large_is_refused_with_the_size_before_memory_is_taken() -> None:
     ("key", "value"),
     [("simulations", 0), ("simulations", 2.5), ("simulations", True), ("depth", 0),
      ("depth_unit", "metres"), ("exploration", -1.0), ("exploration", float("nan")),
-     ("exploration", "high"), ("leaf", "mean"), ("rollout", "none"), ("backup", "sum"),
-     ("trees", 0), ("trees", 20_000), ("threads", 0), ("memory_gib", -1)],
+     ("exploration", "high"), ("backup", "sum"), ("memory_gib", -1)],
 )  # fmt: skip
 def test_names_the_setting_that_is_wrong(key: str, value: object) -> None:
     """Key, value and what is allowed."""

@@ -12,10 +12,8 @@ from typing import Annotated
 import numpy as np
 
 from xplain.errors import Count, Positive, Range, checks
-from xplain.explanation.problem import Problem
 from xplain.solvers.count_lattice import make_answers
 from xplain.solvers.hsvi.initial_bounds import BoundTables
-from xplain.solvers.hsvi.pair_bounds import PairTables, with_own_room
 from xplain.solvers.hsvi.search import (
     DONE,
     FULL,
@@ -31,7 +29,6 @@ from xplain.solvers.hsvi.tree import (
     NODES,
     OPENED,
     ROOT,
-    WORK,
     NodeStore,
     grown,
     make_store,
@@ -49,8 +46,6 @@ COARSER = 2
 GROWTH = 1.2
 """All nodes are backed up once their number has grown by this factor."""
 Gap = Annotated[float, Range(1e-9)]
-WORTH = 4
-"""Tables of pairs are made once they cost at most this many times what was spent."""
 
 
 @checks("solver")
@@ -105,15 +100,13 @@ def explore(
     tables: BoundTables,
     start: Start,
     effort: Effort,
-    problem: Problem | None = None,
     told: Callable[[float], None] | None = None,
 ) -> Explored:
     """Searches from a belief at (k, H), within the effort. Ctrl-C is heard throughout.
 
-    With the ``problem`` of the tables, a long search makes those of pairs; a short one does not
-    pay for them. ``told`` hears the gap now and then.
+    ``told`` receives the gap now and then.
     """
-    search = _Search(tables, start, effort, problem)
+    search = _Search(tables, start, effort)
     while True:
         search.sample()
         if told is not None:
@@ -129,16 +122,14 @@ def explore(
 class _Search:
     """A search under way."""
 
-    def __init__(self, tables: BoundTables, start: Start, effort: Effort, problem: Problem | None):
+    def __init__(self, tables: BoundTables, start: Start, effort: Effort) -> None:
         self.began = time.perf_counter()
         self.effort = effort
         inquiry = tables.model.inquiry
         room = make_room(inquiry)
-        self.tables = tables._replace(pairs=with_own_room(tables.pairs), room=room)
+        self.tables = tables._replace(room=room)
         words = start.asked if start.asked.size else np.zeros(inquiry.words, np.int64)
         self.start = start._replace(belief=start.belief.copy(), asked=words)
-        # Pairs of types are solved without questions: no bounds where some may be asked.
-        self.pairs = PairTables(problem) if problem and not len(room.asked) else None
         steps, _, types = tables.explain.shape
         self.store = make_store(tables)
         self.path = make_path(steps + min(inquiry.most, len(room.asked)))
@@ -174,13 +165,12 @@ class _Search:
 
     def back_up(self) -> None:
         """Backs up all nodes where that is due, and asks for a finer gap where this is closed."""
-        new_pairs = self._make_pairs()
-        if new_pairs or self.status == DONE or self.store.used[NODES] > GROWTH * self.backed_up:
-            self.back_up_all(new_pairs)
+        if self.status == DONE or self.store.used[NODES] > GROWTH * self.backed_up:
+            self.back_up_all()
         if self.status == DONE:
             self.asked = max(float(self.effort.gap), min(self.asked, self.gap) / COARSER)
 
-    def back_up_all(self, new_pairs: bool = False) -> None:
+    def back_up_all(self) -> None:
         """Backs up all nodes."""
         self.backed_up = int(self.store.used[NODES])
         nodes = self.store.nodes[: self.backed_up]
@@ -188,7 +178,7 @@ class _Search:
         if len(self.tables.room.asked):  # what follows a question has fewer types, or asked more
             left = (self.store.belief[: self.backed_up] > 0).sum(axis=1)
             order = np.lexsort((left, -nodes["asked"], -nodes["step"]))
-        back_up_all(self.tables, self.store, order, NEWS * self.effort.gap, new_pairs)
+        back_up_all(self.tables, self.store, order, NEWS * self.effort.gap)
 
     @property
     def _seconds(self) -> float:
@@ -203,15 +193,4 @@ class _Search:
         capacity, types = self.answers.weight.shape
         steps, words = len(self.tables.explain), self.tables.model.inquiry.words
         self.answers = make_answers(2 * capacity, steps, types, words)
-        return True
-
-    def _make_pairs(self) -> bool:
-        """Makes the tables of pairs, once, if they are worth it. Returns whether it did."""
-        if not self.pairs or not CHUNK <= self.store.used[WORK] >= self.pairs.work / WORTH:
-            return False
-        pairs, self.pairs = self.pairs, None
-        in_time = self._seconds < self.effort.seconds / (1 + WORTH)
-        if not in_time or pairs.bytes >= self.effort.memory_gib * GIB / 4:
-            return False
-        self.tables = self.tables._replace(pairs=pairs.make())
         return True

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import inlined, kernel
-from xplain.solvers.hsvi.pair_bounds import Pairs, no_pairs
 from xplain.solvers.inquiry import Room, make_room
 from xplain.solvers.model import (
     Model,
@@ -25,6 +24,7 @@ from xplain.solvers.model import (
     model_of,
     optimal_values,
     set_prices,
+    with_all_messages,
 )
 
 
@@ -37,7 +37,6 @@ class BoundTables(NamedTuple):
         explain: [m, 2^n, N] Q*_t of *explain*.
         plans: [m + 1, 2^n, N + 1, N] value of plan u (the last is silence) for type t.
         sets: prices and discounts of sets of messages.
-        pairs: tighter above than ``optimal``, where a search found them worth making.
         room: to look at questions in.
     """
 
@@ -46,7 +45,6 @@ class BoundTables(NamedTuple):
     explain: NDArray[np.float64]
     plans: NDArray[np.float64]
     sets: SetPrices
-    pairs: Pairs
     room: Room
 
 
@@ -57,7 +55,7 @@ def table_bytes(problem: Problem) -> int:
 
 def make_tables(problem: Problem) -> BoundTables:
     """Known-type values and the plans' values of a dense problem, by dynamic programming."""
-    model = model_of(problem)
+    model = with_all_messages(model_of(problem))
     optimal, costs = optimal_values(model), explain_costs(model)
     explain = model.discount * optimal[1:] - costs
     types = model.n_types
@@ -65,7 +63,7 @@ def make_tables(problem: Problem) -> BoundTables:
     for first, end in backwards(model):
         _plan(model, costs, optimal, explain, plans, first, end)
     room = make_room(model.inquiry)
-    return BoundTables(model, optimal, explain, plans, set_prices(model), no_pairs(model), room)
+    return BoundTables(model, optimal, explain, plans, set_prices(model), room)
 
 
 @kernel

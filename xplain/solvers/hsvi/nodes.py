@@ -13,14 +13,26 @@ import numpy as np
 from xplain.numba_kernels import inlined
 from xplain.solvers.bits import count_bits
 from xplain.solvers.count_lattice import SCALE, branch, copy, normalise
-from xplain.solvers.hsvi.pair_bounds import NO_SWEEP, SWEEPS, mix, mixed
-from xplain.solvers.hsvi.shared_bounds import list_candidates, tighten_by_shared
-from xplain.solvers.hsvi.tree import ACTIONS, ANSWERS, HASHED, NODES, NONE, OPENED, WORK, find
+from xplain.solvers.hsvi.shared_bounds import (
+    HAIR,
+    below,
+    credit,
+    list_candidates,
+    tighten_by_shared,
+)
+from xplain.solvers.hsvi.tree import (
+    ACTIONS,
+    ANSWERS,
+    HASHED,
+    NODES,
+    NONE,
+    OPENED,
+    PLAN,
+    WORK,
+    find,
+)
 from xplain.solvers.inquiry import WORD, answer_probability, open_questions
 from xplain.solvers.model import expected
-
-HAIR = 1e-12
-"""Relative to 1 + its size, what rounding may change a value by."""
 
 
 @inlined
@@ -36,7 +48,7 @@ def make_node(tables, store, slot, step, given, answers, o):  # type: ignore[no-
     node, belief = store.nodes[index], store.belief[index]
     node.step, node.given, node.first_action, node.n_actions = step, given, NONE, 0
     copy(answers.evidence[o], store.evidence[index])
-    node.asked = 0
+    node.asked, node.earned_by = 0, PLAN
     for w in range(len(belief), store.evidence.shape[1]):
         node.asked += count_bits(store.evidence[index, w])
     total = 0.0
@@ -53,8 +65,6 @@ def make_node(tables, store, slot, step, given, answers, o):  # type: ignore[no-
     if len(tables.room.asked) > 0:
         told = expected(belief, tables.optimal[step, given])
         upper = max(upper, told - tables.model.inquiry.cost)
-    if len(tables.pairs.cell) > 0 and mix(tables.pairs, step, given, belief, NO_SWEEP):
-        upper = min(upper, mixed(tables.pairs, tables.pairs.optimal[step], given))
     plans = tables.plans[step, given]
     copy(plans[_best_plan(plans, belief)], store.alpha[index])
     node.upper = upper
@@ -88,6 +98,7 @@ def open_node(tables, store, index):  # type: ignore[no-untyped-def]
     said = best
     if len(tables.room.asked) > 0:
         best, end = _list_questions(tables, store, index, best, end)
+    credit(store.actions, begin, end, node.earned_by, node.lower)
     lower = node.lower
     for a in range(begin, end):
         lower = max(lower, store.actions[a].lower)
@@ -96,7 +107,7 @@ def open_node(tables, store, index):  # type: ignore[no-untyped-def]
         action = store.actions[a]
         # Some messages, or none, are always among them: for who may not ask any more.
         spoken = action.messages >= 0 and action.upper == said
-        if action.upper >= lower or action.upper == best or spoken:
+        if not below(action.upper, lower) or action.upper == best or spoken:
             store.actions[kept] = action
             store.actions[kept].first_answer = NONE
             kept += 1
@@ -117,7 +128,6 @@ def _list_actions(tables, store, index, begin):  # type: ignore[no-untyped-def]
     node, belief = store.nodes[index], store.belief[index]
     step, given = node.step, node.given
     place = store.places[step, given]
-    in_pairs = len(tables.pairs.cell) > 0 and mix(tables.pairs, step, given, belief, SWEEPS)
     best, end = -np.inf, begin
     for c in range(place.first_candidate, place.first_candidate + place.n_candidates):
         chosen = store.candidates[c]
@@ -126,10 +136,8 @@ def _list_actions(tables, store, index, begin):  # type: ignore[no-untyped-def]
         upper -= tables.sets.price[chosen]
         later = tables.sets.discount[chosen] * tables.model.discount
         base = upper - later * expected(belief, tables.optimal[step + 1, shown])
-        if in_pairs:
-            upper = min(upper, upper_in_pairs(tables, step, given, chosen))
         # The best is kept even where rounding puts it below the best plan.
-        if upper >= node.lower or upper > best:
+        if not below(upper, node.lower) or upper > best:
             action = store.actions[end]
             action.messages, action.base, action.later = chosen, base, later
             action.upper, action.lower = upper, upper
@@ -153,16 +161,25 @@ def _list_questions(tables, store, index, best, end):  # type: ignore[no-untyped
     upper += HAIR * (1.0 - upper)  # bounds from elsewhere may be above it by rounding
     plans = tables.plans[node.step, node.given]
     lower = min(expected(belief, plans[_best_plan(plans, belief)]) - cost, upper)
-    if upper < node.lower:
+    if below(upper, node.lower):
         return best, end
     count = open_questions(tables.model.inquiry, node.step, node.given, belief, tables.room)
+    earning = node.earned_by < 0
     for i in range(count):
-        action = store.actions[end]
-        action.messages, action.base, action.later = ~tables.room.found[i], -cost, 1.0
-        action.upper, action.lower = upper, lower
+        _enter_question(store.actions[end], tables.room.found[i], cost, upper, lower)
+        earning = earning and node.earned_by != ~tables.room.found[i]
         best = max(best, upper)
         end += 1
+    if earning:  # it tells nothing here, but is what the lower bound was found with
+        _enter_question(store.actions[end], ~node.earned_by, cost, upper, lower)
+        end += 1
     return best, end
+
+
+@inlined
+def _enter_question(action, q, cost, upper, lower):  # type: ignore[no-untyped-def]
+    action.messages, action.base, action.later = ~q, -cost, 1.0
+    action.upper, action.lower = upper, lower
 
 
 @inlined
@@ -173,13 +190,6 @@ def _recall(store, index, asked):  # type: ignore[no-untyped-def]
         asked[q] = False
         if store.evidence.shape[1] > types:
             asked[q] = store.evidence[index, types + q // WORD] >> (q % WORD) & 1 == 1
-
-
-@inlined
-def upper_in_pairs(tables, step, given, chosen):  # type: ignore[no-untyped-def]
-    """Bounds a set of messages from above, at the belief last mixed."""
-    explain = mixed(tables.pairs, tables.pairs.explain[step], given | chosen)
-    return tables.sets.discount[chosen] * explain - tables.sets.price[chosen]
 
 
 @inlined

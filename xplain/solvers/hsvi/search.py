@@ -6,8 +6,7 @@ choice of a message set, the cheapest messages first, then *explain*; its answer
 k + 1. Every node carries an upper and a lower bound of its optimal value:
 
 - above, QMDP: Σ_t b(t) V*_t, at a visited node the best set's Σ_t b(t) Q*_t. (The fast informed
-  bound is the same here: with a type that never changes it has nothing to add.) Long searches
-  have a tighter one: :mod:`xplain.solvers.hsvi.pair_bounds`.
+  bound is the same here: with a type that never changes it has nothing to add.)
 - below, the exact value of the best of N + 1 plans that heed no answer: each type's optimal one,
   and silence.
 
@@ -34,9 +33,7 @@ from xplain.solvers.hsvi.nodes import (
     gap_of,
     make_node,
     open_node,
-    upper_in_pairs,
 )
-from xplain.solvers.hsvi.pair_bounds import NO_SWEEP, SWEEPS, mix, mixed
 from xplain.solvers.hsvi.shared_bounds import ROUNDING, publish, tighten_by_shared
 from xplain.solvers.hsvi.tree import ANSWERS, NODES, NONE, OPENED, ROOT, WORK, find, rehash
 
@@ -217,14 +214,10 @@ def _widest_answer(store, a, allowed):  # type: ignore[no-untyped-def]
 
 
 @lean_kernel
-def back_up_all(tables, store, order, least, new_pairs):  # type: ignore[no-untyped-def]
+def back_up_all(tables, store, order, least):  # type: ignore[no-untyped-def]
     """Backs up all that is open, and lets every node profit by what others at its (k, H) published
     since it was last visited: a trial visits one node a step. ``order`` is that of all nodes, the
-    last step first; ``least`` as in :func:`publish`; with ``new_pairs``, upper bounds are first
-    lowered to those of the pairs."""
-    if new_pairs:
-        for index in range(store.used[NODES]):
-            _tighten_by_pairs(tables, store, index)
+    last step first; ``least`` as in :func:`publish`."""
     for index in order:
         node = store.nodes[index]
         upper, lower = node.upper, node.lower
@@ -235,18 +228,3 @@ def back_up_all(tables, store, order, least, new_pairs):  # type: ignore[no-unty
         improved = node.upper < upper - least or node.lower > lower + least
         if node.first_action >= 0 and improved:
             publish(tables, store, index, upper, lower, least)
-
-
-@inlined
-def _tighten_by_pairs(tables, store, index):  # type: ignore[no-untyped-def]
-    """Lowers upper bounds made before there were tables of pairs."""
-    node = store.nodes[index]
-    sweeps = SWEEPS if node.first_action >= 0 else NO_SWEEP
-    if not mix(tables.pairs, node.step, node.given, store.belief[index], sweeps):
-        return
-    upper = mixed(tables.pairs, tables.pairs.optimal[node.step], node.given)
-    node.upper = max(min(node.upper, upper), node.lower)
-    for a in range(node.first_action, node.first_action + node.n_actions):
-        action = store.actions[a]
-        upper = min(action.upper, upper_in_pairs(tables, node.step, node.given, action.messages))
-        action.upper = max(upper, action.lower)

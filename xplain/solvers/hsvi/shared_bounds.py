@@ -17,6 +17,8 @@ IRRELEVANT = -1e30
 """In an alpha vector, the value for a type that cannot be at its node."""
 ROUNDING = 1e-14
 """Differences below this are rounding."""
+HAIR = 1e-12
+"""Relative to 1 + its size, what rounding may change a value by."""
 
 
 @inlined
@@ -29,16 +31,12 @@ def tighten_by_shared(optimal, store, index):  # type: ignore[no-untyped-def]
     for i in range(min(store.shared_count[row, 0], KEPT)):
         if not _asked_alike(store, index, store.shared_node[row, i, 0]):
             continue
-        value = expected(belief, store.shared_alpha[row, i])
+        value = min(expected(belief, store.shared_alpha[row, i]), node.upper)
         if value > node.lower:
-            node.lower = min(value, node.upper)
-            copy(store.shared_alpha[row, i], store.alpha[index])
-            # The policy takes the best action: the set that earns the bound must say so.
-            for a in range(node.first_action, node.first_action + node.n_actions):
-                action = store.actions[a]
-                if action.messages == store.shared_messages[row, i]:
-                    value = min(value, action.upper)
-                    action.lower = max(action.lower, value)
+            messages, begin = store.shared_messages[row, i], node.first_action
+            if begin < 0 or credit(store.actions, begin, begin + node.n_actions, messages, value):
+                node.lower, node.earned_by = value, messages
+                copy(store.shared_alpha[row, i], store.alpha[index])
     known = optimal[node.step, node.given]
     for i in range(min(store.shared_count[row, 1], KEPT)):
         if not _asked_alike(store, index, store.shared_node[row, i, 1]):
@@ -53,6 +51,24 @@ def tighten_by_shared(optimal, store, index):  # type: ignore[no-untyped-def]
             for t in range(len(belief)):
                 value += (belief[t] - share * other[t]) * known[t]
             node.upper = min(node.upper, max(value, node.lower))
+
+
+@inlined
+def credit(actions, begin, end, messages, value):  # type: ignore[no-untyped-def]
+    """Raises the lower bound of one of a node's actions to what it is known to earn: the policy
+    takes the best one. False where it is none of them."""
+    for a in range(begin, end):
+        if actions[a].messages == messages:
+            actions[a].upper = max(actions[a].upper, value)  # below it by rounding alone
+            actions[a].lower = max(actions[a].lower, value)
+            return True
+    return False
+
+
+@inlined
+def below(upper, lower):  # type: ignore[no-untyped-def]
+    """Whether an upper bound is below a lower one by more than rounding."""
+    return upper < lower - HAIR * (1.0 + abs(lower))
 
 
 @shared_kernel

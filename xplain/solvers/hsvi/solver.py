@@ -66,7 +66,7 @@ class Certified:
             return self.plan_knowing(problem)
         small, kept = coupled(problem, "certified")
         small, tables = tables_within(small, self.memory_gib)
-        found = explore(tables, Start(0, 0, small.prior), self._effort, small)
+        found = explore(tables, Start(0, 0, small.prior), self._effort)
         brief = Effort(self.gap, self.decision_nodes, math.inf, self.memory_gib)
         return CertifiedPolicy(Searched(found, brief), kept)
 
@@ -141,18 +141,12 @@ class Searched:
         """Certified lower bounds by set of messages, and by ~q, of those not ruled out."""
         words = words_of(asked, self.found.tables.model.inquiry.words)
         nodes = self._opened.get((step, given), np.empty(0, dtype=np.int64))
-        if len(nodes):
-            store = self.found.store
-            distance = np.abs(store.belief[nodes] - belief).max(axis=1)
-            distance[(store.evidence[nodes, len(belief) :] != words).any(axis=1)] = np.inf
-            nearest = int(distance.argmin())
-            if distance[nearest] < SAME:
-                node = int(nodes[nearest])
-                values = self.found.values(node)
-                # The question that earns a bound published elsewhere may not be open here.
-                asks = len(self.found.tables.room.asked)
-                if not asks or max(values.values()) >= store.nodes["lower"][node] - SAME:
-                    return values
+        store = self.found.store
+        equal = np.abs(store.belief[nodes] - belief).max(axis=1, initial=0) < SAME
+        equal &= (store.evidence[nodes, len(belief) :] == words).all(axis=1)
+        if equal.any():
+            nodes = nodes[equal]
+            return self.found.values(int(nodes[store.nodes["lower"][nodes].argmax()]))
         start = Start(step, given, belief, words)
         return explore(self.found.tables, start, self.brief).values()
 

@@ -15,6 +15,8 @@ ROOT = np.int64(0)
 """The first node. (numba would compile what it is passed to once more for the literal 0.)"""
 NONE = -1
 """For an index: not opened, not expanded, not listed; in the hash table, free."""
+PLAN = 1 << 62
+"""Instead of the action that earns a node's lower bound: its own, or a plan's."""
 KEPT = 32
 """Alpha vectors, and upper bounds, kept for each (k, H)."""
 
@@ -27,6 +29,7 @@ NODE = np.dtype(
         ("first_action", np.int64),  # NONE until it is opened
         ("n_actions", np.int64),
         ("asked", np.int64),  # questions, where that matters
+        ("earned_by", np.int64),  # the action of a vector of another node; PLAN for none
     ]
 )
 ACTION = np.dtype(

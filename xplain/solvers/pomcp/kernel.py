@@ -25,14 +25,7 @@ from xplain.solvers.pomcp.growth import (
     questions_at,
 )
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
-from xplain.solvers.pomcp.rollout import (
-    RANDOM,
-    SILENT,
-    leaf_value,
-    roll_qmdp,
-    roll_random,
-    roll_silent,
-)
+from xplain.solvers.pomcp.rollout import leaf_value, roll_qmdp
 from xplain.solvers.random_words import GOLDEN, next_below, next_uniform, splitmix64
 
 MEAN, MAX = 0, 1
@@ -62,7 +55,7 @@ def simulate(simulations, model, options, tree, log_root, inverse_root):  # type
             if action <= len(model.reduced.price):  # a question costs no depth
                 depth += 1 if action == len(model.reduced.price) else options.message_depth
             node, is_new = expand(model, tree, node, edge, action, user_type)
-        value = evaluate(model, options, tree, node, is_new, user_type)
+        value = evaluate(model, tree, node, is_new, user_type)
         backward(model, options, tree, node, length, value)
 
 
@@ -149,7 +142,7 @@ def expand(model, tree, node, edge, action, user_type):  # type: ignore[no-untyp
 
 
 @inlined
-def evaluate(model, options, tree, node, is_new, user_type):  # type: ignore[no-untyped-def]
+def evaluate(model, tree, node, is_new, user_type):  # type: ignore[no-untyped-def]
     """The return from where a simulation ended: 0 after the last *explain*, a rollout's from a new
     node, QMDP's value from a node at the depth limit."""
     if node == END:
@@ -158,12 +151,8 @@ def evaluate(model, options, tree, node, is_new, user_type):  # type: ignore[no-
     step, given, belief = np.int64(record.step), np.int64(record.given), tree.beliefs[record.base]
     if not is_new:
         if np.isnan(record.leaf):
-            record.leaf = leaf_value(model, tree, options.leaf, step, given, belief)
+            record.leaf = leaf_value(model, tree, step, given, belief)
         return record.leaf
-    if options.rollout == RANDOM:
-        return roll_random(model, tree.counter, step, given, user_type)
-    if options.rollout == SILENT:
-        return roll_silent(model, tree, step, given, belief)
     return roll_qmdp(model, tree, step, given, user_type, belief)
 
 

@@ -7,36 +7,25 @@ the history's (k, H, b).
 
 from __future__ import annotations
 
-import numpy as np
-
 from xplain.numba_kernels import inlined
-from xplain.solvers.bits import count_bits, first_bit, nth_bit
+from xplain.solvers.bits import first_bit
 from xplain.solvers.count_lattice import copy
 from xplain.solvers.pomcp.labels import draw_labels, update_belief
 from xplain.solvers.pomcp.search_model import SETTLED, wanted_at
-from xplain.solvers.random_words import next_below
-from xplain.solvers.rows import find_rows, row
+from xplain.solvers.rows import find_rows
 
 CERTAIN = 1 - 1e-6
 """A belief from here on counts as certainty in rollouts."""
 ROUNDING = 1e-12
 """Messages worth the same but for this are equal, the first is taken."""
 
-MAX_OF_MEAN, MEAN_OF_MAX = 0, 1
-RANDOM, QMDP, SILENT = 0, 1, 2
-
 
 @inlined
-def leaf_value(model, tree, reading, step, given, belief):  # type: ignore[no-untyped-def]
-    """Where simulations end: max_a Σ_t b(t) Q_t(k, H, a), or Σ_t b(t) V*_t(k, H)."""
+def leaf_value(model, tree, step, given, belief):  # type: ignore[no-untyped-def]
+    """Where simulations end: max_a Σ_t b(t) Q_t(k, H, a)."""
     find_rows(model.reduced.rows.part, given, tree.rows)
-    if reading == MAX_OF_MEAN:
-        wanted = wanted_at(model, step, given, tree.rows)
-        return _qmdp(model, tree.gain, tree.rows, step, max(wanted, 0), belief)[0]
-    value = 0.0
-    for t in range(len(belief)):
-        value += belief[t] * model.optimal[step, tree.rows[t], t]
-    return value
+    wanted = wanted_at(model, step, given, tree.rows)
+    return _qmdp(model, tree.gain, tree.rows, step, max(wanted, 0), belief)[0]
 
 
 @inlined
@@ -69,44 +58,6 @@ def _qmdp(model, gain, rows, step, messages, belief):  # type: ignore[no-untyped
         if value > best + ROUNDING:
             best, action = value, j
     return best, action
-
-
-@inlined
-def roll_random(model, counter, step, given, t):  # type: ignore[no-untyped-def]
-    """The return of uniformly random actions, for a user of type t. Once all messages are given
-    only *explain* is left, and V*_t is the rest."""
-    free = np.int64(((1 << len(model.reduced.price)) - 1) & ~given)
-    count = count_bits(free)
-    at = row(model.reduced.rows.part, given, t)
-    value, scale = 0.0, 1.0
-    while step < model.explain_cost.shape[1]:
-        if count == 0:
-            return value + scale * model.optimal[step, at, t]
-        choice = next_below(counter, count + 1)
-        if choice == count:
-            value -= scale * model.explain_cost[at, step, t]
-            scale *= model.reduced.discount
-            step += 1
-        else:
-            j = nth_bit(free, choice)
-            value -= scale * model.reduced.price[j]
-            scale *= model.reduced.message_discount
-            free ^= 1 << j
-            at += model.reduced.rows.place[j, t]
-            count -= 1
-    return value
-
-
-@inlined
-def roll_silent(model, tree, step, given, belief):  # type: ignore[no-untyped-def]
-    """The expected return of saying nothing more."""
-    find_rows(model.reduced.rows.part, given, tree.rows)
-    value, scale = 0.0, 1.0
-    for k in range(step, model.explain_cost.shape[1]):
-        for t in range(len(belief)):
-            value -= scale * belief[t] * model.explain_cost[tree.rows[t], k, t]
-        scale *= model.reduced.discount
-    return value
 
 
 @inlined

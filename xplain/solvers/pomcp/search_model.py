@@ -10,6 +10,9 @@ simulation first comes to an H.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,9 +85,32 @@ def model_of(problem: Problem) -> SearchModel:
     return SearchModel(reduced, optimal, explain_cost, wanted, *_room(sets, steps, types))
 
 
-def with_own_room(model: SearchModel) -> SearchModel:
-    """The same model for another thread: nothing is coded yet."""
-    return SearchModel(*model[:4], *_room(*model.p.shape))
+@dataclass(frozen=True)
+class CodedRooms:
+    """A model with a room of coded observations for each search that runs at the same time, as the
+    threads of a server share a plan and simulations run without the interpreter's lock.
+
+    Attributes:
+        model: with a first room.
+    """
+
+    model: SearchModel
+    _free: list[SearchModel] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_free", [self.model])
+
+    @contextmanager
+    def borrow(self) -> Iterator[SearchModel]:
+        """The model with a room that nobody else uses meanwhile."""
+        try:
+            model = self._free.pop()
+        except IndexError:
+            model = SearchModel(*self.model[:4], *_room(*self.model.p.shape))
+        try:
+            yield model
+        finally:
+            self._free.append(model)
 
 
 def _coded_sets(messages: int, steps: int, types: int) -> int:
@@ -118,10 +144,6 @@ def _wanted(
         for count in range(size):
             said = model.message_discount * values[:, :, count + 1] - price[count]
             found[:, :, count] |= np.where(said > least[:, :, count], messages, 0)
-    for cost in set(model.price.tolist()):
-        messages = (bit * (model.price == cost)) @ (rows.place == 0)  # they change nothing
-        if messages.any():
-            wanted |= np.where(model.message_discount * now - cost > silent, messages, 0)
     wanted[now <= silent] = 0
     later = np.logical_or.accumulate(wanted[::-1] != 0, axis=0)[::-1]
     wanted[~later] = SETTLED

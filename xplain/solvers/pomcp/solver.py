@@ -28,76 +28,65 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from hashlib import blake2b
 from typing import Annotated, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xplain.errors import Count, InputError, Positive, Range, checks
+from xplain.errors import Count, Positive, Range, checks
 from xplain.explanation.belief import rounded, told
 from xplain.explanation.problem import Problem
 from xplain.numba_kernels import tell_when_compiling
+from xplain.randomness import derived_seed
 from xplain.solvers.base import Knowledge, Policy, best_question
-from xplain.solvers.inquiry import Inquiry
+from xplain.solvers.inquiry import Inquiry, look, make_room
 from xplain.solvers.knowing import make_knowing
 from xplain.solvers.memory import check_memory
 from xplain.solvers.model import best_set, table_bytes
-from xplain.solvers.pomcp.forest import Forest, Run
-from xplain.solvers.pomcp.kernel import simulate
+from xplain.solvers.pomcp.kernel import MAX, simulate
 from xplain.solvers.pomcp.knowing import KnowingSearch, simulate_knowing
-from xplain.solvers.pomcp.search_model import (
-    SearchModel,
-    model_bytes,
-    model_of,
-    with_own_room,
+from xplain.solvers.pomcp.search_model import CodedRooms, SearchModel, model_bytes, model_of
+from xplain.solvers.pomcp.tree import (
+    Options,
+    Roots,
+    SearchRoot,
+    Tree,
+    make_roots,
+    slots_for,
+    tree_bytes,
 )
-from xplain.solvers.pomcp.tree import Options, SearchRoot, slots_for, tree_bytes
 from xplain.solvers.reminding import Reminding, known_bytes
 from xplain.solvers.restriction import Restricted, RestrictedAsking, restricted
 from xplain.solvers.rows import rows_at
 
 # Positions are the kernel's numbers.
 DepthUnit = Literal["steps", "actions"]
-Leaf = Literal["max_of_mean", "mean_of_max"]
-Rollout = Literal["random", "qmdp", "silent"]
 Backup = Literal["mean", "max"]
+CHUNK = 50_000
+"""Simulations between two looks at Ctrl-C."""
 
 
 @checks("solver")
 @dataclass(frozen=True)
 class POMCP:
     """Args:
-    simulations: of one search; a decision of j messages takes j + 1 searches.
+    simulations: of one search, which tries each action at least once; a decision of j messages
+        takes j + 1 searches.
     depth: d ≥ 1, where simulations end; None for the end of the trace.
     depth_unit: ``actions`` (messages and *explain*) or ``steps`` (*explain* alone).
     exploration: c of UCB1, in units of the dearest single cost (a 0 label, or a message).
-    leaf: at depth d, ``max_of_mean`` is max_a Σ_t b(t) Q_t(a), the paper's QMDP;
-        ``mean_of_max`` is Σ_t b(t) max_a Q_t(a), larger and looser.
-    rollout: ``random`` actions; ``qmdp``, which goes on with QMDP's action at the exact
-        belief; or ``silent``, which says nothing more.
     backup: ``mean`` (the paper) or ``max``.
-    trees: independent searches that share the simulations and are merged at the root. Results
-        depend on it, and not on ``threads``.
-    threads: that search the trees.
-    memory_gib: most that tables and trees may take.
+    memory_gib: most that tables and the tree may take.
     """
 
     simulations: Count = 6_000
     depth: Count | None = 3
     depth_unit: DepthUnit = "actions"
     exploration: Annotated[float, Range(0)] = 8.0
-    leaf: Leaf = "max_of_mean"
-    rollout: Rollout = "qmdp"
     backup: Backup = "max"
-    trees: Count = 1
-    threads: Count = 1
     memory_gib: Positive = 8.0
     knows: Knowledge = "types"
-
-    def __post_init__(self) -> None:
-        """Raises InputError for more trees than simulations."""
-        if self.trees > self.simulations:
-            raise InputError("solver.trees", self.trees, "at most solver.simulations")
 
     def plan(self, problem: Problem, seed: int = 0) -> Policy:
         """Plans the whole explanation, as :class:`xplain.solvers.base.Solver` says."""
@@ -105,35 +94,19 @@ class POMCP:
         if problem.tracks_knowledge:
             return self._plan_knowing(problem, seed)
         small, kept = restricted(problem)
-        size = model_bytes(small) + self.trees * tree_bytes(
-            small, -(-self.simulations // self.trees)
-        )
+        size = model_bytes(small) + tree_bytes(small, self.simulations)
         check_memory("pomcp", size, self.memory_gib, "search less, or qhr plans without tables")
-        model, known_is_exact = model_of(small), self.backup == "max" and self.rollout == "qmdp"
-        forest = self._forest(small, model.reduced.inquiry, seed)
-        search = Search(small, self._options(small), forest, model, known_is_exact)
+        rooms = CodedRooms(model_of(small))
+        search = Search(small, self._options(small), self.simulations, seed, rooms)
         return (RestrictedAsking if small.questions else Restricted)(search, kept)
 
     def _plan_knowing(self, problem: Problem, seed: int) -> Policy:
         """Where messages may be missed or forgotten."""
-        trees = self.trees * tree_bytes(problem, -(-self.simulations // self.trees))
-        size = 3 * table_bytes(problem) + known_bytes(problem) + trees
+        tree = tree_bytes(problem, self.simulations)
+        size = 3 * table_bytes(problem) + known_bytes(problem) + tree
         check_memory("pomcp", size, self.memory_gib, "fewer messages or habits fit")
         model = KnowingSearch(make_knowing(Reminding(problem)))
-        forest = self._forest(problem, model.reduced.inquiry, seed)
-        return Remembering(problem, self._options(problem), forest, model)
-
-    def _forest(self, problem: Problem, inquiry: Inquiry, seed: int) -> Forest:
-        return Forest(
-            self.simulations,
-            self.trees,
-            self.threads,
-            problem.n_steps,
-            problem.n_messages,
-            slots_for(problem),
-            inquiry,
-            seed,
-        )
+        return Remembering(problem, self._options(problem), self.simulations, seed, model)
 
     def _options(self, problem: Problem) -> Options:
         steps, messages = problem.n_steps, problem.n_messages
@@ -145,8 +118,6 @@ class POMCP:
             depth=self.depth or steps + again * messages + 1,
             message_depth=get_args(DepthUnit).index(self.depth_unit),
             exploration=float(self.exploration * unit),
-            leaf=get_args(Leaf).index(self.leaf),
-            rollout=get_args(Rollout).index(self.rollout),
             backup=get_args(Backup).index(self.backup),
         )
 
@@ -158,12 +129,14 @@ class Searching(ABC):
     Attributes:
         problem: of the plan.
         options: as the kernel wants them.
-        forest: how to search.
+        simulations: of a search.
+        seed: of the run.
     """
 
     problem: Problem
     options: Options
-    forest: Forest
+    simulations: int
+    seed: int
     _last: dict[tuple[object, ...], Mapping[int, float]] = field(default_factory=dict, init=False)
 
     def messages(self, step: int, given: int, belief: NDArray[np.float64], asked: int = 0) -> int:
@@ -203,15 +176,59 @@ class Searching(ABC):
         """What is searched for a question is searched for messages next, so the last values are
         kept."""
         key = *start[:2], start.belief.tobytes(), *start[3:]
-        if key not in self._last:
-            found = self.forest.values(start, self._run)
+        found = self._last.get(key)
+        if found is None:
+            found = self._named(start, *self.search(start))
             self._last.clear()
             self._last[key] = found
-        return self._last[key]
+        return found
+
+    def _named(
+        self, start: SearchRoot, value: NDArray[np.float64], visits: NDArray[np.int64]
+    ) -> dict[int, float]:
+        """Values of *explain* (0), of each message (its bit) and question (~q) that was tried."""
+        room = make_room(self._inquiry, start.asked, slots_for(self.problem))
+        if len(room.found):
+            look(self._inquiry, start.step, start.given, _exact(start.belief), room)
+        n = self.problem.n_messages
+        names = [1 << j for j in range(n)] + [0] + [~q for q in room.found.tolist()]
+        order = [n, *range(n), *range(n + 1, len(value))]
+        return {names[a]: float(value[a]) for a in order if visits[a]}
+
+    def search(self, start: SearchRoot) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Value and visits of each action at the root, [n + 1 + B] each: messages, *explain*, then
+        the most telling questions. The random stream comes from what is to be decided, not from
+        what was decided before."""
+        start = start._replace(belief=_exact(start.belief))
+        digest = int.from_bytes(blake2b(start.belief.tobytes(), digest_size=8).digest(), "little")
+        asked = (str(start.asked),) if start.asked or start.before else ()
+        before = (str(start.before),) if start.before else ()
+        names = "pomcp", start.step, start.given, digest, 0, *asked, *before
+        problem, slots = self.problem, slots_for(self.problem)
+        left = budget = max(self.simulations, problem.n_messages + 1 + slots)
+        tree = Tree.rooted(
+            budget,
+            problem.n_messages,
+            problem.n_steps,
+            start,
+            derived_seed(self.seed, *names),
+            make_room(self._inquiry, start.asked, slots),
+        )
+        roots = make_roots(1 << budget.bit_length())
+        while left > 0:
+            self._simulate(min(left, CHUNK), tree, roots)
+            left -= CHUNK
+        edges = tree.root_edges()
+        return np.where(edges["visits"] > 0, edges["value"], 0.0), edges["visits"].astype(np.int64)
+
+    @property
+    @abstractmethod
+    def _inquiry(self) -> Inquiry:
+        """The questions."""
 
     @abstractmethod
-    def _run(self) -> Run:
-        """What a thread runs simulations with."""
+    def _simulate(self, count: int, tree: Tree, roots: Roots) -> None:
+        """Runs so many simulations in a tree."""
 
 
 @dataclass(frozen=True)
@@ -219,31 +236,33 @@ class Search(Searching):
     """Where messages are taken in.
 
     Attributes:
-        model: as the kernel wants it.
-        known_is_exact: whether a search from a certain belief finds V* in the limit: it backs up
-            maxima of what QMDP's rollouts, which are exact there, return. So V* is taken at once.
+        rooms: the model as the kernel wants it, for each search that runs at the same time.
     """
 
-    model: SearchModel
-    known_is_exact: bool
+    rooms: CodedRooms
 
-    def search(
-        self, step: int, given: int, belief: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """As :meth:`xplain.solvers.pomcp.forest.Forest.merged`."""
-        return self.forest.merged(SearchRoot(step, given, belief), self._run)
+    @property
+    def model(self) -> SearchModel:
+        """The model as the kernel wants it."""
+        return self.rooms.model
 
     def _values(self, start: SearchRoot) -> Mapping[int, float]:
-        if self.known_is_exact and rounded(start.belief).max() == 1.0:
+        """A search from a certain belief that backs up maxima finds V* in the limit, as QMDP's
+        rollouts are exact there. So V* is taken at once."""
+        if self.options.backup == MAX and rounded(start.belief).max() == 1.0:
             return self._known_values(start.step, start.given, int(np.argmax(start.belief)))
         return super()._values(start)
 
-    def _run(self) -> Run:
-        model = self.model if self.forest.threads == 1 else with_own_room(self.model)
-        return lambda count, tree, roots: simulate(count, model, self.options, tree, *roots)
+    @property
+    def _inquiry(self) -> Inquiry:
+        return self.model.reduced.inquiry
+
+    def _simulate(self, count: int, tree: Tree, roots: Roots) -> None:
+        with self.rooms.borrow() as model:
+            simulate(count, model, self.options, tree, *roots)
 
     def _known_values(self, step: int, given: int, t: int) -> Mapping[int, float]:
-        """Q*_t(k, H, a) of *explain* (0) and of each message (its bit) not given."""
+        """Q*_t(k, H, a) of *explain* (0) and of each message (its bit) not given that matters."""
         optimal, reduced = self.model.optimal, self.model.reduced
 
         def row(shown: int) -> int:
@@ -252,7 +271,7 @@ class Search(Searching):
         later = reduced.discount * optimal[step + 1, row(given), t]
         values = {0: float(later - self.model.explain_cost[row(given), step, t])}
         for j, price in enumerate(reduced.price):
-            if not given >> j & 1:
+            if reduced.rows.relevant[t] & ~given & 1 << j:
                 said = optimal[step, row(given | 1 << j), t]
                 values[1 << j] = float(reduced.message_discount * said - price)
         return values
@@ -268,8 +287,14 @@ class Remembering(Searching):
 
     model: KnowingSearch
 
-    def _run(self) -> Run:
+    @property
+    def _inquiry(self) -> Inquiry:
+        return self.model.reduced.inquiry
+
+    def _simulate(self, count: int, tree: Tree, roots: Roots) -> None:
         labels = np.empty(self.problem.n_steps, np.bool_)
-        return lambda count, tree, roots: simulate_knowing(
-            count, self.model, self.options, tree, labels, *roots
-        )
+        simulate_knowing(count, self.model, self.options, tree, labels, *roots)
+
+
+def _exact(belief: NDArray[np.float64]) -> NDArray[np.float64]:
+    return rounded(np.ascontiguousarray(belief, dtype=np.float64))

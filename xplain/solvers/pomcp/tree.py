@@ -6,6 +6,7 @@ A node is a history that ends in a belief: k transitions shown, messages H given
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -25,15 +26,12 @@ NODE = np.dtype(
         ("parent", np.int32),  # node before *explain*; ~base after a message
         ("base", np.int32),  # node where the step began; its belief is this node's
         ("step", np.int32),  # k
-        ("given", np.int32),  # H
-        ("untried", np.int32),  # bitmask of actions
         ("visits", np.int32),
+        ("given", np.int64),  # H
+        ("untried", np.int64),  # bitmask of actions
     ],
     align=True,
 )
-MASKS = {"given": np.int64, "untried": np.int64}
-WIDE_NODE = np.dtype([(str(k), MASKS.get(str(k), NODE[str(k)])) for k in NODE.names or ()])
-"""A node where messages are more than a mask of 32 bits holds."""
 EDGE = np.dtype(
     [
         ("value", np.float64),  # estimated return; −inf until tried
@@ -50,6 +48,8 @@ FIRST_TABLE = 1 << 12
 REMEMBERED = 1 << 11
 """Most observations whose likelihoods a search remembers: they stay in the processor's cache."""
 
+Roots = tuple[NDArray[np.float64], NDArray[np.float64]]
+
 
 class Options(NamedTuple):
     """How to search.
@@ -58,15 +58,13 @@ class Options(NamedTuple):
         depth: where simulations end.
         message_depth: what a message adds to the depth, 0 or 1; *explain* adds 1.
         exploration: in the problem's unit of cost.
-        leaf, rollout, backup: see :class:`xplain.solvers.pomcp.solver.POMCP`; numbered as in
-            :mod:`xplain.solvers.pomcp.rollout` and :mod:`xplain.solvers.pomcp.kernel`.
+        backup: see :class:`xplain.solvers.pomcp.solver.POMCP`; numbered as in
+            :mod:`xplain.solvers.pomcp.kernel`.
     """
 
     depth: int
     message_depth: int
     exploration: float
-    leaf: int
-    rollout: int
     backup: int
 
 
@@ -87,7 +85,7 @@ class Tree(NamedTuple):
     """Room for a search of S simulations: each adds at most one node.
 
     Attributes:
-        nodes: [S + 1] NODE, or WIDE_NODE.
+        nodes: [S + 1] NODE.
         edges: [(S + 2) · (n + 1 + B)] EDGE; a node's are those of the messages not yet given, in
             order, then *explain*, then at most B questions. The first n + 1 + B are unused, so that
             0 means none.
@@ -149,7 +147,7 @@ class Tree(NamedTuple):
         length = (n_messages + 1) * n_steps + 1 + questions
         remembered = min(_table_size(simulations), REMEMBERED)
         tree = cls(
-            _in_lines(size, _node_kind(n_messages + slots)),
+            _in_lines(size, NODE),
             np.empty((size + 1) * actions, EDGE),
             np.empty((size, types)),
             np.zeros(_table_size(simulations), ENTRY),
@@ -170,7 +168,7 @@ class Tree(NamedTuple):
         )
         tree.before[0] = start.before
         tree.inquired[0, -2:] = 0 if start.may_ask else CLOSED, -1
-        tree.nodes[0] = (0, np.nan, 0.0, 0.0, 0, 0, 0, start.step, start.given, 0, 0)
+        tree.nodes[0] = (0, np.nan, 0.0, 0.0, 0, 0, 0, start.step, 0, start.given, 0)
         tree.beliefs[0] = start.belief
         return tree
 
@@ -185,14 +183,19 @@ class Tree(NamedTuple):
         return edges
 
 
-def _node_kind(choices: int) -> np.dtype[np.void]:
-    return NODE if choices < 31 else WIDE_NODE  # *explain* takes a bit of a mask, too
-
-
 def slots_for(problem: Problem) -> int:
     """How many questions a search tries at a belief: no more than a mask has room for."""
     questions = len(problem.questions) if problem.questions else 0
     return min(INQUIRED, questions, 61 - problem.n_messages)
+
+
+@lru_cache(maxsize=4)
+def make_roots(size: int) -> Roots:
+    """sqrt(log v) and 1 / sqrt(v) for v = 0 … size (0 for 0), once a size."""
+    v = np.maximum(np.arange(size + 1), 1)
+    inverse = 1 / np.sqrt(v)
+    inverse[0] = 0.0
+    return np.sqrt(np.log(v)), inverse
 
 
 def _table_size(simulations: int) -> int:
@@ -210,7 +213,7 @@ def tree_bytes(problem: Problem, simulations: int) -> int:
     """The most that a tree takes."""
     slots = slots_for(problem)
     node = (
-        _node_kind(problem.n_messages + slots).itemsize
+        NODE.itemsize
         + 8 * (problem.start.size + 1)
         + EDGE.itemsize * (problem.n_messages + 1 + slots)
         + (4 * (slots + 2) if slots else 0)
