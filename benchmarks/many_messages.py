@@ -28,8 +28,9 @@ from xplain.solvers.base import Solver
 from xplain.solvers.hsvi.solver import Certified, CertifiedPolicy
 from xplain.solvers.lookahead import Lookahead
 from xplain.solvers.pomcp.solver import POMCP, Search
+from xplain.solvers.pomcp.tree import SearchRoot
 from xplain.solvers.qmdp import QMDP
-from xplain.solvers.restriction import Restricted, messages_worth_giving
+from xplain.solvers.restriction import Restricted
 
 
 def problem_of(
@@ -103,7 +104,7 @@ def growth(quick: bool, repeats: int) -> Table:
         if n <= (14 if quick else 18):
             table = problem.dense()
             dense = cells(QMDP(), table, 1)
-        worth = len(messages_worth_giving(problem))
+        worth = len(problem.messages_with_effect)
         shown.add_row(*map(str, (m, n, types, facts, worth)), *row, *dense)
     return shown
 
@@ -116,7 +117,7 @@ def solvers(quick: bool, repeats: int) -> Table:
     )  # fmt: skip
     for m, n, types, facts, bearing in ((20, 60, 8, 6, 3), (20, 60, 8, 6, 12), (12, 40, 5, 4, 3)):
         problem = problem_of(m, n, types, facts, bearing=bearing)
-        worth = len(messages_worth_giving(problem))
+        worth = len(problem.messages_with_effect)
         for name, solver in (
             ("qmdp", QMDP()),
             ("pomcp", POMCP(simulations=3_000)),
@@ -144,7 +145,7 @@ def pomcp_decisions(quick: bool) -> Table:
         for k in range(3 if quick else 12):
             belief = rng.dirichlet(np.ones(8))
             began = time.process_time()
-            policy.policy.search(k, 0, belief)
+            policy.policy.search(SearchRoot(k, 0, belief))
             searches.append(time.process_time() - began)
             began = time.process_time()
             said.append(policy.messages(k, 0, belief).bit_count())

@@ -118,7 +118,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="planning time and certified gaps")
     parser.add_argument("--quick", action="store_true", help="a smoke test of some seconds")
     quick = parser.parse_args().quick
-    Certified().plan(facts_problem(15, 8, 5))  # compiles, and long enough for tables of pairs
+    Certified().plan(facts_problem(15, 8, 5))  # compiles
     console = Console()
     console.print(tables(quick, 3))
     console.print(certified(quick, 1 if quick else 3))

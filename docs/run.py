@@ -26,7 +26,7 @@ FILE = re.compile(r"^(```\w+ (\S+)\n)(.*?)(^```$)", re.MULTILINE | re.DOTALL)
 """A block that shows a file of the repository."""
 LEFT_OUT = "..."
 SERVERS = re.compile(
-    r"mlflow ui|python -m xplain study(?! (bots|export|replay|analyse|power))"
+    r"mlflow ui|python -m xplain study(?! (bots|export|replay|analyse))"
     r"|python -m xplain collect(?! (bots|export|replay))"
 )
 """Commands that run until they are stopped; other tests start these."""

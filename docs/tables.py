@@ -61,6 +61,13 @@ SINCE = {
     "again.most": "null",
 }
 """Keys that came after tables were made, with the value that does what was done before."""
+GONE = {
+    "solver.leaf": '"max_of_mean"',
+    "solver.rollout": '"qmdp"',
+    "solver.trees": "1",
+    "solver.threads": "1",
+}
+"""Keys that there are no more, with the value that does what is done now."""
 
 
 def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
@@ -138,6 +145,8 @@ def changed(then: Stamp, now: Stamp) -> str:
     """Keys and reference runs that are not as they were, in words; empty where all are."""
     as_before = {key: digest([value]) for key, value in SINCE.items() if key in now}
     then = as_before | then if then else then
+    gone = {(key, digest([value])) for key, value in GONE.items() if key not in now}
+    then = {key: value for key, value in then.items() if (key, value) not in gone}
     keys = sorted(key for key in then.keys() | now.keys() if then.get(key) != now.get(key))
     return ", ".join(keys) if then else "never stamped"
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import sys
 import threading
@@ -58,6 +59,14 @@ class TooLargeError(XplainError):
 
 class Refused(Exception):
     """An answer of a participant that is not accepted; the text is for them."""
+
+
+def quoted(text: str, mark: str = "'") -> str:
+    """A text in quotation marks, as Hydra's overrides have it, whatever letters it has: backslashes
+    are doubled before a mark alone."""
+    ends = rf"(\\*)({mark}|$)"
+    escaped = re.sub(ends, lambda found: found[1] * 2 + (f"\\{mark}" if found[2] else ""), text)
+    return f"{mark}{escaped}{mark}"
 
 
 def first_line(error: BaseException) -> str:

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
-from typing import IO, Any, Protocol, runtime_checkable
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,16 +61,6 @@ def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
-
-
-@runtime_checkable
-class WasOtherwise(Protocol):
-    """A dataclass that was stored in another form before."""
-
-    @classmethod
-    def of_before(cls, content: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The content as it is stored today; as it is where it is so already."""
-        ...
 
 
 def encode(value: Any, arrays: dict[str, NDArray[Any]] | None = None) -> Any:
@@ -123,8 +113,6 @@ def decode(kind: Any, value: Any, arrays: Mapping[str, NDArray[Any]] | None = No
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return {key: decode(options[1], item, arrays) for key, item in value.items()}
     if is_dataclass(kind) and isinstance(kind, type):
-        if issubclass(kind, WasOtherwise):
-            value = kind.of_before(value)
         hints, plain = _hints(kind), _plain_fields(kind)
         return kind(
             **{

@@ -25,7 +25,7 @@ from xplain.testing import (
 )
 
 PDDL = pytest.mark.skipif(
-    find_spec("unified_planning") is None, reason="pip install 'xplain-hri[pddl]'"
+    find_spec("fast_downward") is None, reason="pip install 'xplain-hri[pddl]'"
 )
 GYM = pytest.mark.skipif(find_spec("gymnasium") is None, reason="pip install 'xplain-hri[gym]'")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +13,8 @@ from xplain.domains.users.hypotheses import Hypotheses
 from xplain.domains.users.setting import MAX_MODELS
 from xplain.errors import InputError
 from xplain.explanation.message_sets import mask_of
-from xplain.learning.data.encoding import one_hot
+from xplain.learning.data.cells import one_hot, read_cells
+from xplain.learning.data.label_file import read_features
 
 TEXT, IMAGE, ALT, WHEN = "text", "image", "alt", "inexplicable_if"
 
@@ -68,12 +68,6 @@ class OwnTransitions:
             feature_names=self.feature_names,
         )
 
-    def told_apart(self) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-        """Features [T, F] and their names; where the table has none, the text is one."""
-        if self.features is not None:
-            return self.features, self.feature_names
-        return one_hot(TEXT, self.texts)
-
 
 def with_features(known: Hypotheses) -> Hypotheses:
     """Hypotheses whose transitions have features; where they have none, the text is one."""
@@ -84,63 +78,36 @@ def with_features(known: Hypotheses) -> Hypotheses:
 
 
 def read_transitions(path: str | Path) -> OwnTransitions:
-    """Reads a CSV table, one row a transition: ``text``, what the robot does; optionally
-    ``image``, and ``alt``, what it shows in words; ``inexplicable_if``, the facts joined by ``;``
-    of which each makes the transition inexplicable to who holds it wrong (not needed where one
-    asks without hypotheses). All other columns are features: numbers, or text, which becomes one
-    column a value, as in tables of labels.
+    """Reads a table, one row a transition: ``text``, what the robot does; optionally ``image``, and
+    ``alt``, what it shows in words; ``inexplicable_if``, the facts joined by ``;`` of which each
+    makes the transition inexplicable to who holds it wrong (not needed where one asks without
+    hypotheses). All other columns are features: numbers, or text, which becomes one column a value,
+    as in tables of labels.
 
     Raises:
         InputError: no such table, a row without text, or a feature missing.
     """
-    try:
-        with Path(path).open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file)
-            rows = list(reader)
-            columns = reader.fieldnames or []
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError("transitions", str(path), f"a .csv file ({error})") from None
-    if TEXT not in columns:
+    table = read_cells(Path(path), "transitions")
+    if TEXT not in table.columns:
         raise InputError("transitions", str(path), f"lacks the column {TEXT}")
-    if not rows:
-        raise InputError("transitions", str(path), "has no rows")
-    texts = tuple((row[TEXT] or "").strip() for row in rows)
-    if "" in texts:
-        raise InputError("transitions", f"row {texts.index('') + 2}", "a text in every row")
-    facts = [
-        tuple(one.strip() for one in (row.get(WHEN) or "").split(";") if one.strip())
-        for row in rows
-    ]
-    features, names = _features(rows, [c for c in columns if c not in (TEXT, IMAGE, ALT, WHEN)])
+    words = {name: tuple(table[name].astype(str).str.strip()) for name in table.columns}
+    if "" in words[TEXT]:
+        row = words[TEXT].index("") + 1
+        raise InputError("transitions", TEXT, f"a text in every row; missing in row {row}")
+    facts = None
+    if WHEN in words:
+        cells = (map(str.strip, cell.split(";")) for cell in words[WHEN])
+        facts = tuple(tuple(filter(None, cell)) for cell in cells)
+    described = table.drop(columns=[TEXT, IMAGE, ALT, WHEN], errors="ignore")
+    named = len(described.columns) > 0
+    features, names = read_features(described, key="transitions") if named else (None, ())
+    nothing = ("",) * len(table)
     return OwnTransitions(
         path=str(path),
-        texts=texts,
-        images=tuple((row.get(IMAGE) or "").strip() for row in rows),
-        alts=tuple((row.get(ALT) or "").strip() for row in rows),
+        texts=words[TEXT],
+        images=words.get(IMAGE, nothing),
+        alts=words.get(ALT, nothing),
         features=features,
         feature_names=names,
-        facts=tuple(facts) if WHEN in columns else None,
+        facts=facts,
     )
-
-
-def _features(
-    rows: list[dict[str, str]], columns: list[str]
-) -> tuple[NDArray[np.float64] | None, tuple[str, ...]]:
-    """[T, F] and their names; None where no column is a feature."""
-    parts: list[NDArray[np.float64]] = []
-    names: list[str] = []
-    for column in columns:
-        values = [(row[column] or "").strip() for row in rows]
-        if "" in values:
-            raise InputError("transitions", f"row {values.index('') + 2}", f"a value of {column}")
-        try:
-            number = np.array([float(value) for value in values])
-        except ValueError:
-            own, named = one_hot(column, values)
-        else:
-            if not np.isfinite(number).all():
-                raise InputError("transitions", column, "finite numbers")
-            own, named = number[:, None], (column,)
-        parts.append(own)
-        names += named
-    return (np.hstack(parts) if parts else None), tuple(names)
