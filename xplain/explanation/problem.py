@@ -161,6 +161,18 @@ class Problem:
         return not self.habits.take_all_in
 
     @property
+    def messages_land(self) -> bool:
+        """Whether every message said is a fact known from then on, as in the paper."""
+        return self.habits.take_all_in
+
+    @property
+    def message_discount(self) -> float:
+        """γ', by which a message discounts: γ where every action does (the paper), 1 where only
+        *explain* does. It is 1 where messages may be missed or forgotten, too: a message may then
+        be said again, and delay would pay for ever."""
+        return self.discount if self.discount_per == "action" and self.messages_land else 1.0
+
+    @property
     def levels(self) -> int:
         """Of :class:`~xplain.explanation.again.Again`, where a message may be said again."""
         return self.again.levels if self.tracks_knowledge else 0

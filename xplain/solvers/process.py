@@ -1,0 +1,333 @@
+"""The one model that every solver plans with: the POMDP of one problem as arrays.
+
+Hidden is s ∈ {0 … S − 1}; visible is v, a bitmask of what was said as far as it matters:
+
+- *messages land* (``jump`` is None): s is the hidden type, S = N, and v = H, all messages given;
+- *messages may be missed or forgotten*: s = K · N + t, the facts that the user knows (a row K of
+  the label table) and the hidden type t, S = rows · N; v is what was said at this step.
+
+Tables are flat, [..., cells]. A table is read at x(v, s) = base[s] + Σ_{j ∈ v} stride[j, s]
+(:class:`Cells`). Where messages land a cell is (row of v, t) and ``base[t] = t``; where they may be
+missed it is s itself and every stride is 0.
+
+    give j      pays price[j], discounts by γ' = ``message_discount``; b' = ``give(process, b, j)``:
+                a part accept[s] of b[s] moves to s + jump[j, s] (jump is 0 where nothing changes)
+    explain     pays explain_cost[k, x(v, s)], discounts by γ = ``discount``; the evidence is
+                Π_i P(y_i) with P(y_i = 1) = answered[i, x(v, s)] for i ≤ k; then
+                b' = ``forget(process, b)``: each fact known is lost with probability forget[t]
+    ask q       pays questions.cost, never discounts; the evidence is
+                questions.answered[q, x_q(v, s)], x_q by ``questions.cells``
+
+A message is given at most once a step; where messages land, once. Only where they land does giving
+discount (γ' = γ, the paper): where a message may be given again, delay would pay for ever. A
+message that is in ``relevant[s]`` of no s with belief is no action.
+
+*Explain* leads to k + 1 with v as it is where messages land, else with v = 0 (:func:`before_step`).
+"""
+
+from __future__ import annotations
+
+from math import comb
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xplain.explanation.label_table import NONE, LabelTable
+from xplain.explanation.message_sets import bits_of, indices
+from xplain.explanation.problem import Problem
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class Cells(NamedTuple):
+    """Where a flat table is read.
+
+    Attributes:
+        base: [S] the cell of s before anything was said.
+        stride: [n, S] what saying message j adds.
+    """
+
+    base: IntArray
+    stride: IntArray
+
+    def at(self, said: int) -> IntArray:
+        """[S] the cells for a bitmask of messages."""
+        return self.base + self.stride[indices(said)].sum(axis=0) if said else self.base
+
+    def of_sets(self, sets: IntArray) -> IntArray:
+        """[B, S] the cells for B bitmasks."""
+        return self.base + bits_of(sets, len(self.stride)).astype(np.int64) @ self.stride
+
+
+class QuestionTables(NamedTuple):
+    """Q questions; Q may be 0.
+
+    Attributes:
+        answered: [Q, cells] P(answer 1).
+        likelier: [Q, cells] whether the label is likelier 1: alike where this is alike.
+        cells: where a question's table is read.
+        relevant: [S] bitmask of the messages that change some answer of s.
+        cost: κ.
+        most: asked at most.
+        first: whether only before the first step.
+    """
+
+    answered: FloatArray
+    likelier: NDArray[np.bool_]
+    cells: Cells
+    relevant: IntArray
+    cost: float
+    most: int
+    first: bool
+
+
+class Process(NamedTuple):
+    """m steps, n messages, S hidden states of N hidden types; see above.
+
+    Attributes:
+        start: [S] the belief before the first step.
+        p: [m, cells] P(label 1).
+        answered: [m, cells] P(answer 1); ``p`` itself where users do not err.
+        explain_cost: [m, cells] C_inexp Σ_{i ≤ k} (1 − P), the expected cost of *explain* at k.
+        cells: where these three are read.
+        own: [N, r] the message of each bit of a type's row, NONE for none. Where messages land the
+            bits of a type ascend in price.
+        relevant: [S] bitmask of the messages that change some label of s, or move it.
+        jump: [n, S], or None where messages land.
+        accept: [S] α, or None.
+        forget: [N] φ, or None where nothing is ever forgotten.
+        price: [n] λ C_e.
+        discount, message_discount: γ and γ'.
+        questions: that may be asked.
+    """
+
+    start: FloatArray
+    p: FloatArray
+    answered: FloatArray
+    explain_cost: FloatArray
+    cells: Cells
+    own: IntArray
+    relevant: IntArray
+    jump: IntArray | None
+    accept: FloatArray | None
+    forget: FloatArray | None
+    price: FloatArray
+    discount: float
+    message_discount: float
+    questions: QuestionTables
+
+    @property
+    def n_steps(self) -> int:
+        """m."""
+        return len(self.p)
+
+    @property
+    def n_messages(self) -> int:
+        """n."""
+        return len(self.price)
+
+    @property
+    def n_states(self) -> int:
+        """S."""
+        return len(self.start)
+
+    @property
+    def n_types(self) -> int:
+        """N."""
+        return len(self.own)
+
+
+def make_process(problem: Problem, dense: bool = False) -> Process:
+    """The process of a problem.
+
+    Args:
+        problem: of any kind.
+        dense: where messages land, each type's row is over all messages with an effect on some
+            type, so that a row is a set of them; else over its own alone, where that is less.
+
+    Raises:
+        TooLargeError: more than MAX_RELEVANT messages of a row.
+    """
+    price = problem.trade_off * problem.message_cost
+    asking = problem.questions
+    if problem.messages_land:
+        table = _by_price(problem.table.over(row_messages(problem, dense)), price)
+        effective = problem.table.effective()
+        asked = asking.table if asking else LabelTable(table.relevant, table.p[:0])
+        cells, question_cells = (_cells_by_row(t, len(price)) for t in (table, asked))
+        relevant = np.array([sum(1 << j for j in row) for row in effective], np.int64)
+        jump = accept = forget = None
+    else:
+        table = problem.table
+        asked = asking.table if asking else LabelTable(table.relevant, table.p[:0])
+        jump = _jumps(table, len(price))
+        cells = question_cells = Cells(np.arange(jump.shape[1]), np.zeros_like(jump))
+        relevant = ((jump != 0) << np.arange(len(price))[:, None]).sum(axis=0)
+        accept = np.tile(problem.accept, len(table.p[0]))
+        forget = problem.forget if problem.forget.any() else None
+    steps, width = problem.n_steps, asked.p.shape[1] * asked.p.shape[2]
+    return Process(
+        problem.start,
+        table.p.reshape(steps, -1),
+        table.answered.reshape(steps, -1),
+        problem.inexplicability_cost * np.cumsum(1 - table.p, axis=0).reshape(steps, -1),
+        cells,
+        table.relevant,
+        relevant,
+        jump,
+        accept,
+        forget,
+        price,
+        problem.discount,
+        problem.message_discount,
+        QuestionTables(
+            asked.answered.reshape(len(asked.p), width),
+            asked.p.reshape(len(asked.p), width) >= 0.5,
+            question_cells,
+            _answer_changing(asked, problem) if asking else np.zeros_like(relevant),
+            float(asking.limits.cost) if asking else 0.0,
+            asking.limits.most if asking else 0,
+            asking is not None and asking.limits.when == "first",
+        ),
+    )
+
+
+def row_messages(problem: Problem, dense: bool = False) -> list[tuple[int, ...]]:
+    """For each type the messages of its row, ascending, where messages land."""
+    own = problem.table.effective()
+    union = problem.messages_with_effect
+    together = tuple(sorted({j for row in own for j in row}))
+    if dense:
+        return [union] * len(own)
+    return [together] * len(own) if len(together) <= max(map(len, own)) else own
+
+
+def _by_price(table: LabelTable, price: FloatArray) -> LabelTable:
+    """The table with the bits of each type ascending in price."""
+    rows = [sorted(row, key=lambda j: float(price[j])) for row in table.rows]
+    return table.over(rows)
+
+
+def _cells_by_row(table: LabelTable, messages: int) -> Cells:
+    """Of a table [..., rows · N] where messages land."""
+    stride = np.zeros((messages, table.n_types), np.int64)
+    whose, bit = np.nonzero(table.relevant != NONE)
+    stride[table.relevant[whose, bit], whose] = table.n_types << bit
+    return Cells(np.arange(table.n_types), stride)
+
+
+def _jumps(table: LabelTable, messages: int) -> IntArray:
+    """[n, S] where messages may be missed: from a state without a relevant fact to that with it."""
+    types, width = table.relevant.shape
+    rows = np.arange(1 << width)
+    jump = np.zeros((messages, len(rows), types), np.int64)
+    for t, own in enumerate(table.rows):
+        for bit, j in enumerate(own):
+            jump[j, rows >> bit & 1 == 0, t] = types << bit
+    return jump.reshape(messages, len(rows) * types)
+
+
+def _answer_changing(table: LabelTable, problem: Problem) -> IntArray:
+    """[S] bitmask of the messages that change some answer to a question."""
+    of_type = np.array([sum(1 << j for j in row) for row in table.effective()], np.int64)
+    return np.resize(of_type, problem.start.size)
+
+
+def before_step(process: Process, given: int) -> int:
+    """v before the messages of a step, of the bitmask of all messages given so far."""
+    return given if process.jump is None else 0
+
+
+def matters(process: Process, belief: FloatArray) -> int:
+    """Bitmask of the messages that change a label of some state with belief."""
+    return int(np.bitwise_or.reduce(process.relevant[belief > 0]))
+
+
+def give(process: Process, belief: FloatArray, message: int) -> FloatArray:
+    """The belief(s) [..., S] after message j was said once."""
+    if process.jump is None or process.accept is None:
+        return belief
+    jump = process.jump[message]
+    moving = np.flatnonzero(jump)
+    after = belief.copy()
+    landed = process.accept[moving] * belief[..., moving]
+    after[..., moving] -= landed
+    after[..., moving + jump[moving]] += landed
+    return after
+
+
+def give_all(process: Process, belief: FloatArray, messages: int) -> FloatArray:
+    """The belief(s) [..., S] after these messages were said."""
+    for message in indices(messages):
+        belief = give(process, belief, message)
+    return belief
+
+
+def forget(process: Process, belief: FloatArray) -> FloatArray:
+    """The belief(s) [..., S] after a step: b F."""
+    if process.forget is None:
+        return belief
+    after = np.array(belief, order="C")
+    for bit in range(process.own.shape[1]):
+        pairs = after.reshape(-1, 2, 1 << bit, process.n_types)
+        lost = process.forget * pairs[:, 1]
+        pairs[:, 0] += lost
+        pairs[:, 1] -= lost
+    return after
+
+
+def expected_after_forgetting(process: Process, values: FloatArray) -> FloatArray:
+    """F v: E[v(s') | s] of values [..., S] after a step."""
+    if process.forget is None:
+        return values
+    after = np.array(values, order="C")
+    for bit in range(process.own.shape[1]):
+        pairs = after.reshape(-1, 2, 1 << bit, process.n_types)
+        pairs[:, 1] += process.forget * (pairs[:, 0] - pairs[:, 1])
+    return after
+
+
+def outcomes(
+    process: Process,
+    step: int,
+    said: int,
+    belief: FloatArray,
+    negligible: float = 0.0,
+    most: int | None = None,
+) -> tuple[FloatArray, FloatArray] | None:
+    """What may follow *explain* at (k, v): answers that tell the same are one.
+
+    Transitions with equal columns P(answer 1 | s) are exchangeable, so the number of their 1s is
+    enough; those that all states answer alike tell nothing.
+
+    Args:
+        process: the model.
+        step, said: k and v.
+        belief: [S] when the labels are asked for; needs not sum to 1.
+        negligible: answers less likely than this are not listed.
+        most: answers listed.
+
+    Returns:
+        [B, S] joint probabilities of an answer and the state at the next step, and [S] of all
+        answers that are not listed; None where they are more than ``most``.
+    """
+    possible = np.flatnonzero(belief > 0)
+    columns = process.answered[: step + 1, process.cells.at(said)[possible]]
+    news = columns[(columns != columns[:, :1]).any(axis=1)]
+    kinds, sizes = np.unique(news, axis=0, return_counts=True)
+    weights, tail = belief[None, possible], np.zeros(len(belief))
+    for yes, size in zip(kinds, sizes.tolist(), strict=True):
+        ones = np.arange(size + 1)[:, None]
+        ways = np.array([[comb(size, c)] for c in range(size + 1)], float)
+        likelihood = ways * yes**ones * (1 - yes) ** (size - ones)
+        weights = (weights[:, None] * likelihood).reshape(-1, len(possible))
+        likely = weights.sum(axis=1) > negligible
+        tail[possible] += weights[~likely].sum(axis=0)
+        weights = weights[likely]
+        if most is not None and len(weights) > most:
+            return None
+    joint = np.zeros((len(weights), len(belief)))
+    joint[:, possible] = weights
+    return forget(process, joint), forget(process, tail)
