@@ -131,19 +131,18 @@ def test_under_three_messages_the_button_is_in_sight(
         assert max(below.values()) <= 0, below
 
 
-def test_bots_in_a_browser_answer_as_those_without(
+def test_the_facts_of_people_who_answer_in_a_browser_are_found(
     driver: Driver, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     collection = street_collection()
-    path = tmp_path / "c.sqlite"
+    plan, path = collection.plan, tmp_path / "c.sqlite"
     with serving(path, collection) as server:
-        arguments = ["--url", server.url, "--key", server.key, "--count", "3", "--at-once", "1"]
-        main(["collect", "bots", *arguments, "--error", "0", "--chromium"])
-        assert "3 done" in capsys.readouterr().out
+        for number, invitation in enumerate(Researcher(server.url, server.key).invite(3, "bot")):
+            go_in(driver, server.url, invitation)
+            assert take_part(driver, bot(plan, FAULTLESS, 0, number)) == "done"
     main(["collect", "replay", str(path)])
     assert "all equal" in capsys.readouterr().out
     store = Store(path, CollectSite(collection))
-    plan = collection.plan
     for number, row in enumerate(store.query("SELECT state FROM seen ORDER BY number")):
         state = store.site.state(row["state"])
         held = plan.roles[number].held

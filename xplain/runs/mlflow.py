@@ -44,7 +44,7 @@ FIGURES = {
     "steps_until_sure": "solver/steps_until_sure",
 }
 """Names in MLflow of the figures of a result that people compare. MLflow's comparison of runs
-draws the first metric of the alphabet, so ``regret`` is it."""
+draws the first metric that was logged, so they are logged in the order of the alphabet."""
 
 MEASURES = {"regret": "regret", "above_floor": "regret_to_clairvoyant", "cost": "solver/cost"}
 """Names in MLflow of what the jobs of a sweep are compared by."""
@@ -204,7 +204,7 @@ def _send_run(
             "solver/belief_in_true_type": enumerate(results.steps.get("belief_in_true_type", ())),
             "types/disagreements": enumerate(results.elbow.disagreements, start=1),
         }
-        points = [(name, 0, value) for name, value in figures(results).items()]
+        points = [(name, 0, value) for name, value in sorted(figures(results).items())]
         points += [(name, k, value) for name, curve in curves.items() for k, value in curve]
         client.log_batch(
             run_id,
