@@ -24,7 +24,7 @@ from xplain.experiment.config import composed
 from xplain.interaction.statistics import clustered_mean
 from xplain.learning.data.label_file import write_table
 from xplain.people.collect.bot import Habits as Observing
-from xplain.people.collect.expectation import crowd, truth_of
+from xplain.people.collect.bot import crowd, truth_of
 from xplain.people.collect.labels import dataset_of, why_left_out
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble, source_of
@@ -46,7 +46,7 @@ MEASURES = ["messages", "inexplicable", "score", "seconds"]
 
 
 def collection(domain: str, seed: int) -> CollectPlan:
-    """The plan of ``collect``, without its expectation."""
+    """The plan of ``collect``."""
     cfg = composed("collect", [f"domain={domain}", f"points={LABELS}", f"seed={seed}"])
     config = fixed(cfg)
     rules = CollectRules(points=LABELS, **config["rules"])

@@ -36,8 +36,7 @@ def own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def rescue() -> Collection:
-    """The rescue task with clips of two steps and the lab's questions; no expectation, to save
-    time."""
+    """The rescue task with clips of two steps and the lab's questions."""
     from xplain.experiment.config import composed
     from xplain.people.collect.prepare import assemble, source_of
     from xplain.people.wording import fixed

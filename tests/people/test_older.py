@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,9 @@ from tests.people.test_replay import changed
 from tests.people.test_replay import kind as kind
 from tests.people.test_replay import snapshot as snapshot
 from xplain.cli import people
-from xplain.cli.main import main
 from xplain.errors import InputError, XplainError
 from xplain.people.analysis.stored import read_plan
+from xplain.people.server.store import Store
 
 
 def planned(snapshot: Path, **changes: Any) -> None:
@@ -43,16 +42,12 @@ def test_an_earlier_form_is_refused_with_what_to_do(kind: str, snapshot: Path) -
         read_plan(snapshot, site_of(kind).PLAN)
 
 
-def test_where_another_version_decided_otherwise_a_replay_says_so(
-    kind: str, snapshot: Path, monkeypatch: pytest.MonkeyPatch
+def test_code_that_decides_otherwise_does_not_go_on_with_what_was_begun(
+    kind: str, snapshot: Path
 ) -> None:
-    own = site_of(kind)
-    other = {"study": {}, "collect": ()}[kind]
-    plan = replace(own.plan, probes=other)
-    with pytest.raises(XplainError, match="go on and replay with that version"):
-        own.of(plan)
-    monkeypatch.setattr(type(own).PLAN, "from_text", lambda text: plan)
-    main([kind, "replay", str(snapshot)])  # nothing differs: no reason to refuse
+    Store(snapshot, site_of(kind)).close()
     changed(snapshot, "UPDATE event SET state = json_set(state, '$.part', 7) WHERE kind = 'labels'")
     with pytest.raises(XplainError, match="go on and replay with that version"):
+        Store(snapshot, site_of(kind))
+    with pytest.raises(SystemExit):
         people.replay(kind, [str(snapshot)])

@@ -32,9 +32,8 @@ def serve(name: str, arguments: list[str]) -> None:
     """Serves the user study, or pages on which people give labels, until it is stopped:
     ``xplain NAME port=8080``; of one's own robot with ``transitions=TABLE.csv facts=FACTS.csv``.
 
-    The first start fixes it in its database; later starts go on with it. A collection says before
-    that what to expect, from simulated people. One worker process with threads: it alone has the
-    database open. How a lab does it: docs/study.md, docs/collect.md.
+    The first start fixes it in its database; later starts go on with it. One worker process with
+    threads: it alone has the database open. How a lab does it: docs/study.md, docs/collect.md.
     """
     cfg = configured(name, arguments)
     # Before the work of a plan: a key that cannot be is refused at once.
@@ -248,14 +247,13 @@ def replay(name: str, arguments: list[str]) -> None:
     kind = site(name)
     with reading(given.database) as connection:
         plan = plan_of(connection, kind.PLAN)
-        found = kind.as_planned(plan).replay(connection)
+        found = kind.of(plan).replay(connection)
     for difference in found.differences:
         print(difference, file=sys.stderr)
     verdict = f"{len(found.differences)} differences" if found.differences else "all equal"
     erased = f", {found.erased} erased" if found.erased else ""
     print(f"{found.participants} participants, {found.events} events replayed{erased}: {verdict}")
     if found.differences:
-        kind.of(plan)  # raises where another version decided
         sys.exit(1)
 
 

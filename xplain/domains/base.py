@@ -40,12 +40,15 @@ class Item:
 
     Attributes:
         labels: text for each cell in pictures, instead of the symbol; empty: the symbol.
+        shows: names of the parameters whose values the item shows. Pages for people leave such an
+            item out, because a participant may believe a different value.
     """
 
     name: str
     symbol: str
     cells: tuple[tuple[int, int], ...]
     labels: tuple[str, ...] = ()
+    shows: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

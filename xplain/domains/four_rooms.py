@@ -121,11 +121,11 @@ class FourRooms:
         """The map with the true goals and penalty cells."""
         accurate = {parameter.name: parameter.accurate for parameter in self.parameters}
         goals = [
-            Item(f"goal (reward {goal['reward']:g})", "G", (_cell(goal["cell"]),))
+            Item(f"goal (reward {goal['reward']:g})", "G", (_cell(goal["cell"]),), shows=("goals",))
             for goal in accurate["goals"]
         ]
         cells = tuple(_cell(cell) for cell in accurate["penalty_cells"])
-        penalty = [Item("penalty", "x", cells)] if cells else []
+        penalty = [Item("penalty", "x", cells, shows=("penalty_cells",))] if cells else []
         return self.grid.scene([*goals, *penalty])
 
 

@@ -101,7 +101,8 @@ class Gymnasium:
         starts: condition on states where traces start, equally likely; states that are terminal
             never are. None: those of the environment's initial distribution.
         arguments: of the environment.
-        items: for pictures, ``{name: {symbol, cells: [[row, column], ...]}}``.
+        items: for pictures, ``{name: {symbol, cells: [[row, column], ...]}}``. ``shows`` may name
+            parameters whose values the item shows: pages for people leave such an item out.
         name: of the domain.
 
     Raises:
@@ -148,7 +149,15 @@ class Gymnasium:
         for parameter in self.parameters:
             self.model(accurate | {parameter.name: parameter.inaccurate})
         self._items = [
-            Item(item, fields["symbol"], tuple((int(r), int(c)) for r, c in fields["cells"]))
+            Item(
+                item,
+                fields["symbol"],
+                tuple((int(r), int(c)) for r, c in fields["cells"]),
+                shows=tuple(
+                    one_of(f"domain.items.{item}.shows", name, accurate, "parameter")
+                    for name in fields.get("shows", ())
+                ),
+            )
             for item, fields in (items or {}).items()
         ]
 

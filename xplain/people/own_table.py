@@ -10,7 +10,6 @@ import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -123,10 +122,3 @@ def _picture(folder: Path, image: str, alt: str) -> Picture | None:
     if len(content) > MAX_IMAGE:
         raise InputError("transitions.image", image, f"at most {MAX_IMAGE >> 20} MB")
     return Picture(MEDIA[path.suffix.lower()], base64.b64encode(content).decode(), alt)
-
-
-def no_map(wording: Mapping[str, Any]) -> None:
-    """Raises InputError: texts of a map that own transitions do not have."""
-    for key in ("icons", "hide"):
-        if wording[key]:
-            raise InputError(f"wording.{key}", [*wording[key]], "none: these steps have no map")

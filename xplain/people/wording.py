@@ -91,16 +91,10 @@ def worded(
     )
 
 
-def named(scene: Scene, hide: Sequence[str], in_words: InWords) -> Scene:
-    """The map with its items' names in words, without the items of some symbols.
-
-    Raises:
-        InputError: there is no such symbol on the map.
-    """
-    symbols = [item.symbol for item in scene.items]
-    for symbol in hide:
-        one_of("wording.hide", symbol, symbols, "symbol on the map")
-    kept = [replace(i, name=in_words(i.name)) for i in scene.items if i.symbol not in hide]
+def named(scene: Scene, in_words: InWords) -> Scene:
+    """The map with its items' names in words, without items that show the value of a parameter:
+    a participant may believe another value."""
+    kept = [replace(item, name=in_words(item.name)) for item in scene.items if not item.shows]
     return replace(scene, items=tuple(kept))
 
 
@@ -174,6 +168,6 @@ def parts(
         "pictures": task.pictures,
         "ahead": wording["ahead"]
         and ahead_of(wording["ahead"], scene, lambda phrase: does.format(phrase=in_words(phrase))),
-        "scene": scene and named(scene, wording["hide"], in_words),
+        "scene": scene and named(scene, in_words),
         "icons": {in_words(name): path for name, path in wording["icons"].items()},
     }, in_words

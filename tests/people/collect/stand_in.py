@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 from tests.people.study.stand_in import AHEAD, TYPES, Street
 from xplain.domains.users.types import Explicit
 from xplain.experiment.config import CONF
-from xplain.people.collect.bot import Habits, probes
+from xplain.people.collect.bot import Habits
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan, CollectRules
 from xplain.people.collect.prepare import assemble, domain_source
@@ -20,14 +20,6 @@ from xplain.questions.designs import Adaptive, Battery
 FAULTLESS = Habits(error=0.0, mistake=0.0)
 RULES: dict[str, Any] = {"people": 6, "repeats": 2, "attention": True, "timeout_minutes": 30}
 STREET = Street()
-EXPECTED = {
-    "people": 6.0,
-    "labels": 12.0,
-    "error": 0.05,
-    "runs": 1.0,
-    "rand_index": 1.0,
-    "rand_index_more": 1.0,
-}
 
 
 def wording(**changes: Any) -> dict[str, Any]:
@@ -51,7 +43,7 @@ def street_plan(
     words: dict[str, Any] | None = None,
     **rules: Any,
 ) -> CollectPlan:
-    """A plan for the street, expectation made up."""
+    """A plan for the street."""
     users = Explicit({one.name: list(one.inaccurate) for one in TYPES})
     config = {"seed": seed, "briefing": briefing, "wording": words or wording(), "points": points}
     plan = assemble(
@@ -64,9 +56,8 @@ def street_plan(
 
 
 def at_work(plan: CollectPlan) -> Collection:
-    """A plan with an expectation that is made up."""
-    plan = replace(plan, expectation=EXPECTED, ahead=AHEAD)
-    return Collection(CollectPlan.from_text(replace(plan, probes=probes(Collection(plan))).text))
+    """A plan with a practice step that looks odd, as it comes from a database."""
+    return Collection(CollectPlan.from_text(replace(plan, ahead=AHEAD).text))
 
 
 def street_collection(*args: Any, **changes: Any) -> Collection:
@@ -79,4 +70,4 @@ def telling() -> Collection:
     plan = street_plan()
     transitions = plan.hypotheses.n_transitions
     listed = tuple((told % transitions, told) for told in range(2, 14))
-    return Collection(replace(plan, questions=listed, expectation=EXPECTED))
+    return Collection(replace(plan, questions=listed))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.people.collect.stand_in import FAULTLESS, street_collection, telling
-from xplain.errors import InputError
+from tests.people.kinds import filled, site_of
+from xplain.errors import InputError, XplainError
 from xplain.people.collect import flow
 from xplain.people.collect.asking import (
     ATTENTION,
@@ -27,6 +29,8 @@ from xplain.people.collect.asking import (
 from xplain.people.collect.bot import Habits, Observer, take_part
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
+from xplain.people.collect.site import CollectSite
+from xplain.people.server.store import Store
 from xplain.people.simulation.bots import answer
 from xplain.questions.designs import Adaptive, Battery
 
@@ -331,12 +335,8 @@ def test_rules_that_cannot_be_are_named(rules: dict[str, Any], key: str) -> None
         street_collection(**rules)
 
 
-def test_changed_code_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    from xplain.errors import XplainError
-    from xplain.people.collect.site import CollectSite
-
-    plan = COLLECTION.plan
-    CollectSite.of(plan)
+def test_changed_code_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    filled("collect", tmp_path / "c.sqlite", people=1)
     monkeypatch.setattr(flow, "derived_seed", lambda *names: 7)
     with pytest.raises(XplainError, match="decides differently"):
-        CollectSite.of(plan)
+        Store(tmp_path / "c.sqlite", CollectSite.of(site_of("collect").plan))

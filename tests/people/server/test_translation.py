@@ -64,7 +64,7 @@ PHRASES = {word: made_up(word) for word in ("goes", "straight", "around", "at", 
 
 
 LANGUAGE = {"icons": {}, "facts": translated(SENTENCES), "phrases": PHRASES}
-KEPT = {"words", "rewards", "icons", "hide", "phrases", "facts", "questions"}
+KEPT = {"words", "rewards", "icons", "phrases", "facts", "questions"}
 QUESTIONS = [
     {"name": "a", "label": made_up("number"), "kind": "number", "low": 1, "high": 9},
     {"name": "b", "label": made_up("which"), "kind": "choice", "required": True}

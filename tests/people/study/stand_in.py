@@ -22,7 +22,7 @@ from xplain.people.plan import Ahead
 from xplain.people.study.bot import Habits
 from xplain.people.study.flow import Study
 from xplain.people.study.plan import Clip, StudyPlan
-from xplain.people.study.prepare import conditions_of, drafted, stored
+from xplain.people.study.prepare import conditions_of, drafted
 from xplain.people.study.site import StudySite
 from xplain.people.study.task import MayAsk, OfDomain
 
@@ -139,7 +139,6 @@ CONFIG: dict[str, Any] = {
         "words": english_words(),
         "training": {"belief": "b", "action": "a", "message": "m"},
         "rewards": {"bridge": "Crossing the bridge"},
-        "hide": [],
         "ahead": None,
         "icons": {"market": "M3 12L12 4L21 12"},
     },
@@ -165,7 +164,7 @@ def street_plan(map_shown: bool = True, **changes: Any) -> StudyPlan:
             np.eye(len(trace), dtype=bool),
         )
     plan = drafted(seen, p, config, may_ask=clips)
-    return stored(replace(plan, ahead=AHEAD if map_shown else None))
+    return StudyPlan.from_text(replace(plan, ahead=AHEAD if map_shown else None).text)
 
 
 ASK = {"kinds": ["clips"], "cost": 0.1, "most": 10, "when": "anytime", "clips": 150}

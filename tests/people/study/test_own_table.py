@@ -189,7 +189,6 @@ def test_rows_of_the_table_are_asked_about_with_their_images(lab: Path, tmp_path
         ({"types": "others.npz"}, r"types='others\.npz: lane': types whose features"),
         ({"types": "fewer.npz"}, r"types='fewer\.npz: a, b, c': types whose messages"),
         ({"domain": "rescue"}, r"domain='rescue': null with transitions"),
-        ({"wording.hide": "[S]"}, r"wording\.hide=.*these steps have no map"),
     ],
 )
 def test_what_does_not_go_together_is_refused_with_what_to_do(

@@ -24,15 +24,16 @@ class Findings:
 
 
 def replayed(
-    connection: sqlite3.Connection, flow: Flow[Any, S]
+    connection: sqlite3.Connection, flow: Flow[Any, S], latest: int | None = None
 ) -> tuple[Findings, list[ParticipantRow[S]]]:
     """What differs, and everybody who was not erased.
 
     Args:
         connection: to the database; its rows are mappings.
         flow: at work.
+        latest: how many participants, those who came last; None takes all.
     """
-    people = participants(connection, flow.STATE)
+    people = participants(connection, flow.STATE)[-(latest or 0) :]
     (erased,) = connection.execute("SELECT sum(erased) FROM participant").fetchone()
     found = Findings(len(people), erased=erased or 0)
     for one in people:

@@ -1,9 +1,7 @@
 """Simulated observers: they read what a page says, answer as what they hold wrong makes them, err
 now and then, lapse, and leave.
 
-The same observer takes part in the bare flow, over HTTP, and in a real browser. What a plan asks
-some of them is stored with it, so that changed code is noticed before it changes a running
-collection.
+The same observer takes part in the bare flow, over HTTP, and in a real browser.
 """
 
 from __future__ import annotations
@@ -13,19 +11,17 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xplain.errors import Probability, Range, checks
 from xplain.explanation.message_sets import indices
-from xplain.people.collect.asking import CollectState
+from xplain.people.collect.asking import CollectState, shared
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import CollectPlan
 from xplain.people.flow import Fields
 from xplain.people.simulation import bots
 from xplain.people.simulation.browser import Page
 from xplain.randomness import stream
-
-PROBES = 4
-"""Simulated people whose questions a changed code would have to repeat."""
 
 
 @checks("habits")
@@ -140,12 +136,22 @@ def take_part(
     return bots.take_part(collection, person, state)
 
 
-def probes(collection: Collection) -> tuple[str, ...]:
-    """The clips and the last posterior of some simulated people, one text a person."""
-    found = []
-    for number in range(PROBES):
-        person = bot(collection.plan, Habits(0.1, mistake=0), 0, number)
-        state = take_part(collection, person, number, {})
-        clips = [(one.transitions, one.told) for one in state.answered]
-        found.append(f"{clips} {[float(share).hex() for share in state.belief.values()]}")
-    return tuple(found)
+def crowd(plan: CollectPlan, people: int, habits: Habits, seed: int) -> list[CollectState]:
+    """Simulated observers one after the other in the bare flow; the roles take turns."""
+    collection = Collection(plan)
+    states: list[CollectState] = []
+    for number in range(people):
+        person = bot(plan, habits, seed, number)
+        others = shared([state.belief for state in states])
+        role = number % len(plan.roles) if plan.assigned else None
+        # Each simulated collection draws questions and their order anew.
+        states.append(take_part(collection, person, seed * 10_000 + number, others, role))
+    return states
+
+
+def truth_of(plan: CollectPlan, people: int) -> NDArray[np.int64]:
+    """[people] the facts that each simulated observer holds wrong; roles that behave alike are
+    one."""
+    known = plan.hypotheses
+    held = np.array([plan.roles[i % len(plan.roles)].held for i in range(people)])
+    return known.essential[known.row(held)]

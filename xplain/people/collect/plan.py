@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -33,7 +32,7 @@ class CollectRules:
     """Numbers of the protocol.
 
     Attributes:
-        people: wanted; the page stays open when more come.
+        people: planned, which the researcher's page shows; the page stays open when more come.
         points: labels a person, those for consistency and attention not counted.
         timeout_minutes: without a sign of life, after which a participant's part pauses.
         repeats: questions asked a second time, for consistency.
@@ -91,11 +90,9 @@ class CollectPlan(StoredPlan):
         gone: [T] names of the items that are on the map no more when it begins; or none.
         paths: [T] on the map; or none.
         attention: the obvious step that does not make sense.
-        expectation: what simulated observers let one expect, by figure.
-        probes: what is asked of simulated people, to notice changed code.
     """
 
-    VERSION = "collect 2"
+    VERSION = "collect 3"
     OF = "a collection of labels"
 
     example: Example
@@ -111,5 +108,3 @@ class CollectPlan(StoredPlan):
     gone: Told
     paths: Way
     attention: str
-    expectation: Mapping[str, float]
-    probes: tuple[str, ...]

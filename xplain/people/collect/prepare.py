@@ -15,18 +15,15 @@ from omegaconf import DictConfig
 from xplain.domains.base import Domain, changes_of
 from xplain.domains.users.hypotheses import hypotheses_of
 from xplain.domains.users.types import TypeSource
-from xplain.errors import InputError, Range, number, one_of
+from xplain.errors import InputError, one_of
 from xplain.explanation.message_sets import mask_of
-from xplain.people.collect.bot import probes
-from xplain.people.collect.expectation import expect
-from xplain.people.collect.flow import Collection
 from xplain.people.collect.plan import (
     CollectPlan,
     CollectRole,
     CollectRules,
     Example,
 )
-from xplain.people.own_table import Source, no_map, own_table
+from xplain.people.own_table import Source, own_table
 from xplain.people.plan import Fact, LabQuestion, Told
 from xplain.people.wording import each, fixed, of_states, parts, way_of
 from xplain.questions.battery import battery
@@ -35,7 +32,7 @@ from xplain.randomness import derived_seed, run_seed, stream
 
 
 def collect_plan(cfg: DictConfig) -> CollectPlan:
-    """The plan that a configuration describes, with what it lets one expect.
+    """The plan that a configuration describes.
 
     Raises:
         XplainError: the configuration cannot be used; the text says what to change.
@@ -43,7 +40,6 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
     run_seed(cfg.seed)
     config = fixed(cfg)
     rules = CollectRules(points=config["points"], **config["rules"])  # refused before the work
-    error = number("expected_error", config["expected_error"], Range(0, 0.5, "[)"))
     design = instantiate(cfg.queries)
     if not isinstance(design, Adaptive | Battery):
         raise InputError("queries", config["queries"]["_target_"], "battery or adaptive")
@@ -56,7 +52,8 @@ def collect_plan(cfg: DictConfig) -> CollectPlan:
             "briefing", "assigned", "none for one's own transitions: they name no types"
         )
     plan = assemble(source, design, rules, config)
-    return with_expectation(plan, source, error)
+    # What is stored is what runs, from the first participant on.
+    return CollectPlan.from_text(plan.text)
 
 
 def source_of(cfg: DictConfig) -> Source:
@@ -105,14 +102,12 @@ def _changes(domain: Domain, states: NDArray[np.int64], phrases: Sequence[str]) 
 def assemble(
     source: Source, design: Adaptive | Battery, rules: CollectRules, config: Mapping[str, Any]
 ) -> CollectPlan:
-    """A plan from its parts, without expectation and probes.
+    """A plan from its parts.
 
     Raises:
         XplainError: a part contradicts another.
     """
     known, wording = source.hypotheses, config["wording"]
-    if source.domain is None:
-        no_map(wording)
     if rules.listening > len(source.facts):
         most = f"at most one message a fact: {len(source.facts)}"
         raise InputError("rules.listening", rules.listening, most)
@@ -141,17 +136,7 @@ def assemble(
         gone=each(source.gone, in_words),
         paths=source.paths,
         attention=wording["attention"],
-        expectation={},
-        probes=(),
     )
-
-
-def with_expectation(plan: CollectPlan, source: Source, error: float) -> CollectPlan:
-    """The plan with what simulated observers let one expect, as it is stored."""
-    plan = replace(plan, expectation=expect(plan, error, source.domain, source.users))
-    plan = replace(plan, probes=probes(Collection(plan)))
-    # What is stored is what runs, from the first participant on.
-    return CollectPlan.from_text(plan.text)
 
 
 def _role(name: str, held: int, facts: Sequence[Fact]) -> CollectRole:

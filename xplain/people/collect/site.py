@@ -12,7 +12,6 @@ from markupsafe import Markup
 from xplain.errors import Refused
 from xplain.people.analysis.export import ParticipantRow
 from xplain.people.collect.asking import FINISHED, CollectState, schedule, shared
-from xplain.people.collect.bot import probes
 from xplain.people.collect.flow import Collection
 from xplain.people.collect.labels import KnownSoFar, compared, found_types, why_left_out
 from xplain.people.collect.plan import CollectPlan
@@ -29,32 +28,15 @@ class CollectSite(site.Site[Collection]):
     TEMPLATES = Path(__file__).parent / "templates"
     OVERVIEW = "collecting.html"
     export = staticmethod(export)
-    probes = staticmethod(probes)
 
     def __init__(self, flow: Collection) -> None:
         super().__init__(flow)
         self._found: dict[tuple[str, ...], KnownSoFar | None] = {}
 
     @classmethod
-    def as_planned(cls, plan: CollectPlan) -> CollectSite:
+    def of(cls, plan: CollectPlan) -> CollectSite:
         """With its questionnaires; see the base class, as for all that follows."""
         return cls(Collection(plan))
-
-    def announcement(self) -> str:
-        """What simulated people let one expect, in a line or two."""
-        figures = self.plan.expectation
-        said = (
-            f"collect: expect of {figures['people']:.0f} people × {figures['labels']:.0f} labels, "
-            f"{figures['error']:.0%} of them wrong: types found with an adjusted Rand index of "
-            f"{figures['rand_index']:.2f} (1 is perfect; mean of {figures['runs']:.0f} "
-            f"simulations; {figures['rand_index_more']:.2f} with ten more people)\n"
-        )
-        if "cost" not in figures:
-            return said
-        return (
-            f"{said}collect: an explanation then costs {figures['cost']:.2f} (λ = 1); knowing "
-            f"every label, {figures['floor']:.2f}\n"
-        )
 
     def admit(self, do: Do, person: Mapping[str, Any]) -> dict[str, Any]:
         """The participant's number, the role whose briefing they get, and what those asked before
@@ -136,7 +118,7 @@ class CollectSite(site.Site[Collection]):
             "found": self._found[key],
             "compared": compared(self.plan, list(kept.values())),
             "facts": {fact.name: fact.message for fact in self.plan.facts},
-            "expectation": self.plan.expectation,
+            "planned": self.plan.rules.people,
             "cells": ["a participant"],
             "data": "Labels for xplain discover, observers and every answer as CSV tables",
         }

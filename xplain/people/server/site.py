@@ -27,6 +27,8 @@ from xplain.people.server.database import Do
 Query = Callable[[str], list[dict[str, Any]]]
 """Rows of a reading query."""
 F = TypeVar("F", bound=Flow[Any, Any])
+LATEST = 8
+"""Participants whose events are taken once more at a start: enough to notice changed code."""
 
 
 class Full(Refused):
@@ -55,33 +57,26 @@ class Site(ABC, Generic[F]):
 
     @classmethod
     @abstractmethod
-    def as_planned(cls, plan: Any) -> Self:
-        """A plan at work, for a replay, which finds what the installed code does otherwise."""
-
-    @staticmethod
-    @abstractmethod
-    def probes(flow: Any, /) -> Any:
-        """What simulated people meet, which a plan keeps, so that changed code is noticed."""
-
-    @classmethod
     def of(cls, plan: Any) -> Self:
-        """A plan at work, for people to take part.
+        """A plan at work."""
+
+    def check(self, connection: sqlite3.Connection) -> None:
+        """Takes the events of the latest participants once more.
 
         Raises:
-            XplainError: the installed code decides differently from the code that made the plan.
+            XplainError: the installed code decides differently from the code that they met.
         """
-        made = cls.as_planned(plan)
-        if cls.probes(made.flow) != plan.probes:
+        found, _ = replayed(connection, self.flow, LATEST)
+        if found.differences:
             raise XplainError(
                 "database: this version of xplain decides differently from the one that started "
-                f"{plan.OF} in it; go on and replay with that version, or start anew in another "
-                "database"
+                f"{self.plan.OF} in it; go on and replay with that version, or start anew in "
+                f"another database ({found.differences[0]})"
             )
-        return made
 
-    @abstractmethod
     def announcement(self) -> str:
         """What a start of the server says of the plan."""
+        return ""
 
     def state(self, text: str | None = None) -> Any:
         """The state that a text stands for; the first one without it."""

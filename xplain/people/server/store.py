@@ -48,6 +48,7 @@ class Store(Database):
                     do("INSERT INTO meta VALUES ('plan_hash', ?)", (plan.hash,))
                 elif row[0] != plan.text:
                     raise InputError("database", str(path), OTHER_PLAN)
+            site.check(self._connection)
         except BaseException:
             self.close()
             raise

@@ -139,10 +139,9 @@ class StudyPlan(StoredPlan):
             roles, or of the kinds.
         conditions: {condition: configuration of its solver}.
         belief: configuration of the belief update.
-        probes: {condition: decisions for random labels}, to notice changed code.
     """
 
-    VERSION = 3
+    VERSION = 4
     OF = "a study"
 
     training: Training
@@ -160,7 +159,6 @@ class StudyPlan(StoredPlan):
     true_labels: NDArray[np.uint8]
     conditions: Mapping[str, Mapping[str, Any]]
     belief: Mapping[str, Any]
-    probes: Mapping[str, tuple[str, ...]]
 
     def problem_of(self, condition: str) -> Problem:
         """What the policy of a condition plans for: only one of them may ask."""

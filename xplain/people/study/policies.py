@@ -10,14 +10,11 @@ from hydra.utils import instantiate
 from xplain.explanation.label_table import LabelTable, joined
 from xplain.interaction.episode import Episode, explain
 from xplain.interaction.explainees import SimulatedUser
-from xplain.people.study.flow import Study, StudyState
+from xplain.people.study.flow import Study
 from xplain.people.study.plan import ASKING, StudyPlan
-from xplain.randomness import derived_seed, stream
+from xplain.randomness import derived_seed
 from xplain.solvers.base import asking
 from xplain.solvers.cached_policy import CachedPolicy
-
-PROBES = 16
-"""Walks with random labels, a condition, that a changed code would have to repeat."""
 
 
 def at_work(plan: StudyPlan) -> Study:
@@ -58,29 +55,3 @@ def faultless(study: Study) -> dict[str, list[Episode]]:
             problem = plan.problem_of(condition)
             found[condition].append(explain(problem, policy, SimulatedUser(labels), study.belief))
     return found
-
-
-def probes(study: Study) -> dict[str, tuple[str, ...]]:
-    """What the protocol decides for participants who label at random: by condition, one text a
-    walk, with the messages of every step and the last belief to the last bit."""
-    return {
-        condition: tuple(_walk(study, condition, number) for number in range(PROBES))
-        for condition in study.plan.conditions
-    }
-
-
-def _walk(study: Study, condition: str, number: int) -> str:
-    rng = stream(0, "probes", number)
-    before = StudyState(stage="eligibility", user_type=0, condition=condition)
-    state = study.after(before)
-    messages = [state.new]
-    while state.stage in ("evaluation", "asking"):
-        if state.stage == "asking":
-            state = study.advance(state, "clip", {"label": int(rng.random() < 0.8)})
-            continue
-        # Mostly 1, so that beliefs stay apart rather than settle at once.
-        labels = (rng.random(state.step + 1) < 0.8).astype(int).tolist()
-        state = study.advance(state, "labels", {"labels": labels})
-        messages.append(state.new)
-    asked = [one.question for one in state.asked]
-    return f"{messages} {[float(b).hex() for b in state.belief]}" + (f" {asked}" if asked else "")

@@ -17,7 +17,7 @@ from xplain.experiment.explanations import Costs
 from xplain.explanation.again import Again
 from xplain.explanation.asking import Limits, Pool, Questions
 from xplain.explanation.label_table import LabelTable
-from xplain.people.own_table import no_map, own_table
+from xplain.people.own_table import own_table
 from xplain.people.plan import LabQuestion
 from xplain.people.study import content
 from xplain.people.study.known_types import Learned, fitting, learned_types
@@ -30,7 +30,7 @@ from xplain.people.study.plan import (
     StudyRules,
     Training,
 )
-from xplain.people.study.policies import at_work, difference, probes
+from xplain.people.study.policies import difference
 from xplain.people.study.task import MayAsk, OfDomain, OfTable, ShownTask, StudyTask
 from xplain.people.wording import InWords, each, fixed, parts
 
@@ -69,7 +69,8 @@ def study_plan(cfg: DictConfig) -> StudyPlan:
         plan = drafted(task.seen(transitions), table, config, learned, clips)
         gaps.append(difference(plan))
         if gaps[-1] >= LEAST_DIFFERENCE:
-            return stored(plan)
+            # What is stored is what runs, from the first participant on.
+            return StudyPlan.from_text(plan.text)
     raise InputError(
         "conditions",
         " and ".join(config["conditions"]),
@@ -125,12 +126,6 @@ def _task_and_types(cfg: DictConfig, config: Mapping[str, Any]) -> tuple[StudyTa
     return OfTable(own), fitting(cfg.types, own.name, known.messages, known.feature_names)
 
 
-def stored(plan: StudyPlan) -> StudyPlan:
-    """A draft with what its policies decide, as it comes from the database: what is stored is what
-    runs, from the first participant on."""
-    return StudyPlan.from_text(replace(plan, probes=probes(at_work(plan))).text)
-
-
 def drafted(
     seen: ShownTask,
     table: LabelTable,
@@ -138,7 +133,7 @@ def drafted(
     learned: Learned | None = None,
     may_ask: MayAsk | None = None,
 ) -> StudyPlan:
-    """A plan from its parts, without probes.
+    """A plan from its parts.
 
     Args:
         seen: the task and the evaluation trace.
@@ -184,7 +179,6 @@ def drafted(
         true_labels=seen.labels,
         conditions=config["conditions"],
         belief=config["belief"],
-        probes={},
         taken=each(seen.taken, in_words),
     )
 
@@ -200,13 +194,8 @@ def _worded(
     wording: Mapping[str, Any], natural: bool, table: bool, asks: bool
 ) -> Mapping[str, Any]:
     """The texts for people who are briefed, or as they are; the steps of one's own table are whole
-    sentences; where some are asked in between, what is said of it.
-
-    Raises:
-        InputError: texts of a map that own transitions do not have.
-    """
+    sentences; where some are asked in between, what is said of it."""
     if table:
-        no_map(wording)
         words, example = wording["words"], wording["training"]
         said = {**example, "action": words["robot_does"].format(phrase=example["action"])}
         words = {**words, "robot_does": "{phrase}"}

@@ -19,7 +19,7 @@ from xplain.people.server import map_svg, site
 from xplain.people.server.database import Do
 from xplain.people.study.flow import Study, StudyState
 from xplain.people.study.plan import ASKING, StudyPlan
-from xplain.people.study.policies import at_work, faultless, probes
+from xplain.people.study.policies import at_work, faultless
 from xplain.people.study.tables import export
 from xplain.randomness import stream
 
@@ -31,10 +31,9 @@ class StudySite(site.Site[Study]):
     TEMPLATES = Path(__file__).parent / "templates"
     OVERVIEW = "researcher.html"
     export = staticmethod(export)
-    probes = staticmethod(probes)
 
     @classmethod
-    def as_planned(cls, plan: StudyPlan) -> StudySite:
+    def of(cls, plan: StudyPlan) -> StudySite:
         """With its policies; see the base class, as for all that follows."""
         return cls(at_work(plan))
 
