@@ -27,21 +27,26 @@ def quoted(cell: str) -> str:
 
 @given(
     rows=ROWS,
-    separator=st.sampled_from(",;\t"),
+    separator=st.sampled_from(",;\t|"),
+    first=st.sampled_from(["", "sep={}"]),
     encoding=st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]),
     end=st.sampled_from(["\n", "\r\n"]),
 )
 def test_cells_come_out_as_they_went_in(
     rows: list[tuple[str, ...]],
     separator: str,
+    first: str,
     encoding: str,
     end: str,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
     path = tmp_path_factory.mktemp("cells") / "table.csv"
-    lines = ["one", "two", "three"], *[map(quoted, row) for row in rows]
-    path.write_bytes(end.join(separator.join(line) for line in lines).encode(encoding))
-    assert read_cells(path, "data").to_numpy().tolist() == [[*row] for row in rows]
+    rows += [("", "", "x")]
+    table_ = ["one", "two", "three"], *[map(quoted, row) for row in rows], ["", "", ""]
+    lines = [first.format(separator)] * bool(first) + [separator.join(row) for row in table_]
+    path.write_bytes(end.join(lines).encode(encoding))
+    read = read_cells(path, "data").to_numpy().tolist()
+    assert read == [[*row] for row in rows if any(row)]
 
 
 NAMES = ["007", "7", "1.10", "1.1", "1E2", "NA", "null", "true", "a=b", "ü, ö", "x"]
@@ -102,9 +107,11 @@ def test_what_to_write_reaches_the_configuration_as_it_is(values: list[str]) -> 
 def test_columns_that_cannot_be_features_are_named_and_the_advice_works(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.set_level("INFO")
     extra = {"age": [30] * 3 + [40] * 3, "Duration (s)": [7, 9, 2, 4, 5, 8]}
     path = table(tmp_path, **extra)
     assert read_table(path).feature_names == ("row", "action=left", "action=up")
+    assert "steps by the features row, action" in caplog.text
     assert "age (the same in all rows of a person)" in caplog.text
     assert "Duration (s) (another value in nearly every row)" in caplog.text
     advice, _, _ = caplog.text.partition("to take all: ")[2].partition("\n")
@@ -130,7 +137,12 @@ def test_where_no_column_can_be_a_feature_it_is_asked_and_the_advice_works(tmp_p
             ["", "go on", "m1", "go on + m1", "", ""],
             "data='go on . m1': looks like messages",
         ),
-        (["", "m0", "m1", "m0 m1", "", "m0"], "joined by spaces"),
+        *(
+            (["", "m0", "m1", f"m0{joint}m1", "", "m0"], "looks like messages joined")
+            for joint in (" ", " and ", ":", "-", "_", "', '")
+        ),
+        (["", "m0", "m1", "None", "", "m0"], "data='None': leave the cell empty"),
+        (["", "m0", "m1", "m0;NA", "", "m0"], "data='NA': leave the cell empty"),
         (["", "m0", "M0", "m1", "", "m0"], "differs from m0 by case alone"),
     ],
 )
@@ -142,7 +154,8 @@ def test_odd_messages_are_asked_about_and_the_advice_works(
         read_table(path)
     (word,) = shlex.split(str(caught.value).partition("if it is one message: ")[2])
     advised = OverridesParser.create().parse_overrides([word])[0].value()
-    assert set(read_table(path, messages=advised).messages) == {*told} - {""}
+    written = {name for cell in told for name in cell.split(";")} - {""}
+    assert set(read_table(path, messages=advised).messages) == written
 
 
 def test_missing_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -160,6 +173,17 @@ def test_a_row_of_another_length_is_named_by_its_line(
     path.write_text(path.read_text() + cells + "\n")
     with pytest.raises(InputError, match=f"line {said} cells, the header has 5"):
         read_table(path)
+
+
+def test_row_names_without_a_header_are_asked_about_and_the_advice_works(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    header, *rows = path.read_text().splitlines()
+    numbered = "\n".join([header, *(f"{i},{row}" for i, row in enumerate(rows))])
+    path.write_text(numbered)
+    with pytest.raises(InputError, match="begin the header with a comma"):
+        read_table(path)
+    path.write_text(f",{numbered}")
+    assert read_table(path).feature_names == ("row", "action=left", "action=up")
 
 
 def test_the_further_header_rows_of_qualtrics_are_left_out(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 MISSING = ("", "NA", "N/A", "NaN", "nan", "null", "NULL", "<NA>", "#N/A")
 NUMBER = r"[+-]?(?:(?:(?:0|[1-9]\d*)(?:\.\d*)?|\.\d+)(?:e[+-]?\d+|E[+-]\d+)?|inf)"
 """A number as programs write it. R and spreadsheets write a sign in 1E+05, so 1E2 is a name."""
-SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab"}
+SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar"}
 
 
 def check_format(path: Path, key: str) -> str:
@@ -53,12 +53,12 @@ def read_cells(path: Path, key: str) -> pd.DataFrame:
     without a name is called as pandas calls it, such as "Unnamed: 0".
 
     Args:
-        path: a CSV file (comma, semicolon or tab; UTF-8 or UTF-16), or a Parquet file.
+        path: a CSV file (comma, semicolon, tab or bar; UTF-8 or UTF-16), or a Parquet file.
         key: that the user set, for errors.
 
     Raises:
         InputError: it cannot be read, two columns have one name, a row has more or fewer cells than
-            the header, or there are no rows.
+            the header, or there are no rows. Rows without any text do not count.
     """
     import pandas as pd
     from pandas.api.types import is_numeric_dtype
@@ -90,8 +90,11 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
     content = gzip.decompress(content) if path.name.lower().endswith(".gz") else content
     wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     text = content.decode("utf-16" if wide else "utf-8-sig")
+    text = re.sub(r"^sep=.\r?\n", "", text)  # Excel's
     if not text.strip():
         raise ValueError("it is empty")
+    if "\0" in text:
+        raise UnicodeDecodeError("utf-8", content, 0, 1, "UTF-16 without its mark")
     first = re.sub('"[^"]*"', "", text.lstrip().partition("\n")[0])
     separator = max(SEPARATORS, key=first.count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
@@ -101,14 +104,18 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
         raise InputError(key, repeated, "two columns have this name")
     rows = []
     for row in reader:
-        if len(row) == len(header):
-            rows.append(row)
-        elif row:
+        if not any(row):
+            continue
+        if len(row) != len(header):
             allowed = (
                 f"line {reader.line_num} has {len(row)} cells, the header has {len(header)}; write "
                 f'a text that holds a {SEPARATORS[separator]} in double quotes, "like this"'
             )
+            if len(row) == len(header) + 1 and not rows:  # R's row names
+                begin = f"begin the header with a {SEPARATORS[separator]}"
+                allowed += f"; if each line begins with its number, {begin}"
             raise InputError(key, str(path), allowed)
+        rows.append(row)
     if len(rows) > 1 and rows[1][0].startswith('{"ImportId"'):
         log.warning("%s: the second and third row of the header (Qualtrics) are left out", key)
         del rows[:2]

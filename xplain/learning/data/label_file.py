@@ -46,6 +46,8 @@ COLUMNS = ("observer", "messages", "label")
 NEARLY_ALL = 0.9
 """A column with more different values than this share of the rows tells no step from another."""
 TRUTH = {"TRUE": "1", "True": "1", "true": "1", "FALSE": "0", "False": "0", "false": "0"}
+NOTHING = ("none", "nothing", "-", "[]")
+"""Names that look as if nothing was told."""
 MAX_MASK = 62
 """Most messages in a table; a message set is the bits of one integer."""
 MIN_QUERIES = 4
@@ -78,7 +80,8 @@ def read_table(
     """
     table = _load(Path(path), features, ignore, like)
     told = _told(table, messages)
-    described, names = read_features(table.drop(columns=list(COLUMNS)), like)
+    columns = table.drop(columns=list(COLUMNS))
+    described, names = read_features(columns, like)
     distinct, transition = _distinct(described)
     dataset = Dataset(
         features=distinct,
@@ -91,8 +94,9 @@ def read_table(
         _check(dataset)
     if like:
         dataset = align(dataset, tuple(like))
-    nothing = int((dataset.message_set == 0).sum())
-    log.info("data: nothing was told in %d of %d rows", nothing, len(dataset))
+    rows, steps = len(dataset), len(dataset.features)
+    log.info("data: %d steps by the features %s", steps, ", ".join(map(str, columns)))
+    log.info("data: nothing was told in %d of %d rows", int((dataset.message_set == 0).sum()), rows)
     return dataset
 
 
@@ -193,12 +197,7 @@ def _choose_features(table: pd.DataFrame, columns: Sequence[str], sure: set[str]
         name, why = next(iter(left.items()))
         raise InputError("data", name, f"{why}; if it is a feature: {option('features', [name])}")
     if left:
-        log.warning(
-            "data: features of a step are %s; left out: %s; to take all: %s",
-            ", ".join(taken),
-            reasons,
-            option("features", columns),
-        )
+        log.warning("data: left out: %s; to take all: %s", reasons, option("features", columns))
     return taken
 
 
@@ -257,16 +256,19 @@ def _message_sets(
 
 
 def _ask_about_names(names: Sequence[str]) -> None:
-    """Raises InputError for a name that looks like several, or like another."""
+    """Raises InputError for a name that looks like several, like none, or like another."""
     one = f"if it is one message: {option('messages', names)}"
     for name in names:
         parts = [part.strip() for part in re.split(r"[,|+&/\\]", name)]
         single = not any(" " in part for part in parts)
-        if len(parts) > 1 and all(parts) and (single or {*parts} & {*names}):
+        joined = len(parts) > 1 and all(parts) and (single or {*parts} & {*names})
+        others = "|".join(re.escape(other) for other in names if other != name)
+        several = rf"\W*({others})((\W|_)+(and\W+)?({others}))+\W*"
+        if joined or (others and re.fullmatch(several, name)):
             allowed = f"looks like messages joined by something else than a semicolon; {one}"
             raise InputError("data", name, allowed)
-        if len(name.split()) > 1 and {*name.split()} <= {*names}:
-            raise InputError("data", name, f"looks like messages joined by spaces; {one}")
+        if name in MISSING or name.casefold() in NOTHING:
+            raise InputError("data", name, f"leave the cell empty if nothing was told; {one}")
         for other in names:
             if name < other and name.casefold() == other.casefold():
                 raise InputError("data", name, f"differs from {other} by case alone; {one}")
@@ -331,15 +333,12 @@ def read_features(
 def _distinct(
     features: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The distinct rows, and the index of each row among them. It goes column by column: linear in
-    the rows except for a sort of small numbers."""
-    number = np.zeros(len(features), dtype=np.int64)
-    for column in features.T:
-        values, code = np.unique(column, return_inverse=True)
-        _, first, number = np.unique(
-            number * len(values) + code, return_index=True, return_inverse=True
-        )
-    return features[first], number.astype(np.int64)
+    """The distinct rows, sorted, and the index of each row among them."""
+    import pandas as pd
+
+    table = pd.DataFrame(features)
+    number = table.groupby([*table.columns], sort=True).ngroup().to_numpy(dtype=np.int64)
+    return features[np.unique(number, return_index=True)[1]], number
 
 
 def _check(dataset: Dataset) -> None:
