@@ -258,6 +258,11 @@ def test_only_listed_actions_are_available_and_a_state_without_a_row_ends(
         {-1: {0: [(1.0, 0, 0.0, True)]}},
         {0: {0: [(1.0, 0, 0.0)]}},
         {0: [(1.0, 0, 0.0, True)]},
+        {},
+        {"0": {0: [(1.0, 0, 0.0, True)]}},
+        {0.5: {0: [(1.0, 0, 0.0, True)]}},
+        {0: {0: [(0.5, 0, 0.0, True)]}},
+        {0: {0: [(1.0, 0, float("nan"), True)]}},
         {0: {0: [(1.0, 1, 0.0, False)]}},  # on to a state without a row, and not at its end
     ],
 )

@@ -243,7 +243,7 @@ def _changes(key: str, value: Any) -> list[Mapping[str, Any]]:
 
 MODEL = (
     "states 0 … n − 1 and actions 0 … m − 1 in env.unwrapped.P[s][a], a list of (probability, "
-    "next state, reward, terminated)"
+    "next state, reward, terminated) with probabilities that add up to 1"
 )
 """What an environment has to show."""
 
@@ -286,14 +286,15 @@ def read_model(
             for s, row in table.items()
             for a, outcomes in row.items()
         ]
+        listed = [{s, *(outcome[1] for outcome in outcomes)} for s, _, outcomes in rows]
+        every = set().union(*listed, map(index, table))
+        states = getattr(getattr(environment, "observation_space", None), "n", max(every) + 1)
+        used = {a for _, a, _ in rows}
+        actions = getattr(getattr(environment, "action_space", None), "n", max(used) + 1)
     except (TypeError, ValueError, AttributeError):
         raise InputError("domain.id", id, MODEL) from None
-    listed = [{s, *(outcome[1] for outcome in outcomes)} for s, _, outcomes in rows]
-    every = set().union(*listed, map(index, table))
-    states = getattr(getattr(environment, "observation_space", None), "n", max(every) + 1)
-    used = {a for _, a, _ in rows}
-    actions = getattr(getattr(environment, "action_space", None), "n", max(used) + 1)
-    if not (every <= {*range(states)} and used <= {*range(actions)}):
+    fits = every <= {*range(states)} and used <= {*range(actions)}
+    if not fits or np.size(initial) > states:
         raise InputError("domain.id", id, MODEL)
     slots = max(len(outcomes) for _, _, outcomes in rows)
     successor = np.zeros((states, actions, slots), dtype=np.int64)
@@ -303,6 +304,9 @@ def read_model(
         for k, (p, after, r, terminated) in enumerate(outcomes):
             successor[s, a, k], probability[s, a, k] = after, p
             reward[s, a, k], ended[s, a, k] = r, terminated
+    total = probability.sum(axis=2)
+    if not np.isclose(total[total != 0], 1).all() or not np.isfinite(reward).all():
+        raise InputError("domain.id", id, MODEL)
     terminal = (probability == 0).all(axis=(1, 2))  # what has no row
     terminal[successor[ended & (probability > 0)]] = True
     starts = np.flatnonzero(np.ones(states) if initial is None else np.asarray(initial) > 0)
