@@ -132,7 +132,8 @@ def main() -> None:
     parser.add_argument("--build", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.build:
-        print(build(*options.build, options.states))
+        domain, problem = options.build
+        print(build(domain, problem, options.states))
         return
     table = Table("folder", "problem", "result", "states", "actions", "plan cost", "why")
     count: Counter[str] = Counter()

@@ -294,7 +294,7 @@ def read_model(
     except (TypeError, ValueError, AttributeError):
         raise InputError("domain.id", id, MODEL) from None
     fits = every <= {*range(states)} and used <= {*range(actions)}
-    if not fits or np.size(initial) > states:
+    if not fits or (initial is not None and np.size(initial) > states):
         raise InputError("domain.id", id, MODEL)
     slots = max(len(outcomes) for _, _, outcomes in rows)
     successor = np.zeros((states, actions, slots), dtype=np.int64)

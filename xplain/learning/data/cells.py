@@ -102,7 +102,7 @@ def _read_csv(path: Path, key: str) -> pd.DataFrame:
     if len({*header}) < len(header):
         repeated = next(name for name in header if header.count(name) > 1)
         raise InputError(key, repeated, "two columns have this name")
-    rows = []
+    rows: list[list[str]] = []
     for row in reader:
         if not any(row):
             continue

@@ -338,7 +338,8 @@ def _distinct(
 
     table = pd.DataFrame(features)
     number = table.groupby([*table.columns], sort=True).ngroup().to_numpy(dtype=np.int64)
-    return features[np.unique(number, return_index=True)[1]], number
+    first = np.unique(number, return_index=True)[1]
+    return features[first], np.asarray(number, dtype=np.int64)
 
 
 def _check(dataset: Dataset) -> None:
