@@ -49,7 +49,7 @@ SOLVERS: Mapping[str, Solver] = {
     "qhr": QHR(),
     "ask_first": AskFirst(),
 }
-KNOWN = "labeler=true", "clusterer=perfect"
+KNOWN = "labeler=truth", "clusterer=perfect"
 LEARNED = "labeler=hypotheses", "queries=adaptive", "points=20", "observers.label_noise=0.05"
 AGAIN = ((1.0, 0.0), (0.9, 0.0), (0.8, 0.0), (1.0, 0.05), (1.0, 0.1), (0.8, 0.1))
 """α and φ."""

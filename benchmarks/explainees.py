@@ -79,7 +79,7 @@ class World(NamedTuple):
 def worlds(name: str, seeds: Iterable[int], traces: int, *overrides: str) -> Iterator[World]:
     """True types and labels, or what the overrides say, by seed; a domain, or a random map a
     seed."""
-    source = overrides or ("labeler=true", "clusterer=perfect")
+    source = overrides or ("labeler=truth", "clusterer=perfect")
     domain = "rescue" if "rescue" in name else "four_rooms"
     for seed in seeds:
         fixed = (f"domain={domain}", "discount=1", f"traces={traces}", f"seed={seed}")

@@ -68,8 +68,8 @@ def page() -> str:
         "Written by `python docs/config_reference.py` from the comments in `conf/`; edit those.\n",
         "Any key can be set on the command line (`python -m xplain lambda=2 solver=qhr`), "
         "`group=choice` takes another file, `+group=...` is never needed. "
-        "`python -m xplain --cfg job` prints what a run would be given, "
-        "`python -m xplain --keys` every key and choice. Commands have keys of their own: "
+        "`python -m xplain --cfg job` prints what a run would be given. "
+        "Commands have keys of their own: "
         f"{', '.join(f'[{name}](#the-command-{name}-conf{name}yaml)' for name in COMMANDS)} and "
         "[study](#the-user-study-confstudyyaml).\n",
         "## The experiment (`conf/config.yaml`)\n",

@@ -11,7 +11,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig, OmegaConf
 
-from xplain.experiment.config import CONF, named, register
+from xplain.experiment.config import CONF, register
 
 Path = tuple[str | int, ...]
 
@@ -59,7 +59,7 @@ def _composed(overrides: tuple[str, ...]) -> DictConfig:
     register()
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("config", named(overrides))
+        return compose("config", [*overrides])
 
 
 def dotted(path: Path) -> str:

@@ -20,6 +20,7 @@ _PROCESSES.set_forkserver_preload(
     [
         "xplain.cli.main",
         "xplain.cli.run",
+        "xplain.runs.command",
         "xplain.runs.job",
         "xplain.runs.sweep",
         "xplain.report.sweep_plots",
@@ -108,7 +109,8 @@ def _main(folder: Path, arguments: tuple[str, ...], out: Path, error: Path) -> N
     from xplain.cli.main import main
 
     try:
-        main(list(arguments))
+        sys.argv = ["xplain", *arguments]
+        main()
     finally:
         sys.stdout.flush()
         sys.stderr.flush()

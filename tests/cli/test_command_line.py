@@ -24,7 +24,7 @@ def xplain(tmp_path, monkeypatch, capsys):
         monkeypatch.chdir(tmp_path)
         monkeypatch.setattr(stages, "EVERY", 600.0)  # a slow machine's stages say nothing here
         own = () if arguments[0] in COMMANDS else (f"outputs={tmp_path / 'outputs'}",)
-        monkeypatch.setattr(sys, "argv", ["xplain", *own, *arguments])
+        monkeypatch.setattr(sys, "argv", ["xplain", *arguments, *own])
         GlobalHydra.instance().clear()
         code = 0
         try:
@@ -72,12 +72,15 @@ BAD = [
     (["observers=file", "observers.path=absent.csv"], ["absent.csv"]),
     (["resume=maybe"], ["resume", "maybe", "missing, failed, none"]),
     (["lambda=1,2"], ["lambda", "1,2", "add -m"]),
+    (["labeler=true"], ["labeler", "true", "truth"]),
+    (["lambda=1", "-m", "seed=1,2"], ["-m", "before all keys"]),
     (["tracking=null"], ["tracking", "null", "none"]),
     (["solver=null"], ["solver", "null", "a choice"]),
+    (["~solver"], ["solver", "a choice"]),
     (["certify=null"], ["certify", "traces, gap"]),
     (["+again.foo=1"], ["again.foo", "price, most"]),
     (["--config-name=nowhere"], ["nowhere"]),
-    (["--config-path=nowhere"], ["--config-path", "nowhere", "--config-dir"]),
+    (["--config-path=nowhere"], ["nowhere", "not found"]),
     (["lambda=0.5;1"], ["lambda=0.5;1", "commas"]),
     (["-m", "lambda=1,2", "hydra.sweeper.params=3"], ["hydra.sweeper.params", "3"]),
     (["sweeps=tabel1"], ["sweeps=tabel1", "did you mean table1?", "type_counts"]),
@@ -194,10 +197,8 @@ def test_malformed_yaml_is_one_line_with_its_place(xplain, tmp_path, sweep):
     assert err.startswith(f"xplain: {folder / 'broken.yaml'}: line 2: ")
     assert len(err.splitlines()) == 1
     code, _, err = xplain("--config-dir=absent", "solver=broken")
-    assert (code, err) == (
-        2,
-        "xplain: --config-dir='absent': a folder with choices of your own\n",
-    )
+    assert (code, len(err.splitlines())) == (2, 1)
+    assert "absent' not found" in err
 
 
 def test_every_command_knows_choices_of_ones_own(xplain, tmp_path):

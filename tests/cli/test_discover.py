@@ -166,9 +166,9 @@ def test_help_tells_of_the_json_line(command: Command) -> None:
 def test_true_labels_are_nothing_that_a_file_of_labels_can_be_learned_with(run) -> None:
     assert run("observe", "domain=rescue", "output=labels.csv")[0] == 0
     for clusterer in ("kmeans", "dirichlet"):
-        code, _, err = run("discover", "data=labels.csv", "labeler=true", f"clusterer={clusterer}")
+        code, _, err = run("discover", "data=labels.csv", "labeler=truth", f"clusterer={clusterer}")
         assert code == 2
-        assert err.strip().splitlines()[-1].startswith("xplain: labeler='true': ")
+        assert err.strip().splitlines()[-1].startswith("xplain: labeler='truth': ")
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from xplain.interaction.metrics import Record, by_step, summarise
 from xplain.report.story import stories
 from xplain.report.traces import draw_trace
 
-OVERRIDES = ("labeler=true", "clusterer=perfect", "ask=clips", "ask.cost=0.2", "traces=3")
+OVERRIDES = ("labeler=truth", "clusterer=perfect", "ask=clips", "ask.cost=0.2", "traces=3")
 
 
 def explained(*overrides: str) -> tuple[Prepared, list[Record]]:

@@ -31,7 +31,7 @@ from xplain.interaction.explainees import Exact, Heedless, Slips
 from xplain.solvers.ask_first import AskFirst
 from xplain.solvers.qmdp import QMDP
 
-OVERRIDES = ("domain=four_rooms", "labeler=true", "clusterer=perfect", "discount=1", "traces=3")
+OVERRIDES = ("domain=four_rooms", "labeler=truth", "clusterer=perfect", "discount=1", "traces=3")
 
 
 @cache
@@ -54,7 +54,7 @@ def test_clips_are_the_tasks_nearest_first_with_their_labels() -> None:
         }
         truth = setting.true_labels(asked.transitions)
         assert np.array_equal(asked.labels.p, truth.p)
-        assert np.array_equal(asked.learned.p, truth.p)  # labeler=true
+        assert np.array_equal(asked.learned.p, truth.p)  # labeler=truth
         own, clips = (
             transition_features(setting.domain, t) for t in (case.transitions, asked.transitions)
         )

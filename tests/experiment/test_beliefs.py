@@ -17,7 +17,7 @@ from xplain.experiment.pipeline import Prepared, prepare
 from xplain.experiment.strangers import with_strangers
 from xplain.interaction.explainees import Stranger
 
-TRUE = ("labeler=true", "clusterer=perfect", "traces=2")
+TRUE = ("labeler=truth", "clusterer=perfect", "traces=2")
 HYPOTHESES = ("labeler=hypotheses", "queries=adaptive", "points=20", "traces=2")
 
 
@@ -92,7 +92,7 @@ def test_labels_of_people_tell_what_their_types_hold_wrong() -> None:
 
 
 def test_types_without_fact_sets_are_refused_in_one_line() -> None:
-    with pytest.raises(InputError, match="labeler=true and labeler=hypotheses"):
+    with pytest.raises(InputError, match="labeler=truth and labeler=hypotheses"):
         prepared_with("labeler=tree", "ask=beliefs", "traces=1")
 
 

@@ -84,11 +84,11 @@ def test_types_that_behave_alike_are_one_for_the_oracle_too() -> None:
 
 
 def test_a_solver_that_knows_the_labels_costs_what_it_costs_without_a_labeler() -> None:
-    """The reference that a run logs is the run with ``labeler=true``."""
+    """The reference that a run logs is the run with ``labeler=truth``."""
     learned, costs = prepared()
     solvers = {"qmdp": QMDP(), "pomcp": POMCP(simulations=100)}
     reference = evaluate(with_true_labels(learned), costs, solvers, Independent(), Exact(), 0)
-    true = evaluate(*prepared("labeler=true"), solvers, Independent(), Exact(), 0)
+    true = evaluate(*prepared("labeler=truth"), solvers, Independent(), Exact(), 0)
     assert all(same(one, other) for one, other in zip(reference, true, strict=True))
     own = evaluate(learned, costs, solvers, Independent(), Exact(), 0)
     assert not all(same(one, other) for one, other in zip(reference, own, strict=True))

@@ -12,6 +12,7 @@ from tests.handmade import a_prepared, an_episode
 from xplain.experiment.results import (
     Provenance,
     episode_lines,
+    finished_at,
     load_results,
     results_of,
     save_results,
@@ -30,6 +31,8 @@ RECORDS = [
 ]
 ABOUT = Provenance(
     name="by hand",
+    fingerprint="f1",
+    worker="here 1",
     xplain="0",
     code="c0de",
     git={},
@@ -48,17 +51,33 @@ def on_disk(folder):
 @pytest.fixture
 def results(tmp_path):
     """As they come back from the disk."""
-    save_results(tmp_path, results_of(PREPARED, RECORDS, {"optimal_lower": -2.5}, ABOUT))
+    save_results(tmp_path, results_of(PREPARED, RECORDS, ABOUT))
     return on_disk(tmp_path)
 
 
 def test_what_is_saved_is_loaded(tmp_path):
-    results = results_of(PREPARED, RECORDS, {"optimal_lower": -2.5}, ABOUT)
+    results = results_of(PREPARED, RECORDS, ABOUT)
     save_results(tmp_path, results)
     assert load_results(tmp_path) == results
-    assert "stamp" not in on_disk(tmp_path)  # of a sweep's jobs only
-    save_results(tmp_path, replace(results, stamp="abc", id="def"))
-    assert load_results(tmp_path) == replace(results, stamp="abc", id="def")
+    certified = replace(results, bounds={"optimal_lower": -2.5}, certificates="made")
+    save_results(tmp_path, certified)
+    assert load_results(tmp_path) == certified
+
+
+def test_what_is_at_an_address_is_finished_where_it_is_whole_and_belongs_there(tmp_path):
+    address = tmp_path / "f1"
+    address.mkdir()
+    assert finished_at(address) is None
+    results = results_of(PREPARED, RECORDS, ABOUT)
+    for certificates in ("not asked for", "made"):
+        save_results(address, replace(results, certificates=certificates))
+        assert finished_at(address) is not None
+    save_results(address, replace(results, certificates="failed"))
+    assert finished_at(address) is None  # what was asked for may come next time
+    save_results(address, replace(results, fingerprint="f2"))
+    assert finished_at(address) is None
+    save_results(address, replace(results, schema=0))
+    assert finished_at(address) is None
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"metrics": '])
@@ -101,7 +120,7 @@ def test_metrics_are_the_summary_with_its_intervals(results):
 
 def test_an_interval_that_is_unknown_is_null(tmp_path):
     records = [record for record in RECORDS if record.trace == 0]
-    save_results(tmp_path, results_of(PREPARED, records, {}, ABOUT))
+    save_results(tmp_path, results_of(PREPARED, records, ABOUT))
     for found in on_disk(tmp_path)["metrics"].values():
         assert found["low"] is None
         assert found["high"] is None
@@ -111,7 +130,7 @@ def test_an_interval_that_is_unknown_is_null(tmp_path):
 def test_what_was_learned_and_what_was_run_are_told(results):
     assert results["name"] == "by hand"
     assert results["config"] == {"lambda": 1.0, "seed": 4}
-    assert results["bounds"] == {"optimal_lower": -2.5}
+    assert results["bounds"] == {}
     assert results["learning"] == {"types_found": 2.0}  # what is unknown is left out
     assert results["elbow"] == {"rule": "kneedle", "disagreements": [5.0, 0.1, 0.0]}
     assert results["messages"] == {"a": "A is 1.", "b": "B is 2."}
@@ -160,7 +179,7 @@ def test_a_line_tells_what_changes_where_there_is_no_map():
 
 
 def test_numbers_that_are_none_are_refused_and_leave_what_was_there(tmp_path):
-    good = results_of(PREPARED, RECORDS, {"optimal_lower": -2.5}, ABOUT)
+    good = results_of(PREPARED, RECORDS, ABOUT)
     save_results(tmp_path, good)
     with pytest.raises(ValueError, match="JSON"):
         save_results(tmp_path, replace(good, bounds={"optimal_lower": float("nan")}))

@@ -1,4 +1,4 @@
-"""``labeler=true``: what is left when labels are known and the type is not."""
+"""``labeler=truth``: what is left when labels are known and the type is not."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ SOLVERS: dict[str, Solver] = {
     "silent": Silent(),
     "say_all": SayAll(),
 }
-GAMMA_1 = ("labeler=true", "discount=1", "traces=4", "max_steps=7", "lambda=1.3")
+GAMMA_1 = ("labeler=truth", "discount=1", "traces=4", "max_steps=7", "lambda=1.3")
 
 
 @cache
@@ -131,7 +131,7 @@ def test_a_true_type_is_never_ruled_out_and_the_figures_say_what_is_known(domain
 
 def test_shares_are_the_observers() -> None:
     """They are the prior where that is asked for, and weigh the labeler for everybody."""
-    cfg = composed("labeler=true", "observers.per_type=[5,1,1,2,1]", "traces=1")
+    cfg = composed("labeler=truth", "observers.per_type=[5,1,1,2,1]", "traces=1")
     known = prepare(components_of(cfg))
     assert known.type_shares.tolist() == [0.5, 0.1, 0.1, 0.2, 0.1]
     case = known.cases[0]
@@ -143,7 +143,7 @@ def test_messages_that_differ_in_price_by_hand() -> None:
     """With all of a type's facts told nothing is inexplicable: the clairvoyant pays for those that
     matter, or less; who says everything pays for everything."""
     prices = {"first_aid": 0.5, "fire": 2, "refuel": 1, "rubble": 0, "puddle": 3, "fence": 0.25}
-    cfg = composed("labeler=true", "discount=1", "traces=3", "lambda=0.4")
+    cfg = composed("labeler=truth", "discount=1", "traces=3", "lambda=0.4")
     cfg.message_cost = prices
     known = prepare(components_of(cfg))
     facts = {"A": ("fire", "rubble"), "B": ("first_aid", "fence"), "C": ("fire", "puddle")}
@@ -169,7 +169,7 @@ def test_messages_that_differ_in_price_by_hand() -> None:
 def test_traces_are_those_of_any_other_labeler() -> None:
     """Common random numbers: what another labeler costs can be paired with it."""
     learned = prepare(components_of(composed("labeler=tree", "traces=3")))
-    true = prepare(components_of(composed("labeler=true", "traces=3")))
+    true = prepare(components_of(composed("labeler=truth", "traces=3")))
     for one, other in zip(learned.cases, true.cases, strict=True):
         assert np.array_equal(one.transitions, other.transitions)
         assert np.array_equal(one.labels.p, other.labels.p)
@@ -178,11 +178,11 @@ def test_traces_are_those_of_any_other_labeler() -> None:
 
 
 def test_types_of_real_people_are_not_known(tmp_path) -> None:
-    components = components_of(composed("labeler=true", "traces=1"))
+    components = components_of(composed("labeler=truth", "traces=1"))
     observed = observe(
         components.domain, components.users, components.observers, components.queries, 0
     )
-    with pytest.raises(InputError, match=r"labeler='true'.*simulated"):
+    with pytest.raises(InputError, match=r"labeler='truth'.*simulated"):
         TrueLabels().types_of(replace(observed, truth=None))
     with pytest.raises(InputError, match="absent"):
         prepare(replace(components, observers=FileObservers(str(tmp_path / "absent.csv"))))

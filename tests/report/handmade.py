@@ -77,9 +77,9 @@ def sweep(
     written = []
     for values in jobs:
         name = ",".join(f"{key}={value}" for key, value in values.items())
-        job = {"name": name, "label": name, "values": dict(values), "overrides": name.split(",")}
-        written.append(job)
-        own = folder / "jobs" / name
+        job = {"label": name, "values": dict(values), "overrides": name.split(",")}
+        written.append({**job, "fingerprint": name})
+        own = folder / "results" / name
         own.mkdir(parents=True)
         episodes = [
             episode(solver, trace, kind, oracle(values, trace) + more)
@@ -98,6 +98,7 @@ def sweep(
         save_results(own, replace(made, learning=learning))
         (own / "episodes.jsonl").write_text("\n".join(line("solver", 0, kind) for kind in TYPES))
     content = {"name": "by hand", "command": "python -m xplain", "code": "c0de", "git": {}}
+    content["results"] = "results"
     (folder / "sweep.json").write_text(json.dumps(content | about | {"jobs": written}))
     return folder
 
@@ -105,9 +106,11 @@ def sweep(
 def results(name: str, values: Values, episodes: tuple[EpisodeFigures, ...]) -> Results:
     return Results(
         name=name,
+        fingerprint=name,
         xplain="0",
         code="0",
         git={},
+        worker="here 1",
         started=0.0,
         seconds={},
         choices={
@@ -119,6 +122,7 @@ def results(name: str, values: Values, episodes: tuple[EpisodeFigures, ...]) -> 
         config={"lambda": float(values.get("lambda", 1)), "seed": int(values.get("seed", 0))},
         metrics={},
         bounds={},
+        certificates="not asked for",
         learning={"types_found": 2.0, "adjusted_rand_index": 1.0},
         elbow=ElbowFigures("kneedle", (40.0, 3.0, 1.0)),
         messages={"fire": f"The robot of {values.get('domain', 'rescue')} likes <fire>."},

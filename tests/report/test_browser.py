@@ -104,7 +104,7 @@ def link(output, server, words):
 def expected_rows(folder):
     """(solver, λ, users.count, regret) of every job, from the disk, regret as MLflow shows it."""
     found = set()
-    for path in (sweeps.sweep_folder(folder) / "jobs").glob("*/results.json"):
+    for path in folder.glob("outputs/results/*/results.json"):
         content = json.loads(path.read_text())
         found.add(
             (

@@ -18,7 +18,7 @@ def sweep_with_true_labels(folder):
         for solver, trade_off, seed in product(("qhr", "qmdp"), ("2", "1"), range(3))
     ]
     handmade.sweep(folder, jobs, regret=lambda values, _: 6.5 + float(values["seed"]))
-    for own in sorted((folder / "jobs").iterdir()):
+    for own in sorted((folder / "results").iterdir()):
         results = load_results(own)
         more = [
             handmade.episode(who, e.trace, e.type, e.cost + add)

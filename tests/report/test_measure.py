@@ -187,7 +187,7 @@ def test_negative_regrets_are_explained_where_they_are_shown(tmp_path):
 def test_an_oracle_whose_labels_are_wrong_is_no_reference(tmp_path, share, told, capsys):
     jobs = product(solver="qmdp,qhr", seed="0,1,2")
     made(tmp_path, jobs, lambda v: 3.0, lambda v: 1.0 + (v["solver"] == "qhr"))
-    for path in (tmp_path / "jobs").iterdir():
+    for path in (tmp_path / "results").iterdir():
         own = load_results(path)
         figures = {"regret": Figure(1.0, None, None)}
         own = replace(own, learning={"fresh_accuracy": share}, metrics=figures)
@@ -208,7 +208,7 @@ def test_where_jobs_are_missing_the_order_is_that_of_the_differences(tmp_path):
         lambda values, trace: costs[values["solver"]](int(values["seed"])) + 0.01 * trace,
     )
     for seed in (8, 9):
-        (tmp_path / "jobs" / f"solver=qhr,seed={seed}" / "results.json").unlink()
+        (tmp_path / "results" / f"solver=qhr,seed={seed}" / "results.json").unlink()
     summary = Summary(tmp_path)
     assert answer(summary).startswith("QHR costs least, 0.30 less than QMDP. Decided")
     rows = main_table(summary).rows
@@ -221,7 +221,7 @@ def test_ways_that_share_no_problem_are_not_ranked(tmp_path):
     jobs = product(solver="qmdp,qhr", seed="0,1")
     summary = made(tmp_path, jobs, lambda v: 3.0, lambda v: 1.0 + (v["solver"] == "qhr"))
     for lost in ("solver=qmdp,seed=1", "solver=qhr,seed=0"):
-        (tmp_path / "jobs" / lost / "results.json").unlink()
+        (tmp_path / "results" / lost / "results.json").unlink()
     summary = Summary(tmp_path)
     assert (answer(summary), verdicts(summary)) == ("", [])
     assert {cell.mark for row in main_table(summary).rows for cell in row} == {""}

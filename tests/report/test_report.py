@@ -47,12 +47,12 @@ def test_a_domain_is_called_by_the_name_that_its_configuration_gives(tmp_path, c
     chosen = [{"domain": "pddl", "seed": "0"}, {"domain": "pddl", "seed": "1"}, {"domain": "rover"}]
     folder = handmade.sweep(tmp_path, chosen, lambda values, trace: 1.0 + trace)
     for name, given in (("domain=pddl,seed=0", "coffee"), ("domain=rover", None)):
-        own = folder / "jobs" / name
+        own = folder / "results" / name
         results = load_results(own)
         config = {**results.config, "domain": {"name": given}, "traces": 4}
         save_results(own, replace(results, config=config))
         print_summary(load_results(own))
-    (folder / "jobs" / "domain=pddl,seed=1" / "results.json").unlink()
+    (folder / "results" / "domain=pddl,seed=1" / "results.json").unlink()
     summary = Summary(folder)
     assert summary.domains == ["coffee", "rover"]
     assert summary.complete({"domain": "rover"})
@@ -135,7 +135,7 @@ def test_differences_are_paired(known):
 
 def test_tables_do_not_depend_on_the_order_in_which_jobs_ended(sweep):
     before = paper_table.table(Summary(sweep))
-    for path in sorted((sweep / "jobs").glob("*/results.json"), reverse=True):
+    for path in sorted((sweep / "results").glob("*/results.json"), reverse=True):
         content = json.loads(path.read_text())
         content["seconds"] = {"explain": 99.0}
         path.unlink()
@@ -212,7 +212,8 @@ def test_each_data_set_counts_among_those_whose_types_are_found(tmp_path):
 
 def test_missing_jobs_are_told(sweep):
     lost = "domain=rescue,solver=qmdp,lambda=1,seed=2"
-    (sweep / "jobs" / lost / "results.json").unlink()
+    (sweep / "results" / lost / "results.json").unlink()
+    (sweep / "jobs" / lost).mkdir(parents=True)
     failure = {"error": "InputError: <no>", "traceback": ""}
     (sweep / "jobs" / lost / "failure.json").write_text(json.dumps(failure))
     summary = Summary(sweep)

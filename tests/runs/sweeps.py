@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
 import signal
 import sqlite3
@@ -12,8 +11,7 @@ import sys
 from pathlib import Path
 
 from tests import forked, processes
-from xplain.runs.folder import SweepFolder
-from xplain.runs.plan import Job, Plan, make_plan
+from xplain.runs.folder import Listed, SweepFolder, listed
 
 ROOT = Path(__file__).parents[2]
 
@@ -42,26 +40,14 @@ SINGLE = (*(word for word in QUICK[1:-1] if word != "solver=qmdp,qhr"), "solver=
 """One of them, on its own."""
 
 
-def planned(outputs: Path, jobs: int) -> tuple[Plan, SweepFolder]:
-    """A sweep of so many jobs, of which none was begun, and its folder."""
-    number = itertools.count()
-    plan = make_plan(
-        "tiny",
-        [{"seed": ",".join(map(str, range(jobs)))}],
-        [],
-        lambda overrides: {},
-        lambda config: (f"f{next(number)}", "s"),
-    )
-    folder = SweepFolder(outputs / plan.identity)
-    folder.path.mkdir()
-    folder.save(plan, {"command": "python -m xplain sweeps=tiny", "started": 1e9})
-    return plan, folder
-
-
-def put(folder: SweepFolder, job: Job, file: str, content: str = "") -> None:
-    """The job is as far as this file in its folder says."""
-    folder.of(job).mkdir(parents=True, exist_ok=True)
-    (folder.of(job) / file).write_text(content)
+def planned(outputs: Path, jobs: int) -> SweepFolder:
+    """The folder of a sweep of so many jobs, of which none was begun."""
+    rows = [Listed("", (f"seed={i}",), {"seed": str(i)}, f"f{i}") for i in range(jobs)]
+    folder = SweepFolder(outputs / "sweeps" / "tiny-1")
+    folder.path.mkdir(parents=True)
+    about = {"name": "tiny", "command": "python -m xplain sweeps=tiny", "started": 1e9}
+    folder.save(listed(rows), outputs / "results", about)
+    return folder
 
 
 def environment() -> dict[str, str]:

@@ -6,10 +6,11 @@ import datetime
 import json
 import logging
 import os
+import subprocess
 import sys
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,8 @@ from hydra.core.global_hydra import GlobalHydra
 import xplain
 from tests.conftest import ROOT
 from tests.runs import sweeps
-from xplain.domains.base import Item
 from xplain.errors import InputError, XplainError
 from xplain.explanation.problem import Problem
-from xplain.runs.api import _words
 from xplain.solvers.base import Policy
 from xplain.solvers.qhr import QHR
 from xplain.solvers.qmdp import QMDP
@@ -57,7 +56,7 @@ def test_a_run_is_that_of_the_command_line(here: Path, capsys: pytest.CaptureFix
     (folder,) = (here / "other" / "outputs" / "runs").iterdir()
     shown = xplain.load(folder)
     assert isinstance(shown, xplain.Run)
-    assert shown.results.stamp == run.results.stamp
+    assert shown.results.fingerprint == run.results.fingerprint
     assert shown.results.episodes == run.results.episodes
     frame = run.frame()
     own = frame[frame["solver"] == "solver"]
@@ -124,9 +123,11 @@ def test_a_sweep_takes_lists_and_objects_and_gives_frames_and_axes(here: Path) -
     ("keys", "said"),
     [
         ({"lamda": 3}, "lamda: no such key; did you mean lambda?"),
+        ({"tradeoff": 3}, "tradeoff: no such key; did you mean trade_off?"),
+        ({"users_counts": 3}, "users_counts: no such key; did you mean users_count?"),
         ({"solver": "nonsense"}, "solver=nonsense: unknown choice"),
         ({"trade_off": -1}, "lambda=-1.0: a number ≥ 0"),
-        ({"solver": object()}, "an object of a dataclass in a module"),
+        ({"solver": object()}, "an object of a dataclass that stands in a module"),
         ({"config_dir": "absent"}, "a folder with choices of your own"),
     ],
 )
@@ -145,45 +146,77 @@ def test_folders_and_rows_that_are_none_are_told(here: Path) -> None:
         xplain.run(*SMALL, dry_run=True)
 
 
-def test_values_are_written_as_the_command_line_has_them() -> None:
-    item = Item("goal", "G", ((0, 2),))
-    for value in (item, [item]):
-        (word,) = _words({"domain": value})
-        assert word.startswith("domain=Item_")
-    assert _words({"trade_off": [0.5, 1], "dry_run": True, "prior": None}) == [
-        "lambda=0.5,1",
-        "dry_run=true",
-        "prior=null",
-    ]
-    assert _words({"seed": range(2), "trade_off": np.linspace(0.5, 1, 2)}) == [
-        "seed=0,1",
-        "lambda=0.5,1.0",
-    ]
-    assert _words({"seed": [np.int64(1)], "outputs": Path("else where")}) == [
-        "seed=1",
-        "outputs='else where'",
-    ]
-    assert _words({"users_count": 2, "max_steps": 3}) == ["users.count=2", "max_steps=3"]
-    assert _words({"cells": [[[6, 2]]]}) == ["cells=[[6,2]]"]
-    assert _words({"domain.map": "S.'\n", "message_cost": {"fire": 2}}) == [
-        "domain.map='S.\\'\n'",
-        "message_cost={fire: 2}",
-    ]
+@dataclass(frozen=True)
+class Named(QHR):
+    """A solver with options of every kind."""
 
+    text: str = ""
+    cells: tuple[tuple[int, ...], ...] = ()
+    fees: Mapping[str, float] = field(default_factory=dict)
+
+
+TEXTS = ["null", "true", "1e3", "ä λ\n", "a\\'b", "${x}".replace("$", "§"), "x,y", "[1]", ""]
+
+
+def test_values_arrive_as_they_are_given(here: Path) -> None:
+    solvers = [Named(text=text, cells=((6, 2),)) for text in TEXTS]
+    for seed in (range(2), np.arange(2), [np.int64(0), np.int64(1)]):
+        sweep = xplain.sweep(*SMALL, SERIAL, solver=solvers, seed=seed, outputs=here / "a b'c")
+        configs = [run.results.config for run in sweep.runs]
+        assert {config["solver"]["text"] for config in configs} == {*TEXTS}
+        assert {config["seed"] for config in configs} == {0, 1}
+        assert all(config["solver"]["cells"] == [[6, 2]] for config in configs)
+    assert sweep.folder.is_relative_to(here / "a b'c")
+    run = xplain.run(*SMALL, trade_off=np.float32(0.5), message_cost={"goals": 2.0, **FEES})
+    assert run.results.config["message_cost"]["goals"] == 2.0
+    assert run.results.trade_off == 0.5
+
+
+FEES = dict.fromkeys(("discount", "step_cost", "penalty_cells", "penalty"), 1.0)
+
+
+def test_equal_objects_are_one_job_and_others_another() -> None:
+    one, same = Named(fees={"a": 2.0, "b": 1.0}), Named(fees={"b": 1.0, "a": 2.0})
+    assert one == same
+    others = [Named(fees={"a": 1.0, "b": 2.0}), Named(fees={"a": 2.0}), Named()]
+    assert len(xplain.sweep(*SMALL, SERIAL, solver=[one, same, *others]).runs) == 4
+
+
+SCRIPT = """
+from dataclasses import dataclass, field
+import xplain
+from xplain.errors import XplainError
+from xplain.solvers.qhr import QHR
 
 @dataclass(frozen=True)
-class Fees:
-    """A choice that somebody may write, with a table."""
+class Mine(QHR):
+    extra: float = 1.0
 
-    of: Mapping[str, float]
+if __name__ == "__main__":
+    small = {small!r}
+    run = xplain.run(*small, solver=Mine())
+    assert run.results.solver.startswith("Mine_")
+    try:
+        xplain.sweep(*small, solver=[Mine(), Mine(2.0)])
+    except XplainError as error:
+        print("said:", error)
+    print(len(xplain.sweep(*small, {serial!r}, solver=[Mine(), Mine(2.0)]).runs), "jobs")
+"""
 
 
-def test_equal_objects_are_one_value_and_others_another() -> None:
-    one, same = Fees({"fire": 2.0, "smoke": 1.0}), Fees({"smoke": 1.0, "fire": 2.0})
-    assert one == same
-    assert _words({"domain": one}) == _words({"domain": same})
-    others = [Fees({"fire": 1.0, "smoke": 2.0}), Fees({"fire": 2.0}), Fees({})]
-    assert len({*_words({"domain": one}), *(_words({"domain": o})[0] for o in others)}) == 4
+def test_a_component_of_the_script_itself_runs_in_this_process(here: Path) -> None:
+    (here / "script.py").write_text(SCRIPT.format(small=SMALL, serial=SERIAL))
+    command = [sys.executable, "script.py"]
+    done = subprocess.run(command, env=sweeps.environment(), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    said, jobs = done.stdout.splitlines()
+    assert said.startswith("said: solver='__main__.Mine': a component from a file")
+    assert jobs == "2 jobs"
+    before = {path.name for path in (here / "outputs" / "results").iterdir()}
+    (here / "script.py").write_text((here / "script.py").read_text() + "# edited\n")
+    subprocess.run(command, env=sweeps.environment(), check=True, capture_output=True)
+    after = {path.name for path in (here / "outputs" / "results").iterdir()}
+    assert len(after) == 2 * len(before)  # another source is another address
 
 
 class Tee:

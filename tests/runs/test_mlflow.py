@@ -15,15 +15,14 @@ from mlflow import MlflowClient
 from mlflow.entities import Run
 
 from tests.report import handmade
-from tests.runs.sweeps import planned, put
+from tests.runs.sweeps import planned
 from xplain.cli.sync import sync
 from xplain.errors import InputError, XplainError
 from xplain.experiment.results import ElbowFigures, Figure, save_results
 from xplain.report.summary import Summary
 from xplain.runs import mlflow
-from xplain.runs.folder import FAILURE, STARTED, SweepFolder
+from xplain.runs.folder import FAILURE, Listed, SweepFolder, mark_failed
 from xplain.runs.mlflow import MLflow, view
-from xplain.runs.plan import Job
 from xplain.runs.terminal import without_passwords
 
 PARENT = "mlflow.parentRunId"
@@ -44,7 +43,7 @@ def client(outputs: Path) -> MlflowClient:
 @pytest.fixture
 def folder(outputs: Path) -> SweepFolder:
     """A sweep of three jobs."""
-    return planned(outputs, 3)[1]
+    return planned(outputs, 3)
 
 
 def runs(client: MlflowClient) -> list[Run]:
@@ -68,21 +67,20 @@ def children(client: MlflowClient) -> dict[str, str]:
     }
 
 
-def fail(folder: SweepFolder, job: Job) -> None:
-    put(folder, job, FAILURE, json.dumps({"error": "no memory", "traceback": "line 1"}))
+def fail(folder: SweepFolder, job: Listed) -> None:
+    mark_failed(folder.of(job), RuntimeError("no memory"))
 
 
-def finish(folder: SweepFolder, job: Job, started: float = 1e9) -> None:
-    folder.of(job).mkdir(parents=True, exist_ok=True)
+def finish(folder: SweepFolder, job: Listed, started: float = 1e9) -> None:
+    folder.address(job).mkdir(parents=True, exist_ok=True)
     episodes = tuple(handmade.episode(name, 0, "A", 1.0) for name in ("oracle", "solver"))
     own = handmade.results(job.label, {}, episodes)
-    save_results(
-        folder.of(job), replace(own, started=started, name=job.label, id=folder.result_id(job))
-    )
+    own = replace(own, started=started, fingerprint=job.fingerprint)
+    save_results(folder.address(job), own)
 
 
 def send(folder: SweepFolder) -> None:
-    sync([folder.path], folder.path.parent, MLflow())
+    sync([folder.path], folder.path.parents[1], MLflow())
 
 
 def test_a_run_has_its_figures_curves_choices_and_files(
@@ -96,8 +94,7 @@ def test_a_run_has_its_figures_curves_choices_and_files(
         metrics={"regret": Figure(1.25, 1.0, 1.5), "cost": Figure(3.0, None, None)},
         learning={"adjusted_rand_index": 0.9},
         elbow=ElbowFigures("kneedle", (40.0, 7.0, 1.0)),
-        steps={"belief_in_true_type": (0.2, 0.6, 0.9)},
-        id="one",
+        fingerprint="one",
     )
     place = outputs / "runs" / "mine"
     place.mkdir(parents=True)
@@ -115,12 +112,8 @@ def test_a_run_has_its_figures_curves_choices_and_files(
     assert single == {"regret": 1.25, "regret_low": 1.0, "regret_high": 1.5}
     assert run.data.metrics["solver/seconds"] == 5.5
     assert run.data.metrics["types/adjusted_rand_index"] == 0.9
-    for name, curve in (
-        ("types/disagreements", {1: 40.0, 2: 7.0, 3: 1.0}),
-        ("solver/belief_in_true_type", {0: 0.2, 1: 0.6, 2: 0.9}),
-    ):
-        history = client.get_metric_history(run.info.run_id, name)
-        assert {point.step: point.value for point in history} == curve
+    for name in run.data.metrics:  # nothing over a pretended step
+        assert [point.step for point in client.get_metric_history(run.info.run_id, name)] == [0]
     assert run.data.params == {**own.choices, "seed": "4", "lambda": "0.5"}
     files = {file.path for file in client.list_artifacts(run.info.run_id)}
     assert files == {"config.yaml", "results.json"}
@@ -129,14 +122,13 @@ def test_a_run_has_its_figures_curves_choices_and_files(
 def test_a_sweep_is_a_parent_with_a_child_for_each_job_that_ended(
     client: MlflowClient, folder: SweepFolder
 ) -> None:
-    first, second, third = folder.jobs()
-    put(folder, first, STARTED, "here 1")
+    _, second, third = folder.jobs()
     fail(folder, second)
     send(folder)
     assert parent(client).data.params == {"seed": "0, 1, 2", "jobs": "3"}
     assert children(client) == {second.label: "FAILED"}
     (failed,) = (run for run in runs(client) if PARENT in run.data.tags)
-    assert failed.data.tags["xplain.error"] == "no memory"
+    assert failed.data.tags["xplain.error"] == "RuntimeError: no memory"
     assert [file.path for file in client.list_artifacts(failed.info.run_id)] == [FAILURE]
     finish(folder, third)
     for _ in range(2):
@@ -187,28 +179,23 @@ def test_what_ran_again_takes_the_place_of_what_was_sent(
     send(folder)
     before = {run.info.run_id for run in runs(client)}
     finish(folder, first, started=2e9)
-    folder.clear(second)
     finish(folder, second)
     send(folder)
     assert children(client) == {first.label: "FINISHED", second.label: "FINISHED"}
     assert before & {run.info.run_id for run in runs(client)} == {parent(client).info.run_id}
 
 
-def test_runs_beyond_the_first_page_are_known(
-    client: MlflowClient, folder: SweepFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = MlflowClient.search_runs
-    monkeypatch.setattr(
-        MlflowClient,
-        "search_runs",
-        lambda self, *at, max_results, **how: whole(self, *at, max_results=2, **how),
-    )
-    for job in folder.jobs():
-        finish(folder, job)
+def test_one_result_in_two_sweeps_is_two_children(client: MlflowClient, outputs: Path) -> None:
+    first = planned(outputs, 1)
+    second = SweepFolder(outputs / "sweeps" / "other-2")
+    second.path.mkdir()
+    second.save(first.jobs(), outputs / "results", {"command": "", "started": 1e9})
+    finish(first, first.jobs()[0])
     for _ in range(2):
-        send(folder)
-    monkeypatch.setattr(MlflowClient, "search_runs", whole)
-    assert len(runs(client)) == 1 + 3
+        for folder in (first, second):
+            send(folder)
+        parents = {run.data.tags.get(PARENT) for run in runs(client)}
+        assert (len(parents), len(runs(client))) == (3, 4)  # two, and None
 
 
 def test_a_view_of_the_sweep_shows_what_was_swept_and_the_measure(
@@ -252,12 +239,12 @@ def test_a_server_that_is_away_costs_a_line_without_its_password(
     finish(folder, folder.jobs()[0])
     away = MLflow("http://lab:secret@127.0.0.1:9")
     with caplog.at_level(logging.WARNING, "xplain"):
-        assert away.log(folder.path, folder.path.parent) == []
+        assert away.log(folder.path, folder.path.parents[1]) == []
     (said,) = (one.getMessage() for one in caplog.records if one.name.startswith("xplain"))
     assert f"xplain sync {folder.path}" in said
     assert "\n" not in said
     with pytest.raises(XplainError, match=r"tracking\.uri: MLflow does not take"):
-        sync([folder.path], folder.path.parent, away)
+        sync([folder.path], folder.path.parents[1], away)
     assert "secret" not in caplog.text
     assert without_passwords("to http://lab:secret@host/x?y") == "to http://***@host/x?y"
 
@@ -270,10 +257,10 @@ def test_a_deleted_experiment_and_what_is_no_database_are_one_line(
     client.delete_experiment(parent(client).info.experiment_id)
     with pytest.raises(InputError, match=r"tracking\.experiment='xplain': an experiment that"):
         send(folder)
-    other = folder.path.parent / "other.db"
+    other = folder.path.parents[1] / "other.db"
     other.write_text("no database")
     with pytest.raises(XplainError, match=r"^tracking\.uri: MLflow does not take .*$"):
-        sync([folder.path], folder.path.parent, MLflow(f"sqlite:///{other}"))
+        sync([folder.path], folder.path.parents[1], MLflow(f"sqlite:///{other}"))
 
 
 def test_what_mlflow_raises_costs_a_warning_that_says_why(
@@ -291,7 +278,7 @@ def test_what_mlflow_raises_costs_a_warning_that_says_why(
 def test_the_command_that_opens_the_pages_names_the_database(
     folder: SweepFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(folder.path.parents[1])
+    monkeypatch.chdir(folder.path.parents[2])
     shows = "  once this runs: mlflow ui --backend-store-uri sqlite:///"
-    outputs = folder.path.parent
+    outputs = folder.path.parents[1]
     assert MLflow().log(folder.path, outputs)[-1] == f"{shows}{outputs.name}/mlflow.db"

@@ -60,6 +60,11 @@ def with_solver(folder: Path, target: str) -> None:
     (folder / "own.py").write_text(SOLVERS)
 
 
+def run(folder: Path, *words: str) -> tuple[int, str]:
+    """``xplain …`` there, flags before keys: exit code and all output."""
+    return forked.run(folder, *sorted(words, key=lambda word: not word.startswith("-")))
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     """``{path: content}`` of all files but locks, which are empty, and the test's own."""
     files = [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock"]
@@ -100,24 +105,24 @@ def test_refusals_and_dry_runs_leave_a_users_files(
         (tmp_path / name).write_text("a year of work")
     with unchanged(tmp_path):
         given = (*sweeps.SINGLE, "tracking=none", f"hydra.run.dir={place}", *words)
-        code, output = forked.run(tmp_path, *given)
+        code, output = run(tmp_path, *given)
     assert code == (0 if "dry_run=true" in words else 2), output
 
 
 def test_a_run_does_not_touch_the_results_of_another(tmp_path: Path) -> None:
     given = (*sweeps.SINGLE, "tracking=none", "hydra.run.dir=mine")
-    code, output = forked.run(tmp_path, *given)
+    code, output = run(tmp_path, *given)
     assert code == 0, output
     with unchanged(tmp_path):
         for words in (("lambda=2",), ("lambda=-1",), ("dry_run=true",), ("solver=nonsense",)):
-            code, output = forked.run(tmp_path, *given, *words)
+            code, output = run(tmp_path, *given, *words)
             assert code == (0 if "dry_run=true" in words else 2), output
-    assert "hydra.run.dir='mine': another folder" in forked.run(tmp_path, *given)[1]
+    assert "hydra.run.dir='mine': another folder" in run(tmp_path, *given)[1]
 
 
 def test_a_picture_that_cannot_be_drawn_costs_no_results(tmp_path: Path) -> None:
     (tmp_path / "mine" / "trace.png").mkdir(parents=True)
-    code, output = forked.run(tmp_path, *sweeps.SINGLE, "tracking=none", "hydra.run.dir=mine")
+    code, output = run(tmp_path, *sweeps.SINGLE, "tracking=none", "hydra.run.dir=mine")
     assert code == 0, output
     assert "there is no picture: " in output
     assert {"results.json", "episodes.jsonl"} <= {p.name for p in (tmp_path / "mine").iterdir()}
@@ -128,7 +133,7 @@ def test_a_certificate_that_needs_too_much_memory_costs_no_results(tmp_path: Pat
     with (tmp_path / "choices/solver/mine.yaml").open("a", encoding="utf-8") as file:
         file.write("memory_gib: 1e-9\n")
     words = (*MINE, "certify.traces=1", "hydra.run.dir=mine")
-    code, output = forked.run(tmp_path, *sweeps.SINGLE, *words)
+    code, output = run(tmp_path, *sweeps.SINGLE, *words)
     assert code == 0, output
     said = r"no certificate of trace 0: .* GiB .*solver.memory_gib=1e-09"
     assert re.search(said, output), output
@@ -164,7 +169,7 @@ def test_a_job_that_fails_ends_no_other_and_is_told(
 ) -> None:
     with_solver(tmp_path, f"own.{solver}")
     given = (*MINE, *sweeps.TINY[:-2], "lambda=1", "solver=mine,qhr", launcher)
-    code, output = forked.run(tmp_path, *given)
+    code, output = run(tmp_path, *given)
     assert code == 1, output
     end = output[output.index("1 of 2 jobs finished") :]
     assert said in end
@@ -189,7 +194,7 @@ def test_no_file_and_no_line_has_a_servers_password(
 def test_a_folder_may_have_any_letters(tmp_path: Path) -> None:
     folder = tmp_path / "Anna's 100% thesis"
     with_solver(folder, "xplain.solvers.qmdp.QMDP")
-    code, output = forked.run(folder, *MINE, *sweeps.QUICK[:-3], "lambda=1", sweeps.SERIAL)
+    code, output = run(folder, *MINE, *sweeps.QUICK[:-3], "lambda=1", sweeps.SERIAL)
     assert code == 0, output
     assert "1 of 1 jobs finished" in output
 
@@ -211,7 +216,7 @@ def test_a_class_that_will_not_do_is_one_line_before_any_work(
     with_solver(tmp_path, target)
     with unchanged(tmp_path):
         for more in ((), ("-m", "lambda=1,2")):
-            code, output = forked.run(tmp_path, *sweeps.SINGLE, *MINE, *more)
+            code, output = run(tmp_path, *sweeps.SINGLE, *MINE, *more)
             assert code == 2, output
             assert output.startswith(f"xplain: {said}")
             assert output.count("\n") == 1

@@ -13,19 +13,22 @@ from hydra.core.global_hydra import GlobalHydra
 from tests import forked
 from tests.configurations import composed
 from tests.runs import sweeps
-from xplain.experiment.config import CONF
-from xplain.runs import hydra_plugins, sweep
-from xplain.runs.mlflow import Disk
-from xplain.runs.reuse import Todo
-from xplain.runs.sweep import carry_out
+from xplain.experiment.config import CONF, GROUPS, register
+from xplain.runs.job import Job
+from xplain.runs.sweep import run_in_sweep
+
+
+def addresses(folder):
+    """Of all results."""
+    return sorted(folder.glob("outputs/results/*/results.json"))
 
 
 def results(folder):
-    """``{job: (time of its results, results without times)}``."""
+    """``{fingerprint: (time of its results, results without times)}``."""
     found = {}
-    for path in sorted((sweeps.sweep_folder(folder) / "jobs").glob("*/results.json")):
+    for path in addresses(folder):
         content = json.loads(path.read_text())
-        for key in ("seconds", "started"):
+        for key in ("seconds", "started", "worker"):
             del content[key]
         del content["metrics"]["decision_ms"]
         found[path.parent.name] = (path.stat().st_mtime_ns, content)
@@ -65,10 +68,10 @@ def test_mlflow_has_one_parent_and_children_with_true_times(finished):
     assert note.startswith("Least cost: ")
     # Each job's own: from its results; the sweep begins before all and ends with the last.
     sweep = times.pop(parent)
-    for path in (sweeps.sweep_folder(finished.folder) / "jobs").glob("*/results.json"):
-        content = json.loads(path.read_text())
+    for content in (json.loads(path.read_text()) for path in addresses(finished.folder)):
         end = content["started"] + sum(content["seconds"].values())
-        assert times.pop(content["name"]) == (int(1000 * content["started"]), int(1000 * end))
+        name = f"{content['choices']['solver']} λ={content['config']['lambda']:g}"
+        assert times.pop(name) == (int(1000 * content["started"]), int(1000 * end))
         assert sweep[0] <= 1000 * content["started"] <= 1000 * end < sweep[1] + 1
 
 
@@ -84,19 +87,19 @@ def test_the_same_command_again_runs_nothing_and_says_the_same(finished):
 def test_only_what_is_missing_or_damaged_runs(finished):
     folder = finished.folder
     before = results(folder)
-    lost, damaged = "solver=qmdp,lambda=1", "solver=qhr,lambda=2"
-    jobs = sweeps.sweep_folder(folder) / "jobs"
-    (jobs / lost / "results.json").unlink()
-    (jobs / damaged / "results.json").write_text('{"metrics": ')
+    lost, damaged, other = addresses(folder)[:3]
+    lost.unlink()
+    damaged.write_text('{"metrics": ')
+    other.write_text(json.dumps(json.loads(other.read_text()) | {"schema": 0}))  # of another one
     code, output = forked.run(folder, *sweeps.TINY, sweeps.SERIAL, "dry_run=true")
-    assert "6 jobs: 4 done, 0 done elsewhere (to be copied), 2 to run" in output
-    assert re.search(r"time to expect: about \d+ s, as its finished jobs took", output)
+    assert "6 jobs: 3 done, 3 to run" in output
+    assert re.search(r"time to expect: about \d+ s of one worker, as its finished jobs", output)
     code, output = sweeps.run(folder, *sweeps.TINY, sweeps.SERIAL)
     assert code == 0, output
-    assert "2 jobs to run, 4 finished before" in output
+    assert "3 jobs to run, 3 finished before" in output
     after = results(folder)
     again = {name for name in after if after[name][0] != before[name][0]}
-    assert again == {lost, damaged}
+    assert again == {path.parent.name for path in (lost, damaged, other)}
     # The same numbers, whoever computed them.
     assert {n: c for n, (_, c) in after.items()} == {n: c for n, (_, c) in before.items()}
 
@@ -108,6 +111,7 @@ def test_all_anew_on_demand(finished, tmp_path):
     assert code == 0, output
     after = results(tmp_path)
     assert all(after[name][0] != before[name][0] for name in before)
+    assert {n: c for n, (_, c) in after.items()} == {n: c for n, (_, c) in before.items()}
     assert sweeps.tables(tmp_path) == tables
     assert [name for name, *_ in sweeps.runs(tmp_path)] == [name for name, *_ in runs]
     assert len(runs) == 1 + 6
@@ -129,57 +133,121 @@ def test_bad_values_are_found_before_any_job_starts(tmp_path, arguments, said):
     assert not (tmp_path / "outputs").exists()
 
 
-def without_tracking(finished, folder):
-    """A copy of the finished sweep's results, and of nothing else."""
-    shutil.copytree(
-        sweeps.sweep_folder(finished.folder),
-        folder / "outputs" / "sweeps" / sweeps.sweep_folder(finished.folder).name,
-    )
-
-
-def test_a_sweep_that_grows_runs_what_is_new_and_shows_all_of_it(finished, tmp_path, empty_store):
-    without_tracking(finished, tmp_path)
-    before = {name: content for name, (_, content) in results(finished.folder).items()}
-    wider = (*sweeps.TINY[:-1], "lambda=0.5,1,2,3", sweeps.SERIAL)
+def test_a_sweep_runs_what_no_other_has_run(finished, tmp_path):
+    shutil.copytree(finished.folder / "outputs" / "results", tmp_path / "outputs" / "results")
+    before = results(tmp_path)
+    wider = (*sweeps.TINY[:-1], "lambda=0.5,1,2,3", sweeps.SERIAL, "tracking=none")
     code, output = sweeps.run(tmp_path, *wider, "dry_run=true")
     assert code == 0, output
-    assert "8 jobs: 0 done, 6 done elsewhere (to be copied), 2 to run" in output
-    assert len(list((tmp_path / "outputs" / "sweeps").iterdir())) == 1
-    assert not (tmp_path / "outputs" / "mlflow.db").exists()
-
-    shutil.copy(empty_store, tmp_path / "outputs" / "mlflow.db")
+    assert "8 jobs: 6 done, 2 to run" in output
+    assert not (tmp_path / "outputs" / "sweeps").exists()
     code, output = sweeps.run(tmp_path, *wider)
     assert code == 0, output
-    assert "2 jobs to run, 6 copied from finished runs and sweeps" in output
-    (grown,) = [
-        path
-        for path in (tmp_path / "outputs" / "sweeps").iterdir()
-        if path.name != sweeps.sweep_folder(finished.folder).name
-    ]
-    for name, content in before.items():
-        copied = json.loads((grown / "jobs" / name / "results.json").read_text())
-        # The same numbers under the new sweep's name for them.
-        assert copied.pop("id") != content.pop("id")
-        assert {key: copied[key] for key in ("episodes", "stamp", "config")} == {
-            key: content[key] for key in ("episodes", "stamp", "config")
-        }
-        assert (grown / "jobs" / name / "episodes.jsonl").exists()
-    assert len(list((grown / "jobs").glob("*/results.json"))) == 8
-    names = [name for name, _, parent in sweeps.runs(tmp_path) if parent is not None]
-    assert len(names) == len(set(names)) == 8
+    assert "2 jobs to run, 6 finished before" in output
+    after = results(tmp_path)
+    assert len(after) == 8
+    assert before.items() <= after.items()
 
 
-def test_a_run_on_its_own_is_taken_into_a_sweep(folder):
+def test_a_run_and_a_sweep_share_a_result(folder):
+    """Each also where the other began; one that is there is not computed again."""
     code, output = forked.run(folder, *sweeps.SINGLE)
     assert code == 0, output
     assert "folder: outputs/runs/" in output
     (picture,) = (folder / "outputs" / "runs").rglob("trace.png")
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert re.search(r"MLflow: http://127.0.0.1:5000/#/experiments/\d+/runs/[0-9a-f]{32}", output)
+    first = results(folder)
     code, output = sweeps.run(folder, *sweeps.QUICK)
     assert code == 0, output
-    assert "1 jobs to run, 1 copied" in output
+    assert "1 jobs to run, 1 finished before" in output
     assert len(sweeps.runs(folder)) == 1 + (1 + 2)
+    code, output = forked.run(folder, *sweeps.SINGLE)
+    assert code == 0, output
+    assert "its result was there" in output
+    assert first.items() <= results(folder).items()
+    assert len(results(folder)) == 2
+    kept = [json.loads(p.read_text()) for p in folder.glob("outputs/runs/*/results.json")]
+    assert len(kept) == 2  # a run has a folder of its own, with all of its files
+    assert kept[0] == kept[1]
+    assert len(sweeps.runs(folder)) == 1 + (1 + 2)
+
+
+def test_hydras_own_sweeper_gives_the_same_results(finished, tmp_path):
+    words = (*sweeps.TINY, sweeps.SERIAL, "hydra/sweeper=basic", "tracking=none")
+    code, output = sweeps.run(tmp_path, *words)
+    assert code == 0, output
+    assert "6 of 6 jobs finished" in output
+    own, reference = results(tmp_path), results(finished.folder)
+    assert {n: c for n, (_, c) in own.items()} == {n: c for n, (_, c) in reference.items()}
+    assert sweeps.tables(tmp_path) == sweeps.tables(finished.folder)
+
+
+def test_forced_keys_are_the_same_keys(tmp_path):
+    """``++seed``, as Hydra advises where a key may exist."""
+    said = []
+    for force in ("", "++"):
+        words = (*sweeps.QUICK[:-2], sweeps.SERIAL, f"{force}seed=0,1", f"{force}lambda=1,2")
+        code, output = sweeps.run(tmp_path, *words, "dry_run=true")
+        assert code == 0, output
+        said.append(output)
+    assert said[0] == said[1]
+    assert "8 jobs: 0 done, 8 to run" in said[0]
+    assert "qmdp λ=1 seed=0" in said[0]
+
+
+def test_the_command_line_replaces_and_chooses_what_a_prepared_sweep_has(tmp_path):
+    """``sweeps=table1`` tells settings apart by domain and number of types."""
+
+    def jobs(*words):
+        code, output = sweeps.run(tmp_path, *words, sweeps.SERIAL, "dry_run=true", "solver=qmdp")
+        assert code == 0, output
+        return [line.split()[2:] for line in output.splitlines() if line.startswith("to run")]
+
+    table1 = ("sweeps=table1", "lambda=3,4")
+    assert len(jobs(*table1)) == 4 * 2
+    assert len(jobs(*table1, "domain=rescue")) == 2
+    assert len(jobs(*table1, "users.count=2,3")) == 2 * 2
+    code, output = sweeps.run(tmp_path, *table1, sweeps.SERIAL, "domain=taxi")
+    assert (code, output.count("\n")) == (2, 1)
+    assert "domain='taxi': values of one of the sweep's settings: domain=rescue" in output
+
+
+def test_a_key_that_some_solvers_have_varies_where_it_is(tmp_path):
+    words = (*sweeps.QUICK[:-3], "lambda=1", "solver.simulations=10,20", sweeps.SERIAL)
+    code, output = sweeps.run(tmp_path, *words, "solver=pomcp,qmdp", "dry_run=true")
+    assert code == 0, output
+    assert "solver.simulations: no key of qmdp" in output
+    assert "3 jobs: 0 done, 3 to run" in output
+    code, output = sweeps.run(tmp_path, *words, "solver=qmdp,qhr", "dry_run=true")
+    assert (code, "solver.simulations: no such key" in output) == (2, True)  # a mistake
+
+
+@pytest.mark.parametrize("swept", ["lambda=interval(0,1)", "solver=glob(q*)"])
+def test_a_sweep_without_a_list_is_refused(tmp_path, swept):
+    code, output = sweeps.run(tmp_path, "-m", swept, sweeps.SERIAL)
+    assert (code, output.count("\n")) == (2, 1)
+    assert "a list, choice(...) or range(...)" in output
+
+
+def test_a_job_that_is_another_than_its_sweep_lists_fails_and_is_not_run(tmp_path):
+    """As where a file of choices is edited between planning and running."""
+    cfg = composed("tracking=none", f"outputs={tmp_path}")
+    job = Job.of(cfg, dict.fromkeys(GROUPS, "chosen"))
+    assert run_in_sweep(job, tmp_path / "own", "of another") is None
+    failure = json.loads((tmp_path / "own" / "failure.json").read_text())
+    assert "has other code, libraries, data or files of choices" in failure["error"]
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_moved_project_knows_its_results(finished, tmp_path):
+    moved = tmp_path / "elsewhere"
+    shutil.copytree(finished.folder / "outputs", moved / "outputs")
+    code, output = forked.run(moved, "report")
+    assert code == 0, output
+    assert "QMDP" in output
+    code, output = sweeps.run(moved, *sweeps.TINY, sweeps.SERIAL, "tracking=none")
+    assert "nothing is missing, 6 finished before" in output
 
 
 def test_every_launcher_gives_the_same_table(finished, tmp_path):
@@ -219,7 +287,7 @@ def test_sync_sends_a_sweep_once(finished, folder):
 @pytest.mark.parametrize("name", sorted(path.stem for path in (CONF / "sweeps").glob("*.yaml")))
 def test_sweep_files_set_known_keys_and_open_with_their_command(name):
     plain = composed()
-    hydra_plugins.register()
+    register()
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         chosen = compose("config", [f"sweeps={name}"], return_hydra_config=True)
@@ -228,24 +296,6 @@ def test_sweep_files_set_known_keys_and_open_with_their_command(name):
     first = (CONF / "sweeps" / f"{name}.yaml").read_text().splitlines()[:2]
     assert first == ["# @package _global_", f"# python -m xplain sweeps={name}"]
     assert chosen.hydra.mode.name == "MULTIRUN"
-
-
-def test_progress_counts_what_was_finished_before_and_what_was_copied(tmp_path, monkeypatch):
-    plan, folder = sweeps.planned(tmp_path, 4)
-    finished, copied, gone, waiting = (job.fingerprint for job in plan.jobs)
-    there, lost = tmp_path / "there", tmp_path / "lost"
-    todo = Todo((finished,), {copied: there, gone: lost}, (waiting,))
-    monkeypatch.setattr(sweep, "copy_results", lambda source, *_: source == there)
-    seen = []
-
-    def watch(folder, jobs, done):
-        seen.append((len(jobs), done))
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(sweep, "watched", watch)
-    with pytest.raises(KeyboardInterrupt):
-        carry_out(todo, plan, folder, Disk(), tmp_path, lambda jobs: None)
-    assert seen == [(2, 2)]
 
 
 def test_a_damaged_sweep_hides_no_other_and_its_command_mends_it(finished, tmp_path):

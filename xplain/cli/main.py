@@ -28,7 +28,7 @@ xplain: personalized explanations of a robot's decisions, as experiments.
 
 {commands}
 
-All keys with their defaults and choices: xplain --keys, docs/config.md. Of a run: --cfg job.
+All keys with their defaults and choices: xplain --hydra-help, docs/config.md. Of a run: --cfg job.
 `python -m xplain` is the same as `xplain`.
 """
 

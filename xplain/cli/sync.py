@@ -15,9 +15,8 @@ from xplain.errors import InputError, XplainError, first_line
 from xplain.experiment.config import composed
 from xplain.experiment.results import RESULTS
 from xplain.report.summary import SWEEP, load_sweep
-from xplain.runs.folder import SweepFolder
+from xplain.runs.folder import SweepFolder, runs_and_sweeps
 from xplain.runs.mlflow import MLflow
-from xplain.runs.reuse import runs_and_sweeps
 from xplain.runs.terminal import without_passwords
 
 log = logging.getLogger(__name__)
@@ -32,8 +31,7 @@ def sync(folders: list[Path], outputs: Path, tracking: MLflow) -> int:
     """
     count = 0
     for folder in folders:
-        inside = folder.parent.name == "jobs" and (folder.parents[1] / SWEEP).exists()
-        below = list(runs_and_sweeps(folder.parents[1] if inside else folder))
+        below = list(runs_and_sweeps(folder))
         if not below:
             raise InputError("folder", str(folder), f"a folder with {RESULTS} in it or below")
         for one in below:

@@ -131,7 +131,7 @@ def belief_questions(
         InputError: nothing is known of what types hold wrong, or no fact has two sentences.
     """
     if wrong is None:
-        wanted = "clips; or types with fact sets, as labeler=true and labeler=hypotheses give"
+        wanted = "clips; or types with fact sets, as labeler=truth and labeler=hypotheses give"
         raise InputError("ask", "beliefs", wanted)
     parameters = setting.domain.parameters
     facts = [j for j, one in enumerate(parameters) if one.message and one.belief]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 import secrets
 import sys
 from collections.abc import Iterator, Sequence
@@ -36,7 +37,7 @@ from omegaconf.errors import (
 )
 from yaml import MarkedYAMLError, YAMLError
 
-from xplain.errors import InputError, XplainError, first_line, one_of, quoted
+from xplain.errors import InputError, XplainError, first_line, one_of
 
 _INSIDE = Path(__file__).parents[1] / "conf"
 CONF = _INSIDE if _INSIDE.is_dir() else _INSIDE.parents[1] / "conf"
@@ -68,13 +69,14 @@ def schema() -> DictConfig:
     kinds = {
         IntegerNode: ("seed", "points", "traces", "max_steps"),
         FloatNode: ("lambda", "discount", "inexplicability_cost"),
-        StringNode: ("discount_per", "prior", "resume"),
+        StringNode: ("discount_per", "prior", "resume", "fingerprint"),
         BooleanNode: ("dry_run",),
         AnyNode: ("message_cost",),  # a number, or one by name; checked with the messages
     }
     typed = {key: kind("???") for kind, keys in kinds.items() for key in keys}
-    # Absolute, so that it is the same folder in every worker.
-    return OmegaConf.create({**typed, "outputs": StringNode(str(Path.cwd() / "outputs"))})
+    # Absolute, so that it is the same folder in every worker; a path may have "${" in it.
+    outputs = str(Path.cwd() / "outputs").replace("${", r"\${")
+    return OmegaConf.create({**typed, "outputs": StringNode(outputs)})
 
 
 def register() -> None:
@@ -84,8 +86,6 @@ def register() -> None:
     OmegaConf.register_new_resolver(
         "unique", lambda: secrets.token_hex(3), replace=True, use_cache=True
     )
-    # Hydra prints errors over several lines and exits; with this it raises, and we print one.
-    os.environ.setdefault("HYDRA_FULL_ERROR", "1")
 
 
 def composed(name: str, overrides: Sequence[str], with_hydra: bool = False) -> DictConfig:
@@ -111,29 +111,34 @@ def composed(name: str, overrides: Sequence[str], with_hydra: bool = False) -> D
                 raise InputError("argument", override, f"key=value; keys: {', '.join(known)}")
             group, at, package = key.lstrip("+~").partition("@")  # such as study/texts@wording
             if (package if at else group).split(".")[0].split("/")[0] not in (*known, "hydra"):
-                hint = _did_you_mean(key, known)
+                hint = did_you_mean(key, known)
                 raise InputError(key, override, f"no such key;{hint} keys: {', '.join(known)}")
-        return compose(name, named(overrides), return_hydra_config=with_hydra)
+        return compose(name, [*overrides], return_hydra_config=with_hydra)
 
 
-def named(overrides: Sequence[str]) -> list[str]:
-    """Overrides whose choice of a group is a name to Hydra too: it reads ``labeler=true`` as a
-    truth value, where only text can name a file."""
+def require_names(overrides: Sequence[str]) -> None:
+    """Refuses what Hydra takes for a truth value or nothing, where a choice has a name.
 
-    def as_name(override: str) -> str:
+    Raises:
+        InputError: it is so.
+    """
+    for override in overrides:
         key, _, value = override.partition("=")
-        is_name = key in GROUPS and value in ("true", "false")
-        return f"{key}={quoted(value)}" if is_name else override
-
-    return [as_name(override) for override in overrides]
+        if key in (*GROUPS, "tracking") and value in ("null", "true", "false"):
+            names = sorted(path.stem for path in (CONF / key).glob("*.yaml"))
+            raise InputError(key, value, f"the name of a choice: {', '.join(names)}")
 
 
 def require_usable(cfg: DictConfig) -> None:
     """Refuses an experiment's configuration whose types fit and which makes no sense all the same.
 
     Raises:
-        XplainError: a ``resume`` that there is not, or a domain's file in the wrong package.
+        XplainError: a choice that is null, a ``resume`` that there is not, or a domain's file in
+            the wrong package.
     """
+    for group in (*GROUPS, "tracking"):
+        if cfg.get(group) is None:
+            raise InputError(group, None, "the name of a choice")
     one_of("resume", cfg.resume, RESUME)
     if "_target_" not in cfg.domain and "domain" in cfg.domain:
         raise XplainError(NO_PACKAGE)
@@ -214,7 +219,7 @@ def _unknown_choice(error: MissingConfigException) -> str:
     options = list(error.options or ())
     if not group:
         return first_line(error)
-    hint = _did_you_mean(choice, options)
+    hint = did_you_mean(choice, options)
     return f"{group}={choice}: unknown choice;{hint} allowed: {', '.join(options)}"
 
 
@@ -227,6 +232,12 @@ def missing_key(error: BaseException) -> str | None:
 
 def _composition(error: ConfigCompositionException) -> str:
     cause: Any = error.__cause__
+    several = re.match(
+        r"(?:Ambiguous value for argument|Sweep parameters) '(.*?)=(.*)'", first_line(error)
+    )
+    if several:
+        allowed = "one value; to run one job for each of several, add -m (xplain.sweep)"
+        return str(InputError(several[1], several[2], allowed))
     if missing := missing_key(error):
         if missing.count(".") > 1:
             return _unknown_inside(missing, cause.parent_node)
@@ -245,7 +256,7 @@ def unknown_key(key: str) -> str:
     top, _, inner = key.partition(".")
     known = known_keys()
     if not inner or top not in known:
-        hint = _did_you_mean(top, list(known))
+        hint = did_you_mean(top, list(known))
         return f"{key}: no such key;{hint} allowed: {', '.join(known)}"
     takes = known[top]
     if top == "message_cost":
@@ -256,7 +267,7 @@ def unknown_key(key: str) -> str:
     if name in takes:
         needs = " or ".join(f"{top}={choice}" for choice in takes[name])
         return f"{key}: no such key; it needs {needs}"
-    hint = _did_you_mean(name, list(takes), f"{top}.") or f" {top} takes {', '.join(takes)}"
+    hint = did_you_mean(name, list(takes), f"{top}.") or f" {top} takes {', '.join(takes)}"
     return f"{key}: no such key;{hint} (--cfg job shows them)"
 
 
@@ -264,7 +275,7 @@ def _unknown_inside(key: str, parent: Any) -> str:
     """What a key below one of a component's own might have been; others can be added there."""
     above, _, name = key.rpartition(".")
     known = [str(one) for one in parent or ()]
-    hint = _did_you_mean(name, known, f"{above}.")
+    hint = did_you_mean(name, known, f"{above}.")
     there = ", ".join(known) or "none"
     return f"{key}: no such key;{hint} {above} has {there}; +{key}=… adds this one"
 
@@ -300,6 +311,7 @@ def _yaml(path: Path) -> dict[str, Any]:
     return dict(content)
 
 
-def _did_you_mean(word: str, known: Sequence[str], before: str = "") -> str:
+def did_you_mean(word: str, known: Sequence[str], before: str = "") -> str:
+    """`` did you mean lambda?`` where one of these is near; else nothing."""
     near = difflib.get_close_matches(word, known, 1)
     return f" did you mean {before}{near[0]}?" if near else ""

@@ -42,10 +42,12 @@ class Experiment:
     certify: Certify
     seed: int
 
-    def prepared(self, cache: Path, key: str, progress: Progress) -> Prepared:
+    def prepared(self, cache: Path | None, key: str, progress: Progress) -> Prepared:
         """The first half: observers label, types and labelers are learned, traces drawn; kept in
-        the folder ``cache`` under this key."""
+        the folder ``cache`` under this key, or computed in any case without a folder."""
         with progress.stage("data, user types and labelers"):
+            if cache is None:
+                return prepare(self.components(), progress)
             return prepared_once(cache, key, lambda: prepare(self.components(), progress))
 
     def explained(self, prepared: Prepared, progress: Progress) -> tuple[Prepared, list[Record]]:

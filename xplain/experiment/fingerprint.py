@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import importlib.util
+import inspect
 import json
 import re
 import subprocess
@@ -23,13 +24,17 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from xplain.errors import InputError
+
 LIBRARIES = {
     **{name: name for name in ("numpy", "scipy", "kneed", "numba", "pandas", "pyarrow")},
     "scikit-learn": "sklearn",
+    "gymnasium": "gymnasium",
+    "fast-downward.translate": "fast_downward",
 }
 """Distributions whose version may change a number, and the package that each brings."""
 
-NOT_IN_NUMBERS = ("hydra", "outputs", "tracking", "resume", "dry_run")
+NOT_IN_NUMBERS = ("hydra", "outputs", "tracking", "resume", "dry_run", "fingerprint")
 """Keys of a configuration that cannot change a number. Hydra takes its own from a job's, but not
 from the one that a sweep is planned with."""
 
@@ -100,15 +105,15 @@ def library_versions() -> dict[str, str]:
 
 
 def component_code(config: Any) -> dict[str, str]:
-    """``{top-level package: digest}`` of what ``_target_`` names outside this package, and of
-    what that imports, without running any of it.
+    """``{top-level package: digest}`` of what ``_target_`` (or a text such as ``module:Name``)
+    names outside this package, and of what that imports, without running any of it.
 
     An installed distribution counts by its list of files with their hashes; any other package
     (a checkout) by all of its files, data included; a module by its source.
     """
     found: dict[str, str] = {}
-    targets = (text for key, text in _texts(config) if key == "_target_")
-    pending = sorted({target.partition(".")[0] for target in targets})
+    names = (text for key, text in _texts(config) if key == "_target_" or _NAMES_CODE(text))
+    pending = sorted({re.split("[.:]", name)[0] for name in names})
     while pending:
         name = pending.pop()
         if name in found or name in _KNOWN or name in sys.stdlib_module_names:
@@ -116,6 +121,9 @@ def component_code(config: Any) -> dict[str, str]:
         found[name], imported = _package(name)
         pending += imported
     return found
+
+
+_NAMES_CODE = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.-]*").fullmatch
 
 
 def _texts(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
@@ -151,6 +159,8 @@ def _package(name: str) -> tuple[str, tuple[str, ...]]:
         # An editable install lists no sources of its own: fall through to them.
         if f"{name}/" in record or f"{name}.py" in record:
             return _digest(record.encode()), ()
+    if name == "__main__":
+        return _digest_of(_own_program()), ()
     try:
         spec = importlib.util.find_spec(name)
     except (ImportError, ValueError):
@@ -166,6 +176,23 @@ def _package(name: str) -> tuple[str, tuple[str, ...]]:
     code = (text for name, text in sources if name.endswith(".py"))
     imported = set[str]().union(*map(_imports, code))
     return _digest_of(sources), tuple(sorted(imported))
+
+
+def _own_program() -> list[tuple[str, bytes]]:
+    """(name, source) of the script that runs, or of the classes and functions of a notebook.
+
+    Raises:
+        InputError: their source is nowhere.
+    """
+    program = sys.modules["__main__"]
+    if file := getattr(program, "__file__", None):
+        return [("__main__", Path(file).read_bytes())]
+    own = [one for one in vars(program).values() if getattr(one, "__module__", "") == "__main__"]
+    try:
+        return [(one.__name__, inspect.getsource(one).encode()) for one in own if callable(one)]
+    except (OSError, TypeError, AttributeError):
+        allowed = "a class in a file or a cell of a notebook: its source is part of a result"
+        raise InputError("_target_", "__main__", allowed) from None
 
 
 _IGNORED = re.compile(r"__pycache__$|\.").match

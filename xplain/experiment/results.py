@@ -24,6 +24,8 @@ from xplain.storage import decode, encode, write_text
 
 RESULTS = "results.json"
 EPISODES = "episodes.jsonl"
+SCHEMA = 1
+"""Of ``results.json``: a file of another schema is not read."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,10 @@ class Provenance:
 
     Attributes:
         name: for people.
+        fingerprint: of all that its numbers depend on; its address below ``outputs/results``.
         xplain, code: version, and digest of the sources.
         git: commit, and whether the checkout has changes; empty where there is none.
+        worker: host and number of the process that computed it.
         started: seconds since 1970.
         seconds: by stage.
         choices: the components by group.
@@ -96,9 +100,11 @@ class Provenance:
     """
 
     name: str
+    fingerprint: str
     xplain: str
     code: str
     git: Mapping[str, str]
+    worker: str
     started: float
     seconds: Mapping[str, float]
     choices: Mapping[str, str]
@@ -112,6 +118,7 @@ class Results(Provenance):
     Attributes:
         metrics: by name, of the chosen solver (:func:`xplain.interaction.metrics.summarise`).
         bounds: certified figures of the explanation problems, by name.
+        certificates: ``not asked for``, ``made`` or ``failed``.
         learning: figures of the learning stage, by name.
         elbow: how the number of types was chosen.
         messages: sentences by name.
@@ -119,12 +126,12 @@ class Results(Provenance):
         types: true and learned ones.
         steps: means by step (:func:`xplain.interaction.metrics.by_step`).
         episodes: of the solver and of its references.
-        id: names this result for ever.
-        stamp: the fingerprint of all that its numbers depend on.
+        schema: version of the file.
     """
 
     metrics: Mapping[str, Figure]
     bounds: Mapping[str, float]
+    certificates: str
     learning: Mapping[str, float]
     elbow: ElbowFigures
     messages: Mapping[str, str]
@@ -132,8 +139,7 @@ class Results(Provenance):
     types: TypeNames
     steps: Mapping[str, tuple[float, ...]]
     episodes: tuple[EpisodeFigures, ...]
-    id: str = ""
-    stamp: str = ""
+    schema: int = SCHEMA
 
     @property
     def domain(self) -> str:
@@ -167,23 +173,18 @@ def domain_name(choices: Mapping[str, str], config: Mapping[str, Any]) -> str:
     return str(config.get("domain", {}).get("name") or choices["domain"])
 
 
-def results_of(
-    prepared: Prepared,
-    records: list[Record],
-    bounds: Mapping[str, float],
-    provenance: Provenance,
-) -> Results:
-    """The results of a run.
+def results_of(prepared: Prepared, records: list[Record], provenance: Provenance) -> Results:
+    """The results of a run, without certificates.
 
     Args:
         prepared, records: of the run.
-        bounds: certified figures of the explanation problems, by name.
         provenance: what was run.
     """
     return Results(
         **vars(provenance),
         metrics={name: Figure.of(found) for name, found in summarise(records).items()},
-        bounds=bounds,
+        bounds={},
+        certificates="not asked for",
         learning={k: v for k, v in prepared.learning.items() if math.isfinite(v)},
         elbow=ElbowFigures(prepared.rule, tuple(prepared.curve.tolist())),
         messages=dict(zip(prepared.messages, prepared.sentences, strict=True)),
@@ -261,10 +262,8 @@ def told(question: Question, answer: int) -> dict[str, Any]:
 
 def save_results(folder: Path, results: Results) -> None:
     """Writes ``results.json``, last of all files of a run: where it is, the run is whole."""
-    content = encode(results)
-    if not results.stamp:
-        del content["stamp"]  # a run that nobody may take for another's
-    write_text(folder / RESULTS, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    text = json.dumps(encode(results), indent=1, allow_nan=False)
+    write_text(folder / RESULTS, text + "\n")
 
 
 def load_results(folder: Path) -> Results:
@@ -275,10 +274,22 @@ def load_results(folder: Path) -> Results:
     """
     content = json.loads((folder / RESULTS).read_text(encoding="utf-8"))
     try:
+        if content["schema"] != SCHEMA:
+            raise ValueError(f"{folder / RESULTS} is of schema {content['schema']}, not {SCHEMA}")
         results: Results = decode(Results, content)
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"{folder / RESULTS} holds no results ({error!r})") from error
     return results
+
+
+def finished_at(address: Path) -> Results | None:
+    """The results at an address, whole, with the certificates that were asked for; else None."""
+    try:
+        results = load_results(address)
+    except (OSError, ValueError):
+        return None
+    whole = results.fingerprint == address.name and results.certificates != "failed"
+    return results if whole else None
 
 
 def _finite(value: float) -> float | None:

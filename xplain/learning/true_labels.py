@@ -1,4 +1,4 @@
-"""``labeler=true``: nothing is learned from labels, the true types' true labels are known."""
+"""``labeler=truth``: nothing is learned from labels, the true types' true labels are known."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class TrueLabels(LabelerTrainer):
         """
         setting, truth = observed.setting, observed.truth
         if setting is None or truth is None:
-            raise InputError("labeler", "true", "needs simulated observers, whose type is known")
+            raise InputError("labeler", "truth", "needs simulated observers, whose type is known")
         shares = np.bincount(truth, minlength=len(setting.types)) / len(truth)
 
         def tables(_: NDArray[np.float64], transitions: NDArray[np.int64]) -> TraceTables:
@@ -60,7 +60,7 @@ class TrueLabels(LabelerTrainer):
 
     def fit(self, *_: Any, **__: Any) -> NoReturn:
         """Raises InputError: whoever fits labelers learns from data alone, without a setting."""
-        raise InputError("labeler", "true", "a labeler that learns; true labels are simulated")
+        raise InputError("labeler", "truth", "a labeler that learns; true labels are simulated")
 
     def fitted(self, *_: Any, **__: Any) -> NoReturn:
         """Raises InputError, as :meth:`fit` does."""

@@ -54,7 +54,7 @@ def load_sweep(folder: Path) -> dict[str, Any]:
     path = folder / SWEEP
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if {"command", "jobs"} <= content.keys() and isinstance(content["jobs"], list):
+        if {"command", "jobs", "results"} <= content.keys() and isinstance(content["jobs"], list):
             return content
     except (ValueError, AttributeError):
         pass
@@ -75,26 +75,30 @@ class Summary:
         self.about = load_sweep(folder)
         self.jobs: list[dict[str, Any]] = self.about["jobs"]
         self.results: list[tuple[dict[str, Any], Results]] = [
-            (job, load_results(self.folder_of(job)))
+            (job, load_results(self.address(job)))
             for job in self.jobs
-            if (self.folder_of(job) / RESULTS).exists()
+            if (self.address(job) / RESULTS).exists()
         ]
 
-    def folder_of(self, job: Mapping[str, Any]) -> Path:
-        """Path of a job's own folder."""
-        return self.folder / "jobs" / str(job["name"])
+    def address(self, job: Mapping[str, Any]) -> Path:
+        """Folder of a job's result."""
+        return self.folder / str(self.about["results"]) / str(job["fingerprint"])
 
     @property
     def failures(self) -> list[tuple[str, str]]:
         """(job, error) of the failed jobs."""
-        finished = {job["name"] for job, _ in self.results}
-        left = [job for job in self.jobs if job["name"] not in finished]
-        paths = [(job["label"], self.folder_of(job) / "failure.json") for job in left]
+        left = [job for job in self.jobs if job["fingerprint"] not in self._finished]
+        own = self.folder / "jobs"
+        paths = [(job["label"], own / job["fingerprint"] / "failure.json") for job in left]
         return [
             (label, json.loads(path.read_text("utf-8"))["error"])
             for label, path in paths
             if path.exists()
         ]
+
+    @cached_property
+    def _finished(self) -> set[str]:
+        return {job["fingerprint"] for job, _ in self.results}
 
     @property
     def missing(self) -> int:
@@ -246,9 +250,8 @@ class Summary:
 
     def complete(self, values: Mapping[str, Value]) -> bool:
         """Whether all jobs of these values (of the finished ones, and as planned) are there."""
-        finished = {job["name"] for job, _ in self.results}
         return all(
-            job["name"] in finished
+            job["fingerprint"] in self._finished
             for job in self.jobs
             if all(self._planned(key, job) in (None, value) for key, value in values.items())
         )

@@ -86,7 +86,7 @@ def draw(summary: Summary, report: Path) -> Pictures:
         pictures.types.append(CaptionedImage(report / "disagreements.svg", caption))
     for domain in summary.domains:
         job, results = _example(summary, domain)
-        folder, path = summary.folder_of(job), report / f"trace_{domain}.png"
+        folder, path = summary.address(job), report / f"trace_{domain}.png"
         figure, story, which = traces.draw_typical(folder, results.scene)
         plots.save(figure, path)
         whose = f"{title(results.solver)}, λ = {results.trade_off:g} (job “{job['label']}”)"

@@ -10,12 +10,10 @@ See docs/python.md.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import logging
-import re
 import sys
 import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
@@ -26,23 +24,40 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from hydra.core.config_store import ConfigStore
+from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
+from hydra.utils import instantiate
+from joblib import Parallel, delayed
 from joblib.externals.loky import get_reusable_executor
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from xplain.errors import InputError, XplainError, one_of, quoted
-from xplain.experiment.config import known_keys, one_line
-from xplain.experiment.results import Results, load_results
+from xplain.experiment.config import (
+    CONF,
+    GROUPS,
+    did_you_mean,
+    known_keys,
+    one_line,
+    register,
+    require_names,
+    unknown_key,
+)
+from xplain.experiment.results import RESULTS, Results, load_results
 from xplain.report.comparison import answer, main_table
 from xplain.report.measure import TITLES
-from xplain.report.summary import Summary
-from xplain.runs.start import start
-from xplain.runs.terminal import without_tables
+from xplain.report.stages import stages
+from xplain.report.summary import SWEEP, Summary
+from xplain.runs.folder import Listed
+from xplain.runs.job import Job, run_alone
+from xplain.runs.sweep import Plan, finish, run_in_sweep, run_missing, set_values
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+log = logging.getLogger(__name__)
 
 PYTHON = {"trade_off": "lambda"}
 """Keys that Python cannot have as names."""
@@ -105,7 +120,7 @@ class Sweep:
     @property
     def runs(self) -> list[Run]:
         """Its finished jobs, in order."""
-        return [Run(self.summary.folder_of(job)) for job, _ in self.summary.results]
+        return [Run(self.summary.address(job)) for job, _ in self.summary.results]
 
     def frame(self, rows: str = "jobs") -> pd.DataFrame:
         """The swept values and what came out.
@@ -153,7 +168,7 @@ class Sweep:
 
 
 def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
-    """Runs one experiment.
+    """Runs one experiment in this process.
 
     Args:
         overrides: ``key=value`` each, as on the command line.
@@ -164,7 +179,26 @@ def run(*overrides: str, config_dir: str | None = None, **keys: Any) -> Run:
     Raises:
         XplainError: a key or value that is not allowed, in one line.
     """
-    return Run(_started([*overrides, *_words(keys)], False, config_dir))
+    with _started():
+        words, objects = _split(keys)
+        several = {key: values for key, values in objects.items() if len(values) > 1}
+        for key, values in several.items():
+            raise InputError(key, values, "one value; xplain.sweep runs a job for each of several")
+        with _composing([*overrides, *words], config_dir) as composed:
+            cfg = composed([*overrides, *words])
+            own = {key: value for key, (value,) in objects.items()}
+            choices = dict(cfg.hydra.runtime.choices) | set_values(cfg, own)
+            job, folder = Job.of(cfg, choices), Path(cfg.hydra.run.dir).absolute()
+        if cfg.dry_run:
+            raise InputError("dry_run", True, "false: nothing ran")
+        there = folder.exists()
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            run_alone(job, folder, instantiate(cfg.tracking), stages(), shown=False)
+        finally:
+            if not there and not any(folder.iterdir()):
+                folder.rmdir()
+        return Run(folder)
 
 
 def sweep(
@@ -180,7 +214,45 @@ def sweep(
     Raises:
         XplainError: a key or value that is not allowed, in one line; nothing was run.
     """
-    return Sweep(_started([*overrides, *_words(keys)], True, config_dir), measure)
+    with _started():
+        began = time.time()
+        chosen, objects = _split(keys)
+        words = [*overrides, *chosen]
+        single = [one for one in words if not _parsed(one).is_sweep_override()]
+        with _composing(words, config_dir) as composed:
+            config = composed(single)
+            config.hydra.overrides.task = words  # all of them
+            alike = {key: values[0] for key, values in objects.items() if len(values) == 1}
+            set_values(config, alike)
+            file: Any = OmegaConf.to_container(config.hydra.sweeper)
+            named = {key: value for key, value in file.items() if not key.startswith("_")}
+            where = [one for one in single if one.startswith("hydra")]
+            task = [one for one in words if one not in where]
+            plan = Plan.of(config, named, task, objects, lambda own: composed([*where, *own]))
+        workers = config.hydra.launcher.get("n_jobs", 1)
+        for key, values in objects.items():
+            if workers != 1 and key in GROUPS and any(map(_is_of_this_program, values)):
+                allowed = "a component from a file: workers of a sweep import it (or n_jobs=1)"
+                raise InputError(key, values[0]["_target_"], allowed)
+
+        def launch(run: list[Listed], _: Any) -> list[Any]:
+            todo = [(plan.todo[job.fingerprint], job) for job in run]
+            calls = [
+                delayed(run_in_sweep)(own, plan.folder.of(job), job.fingerprint)
+                for own, job in todo
+            ]
+            try:
+                Parallel(n_jobs=workers, batch_size=1)(calls)
+            finally:
+                get_reusable_executor().shutdown()  # a worker has the code of its first job
+            return []
+
+        run_missing(plan, launch)
+        if config.dry_run:
+            raise InputError("dry_run", True, "false: nothing ran")
+        outputs = plan.folder.path.parents[1]
+        finish(plan.folder, instantiate(config.tracking), outputs, began, log.info, shown=False)
+        return Sweep(plan.folder.path, measure)
 
 
 def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
@@ -190,119 +262,116 @@ def load(folder: str | Path, measure: str | None = None) -> Run | Sweep:
         InputError: the folder is none.
     """
     path = Path(folder)
-    if (path / "sweep.json").exists():
+    if (path / SWEEP).exists():
         return Sweep(path, measure)
-    if (path / "results.json").exists():
+    if (path / RESULTS).exists():
         return Run(path)
     raise InputError("folder", str(folder), "of a run or a sweep, below outputs/")
 
 
 _ONE_AT_A_TIME = threading.RLock()
-"""Hydra keeps what runs in globals of the process: a second thread waits."""
-
-
-def _started(words: list[str], multirun: bool, config_dir: str | None) -> Path:
-    """The folder; tables, which the result shows itself, are not printed."""
-    try:
-        with _ONE_AT_A_TIME, _told(), without_tables():
-            try:
-                folder = start(words, multirun, config_dir, logs=False)
-            finally:
-                if multirun:  # a worker has the code of its first job
-                    get_reusable_executor().shutdown()
-        if folder is None:
-            raise InputError("dry_run", True, "false: nothing ran")
-        return folder
-    except XplainError:
-        raise
-    except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
-        text = one_line(error)
-        if text is None:
-            raise
-        raise XplainError(text) from None
+"""Hydra keeps what it composes in globals of the process: a second thread waits."""
 
 
 @contextmanager
-def _told() -> Iterator[None]:
-    """What it is at goes to standard error, unless the program has logging of its own."""
-    log = logging.getLogger("xplain")
-    if logging.getLogger().handlers or log.handlers:
-        yield
-        return
-    handler, level = logging.StreamHandler(sys.stderr), log.level
-    log.addHandler(handler)
-    log.setLevel(logging.INFO)
-    try:
-        yield
-    finally:
-        log.removeHandler(handler)
-        log.setLevel(level)
+def _started() -> Iterator[None]:
+    """Errors of the caller's making are one line; what it is at goes to standard error, unless the
+    program has logging of its own."""
+    own = logging.getLogger("xplain")
+    quiet = bool(logging.getLogger().handlers or own.handlers)
+    handler, level = logging.StreamHandler(sys.stderr), own.level
+    with _ONE_AT_A_TIME:
+        try:
+            if not quiet:
+                own.addHandler(handler)
+                own.setLevel(logging.INFO)
+            yield
+        except XplainError:
+            raise
+        except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
+            text = one_line(error)
+            if text is None:
+                raise
+            raise XplainError(text) from None
+        finally:
+            if not quiet:
+                own.removeHandler(handler)
+                own.setLevel(level)
 
 
-def _words(keys: Mapping[str, Any]) -> list[str]:
-    """``key=value`` of keywords."""
-    plain = {
-        key: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-        for key, value in keys.items()
-    }
-    several = {
-        key: value if isinstance(value, list | tuple | range) else [value]
-        for key, value in plain.items()
-    }
-    return [
-        f"{_key(key)}={','.join(_text(key, one) for one in values)}"
-        for key, values in several.items()
-    ]
+@contextmanager
+def _composing(words: Sequence[str], config_dir: str | None) -> Iterator[Any]:
+    """Hydra's composition, from overrides to a configuration with the ``hydra`` node."""
+    where = []
+    if config_dir is not None:
+        if not Path(config_dir).is_dir():
+            raise InputError("config_dir", config_dir, "a folder with choices of your own")
+        where = [f"hydra.searchpath=[{quoted(f'file://{Path(config_dir).absolute()}')}]"]
+    register()
+    require_names(words)
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        yield lambda own: compose("config", [*where, *own], return_hydra_config=True)
 
 
-def _key(key: str) -> str:
+def _parsed(word: str) -> Any:
+    return OverridesParser.create().parse_override(word)
+
+
+def _split(keys: Mapping[str, Any]) -> tuple[list[str], dict[str, list[Any]]]:
+    """Choices by name, as overrides, and values that Python gives, a list each."""
+    words, objects = list[str](), dict[str, list[Any]]()
+    for name, given in keys.items():
+        key = _key(name)
+        value = given.tolist() if isinstance(given, np.ndarray | np.generic) else given
+        several = list(value) if isinstance(value, list | tuple | range) else [value]
+        groups = (*GROUPS, "tracking", "sweeps")
+        if key in groups and all(isinstance(one, str | None) for one in several):
+            words.append(f"{key}={','.join('null' if one is None else one for one in several)}")
+        else:
+            objects[key] = [_plain(key, one) for one in several]
+    return words, objects
+
+
+def _key(name: str) -> str:
     """A keyword as a key of the configuration: ``users_count`` is ``users.count``."""
-    group, _, inside = key.partition("_")
     known = known_keys()
-    if key not in known and inside in known.get(group, {}):
+    group, _, inside = name.partition("_")
+    if name in PYTHON:
+        return PYTHON[name]
+    if name not in known and inside in known.get(group, {}):
         return f"{group}.{inside}"
-    return PYTHON.get(key, key)
-
-
-def _text(key: str, value: Any) -> str:
-    """A value as it is written on the command line."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    if value is None or isinstance(value, bool | int | float):
-        return json.dumps(value)
-    if isinstance(value, str | Path):
-        value = str(value)
-        if re.fullmatch(r"[\w.@/+-]+", value):
-            return value
-        return quoted(value)
-    if isinstance(value, list | tuple) and not any(map(is_dataclass, value)):
-        return f"[{','.join(_text(key, one) for one in value)}]"
-    if isinstance(value, Mapping):
-        inside = ", ".join(f"{name}: {_text(key, own)}" for name, own in value.items())
-        return f"{{{inside}}}"
-    node = _node(key, value)
-    digest = hashlib.sha256(json.dumps(node, sort_keys=True).encode()).hexdigest()
-    name = f"{type(value).__name__}_{digest[:4]}"
-    ConfigStore.instance().store(name=name, node=node, group=key)
+    if name.partition(".")[0] not in (*known, "hydra"):
+        names = [*PYTHON, *known, *(f"{key}_{one}" for key in known for one in known[key])]
+        hint = did_you_mean(name, names)
+        raise XplainError(f"{name}: no such key;{hint}" if hint else unknown_key(name))
     return name
 
 
-def _node(key: str, value: Any) -> Any:
-    """What a configuration holds of an object: its class and its constructor's arguments."""
+def _plain(key: str, value: Any) -> Any:
+    """A value as a configuration holds it; of an object its class and its constructor's arguments.
+
+    Raises:
+        InputError: an object whose class cannot be found by its name.
+    """
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
     if value is None or isinstance(value, str | bool | int | float):
         return value
+    if isinstance(value, Path):
+        return str(value)
     if isinstance(value, Mapping):
-        return {str(name): _node(key, own) for name, own in value.items()}
+        return {str(name): _plain(key, own) for name, own in value.items()}
     if isinstance(value, Sequence):
-        return [_node(key, own) for own in value]
+        return [_plain(key, own) for own in value]
     kind = type(value)
     path = f"{kind.__module__}.{kind.__qualname__}"
-    if not is_dataclass(value) or locate(path) is not kind or kind.__module__ == "__main__":
-        allowed = (
-            "a name, or an object of a dataclass in a module: its sources are part of a result"
-        )
+    if not is_dataclass(value) or locate(path) is not kind:
+        allowed = "a name, or an object of a dataclass that stands in a module or script by itself"
         raise InputError(key, value, allowed)
-    own = {
-        field.name: _node(key, getattr(value, field.name)) for field in fields(value) if field.init
-    }
+    own = {one.name: _plain(key, getattr(value, one.name)) for one in fields(value) if one.init}
     return {"_target_": path, **own}
+
+
+def _is_of_this_program(node: Any) -> bool:
+    """Whether workers cannot import a component: its class stands in the script or notebook."""
+    return isinstance(node, Mapping) and str(node.get("_target_")).startswith("__main__.")

@@ -1,34 +1,74 @@
-"""A sweep on disk: what its jobs are, and how far each one is.
+"""A sweep on disk: which jobs it has, and how far each one is.
 
-The folder is the truth. Each job has a folder of its own below ``jobs/``; where ``results.json``
-is, the job is finished; ``failure.json`` says why it failed; ``started.json`` that a worker took
-it. All three are written whole or not at all, so a kill at any moment leaves one of these states.
+``sweep.json`` lists the jobs with the fingerprints of their results. A job is finished where its
+result's address has ``results.json``; where it failed, ``failure.json`` in its own folder below
+``jobs/`` says why. Both are written whole or not at all.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
-import socket
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 from xplain.errors import InputError
-from xplain.experiment.results import RESULTS, load_results
+from xplain.experiment.config import GROUPS
+from xplain.experiment.results import RESULTS
 from xplain.report.summary import SWEEP, load_sweep
-from xplain.runs.plan import Job, Plan
 from xplain.runs.terminal import without_passwords
 from xplain.storage import write_text
 
 FAILURE = "failure.json"
-STARTED = "started.json"
+LISTED = "job.json"
+"""In a job's own folder, where another sweeper than ours lists no jobs: what it was."""
 
-State = Literal["waiting", "running", "finished", "failed"]
+_LAST = ("solver", "lambda", "seed")
+"""Keys that end a job's label, so that labels sort by setting."""
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A job as its sweep lists it.
+
+    Attributes:
+        label: for people, in MLflow and in messages.
+        overrides: what Hydra makes its configuration from.
+        values: the swept keys and the values that its configuration has, as text.
+        fingerprint: of its result.
+    """
+
+    label: str
+    overrides: tuple[str, ...]
+    values: dict[str, str]
+    fingerprint: str
+
+
+def listed(jobs: Sequence[Listed]) -> tuple[Listed, ...]:
+    """The jobs with the values and labels of swept keys alone: those that differ or that some jobs
+    lack."""
+    keys = dict.fromkeys(key for job in jobs for key in job.values)
+    varying = [key for key in keys if len({job.values.get(key) for job in jobs}) > 1]
+    varying = varying or [key for key in ("domain", "solver", "lambda") if key in keys]
+    varying.sort(key=lambda key: _LAST.index(key) if key in _LAST else -1)
+    found = []
+    for job in jobs:
+        values = {key: job.values[key] for key in varying if key in job.values}
+        found.append(Listed(_label(values), job.overrides, values, job.fingerprint))
+    return tuple(found)
+
+
+def _label(values: Mapping[str, str]) -> str:
+    words = []
+    for key, value in values.items():
+        name = "λ" if key == "lambda" else key.rpartition(".")[2]
+        words.append(value if key in GROUPS else f"{name}={value}")
+    return " ".join(words) or "only job"
 
 
 @dataclass(frozen=True)
@@ -39,7 +79,7 @@ class SweepFolder:
 
     @property
     def identity(self) -> str:
-        """Name of the folder: the sweep's name and the digest of its jobs."""
+        """Name of the folder."""
         return self.path.name
 
     @contextmanager
@@ -59,87 +99,50 @@ class SweepFolder:
         with held:
             yield
 
-    def save(self, plan: Plan, about: dict[str, Any]) -> None:
-        """Writes down what the sweep is (once, or anew where it is damaged: the first command stays
-        the one on record)."""
-        try:
-            load_sweep(self.path)
-        except (OSError, InputError):
-            content = {"name": plan.name, **about, "jobs": [asdict(job) for job in plan.jobs]}
-            text = json.dumps(content, indent=1) + "\n"
-            write_text(self.path / SWEEP, without_passwords(text))
+    def save(self, jobs: Sequence[Listed], results: Path, about: Mapping[str, Any]) -> None:
+        """Writes down what the sweep is: once, or anew where the file is damaged.
 
-    def jobs(self) -> tuple[Job, ...]:
-        """The jobs in the order in which the sweep runs them."""
+        Args:
+            jobs: all of them.
+            results: folder of all results' addresses.
+            about: beside the jobs, such as its command and how it is reported.
+        """
+        with suppress(OSError, InputError):
+            load_sweep(self.path)
+            return
+        # A path from here: a project may be moved.
+        content = {**about, "results": os.path.relpath(results, self.path)}
+        text = json.dumps({**content, "jobs": [asdict(job) for job in jobs]}, indent=1) + "\n"
+        write_text(self.path / SWEEP, without_passwords(text))
+
+    def jobs(self) -> tuple[Listed, ...]:
+        """The jobs, in their order."""
         return tuple(
-            Job(**{**job, "overrides": tuple(job["overrides"])})
+            Listed(**{**job, "overrides": tuple(job["overrides"])})
             for job in load_sweep(self.path)["jobs"]
         )
 
-    def of(self, job: Job) -> Path:
+    def of(self, job: Listed) -> Path:
         """Path of the job's own folder, whether it exists or not."""
-        return self.path / "jobs" / job.name
+        return self.path / "jobs" / job.fingerprint
 
-    def state(self, job: Job) -> State:
+    def address(self, job: Listed) -> Path:
+        """Where the job's result is, or will be."""
+        return self._results / job.fingerprint
+
+    @cached_property
+    def _results(self) -> Path:
+        return self.path / load_sweep(self.path)["results"]
+
+    def state(self, job: Listed) -> Literal["waiting", "finished", "failed"]:
         """How far the job is."""
-        folder = self.of(job)
-        if (folder / RESULTS).exists():
+        if (self.address(job) / RESULTS).exists():
             return "finished"
-        if (folder / FAILURE).exists():
-            return "failed"
-        return "running" if (folder / STARTED).exists() else "waiting"
+        return "failed" if (self.of(job) / FAILURE).exists() else "waiting"
 
-    def checked_state(self, job: Job) -> State:
-        """The state, after reading the results: with those of another fingerprint, or unreadable
-        ones, the job is as good as not begun."""
-        state = self.state(job)
-        with suppress(ValueError):
-            if state != "finished" or load_results(self.of(job)).stamp == job.fingerprint:
-                return state
-        return "waiting"
-
-    def worker(self, job: Job) -> str:
-        """Host and number of the process that ran the job."""
-        return (self.of(job) / STARTED).read_text(encoding="utf-8")
-
-    def result_id(self, job: Job) -> str:
-        """What the job's result is called in MLflow."""
-        return hashlib.sha256(f"{self.identity} {job.fingerprint}".encode()).hexdigest()[:32]
-
-    def failure(self, job: Job) -> dict[str, str]:
+    def failure(self, job: Listed) -> dict[str, str]:
         """Error and traceback of a failed job."""
         return json.loads((self.of(job) / FAILURE).read_text(encoding="utf-8"))
-
-    def clear(self, job: Job) -> None:
-        """Forgets how far the job was; the other files are written over."""
-        for name in (RESULTS, FAILURE, STARTED):
-            (self.of(job) / name).unlink(missing_ok=True)
-
-
-def job_of(folder: Path) -> tuple[SweepFolder, Job] | None:
-    """The sweep and the job whose folder this is; None for a run on its own."""
-    sweep = SweepFolder(folder.parents[1])
-    if folder.parent.name != "jobs" or not (sweep.path / SWEEP).exists():
-        return None
-    return next(((sweep, job) for job in sweep.jobs() if job.name == folder.name), None)
-
-
-def mark_started(folder: Path) -> None:
-    """This process took the job."""
-    write_text(folder / STARTED, json.dumps(_here()) + "\n")
-
-
-def is_ours(folder: Path) -> bool:
-    """Whether no other process took the job since: the worker of a sweep that was killed may
-    live on while the job runs anew."""
-    try:
-        return bool(json.loads((folder / STARTED).read_text(encoding="utf-8")) == _here())
-    except (OSError, ValueError):
-        return False
-
-
-def _here() -> dict[str, Any]:
-    return {"host": socket.gethostname(), "pid": os.getpid()}
 
 
 def mark_failed(folder: Path, error: BaseException) -> None:
@@ -151,3 +154,17 @@ def mark_failed(folder: Path, error: BaseException) -> None:
     }
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / FAILURE, json.dumps(content, indent=1) + "\n")
+
+
+_NO_RESULTS = {"artifacts", "cache", "report", "results"}
+"""Folders below the outputs that hold copies or no results of a run's own."""
+
+
+def runs_and_sweeps(outputs: Path) -> Iterator[Path]:
+    """The folder of every finished run and of every sweep, oldest path first."""
+    for place, folders, files in os.walk(outputs):
+        folders[:] = sorted(name for name in folders if name not in _NO_RESULTS)
+        if SWEEP in files:
+            folders.clear()
+        if SWEEP in files or RESULTS in files:
+            yield Path(place)

@@ -12,8 +12,8 @@ import logging
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,12 +27,12 @@ from xplain.runs.terminal import without_passwords
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
-    from mlflow.entities import Run
 
 log = logging.getLogger(__name__)
 
 RESULT_TAG, SWEEP_TAG = "xplain.result", "xplain.sweep"
 PARENT_TAG = "mlflow.parentRunId"
+SOURCE = "python -m xplain"
 
 FIGURES = {
     "regret": "regret",
@@ -105,14 +105,13 @@ class MLflow(Disk):
             InputError: the experiment was deleted in MLflow.
             OSError, SQLAlchemyError, MlflowException: the store cannot take it.
         """
+        from filelock import FileLock
         from mlflow import MlflowClient
 
         outputs.mkdir(parents=True, exist_ok=True)
         own = outputs.resolve() / "mlflow.db"
         uri = self.uri or f"sqlite:///{own}"
         served = uri.startswith("http")
-        from filelock import FileLock
-
         with FileLock(outputs / "mlflow.lock"):
             if self.uri is None and not own.exists():
                 _make_database(own)
@@ -122,16 +121,16 @@ class MLflow(Disk):
                 allowed = "an experiment that was not deleted; restore it in MLflow or name another"
                 raise InputError("tracking.experiment", self.experiment, allowed)
             artifacts = None if served else (outputs.resolve() / "artifacts").as_uri()
-            experiment = found and found.experiment_id
+            experiment = found.experiment_id if found else None
             experiment = experiment or client.create_experiment(self.experiment, artifacts)
-        page = (
-            f"{uri.rstrip('/') if served else 'http://127.0.0.1:5000'}/#/experiments/{experiment}"
-        )
+        store = _Store(client, experiment)
+        address = uri.rstrip("/") if served else "http://127.0.0.1:5000"
         if (folder / SWEEP).exists():
-            view = _send_sweep(client, experiment, SweepFolder(folder))
-            link = f"{page}/runs?workflowType=machine_learning&viewStateShareKey={view}"
+            shown = f"workflowType=machine_learning&viewStateShareKey={store.send_sweep(folder)}"
+            link = f"{address}/#/experiments/{experiment}/runs?{shown}"
         else:
-            link = f"{page}/runs/{_send_run(client, experiment, folder, load_results(folder))}"
+            run = store.send_result(folder, load_results(folder), {}, {})
+            link = f"{address}/#/experiments/{experiment}/runs/{run}"
         lines = [f"MLflow: {without_passwords(link)}"]
         if not served:
             uri = f"sqlite:///{os.path.relpath(own)}" if self.uri is None else self.uri
@@ -151,88 +150,111 @@ def _make_database(path: Path) -> None:
         new.rename(path)
 
 
-def _tagged(client: MlflowClient, experiment: str, tag: str, value: str) -> Iterator[Run]:
-    token = None
-    while True:
-        condition = f"tags.`{tag}` = '{value}'"
-        page = client.search_runs([experiment], condition, max_results=500, page_token=token)
-        yield from page
-        token = page.token
-        if not token:
-            return
+@dataclass(frozen=True)
+class _Store:
+    """An experiment in MLflow."""
 
+    client: MlflowClient
+    experiment: str
 
-def _send_run(
-    client: MlflowClient,
-    experiment: str,
-    folder: Path,
-    results: Results,
-    swept: Mapping[str, str] | None = None,
-    tags: Mapping[str, str] | None = None,
-    known: list[Run] | None = None,
-) -> str:
-    """Sends a result unless its run is there; returns the id of the run.
+    def send_result(
+        self, folder: Path, results: Results, swept: Mapping[str, str], tags: Mapping[str, str]
+    ) -> str:
+        """Sends a result unless its run is there; returns the id of the run.
 
-    Args:
-        client, experiment: where to.
-        folder, results: of the finished run.
-        swept: keys of the sweep with this run's values.
-        tags: more of them.
-        known: runs that may be this one's; None looks for them.
-    """
-    from mlflow.entities import Metric, Param
+        Args:
+            folder, results: of the finished run.
+            swept: keys of the sweep with this run's values.
+            tags: that tell it from runs of the same result in other sweeps.
+        """
+        from mlflow.entities import Metric, Param
 
-    started, end = (int(1000 * (results.started + s)) for s in (0, sum(results.seconds.values())))
-    if known is None:
-        known = list(_tagged(client, experiment, RESULT_TAG, results.id))
-    run_id, new = _run_once(
-        client,
-        experiment,
-        known,
-        results.name,
-        ("FINISHED", started),
-        {
-            RESULT_TAG: results.id,
+        times = (results.started, results.started + sum(results.seconds.values()))
+        started, end = (int(1000 * seconds) for seconds in times)
+        about = {
             "mlflow.source.git.commit": results.git.get("commit", ""),
             "xplain.rule": results.elbow.rule,
             "xplain.warning": warning_about_oracle(results.learning),
-            **(tags or {}),
-        },
-    )
-    if new:
-        curves = {
-            "solver/belief_in_true_type": enumerate(results.steps.get("belief_in_true_type", ())),
-            "types/disagreements": enumerate(results.elbow.disagreements, start=1),
         }
-        points = [(name, 0, value) for name, value in sorted(figures(results).items())]
-        points += [(name, k, value) for name, curve in curves.items() for k, value in curve]
-        client.log_batch(
-            run_id,
-            [Metric(name, round(value, 4), end, step) for name, step, value in points],
-            [Param(key, value) for key, value in parameters(results, swept or {}).items()],
+        tags = {RESULT_TAG: results.fingerprint, **(tags or {"xplain.single": "yes"})}
+        run, new = self._run(results.name, "FINISHED", started, tags, about)
+        if new:
+            known = figures(results)
+            metrics = [Metric(key, round(v, 4), end, 0) for key, v in sorted(known.items())]
+            params = [Param(key, value) for key, value in parameters(results, swept).items()]
+            self.client.log_batch(run, metrics, params)
+            self.client.log_artifacts(run, str(folder))
+            self.client.set_terminated(run, "FINISHED", end)
+        return run
+
+    def send_sweep(self, path: Path) -> str:
+        """Sends a sweep's jobs that ended, its report and a view of it; returns the view's key."""
+        from mlflow.entities import Param
+
+        sweep, summary = SweepFolder(path), Summary(path)
+        jobs, started = sweep.jobs(), int(1000 * summary.about["started"])
+        parent, _ = self._run(sweep.identity, "", started, {SWEEP_TAG: sweep.identity}, {})
+        keys = dict.fromkeys(key for job in jobs for key in job.values)
+        swept = {key: dict.fromkeys(job.values.get(key, "") for job in jobs) for key in keys}
+        params = [Param(key, ", ".join(values)[:500]) for key, values in swept.items()]
+        self.client.log_batch(parent, params=[*params, Param("jobs", str(len(jobs)))])
+        self.client.set_tag(parent, "mlflow.note.content", answer(summary))
+        for job in jobs:
+            tags = {RESULT_TAG: job.fingerprint, PARENT_TAG: parent}
+            if (state := sweep.state(job)) == "finished":
+                own = replace(load_results(sweep.address(job)), name=job.label)
+                self.send_result(sweep.address(job), own, job.values, tags)
+            elif state == "failed":
+                at = int(1000 * (sweep.of(job) / FAILURE).stat().st_mtime)
+                error = {"xplain.error": sweep.failure(job)["error"][:4000]}
+                run, new = self._run(job.label, "FAILED", at, tags, error)
+                if new:
+                    self.client.log_artifacts(run, str(sweep.of(job)))
+                    self.client.set_terminated(run, "FAILED", at)
+        if (path / "report").is_dir():
+            self.client.log_artifacts(parent, str(path / "report"), "report")
+        states = {sweep.state(job) for job in jobs}
+        ended = (
+            "FINISHED" if states == {"finished"} else "FAILED" if "failed" in states else "KILLED"
         )
-        client.log_artifacts(run_id, str(folder))
-        client.set_terminated(run_id, "FINISHED", end)
-    return run_id
+        self.client.set_terminated(parent, ended)
+        key, now = sweep.identity.rpartition("-")[2], int(1000 * time.time())
+        # The form in which MLflow lists views itself, from 3.15 on.
+        shared = {"name": sweep.identity, "createdAt": now, "updatedAt": now}
+        text = json.dumps({**shared, "state": json.dumps(view(parent, summary))})
+        self.client.set_experiment_tag(self.experiment, f"mlflow.sharedViewState.{key}", text)
+        return key
 
+    def _run(
+        self,
+        name: str,
+        status: str,
+        started: int,
+        known_by: Mapping[str, str],
+        tags: Mapping[str, str],
+    ) -> tuple[str, bool]:
+        """The id of the run that is known by these tags, and whether it is new. Runs of another
+        status or start are of earlier attempts, or their sender died: they are deleted.
 
-def _run_once(
-    client: MlflowClient,
-    experiment: str,
-    known: list[Run],
-    name: str,
-    state: tuple[str, int],
-    tags: dict[str, str],
-) -> tuple[str, bool]:
-    """The id of a known run of this status and start, else of a new one; and whether it is new.
-    Other known ones are deleted: a sender died meanwhile, or they are of an earlier attempt."""
-    kept = [run for run in known if (run.info.status, run.info.start_time) == state][:1]
-    for run in known:
-        if run not in kept:
-            client.delete_run(run.info.run_id)
-    tags |= {"mlflow.user": os.environ.get("USER", ""), "mlflow.source.name": "python -m xplain"}
-    found = kept or [client.create_run(experiment, state[1], tags, name)]
-    return str(found[0].info.run_id), not kept
+        Args:
+            name: of a new run.
+            status: that it has to have; "" takes any.
+            started: when, in milliseconds since 1970.
+            known_by: tags that tell it from all others.
+            tags: more of them, of a new run.
+        """
+        wanted = " and ".join(f"tags.`{key}` = '{value}'" for key, value in known_by.items())
+        kept = None
+        for run in self.client.search_runs([self.experiment], wanted, max_results=50):
+            same = (run.info.status, run.info.start_time) == (status or run.info.status, started)
+            if same and kept is None:
+                kept = run
+            else:
+                self.client.delete_run(run.info.run_id)
+        source = {"mlflow.user": os.environ.get("USER", ""), "mlflow.source.name": SOURCE}
+        every = {**known_by, **tags, **source}
+        found = kept or self.client.create_run(self.experiment, started, every, name)
+        return str(found.info.run_id), kept is None
 
 
 def figures(results: Results) -> dict[str, float]:
@@ -254,58 +276,6 @@ def parameters(results: Results, swept: Mapping[str, str]) -> dict[str, str]:
     own = {key: value for key, value in results.config.items() if not isinstance(value, Mapping)}
     every = {**{key: swept[key] for key in swept if "." in key}, **results.choices, **own}
     return {key: str(value)[:500] for key, value in every.items()}
-
-
-def _send_sweep(client: MlflowClient, experiment: str, sweep: SweepFolder) -> str:
-    """Sends a sweep's jobs that ended, its report and the view of it; returns the view's key."""
-    from mlflow.entities import Param
-
-    summary, jobs = Summary(sweep.path), sweep.jobs()
-    started = int(1000 * summary.about["started"])
-    tags = {SWEEP_TAG: sweep.identity}
-    found = next(_tagged(client, experiment, SWEEP_TAG, sweep.identity), None)
-    found = found or client.create_run(experiment, started, tags, sweep.identity)
-    parent = str(found.info.run_id)
-    keys = dict.fromkeys(key for job in jobs for key in job.values)
-    swept = {key: dict.fromkeys(job.values.get(key, "") for job in jobs) for key in keys}
-    params = [Param(key, ", ".join(values)[:500]) for key, values in swept.items()]
-    client.log_batch(parent, params=[*params, Param("jobs", str(len(jobs)))])
-    client.set_tag(parent, "mlflow.note.content", answer(summary))
-    children: dict[str, list[Run]] = {}
-    for run in _tagged(client, experiment, PARENT_TAG, parent):
-        children.setdefault(run.data.tags.get(RESULT_TAG, ""), []).append(run)
-    results = {job["name"]: own for job, own in summary.results}
-    end = started
-    for job in jobs:
-        folder, known = sweep.of(job), children.get(sweep.result_id(job), [])
-        if own := results.get(job.name):
-            tags = {PARENT_TAG: parent}
-            _send_run(client, experiment, folder, own, job.values, tags, known)
-            end = max(end, int(1000 * (own.started + sum(own.seconds.values()))))
-        elif (folder / FAILURE).exists():
-            at = int(1000 * (folder / FAILURE).stat().st_mtime)
-            tags = {RESULT_TAG: sweep.result_id(job), PARENT_TAG: parent}
-            tags["xplain.error"] = sweep.failure(job)["error"][:4000]
-            run_id, new = _run_once(client, experiment, known, job.label, ("FAILED", at), tags)
-            if new:
-                client.log_artifacts(run_id, str(folder))
-                client.set_terminated(run_id, "FAILED", at)
-    if (sweep.path / "report").is_dir():
-        client.log_artifacts(parent, str(sweep.path / "report"), "report")
-    states = {sweep.state(job) for job in jobs}
-    status = "FINISHED" if states == {"finished"} else "FAILED" if "failed" in states else "KILLED"
-    client.set_terminated(parent, status, end)
-    key = sweep.identity.rpartition("-")[2]
-    name, state = f"mlflow.sharedViewState.{key}", view(parent, summary)
-    now = int(1000 * time.time())
-    shared = {
-        "name": sweep.identity,
-        "createdAt": now,
-        "updatedAt": now,
-        "state": json.dumps(state),
-    }
-    client.set_experiment_tag(experiment, name, json.dumps(shared))
-    return key
 
 
 def view(parent: str, summary: Summary) -> dict[str, Any]:

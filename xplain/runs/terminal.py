@@ -8,29 +8,10 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from contextvars import ContextVar
-from pathlib import Path
 
 from xplain.errors import first_line
 
 log = logging.getLogger(__name__)
-
-_tables: ContextVar[bool] = ContextVar("tables", default=True)
-
-
-def tables_are_shown() -> bool:
-    """Whether tables of results are printed: not where the caller is given the results."""
-    return _tables.get()
-
-
-@contextmanager
-def without_tables() -> Iterator[None]:
-    """No tables are printed by this thread meanwhile; all else is."""
-    before = _tables.set(False)
-    try:
-        yield
-    finally:
-        _tables.reset(before)
 
 
 @contextmanager
@@ -52,19 +33,6 @@ def attempted(otherwise: str) -> Iterator[None]:
     except Exception as error:
         log.warning("%s: %s", otherwise, first_line(error)[:300])
         log.debug("it failed", exc_info=True)
-
-
-@contextmanager
-def logged_to(path: Path) -> Iterator[None]:
-    """What is logged meanwhile goes into the file as well, which is made with its first line."""
-    handler = logging.FileHandler(path, delay=True, encoding="utf-8")
-    handler.setFormatter(logging.Formatter("[%(asctime)s] %(levelname)s %(name)s: %(message)s"))
-    logging.getLogger().addHandler(handler)
-    try:
-        yield
-    finally:
-        logging.getLogger().removeHandler(handler)
-        handler.close()
 
 
 def without_passwords(text: str) -> str:

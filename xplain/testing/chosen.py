@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from xplain.experiment.config import CONF, named, register
+from xplain.experiment.config import CONF, register
 
 
 class Chosen:
@@ -22,7 +22,7 @@ class Chosen:
         self, group: str, choice: str, *overrides: str, conf: str | Path | None = None
     ) -> None:
         self.group = group
-        self.overrides = named([f"{group}={choice}", *overrides])
+        self.overrides = [f"{group}={choice}", *overrides]
         if conf is not None:
             self.overrides.append(f"hydra.searchpath=[file://{Path(conf).absolute()}]")
 

@@ -1,4 +1,4 @@
-"""Jobs of a sweep on the configured launcher, which a signal can interrupt."""
+"""A sweep ends cleanly on a signal, and its workers end with it."""
 
 from __future__ import annotations
 
@@ -10,49 +10,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from functools import cache
-
-from hydra.core.plugins import Plugins
-from hydra.core.utils import JobStatus
-from hydra.plugins.launcher import Launcher
-from hydra.types import HydraContext, TaskFunction
-from omegaconf import DictConfig, open_dict
-
-from xplain.errors import quoted
-from xplain.runs.folder import SweepFolder, mark_failed
-from xplain.runs.plan import Job
-
-
-def launch(
-    context: HydraContext,
-    task: TaskFunction,
-    config: DictConfig,
-    folder: SweepFolder,
-    jobs: list[Job],
-) -> None:
-    """Has the configured launcher run the jobs; failures end up in the jobs' folders."""
-    with open_dict(config):
-        config.hydra.sweep.dir = str(folder.path)
-    launcher: Launcher = Plugins.instance().instantiate_launcher(
-        hydra_context=context, task_function=task, config=config
-    )
-    overrides = [
-        [
-            *job.overrides,
-            f"hydra.sweep.dir={quoted(str(folder.path))}",
-            f"hydra.sweep.subdir='jobs/{job.name}'",
-            "hydra/job_logging=none",  # a job in this process would take the sweep's words
-            "hydra.output_subdir=null",  # config.yaml is beside the results
-        ]
-        for job in jobs
-    ]
-    returns = launcher.launch(overrides, initial_job_idx=0)
-    for job, returned in zip(jobs, returns, strict=True):
-        # It failed outside of its own code: a worker that cannot import the package.
-        if returned.status == JobStatus.FAILED and folder.state(job) != "failed":
-            try:
-                returned.return_value  # noqa: B018  (raises what the job raised)
-            except Exception as error:  # noqa: BLE001  (whatever it raised is its result)
-                mark_failed(folder.of(job), error)
 
 
 @contextmanager
